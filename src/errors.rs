@@ -51,7 +51,7 @@ mod tests {
             AxisError::Full { axis: "x".into(), verb: "stop", capacity: 64 }.into(),
             GroupError::TooFew(1).into(),
             AskError::Nobody("/run/m.sock".into()).into(),
-            MasterError::NoAxis { name: "x".into(), known: "y, z".into() }.into(),
+            MasterError::Unknown { what: "axis", name: "x".into(), known: "y, z".into() }.into(),
             StartError::Starving("a spin of 60 %".into()).into(),
         ];
         for error in samples {

@@ -1,6 +1,7 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 
 use std::any::Any;
+use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -16,18 +17,14 @@ use crate::bus::{BusClock, Cycle, OpenError, Unmatched};
 use crate::cycle::bound::{self, Paced};
 use crate::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
 use crate::cycle::record::Record;
-use crate::cycle::status::{
-    AxisGauge, AxisInfo, BusGauge, BusInfo, DeviceEnd, DriveNumbers, Gauges, Numbers, Status,
-};
+use crate::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers, Gauges, Numbers, Status};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::OpenBus;
 use crate::cycle::{self, Plan, PlanErrors};
 use crate::drive::controller::{DriveController, Queues};
 use crate::net::{Carriers, Os};
 use crate::rt::watch::ThreadWatch;
-use crate::rt::{
-    self, Clock, Granted, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
-};
+use crate::rt::{self, Clock, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage};
 use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 
 /// A machine that has not started yet.
@@ -83,9 +80,11 @@ crate::errors::debug_as_display!(StartError);
 /// Why the application did not get an axis, or not in time.
 #[derive(Clone, PartialEq, Error)]
 pub enum MasterError {
-    /// No such axis.
-    #[error("there is no axis {name}; there are: {known}")]
-    NoAxis {
+    /// No such axis, device or group.
+    #[error("there is no {what} {name}; there are: {known}")]
+    Unknown {
+        /// An axis, a device or a group.
+        what: &'static str,
         /// The requested name.
         name: String,
         /// The names that exist.
@@ -94,28 +93,12 @@ pub enum MasterError {
     /// The axis was taken already.
     #[error("axis {0} is already taken: an axis has one owner; read it through an observer")]
     Taken(String),
-    /// No such device.
-    #[error("there is no device {name}; there are: {known}")]
-    NoDevice {
-        /// The requested name.
-        name: String,
-        /// The names that exist.
-        known: String,
-    },
     /// The device was taken already.
     #[error("device {0} is already taken: its process data has one owner")]
     DeviceTaken(String),
     /// The device is of another type.
     #[error("device {0} has process data of another type; request the type that its protocol names")]
     DeviceType(String),
-    /// No such group.
-    #[error("there is no group {name}; there are: {known}")]
-    NoGroup {
-        /// The requested name.
-        name: String,
-        /// The names that exist.
-        known: String,
-    },
     /// The axes of the group cannot act together.
     #[error(transparent)]
     NotAGroup(GroupError),
@@ -135,6 +118,13 @@ pub enum MasterError {
     Ended,
 }
 crate::errors::debug_as_display!(MasterError);
+
+impl MasterError {
+    fn unknown<'a>(what: &'static str, name: &str, known: impl Iterator<Item = &'a String>) -> MasterError {
+        let known = known.map(String::as_str).collect::<Vec<_>>().join(", ");
+        MasterError::Unknown { what, name: name.to_owned(), known }
+    }
+}
 
 /// Ends the machine from another thread, or from a signal's handler thread.
 #[derive(Clone, Debug)]
@@ -177,8 +167,7 @@ impl Devices {
     /// names.
     pub fn take<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
         let Some((_, end)) = self.0.iter_mut().find(|(known, _)| known == name) else {
-            let known: Vec<&str> = self.0.iter().map(|(name, _)| name.as_str()).collect();
-            return Err(MasterError::NoDevice { name: name.to_owned(), known: known.join(", ") });
+            return Err(MasterError::unknown("device", name, self.0.iter().map(|(name, _)| name)));
         };
         match end.take().map(|end| end.downcast::<T>()) {
             Some(Ok(device)) => Ok(*device),
@@ -259,11 +248,11 @@ pub fn assemble<C: Clock>(
                 silence,
                 bus_plan.fresh_within_ns(index).is_some(),
             );
-            let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
+            let every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
             let observer = Observer(reader.clone());
-            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), asked_every);
+            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), every);
             let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
             let connection = notes.clone().map(|notes| (notes, index));
             let info = AxisInfo { name: axis.name.clone(), protocol: bus_plan.protocol(), connection };
@@ -327,6 +316,15 @@ const PROBES_A_CYCLE: usize = 16;
 /// Stack size of the loop's thread; the part that it uses is touched before the first cycle.
 const STACK_BYTES: usize = 1024 * 1024;
 
+/// All that a [`Monitor`] can read.
+impl Deref for Master {
+    type Target = Monitor;
+
+    fn deref(&self) -> &Monitor {
+        &self.monitor
+    }
+}
+
 impl Master {
     /// A machine from a plan built in code.
     pub fn from_plan(plan: Plan) -> Setup {
@@ -336,16 +334,6 @@ impl Master {
     /// A reader of this machine for another thread.
     pub fn monitor(&self) -> Monitor {
         self.monitor.clone()
-    }
-
-    /// The plan it runs.
-    pub fn plan(&self) -> &Plan {
-        self.monitor.plan()
-    }
-
-    /// What the operating system granted.
-    pub fn granted(&self) -> &Granted {
-        self.monitor.granted()
     }
 
     /// Takes an axis; only once, because an axis has one producer of commands.
@@ -379,16 +367,14 @@ impl Master {
     }
 
     fn no_axis(&self, name: &str) -> MasterError {
-        let known: Vec<&str> = self.observers().iter().map(|(name, _)| name.as_str()).collect();
-        MasterError::NoAxis { name: name.to_owned(), known: known.join(", ") }
+        MasterError::unknown("axis", name, self.observers().iter().map(|(name, _)| name))
     }
 
     /// Takes the axes of a `[[group]]` of the plan, together.
     pub fn group(&self, name: &str) -> Result<Group, MasterError> {
         let groups = &self.plan().groups;
         let Some(group) = groups.iter().find(|group| group.name == name) else {
-            let known: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
-            return Err(MasterError::NoGroup { name: name.to_owned(), known: known.join(", ") });
+            return Err(MasterError::unknown("group", name, groups.iter().map(|group| &group.name)));
         };
         let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
         let index = |name: &String| self.observers().iter().position(|(known, _)| known == name);
@@ -400,41 +386,6 @@ impl Master {
         let members: Vec<Axis> = places.iter().filter_map(|place| axes[*place].take()).collect();
         drop(axes);
         Group::new(members).map_err(|refused| MasterError::NotAGroup(*refused.reason))
-    }
-
-    /// Readers of the newest feedback of all axes, in the order of the plan.
-    pub fn observers(&self) -> &[(String, Observer)] {
-        self.monitor.observers()
-    }
-
-    /// See [`Monitor::status`].
-    pub fn status(&self) -> Status {
-        self.monitor.status()
-    }
-
-    /// See [`Monitor::numbers`].
-    pub fn numbers(&self) -> Numbers {
-        self.monitor.numbers()
-    }
-
-    /// See [`Monitor::not_connected`].
-    pub fn not_connected(&self, index: usize) -> Option<String> {
-        self.monitor.not_connected(index)
-    }
-
-    /// See [`Monitor::devices`].
-    pub fn devices(&self) -> Vec<DeviceEnd> {
-        self.monitor.devices()
-    }
-
-    /// See [`Monitor::measured`].
-    pub fn measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> R {
-        self.monitor.measured(look)
-    }
-
-    /// See [`Monitor::write_black_box`].
-    pub fn write_black_box(&self) {
-        self.monitor.write_black_box();
     }
 
     /// Waits until every axis is online. An axis that another master commands ends the wait.
@@ -471,7 +422,7 @@ impl Master {
     /// A drive that is not online, with the reason if it is known.
     fn absent(&self, index: usize) -> String {
         let (name, _) = &self.observers()[index];
-        match self.monitor.not_connected(index) {
+        match self.not_connected(index) {
             Some(why) => format!("{name} (not connected: {why})"),
             None => name.clone(),
         }
@@ -513,13 +464,13 @@ impl Master {
             Some(Err(_)) => {
                 let failed =
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
-                (self.monitor.numbers(), Some(failed.to_owned()))
+                (self.numbers(), Some(failed.to_owned()))
             }
             None => (Numbers::default(), None),
         };
         let measured = self.recorder.finish(end.status.late, failed);
-        let (plan, granted) = (self.monitor.shared_plan(), self.granted().clone());
-        Run { end, measured, granted, plan, steal_ms: self.monitor.steal_ms() }
+        let (plan, granted) = (self.shared_plan(), self.granted().clone());
+        Run { end, measured, granted, plan, steal_ms: self.steal_ms() }
     }
 }
 
@@ -573,14 +524,14 @@ impl Setup {
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
 
-        let (tell, told) = crossbeam_channel::bounded(1);
+        let (report, reported) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
             .name("fb-loop".into())
             .stack_size(STACK_BYTES)
             .spawn(move || {
                 let entered = rt::thread::enter(&realtime, &regions);
                 let go = entered.is_ok();
-                let _ = tell.send((entered, nix::unistd::gettid().as_raw()));
+                let _ = report.send((entered, nix::unistd::gettid().as_raw()));
                 if !go {
                     return engine.finish();
                 }
@@ -594,7 +545,7 @@ impl Setup {
                 end
             })
             .map_err(StartError::Thread)?;
-        let (granted, tid) = match told.recv() {
+        let (granted, tid) = match reported.recv() {
             Ok((Ok(granted), tid)) => (granted, tid),
             Ok((Err(error), _)) => {
                 let _ = thread.join();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use fieldbeat::telemetry::blackbox::list::Listing;
-use fieldbeat::telemetry::blackbox::{default_directory, file, story};
+use fieldbeat::telemetry::blackbox::{default_directory, events, file};
 use serde_json::json;
 
 use super::{Stop, print, show};
@@ -35,11 +35,11 @@ impl BlackBox {
         let Some(path) = &self.file else { return self.list() };
         let (header, records) = file::load(path).map_err(Stop::usage)?;
         if self.json {
-            let happened = story::happenings(&header, &records);
-            let drives = story::courses(&header, &records, &happened, self.cycles);
+            let happened = events::events(&header, &records);
+            let drives = events::courses(&header, &records, &happened, self.cycles);
             return print(json!({ "header": header, "happened": happened, "drives": drives }));
         }
-        print(story::tell(&header, &records, self.cycles).trim_end())
+        print(events::text(&header, &records, self.cycles).trim_end())
     }
 
     fn list(self) -> Result<(), Stop> {

@@ -21,7 +21,7 @@ use fieldbeat::master::{Master, MasterError};
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{MS, Ns, S, nanos};
 
-use super::attendant::Attendant;
+use super::handler::Handler;
 use super::interrupt::Interrupt;
 use super::output::{Output, both};
 use super::run::{not_whole, start};
@@ -77,7 +77,7 @@ struct Show {
     movers: usize,
     /// All that is shown has ended by then.
     end: Instant,
-    attendant: Attendant,
+    handler: Handler,
 }
 
 impl Demo {
@@ -101,17 +101,17 @@ impl Demo {
         let (movers, turners) = names(master.plan());
         let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
-        let attendant = Attendant::new(&master, &interrupt);
+        let handler = Handler::new(&master, &interrupt);
         let end = begun + self.duration.unwrap_or(PATIENCE);
-        let mut show = Show { master, axes, movers: movers.len(), end, attendant };
+        let mut show = Show { master, axes, movers: movers.len(), end, handler };
         let result = show.wait_online().and_then(|()| {
             if self.duration.is_none() {
                 show.end = Instant::now() + SHOW;
             }
             show.play()
         });
-        show.attendant.end(&show.master);
-        let (summary, told) = output.finish(show.master);
+        show.handler.end(&show.master);
+        let (summary, printed) = output.finish(show.master);
         server.stop();
         let verdict = match result {
             _ if summary.has_failed() => Err(not_whole(&summary)),
@@ -120,19 +120,19 @@ impl Demo {
             Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
             Err(error) => Err(Stop::failed(error)),
         };
-        both(told, verdict)
+        both(printed, verdict)
     }
 }
 
-/// The period that is asked for, or the shortest that this host carries; one line says why.
-fn period_ns(asked_for: Option<Duration>) -> Result<u64, Stop> {
-    if let Some(period) = asked_for {
+/// The requested period, or the shortest that this host carries; one line says why.
+fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
+    if let Some(period) = requested {
         // A period that cannot be is refused before anything is measured.
         demo_plan(1, nanos(period), 0).map_err(Stop::usage)?;
     }
     let seen = glance(&CyclePlan::default()).map_err(Stop::usage)?;
     let carried = seen.shortest(&PERIODS_NS);
-    let Some(period) = asked_for else {
+    let Some(period) = requested else {
         complain(&chosen(&seen, carried));
         return Ok(carried);
     };
@@ -216,7 +216,7 @@ fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
     (of(true), of(false))
 }
 
-/// Whether the command ended because somebody asked for the end.
+/// Whether the command ended because the end was requested.
 fn was_stopped(error: &Error) -> bool {
     match error {
         Error::Axis(AxisError::Ended {
@@ -274,7 +274,7 @@ impl Show {
         loop {
             match self.master.wait_online(Duration::from_millis(50)) {
                 Err(MasterError::NotOnline { .. }) if !self.is_over() => {
-                    self.attendant.look_while_waiting(&self.master);
+                    self.handler.look_while_waiting(&self.master);
                 }
                 Err(MasterError::NotOnline { missing, .. }) => {
                     let waited = Duration::from_millis(begun.elapsed().as_millis() as u64);
@@ -308,12 +308,12 @@ impl Show {
                         return Err(Error::Over);
                     }
                     Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => {
-                        self.attendant.look(&self.master, what);
+                        self.handler.look(&self.master, what);
                     }
                     ended => break ended?,
                 }
             }
-            // No other end is waited for: what happened besides is shown by the attendant.
+            // No other end is waited for: what else happened is shown by the handler.
             while axis.event().is_some() {}
         }
         Ok(())
@@ -357,7 +357,7 @@ impl Show {
                 }
             }
             turners.iter_mut().for_each(|axis| while axis.event().is_some() {});
-            self.attendant.look(&self.master, "wave");
+            self.handler.look(&self.master, "wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
                 break;

@@ -65,7 +65,7 @@ impl Interrupt {
         Ok(interrupt)
     }
 
-    /// Whether SIGUSR1 came since this was asked last.
+    /// Whether SIGUSR1 came since the last call.
     pub fn wants_black_box(&self) -> bool {
         self.black_box.swap(false, Ordering::Relaxed)
     }

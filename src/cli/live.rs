@@ -17,7 +17,7 @@ pub enum Count {
     Operational,
 }
 
-/// Writes to standard error, so that standard output stays what was asked for.
+/// Writes to standard error, so that standard output stays what was requested.
 #[derive(Debug)]
 pub struct Live {
     terminal: bool,

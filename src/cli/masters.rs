@@ -45,7 +45,7 @@ impl Running {
 impl Wanted<'_> {
     /// The one master that is meant. `Ok(None)`: none runs.
     pub fn find(self) -> Result<Option<Running>, Stop> {
-        let (mut living, refused) = asked(&place::find(self.config));
+        let (mut living, refused) = answering(&place::find(self.config));
         // The demo has a socket of its own, whichever way its configuration is named.
         if living.is_empty() && self.config.is_some_and(is_demo) {
             living = all();
@@ -61,7 +61,7 @@ impl Wanted<'_> {
 
     /// What to say where none was found.
     pub fn missing(self) -> String {
-        if let (None, (_, Some(error))) = (self.pid, asked(&place::find(self.config))) {
+        if let (None, (_, Some(error))) = (self.pid, answering(&place::find(self.config))) {
             return error.to_string();
         }
         let mut what = "no master".to_owned();
@@ -95,7 +95,7 @@ pub fn others() -> String {
 }
 
 fn all() -> Vec<Running> {
-    asked(&place::find(None)).0
+    answering(&place::find(None)).0
 }
 
 fn names(masters: &[Running]) -> String {
@@ -103,7 +103,7 @@ fn names(masters: &[Running]) -> String {
 }
 
 /// Those that answer, and why the last of the others does not.
-fn asked(paths: &[PathBuf]) -> (Vec<Running>, Option<AskError>) {
+fn answering(paths: &[PathBuf]) -> (Vec<Running>, Option<AskError>) {
     let (mut living, mut refused) = (Vec::new(), None);
     for path in paths {
         match question(path) {

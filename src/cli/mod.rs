@@ -2,12 +2,12 @@
 //!
 //! Exit codes: 0 done, 1 the run failed, a drive was lost or the host is not ready, 2 bad arguments or configuration.
 
-mod attendant;
 mod blackbox;
 mod check;
 mod demo;
 mod doctor;
 mod ethercat;
+mod handler;
 mod interrupt;
 mod linmot;
 mod live;
@@ -153,8 +153,8 @@ fn one_line(message: &str) -> String {
     format!("{line}; see `{}--help`", if command.is_empty() { "fieldbeat " } else { &command })
 }
 
-/// Prints to standard output. A reader that has gone away (`| head`) is no error; a full disk is, since what was asked
-/// for is lost.
+/// Prints to standard output. A reader that has gone away (`| head`) is no error; a full disk is, since the
+/// requested output is lost.
 fn print(text: impl std::fmt::Display) -> Result<(), Stop> {
     print_to(&mut std::io::stdout().lock(), format_args!("{text}"))
 }

@@ -169,7 +169,7 @@ impl MotionArguments {
     }
 }
 
-/// Waits for the drive, of which nothing has been asked yet; refuses one that somebody else has switched on.
+/// Waits for the drive, of which nothing was requested yet; refuses one that somebody else has switched on.
 fn await_idle(master: &Master, axis: &Axis, interrupt: &Interrupt) -> Result<(), Stop> {
     let begun = Instant::now();
     while axis.feedback().link != Link::Online {
@@ -361,7 +361,7 @@ mod tests {
             motion = motion.after(&inputs);
             motion
         };
-        // It stands because it has not heard of it.
+        // It stands because it has not received it.
         for ms in [200, 400, 600, 800] {
             assert_eq!(after(says(ms, 3, false)), Motion::Written(Some(3)));
         }

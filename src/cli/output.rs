@@ -1,4 +1,4 @@
-//! What a run tells besides what moves: its summary, and if they are asked for, a report, and its numbers meanwhile.
+//! The output of a run: its summary and, on request, a report, and its numbers meanwhile.
 
 use std::path::PathBuf;
 use std::sync::mpsc;
@@ -36,7 +36,7 @@ pub struct Output {
     black_box: Option<PathBuf>,
 }
 
-/// All of it can be had, as far as can be told before the run.
+/// All of it can be had, as far as is known before the run.
 #[derive(Debug)]
 pub struct Prepared {
     json: bool,

@@ -5,7 +5,7 @@ mod list;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use fieldbeat::axis::acyclic::{Access, CallError, Notation, NotationError, ParameterError};
+use fieldbeat::axis::acyclic::{Access, CallError, Notation, NotationError, ParameterError, Request};
 use fieldbeat::bus::ethercat;
 use fieldbeat::bus::ethercat::object::{Target, Type, long};
 use fieldbeat::cycle::Plan;
@@ -47,7 +47,7 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Its plan without the other drives, for a master of its own that moves it; refused beside one that runs.
+    /// Its plan without the other drives, for a master of its own that moves it; refused next to one that runs.
     pub fn alone(&self) -> Result<(Plan, String), Stop> {
         let (plan, _) = reach::find(&self.config, &self.drive)?;
         let wanted = Wanted { config: Some(&self.config), pid: self.pid };
@@ -82,8 +82,8 @@ impl Drive {
     ) -> Result<Reach, Stop> {
         let check = |notation: &dyn Notation| {
             check(notation).map_err(|error| {
-                let (drive, address) = (self.drive.clone(), address.to_owned());
-                failed(ParameterError::Notation { drive, access, address, error })
+                let request = Request { access, ..Request::read(&self.drive, address) };
+                failed(ParameterError::Notation { request, error })
             })
         };
         Reach::open(&self.config, &self.drive, self.pid, check, interrupt)
@@ -210,16 +210,8 @@ fn read(reach: &Reach, address: &str) -> Result<(u64, String), ParameterError> {
 fn read_long(reach: &Reach, address: &str, target: Target) -> Result<(u64, String), ParameterError> {
     let notation = reach.notation();
     let limit = notation.limit(&target.read());
-    let bytes = long::read(reach.carrier(), target, limit).map_err(|why| {
-        let (drive, access, address, value) = (reach.drive().to_owned(), "read", address.to_owned(), None);
-        match why {
-            CallError::Refused(status) => {
-                let reason = notation.reason(status);
-                ParameterError::Refused { drive, access, address, value, status, reason }
-            }
-            why => ParameterError::Failed { drive, access, address, value, why },
-        }
-    })?;
+    let bytes = long::read(reach.carrier(), target, limit)
+        .map_err(|why| Request::read(reach.drive(), address).failed(why, notation))?;
     let text = if target.complete { long::octets(&bytes) } else { long::text(&bytes) };
     Ok((long::raw(&bytes), text))
 }

@@ -9,7 +9,7 @@ use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::summary::{Drive, Summary};
 use fieldbeat::time::MS;
 
-use super::attendant::Attendant;
+use super::handler::Handler;
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::output::{Output, both};
 use super::{Stop, complain, load, span};
@@ -37,17 +37,17 @@ impl Run {
         // Nobody else takes their events: untaken, they would count as lost.
         let axes = master.observers().iter().map(|(name, _)| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
-        let mut attendant = Attendant::new(&master, &interrupt).taking(axes);
+        let mut handler = Handler::new(&master, &interrupt).taking(axes);
         let begun = Instant::now();
         while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
-            attendant.look(&master, "run");
+            handler.look(&master, "run");
             std::thread::sleep(LOOK_EVERY);
         }
-        attendant.end(&master);
-        let (summary, told) = output.finish(master);
-        // Asked to end before the drives were there, it is not the run that failed.
+        handler.end(&master);
+        let (summary, printed) = output.finish(master);
+        // Requested to end before the drives were there, it is not the run that failed.
         let whole = summary.is_whole() || (interrupt.is_set() && !summary.has_failed());
-        both(told, if whole { Ok(()) } else { Err(not_whole(&summary)) })
+        both(printed, if whole { Ok(()) } else { Err(not_whole(&summary)) })
     }
 }
 
@@ -64,7 +64,7 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
 }
 
 /// A drive, and why it has no connection.
-fn told(drive: &Drive) -> String {
+fn with_reason(drive: &Drive) -> String {
     match &drive.not_connected {
         Some(why) => format!("{} ({why})", drive.name),
         None => drive.name.clone(),
@@ -75,7 +75,7 @@ fn told(drive: &Drive) -> String {
 pub fn not_whole(summary: &Summary) -> Stop {
     let of = |what: &str, chosen: &dyn Fn(&Drive) -> bool, remedy: &str| {
         let chosen = summary.drives.iter().filter(|drive| chosen(drive));
-        let names: Vec<String> = chosen.map(told).collect();
+        let names: Vec<String> = chosen.map(with_reason).collect();
         (!names.is_empty()).then(|| format!("{what}: {}{remedy}", names.join(", ")))
     };
     let lines: Vec<String> = [

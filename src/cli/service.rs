@@ -1,11 +1,11 @@
-//! The service manager: told when the master runs, and fed only while its cycles advance.
+//! The service manager: notified when the master runs, and fed only while its cycles advance.
 
 use std::time::{Duration, Instant};
 
 use fieldbeat::master::Master;
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 
-/// What systemd is told (sd_notify(3)). Elsewhere there is nobody to tell, and that is all.
+/// What systemd is notified of (sd_notify(3)). Elsewhere nobody listens, and that is all.
 #[derive(Debug)]
 pub struct Service {
     /// How often it wants to be fed: in half of its time-out.

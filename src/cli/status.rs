@@ -45,11 +45,11 @@ impl Status {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         self.show(&first)?;
         while !interrupt.is_set() {
-            let asked = Instant::now();
-            while !interrupt.is_set() && asked.elapsed() < every {
+            let requested = Instant::now();
+            while !interrupt.is_set() && requested.elapsed() < every {
                 sleep(LOOK_EVERY.min(every));
             }
-            // One that ends in the middle of an answer is gone when it is asked again.
+            // One that ends in the middle of an answer is gone at the next request.
             match question(&path).or_else(|_| question(&path)) {
                 _ if interrupt.is_set() => break,
                 Ok(status) => self.show(&status)?,

@@ -8,6 +8,11 @@ use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, S, US};
 
+pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];
+pub(super) const REALTIMES: [(&str, Realtime); 3] =
+    [("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)];
+pub(super) const MEMORIES: [(&str, Memory); 2] = [("process", Memory::Process), ("own", Memory::Own)];
+
 /// Reads `[cycle]`; every key has its default in [`CyclePlan`].
 pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
     let default = CyclePlan::default();
@@ -23,7 +28,7 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
         receive_deadline: table
             .number("receive_deadline", 0.05..=0.95, "a share of the period, 0.5 is half of it")
             .unwrap_or(default.receive_deadline),
-        wait: table.word("wait", &[("poll", Wait::Poll), ("spin", Wait::Spin)]).unwrap_or(default.wait),
+        wait: table.word("wait", &WAITS).unwrap_or(default.wait),
         overrun: overrun(table, period_ns).unwrap_or(default.overrun),
         max_skip_rate: table
             .number(
@@ -32,15 +37,8 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
                 "the largest share of the last 100 slots that may be skipped; 1.0 is not watched",
             )
             .unwrap_or(default.max_skip_rate),
-        realtime: table
-            .word(
-                "realtime",
-                &[("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)],
-            )
-            .unwrap_or(default.realtime),
-        memory: table
-            .word("memory", &[("process", Memory::Process), ("own", Memory::Own)])
-            .unwrap_or(default.memory),
+        realtime: table.word("realtime", &REALTIMES).unwrap_or(default.realtime),
+        memory: table.word("memory", &MEMORIES).unwrap_or(default.memory),
         task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
         heartbeat_ns: table.time(
             "heartbeat",

@@ -11,6 +11,13 @@ use crate::axis::{
 use crate::cycle::plan::is_plain_name;
 use crate::time::{MS, S};
 
+pub(super) const HOWS: [(&str, StopHow); 3] =
+    [("ramp", StopHow::Ramp), ("quick", StopHow::Quick), ("coast", StopHow::Coast)];
+pub(super) const THENS: [(&str, StopThen); 2] = [("hold", StopThen::Hold), ("disable", StopThen::Disable)];
+pub(super) const TIMEOUTS: [(&str, StopTimeout); 2] =
+    [("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)];
+pub(super) const HOLDERS: [(&str, HeldBy); 2] = [("brake", HeldBy::Brake), ("drive", HeldBy::Drive)];
+
 /// What the drives of a protocol count.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counts {
@@ -79,7 +86,7 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts)
 /// What the load does when nothing holds it; a vertical one names what does.
 fn load(table: &mut Table<'_>) -> Load {
     let vertical = table.word("load", &[("level", false), ("vertical", true)]).unwrap_or(false);
-    let held_by = table.word("held_by", &[("brake", HeldBy::Brake), ("drive", HeldBy::Drive)]);
+    let held_by = table.word("held_by", &HOLDERS);
     match held_by {
         Some(held_by) if vertical => Load::Vertical(held_by),
         _ => {
@@ -224,17 +231,13 @@ fn stop(
         Load::Level | Load::Vertical(HeldBy::Brake) => (default.then, default.on_timeout),
     };
     table.table("stop", |table| StopPlan {
-        how: table
-            .word("how", &[("ramp", StopHow::Ramp), ("quick", StopHow::Quick), ("coast", StopHow::Coast)])
-            .unwrap_or(default.how),
+        how: table.word("how", &HOWS).unwrap_or(default.how),
         deceleration: table
             .number("deceleration", POSITIVE, "units/s²; leave it out for profile.deceleration")
             .unwrap_or(profile.deceleration),
-        then: table.word("then", &[("hold", StopThen::Hold), ("disable", StopThen::Disable)]).unwrap_or(then),
+        then: table.word("then", &THENS).unwrap_or(then),
         timeout: time(table, "timeout", 600, "the longest time to standstill", default.timeout),
-        on_timeout: table
-            .word("on_timeout", &[("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)])
-            .unwrap_or(on_timeout),
+        on_timeout: table.word("on_timeout", &TIMEOUTS).unwrap_or(on_timeout),
         standstill: table
             .number("standstill", POSITIVE, "units/s; a lower speed is standstill")
             .unwrap_or(default.standstill),

@@ -2,12 +2,13 @@
 
 use serde_json::{Value, json};
 
+use super::cycle::{MEMORIES, REALTIMES, WAITS};
+use super::drive::{HOLDERS, HOWS, THENS, TIMEOUTS};
 use super::error::ConfigError;
-use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
+use crate::axis::{AxisPlan, Load};
 use crate::bus::BusPlan;
 use crate::cycle::bound::{stop_bound, stopping_with};
-use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
-use crate::rt::{Memory, Realtime};
+use crate::cycle::{CyclePlan, Guard, Overrun, Plan};
 use crate::time::nanos;
 
 /// The plan as one object. Times are in ns, lengths in the drive's `unit`; what is not set is null. The keys are
@@ -43,8 +44,8 @@ pub fn json(plan: &Plan, errors: &[ConfigError]) -> Value {
         .collect();
     let mut drives = Vec::new();
     for bus in &plan.buses {
-        let told = bus.describe(plan.cycle.period_ns);
-        for (index, (axis, lines)) in bus.axes().into_iter().zip(told).enumerate() {
+        let described = bus.describe(plan.cycle.period_ns);
+        for (index, (axis, lines)) in bus.axes().into_iter().zip(described).enumerate() {
             let slot = drives.len();
             drives.push(drive(plan, slot, &**bus, index, axis, &lines));
         }
@@ -71,28 +72,15 @@ fn cycle(cycle: &CyclePlan) -> Value {
         Overrun::Skip { max_skip } => ("skip", Some(max_skip)),
         Overrun::Stop => ("stop", None),
     };
-    let realtime = match cycle.realtime {
-        Realtime::Require => "require",
-        Realtime::Prefer => "prefer",
-        Realtime::Off => "off",
-    };
-    let memory = match cycle.memory {
-        Memory::Process => "process",
-        Memory::Own => "own",
-    };
-    let wait = match cycle.wait {
-        Wait::Poll => "poll",
-        Wait::Spin => "spin",
-    };
     json!({
         "period_ns": cycle.period_ns,
         "core": cycle.core,
         "priority": cycle.priority,
-        "realtime": realtime,
-        "memory": memory,
+        "realtime": word(&REALTIMES, cycle.realtime),
+        "memory": word(&MEMORIES, cycle.memory),
         "guard": guard,
         "guard_ns": guard_ns,
-        "wait": wait,
+        "wait": word(&WAITS, cycle.wait),
         "deadline_ns": cycle.deadline_ns(),
         "overrun": overrun,
         "max_skip": max_skip,
@@ -108,23 +96,9 @@ fn cycle(cycle: &CyclePlan) -> Value {
 /// The drive of this slot, `index` on its bus; `lines` are what `check` says of it.
 fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisPlan, lines: &str) -> Value {
     let stop_bound_cycles = stop_bound(plan, slot);
-    let how = match axis.stop.how {
-        StopHow::Ramp => "ramp",
-        StopHow::Quick => "quick",
-        StopHow::Coast => "coast",
-    };
-    let then = match axis.stop.then {
-        StopThen::Hold => "hold",
-        StopThen::Disable => "disable",
-    };
-    let on_timeout = match axis.stop.on_timeout {
-        StopTimeout::Hold => "hold",
-        StopTimeout::Disable => "disable",
-    };
     let (load, held_by) = match axis.load {
         Load::Level => ("level", None),
-        Load::Vertical(HeldBy::Brake) => ("vertical", Some("brake")),
-        Load::Vertical(HeldBy::Drive) => ("vertical", Some("drive")),
+        Load::Vertical(held_by) => ("vertical", word(&HOLDERS, held_by)),
     };
     let limits = &axis.limits;
     json!({
@@ -141,11 +115,11 @@ fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisP
         "stop_bound_cycles": stop_bound_cycles,
         "stop_bound_ns": stop_bound_cycles.saturating_mul(plan.cycle.period_ns),
         "stop": {
-            "how": how,
+            "how": word(&HOWS, axis.stop.how),
             "deceleration": axis.stop.deceleration,
-            "then": then,
+            "then": word(&THENS, axis.stop.then),
             "timeout_ns": nanos(axis.stop.timeout),
-            "on_timeout": on_timeout,
+            "on_timeout": word(&TIMEOUTS, axis.stop.on_timeout),
         },
         "limits": {
             "position": limits.position,
@@ -159,6 +133,11 @@ fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisP
         "drive_watchdog_ns": bus.drive_watchdog_ns(index),
         "if_master_dies": lines.lines().find_map(|line| line.strip_prefix(DEATH)),
     })
+}
+
+/// The word of the configuration for `value`.
+fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> Option<&'static str> {
+    words.iter().find(|(_, meaning)| *meaning == value).map(|(word, _)| *word)
 }
 
 /// What the sentence begins with that every protocol has for each of its drives.

@@ -367,7 +367,16 @@ struct Machine {
     groups: Vec<(String, Vec<Place>)>,
 }
 
-/// What a drive is told from the others by.
+/// Where `what` was seen before; if it was not, it is from now on `here`.
+fn seen_at(seen: &mut HashMap<String, Place>, what: &str, here: Place) -> Option<Place> {
+    let first = seen.get(what).cloned();
+    if first.is_none() {
+        seen.insert(what.to_owned(), here);
+    }
+    first
+}
+
+/// What distinguishes a drive from the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Claim {
     /// Its IP address: that is what a datagram says.
@@ -391,16 +400,9 @@ impl Machine {
 
     /// The interface of a bus without IP.
     fn claim_interface(&mut self, table: &Table<'_>, interface: &str) {
-        if let Some(first) = self.interfaces.get(interface) {
-            table.fault(
-                "interface",
-                format!(
-                    "is already that of the bus of {first}; there is one bus per interface, add the \
-                    drives to that bus"
-                ),
-            );
-        } else {
-            self.interfaces.insert(interface.to_owned(), table.place("interface"));
+        if let Some(first) = seen_at(&mut self.interfaces, interface, table.place("interface")) {
+            let remedy = "there is one bus per interface, add the drives to that bus";
+            table.fault("interface", format!("is already that of the bus of {first}; {remedy}"));
         }
     }
 
@@ -408,17 +410,14 @@ impl Machine {
     fn bus_name(&mut self, table: &mut Table<'_>, protocol: &str) -> String {
         let name = table.text("name", "1 to 32 letters, digits, - _ or .", drive::plain_name);
         let name = name.unwrap_or_else(|| protocol.to_owned());
-        match self.buses.get(&name) {
-            Some(first) if table.gives("name") => {
-                table
-                    .fault("name", format!("is already the bus of {first}; names are unique in the machine"));
-            }
-            Some(first) => {
-                table.fault("name", format!("missing; the bus of {first} already has the name {name}"));
-            }
-            None => {
-                self.buses.insert(name.clone(), table.place("name"));
-            }
+        if let Some(first) = seen_at(&mut self.buses, &name, table.place("name")) {
+            table.fault(
+                "name",
+                match table.gives("name") {
+                    true => format!("is already the bus of {first}; names are unique in the machine"),
+                    false => format!("missing; the bus of {first} already has the name {name}"),
+                },
+            );
         }
         name
     }

@@ -9,7 +9,7 @@ use std::fmt::{self, Display};
 use std::ops::{Bound, Range, RangeBounds};
 
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeString, DeTable, DeValue};
 
 use super::error::{ConfigError, ConfigErrors};
 use super::value;
@@ -156,28 +156,17 @@ struct Layer<'a> {
 }
 
 /// A key that was found, and its value.
-#[derive(Clone, Copy, Debug)]
-struct Entry<'a> {
-    /// Offset of the key in the text.
-    at: usize,
-    value: &'a Spanned<DeValue<'a>>,
-}
+type Entry<'a> = (&'a Spanned<DeString<'a>>, &'a Spanned<DeValue<'a>>);
 
 impl<'a> Layer<'a> {
+    /// The value of `key`; dots lead into sub-tables.
     fn get(&self, key: &str) -> Option<Entry<'a>> {
-        let (key, value) = self.entries?.get_key_value(key)?;
-        Some(Entry { at: key.span().start, value })
-    }
-
-    /// Like `get`; dots lead into sub-tables.
-    fn descend(&self, key: &str) -> Option<Entry<'a>> {
         let (tables, key) = key.rsplit_once('.').unwrap_or(("", key));
         let mut entries = self.entries?;
         for table in tables.split('.').filter(|table| !table.is_empty()) {
             entries = entries.get(table)?.get_ref().as_table()?;
         }
-        let (key, value) = entries.get_key_value(key)?;
-        Some(Entry { at: key.span().start, value })
+        entries.get_key_value(key)
     }
 
     fn path_to(&self, key: &str) -> String {
@@ -209,17 +198,17 @@ impl<'a> Table<'a> {
 
     /// Where `key` (dots lead into sub-tables) has its value from, or would have to stand.
     pub(super) fn place(&self, key: &str) -> Place {
-        let found = self.layers.iter().find_map(|layer| Some(self.place_in(layer, key, layer.descend(key)?)));
+        let found = self.layers.iter().find_map(|layer| Some(self.place_in(layer, key, layer.get(key)?)));
         found.unwrap_or_else(|| self.place_without(key))
     }
 
-    fn place_in(&self, layer: &Layer<'a>, key: &str, entry: Entry<'a>) -> Place {
-        let span = entry.value.span();
+    fn place_in(&self, layer: &Layer<'a>, key: &str, (at, value): Entry<'a>) -> Place {
+        let span = value.span();
         // The span of a table with a header of its own is that header, which says nothing new.
-        let header = entry.value.get_ref().is_table()
+        let header = value.get_ref().is_table()
             && self.page.text.get(span.clone()).is_none_or(|text| !text.starts_with('{'));
         Place {
-            line: self.page.line(entry.at),
+            line: self.page.line(at.span().start),
             key: layer.path_to(key),
             value: if header { None } else { self.page.snippet(span) },
         }
@@ -272,7 +261,7 @@ impl<'a> Table<'a> {
         read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
     ) -> Option<T> {
         let (layer, entry) = self.find(key)?;
-        match read(entry.value.get_ref()) {
+        match read(entry.1.get_ref()) {
             Ok(value) => Some(value),
             Err(message) => {
                 self.page.report(self.place_in(&self.layers[layer], key, entry), message);
@@ -413,10 +402,10 @@ impl<'a> Table<'a> {
         let mut layers = Vec::new();
         for layer in &self.layers {
             let Some(entry) = layer.get(key) else { continue };
-            match entry.value.get_ref() {
+            match entry.1.get_ref() {
                 DeValue::Table(entries) => layers.push(Layer {
                     path: layer.path_to(key),
-                    line: self.page.line(entry.at),
+                    line: self.page.line(entry.0.span().start),
                     entries: Some(entries),
                 }),
                 _ => {
@@ -436,7 +425,7 @@ impl<'a> Table<'a> {
     pub(super) fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
         let Some((layer, entry)) = self.find(key) else { return Vec::new() };
         let path = self.layers[layer].path_to(key);
-        let elements = entry.value.get_ref().as_array().map_or(&[][..], |array| array);
+        let elements = entry.1.get_ref().as_array().map_or(&[][..], |array| array);
         let tables: Vec<Table<'a>> = elements
             .iter()
             .filter_map(|element| {

@@ -11,7 +11,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use super::place;
-use super::talk::{Talk, connect};
+use super::protocol::{Exchange, connect};
 
 /// A master that lives answers sooner.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -106,9 +106,9 @@ impl Conversation {
     fn ask_over(&self, stream: &UnixStream, question: &Value, patience: Duration) -> Result<Value, AskError> {
         let own = || self.path.clone();
         let failed = |error| AskError::Io { path: own(), error };
-        let talk = Talk::new(stream, patience, &|| true).map_err(failed)?;
-        let said = talk.say(&format!("{question}\n"));
-        let line = talk.line(LONGEST_ANSWER).map_err(failed)?;
+        let exchange = Exchange::new(stream, patience, &|| true).map_err(failed)?;
+        let said = exchange.say(&format!("{question}\n"));
+        let line = exchange.line(LONGEST_ANSWER).map_err(failed)?;
         // Whoever did not take all of the question may have said why.
         if line.is_empty() {
             said.map_err(failed)?;

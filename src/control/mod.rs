@@ -6,17 +6,17 @@
 //! | `place` | where the sockets are, and who may own them |
 //! | `server` | the master's side |
 //! | `client` | the client's side |
-//! | `desk`, `remote` | acyclic access to the drives of a running master: its side, and that of another process |
-//! | `talk` | one line each way, within a time that the other side cannot extend |
+//! | `session`, `remote` | acyclic access to the drives of a running master: its side, and that of another process |
+//! | `protocol` | one line each way, within a time that the other side cannot extend |
 
 mod client;
-mod desk;
 pub mod place;
+mod protocol;
 mod remote;
 mod server;
-mod talk;
+mod session;
 
 pub use client::{AskError, Conversation, ask};
-pub use desk::Desk;
 pub use remote::Remote;
 pub use server::{Answering, ServeError, Server};
+pub use session::Session;

@@ -70,8 +70,8 @@ impl Carrier for Remote {
             let limit_ms = u64::try_from(limit.as_millis()).unwrap_or(u64::MAX);
             // In a long cycle a call may take longer than its limit; the master keeps the time.
             let patience = limit.saturating_mul(calls.len() as u32).saturating_add(MARGIN);
-            let asked = json!({ "calls": calls, "limit_ms": limit_ms });
-            let answer = self.asking.ask("calls", asked, patience);
+            let request = json!({ "calls": calls, "limit_ms": limit_ms });
+            let answer = self.asking.ask("calls", request, patience);
             let series: Series = match answer.and_then(|answer| read(&answer).ok_or(CallError::Lost)) {
                 Ok(series) => series,
                 Err(why) => return Series { failed: Some(why), ..all },
@@ -129,7 +129,7 @@ mod tests {
     use crossbeam_channel::Receiver;
     use tempfile::TempDir;
 
-    use super::super::{Answering, Desk, Server};
+    use super::super::{Answering, Server, Session};
     use super::*;
     use crate::axis::acyclic::{Acyclic, Answer, both};
 
@@ -138,9 +138,9 @@ mod tests {
     /// A call that is never answered, and so taken up again by nobody.
     const SILENT: u64 = 99;
 
-    struct Talk(Desk);
+    struct Only(Session);
 
-    impl Answering for Talk {
+    impl Answering for Only {
         fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String> {
             self.0.answer(question, go_on).unwrap_or_else(|| Err("what?".to_owned()))
         }
@@ -187,8 +187,8 @@ mod tests {
                     std::thread::yield_now();
                 }
             });
-            let desk = acyclic.clone();
-            let open = move || Talk(Desk::new(vec![desk.clone()]));
+            let shared = acyclic.clone();
+            let open = move || Only(Session::new(vec![shared.clone()]));
             let server = Some(Server::start(&path, || {}, open).unwrap());
             Master { acyclic, taken, end, drive: Some(drive), server, path, _directory: directory }
         }

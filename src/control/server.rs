@@ -22,7 +22,7 @@ use nix::sys::socket::{getsockopt, sockopt};
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use super::talk::{LOOK_EVERY, Talk, connect};
+use super::protocol::{Exchange, LOOK_EVERY, connect};
 use crate::errors::no_descriptor;
 use crate::net::clients::{Client, Clients};
 
@@ -120,7 +120,7 @@ impl Server {
             .spawn(move || {
                 prepare();
                 let go_on = || !ending.load(Ordering::Relaxed);
-                let talk = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
+                let serve_one = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
                     // Whoever went away or talks nonsense is not answered, and that is all.
                     let work = AssertUnwindSafe(|| {
                         prepare();
@@ -150,7 +150,7 @@ impl Server {
                                 let conversation = Arc::new(Conversation::new());
                                 let thread = std::thread::Builder::new().name("fb-control-talk".into());
                                 let of_thread = Arc::clone(&conversation);
-                                if thread.spawn_scoped(scope, || talk(client, of_thread)).is_ok() {
+                                if thread.spawn_scoped(scope, || serve_one(client, of_thread)).is_ok() {
                                     under_way.push(conversation);
                                 }
                             }
@@ -272,13 +272,13 @@ fn converse(
             Ok(value) => json!({ "ok": value }),
             Err(why) => json!({ "error": why }),
         };
-        Talk::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
+        Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
         if !go_on_talking {
             return Ok(());
         }
         conversation.is_silent(true);
         let waits = || go_on() && !conversation.dismissed.load(Ordering::Relaxed);
-        line = Talk::new(stream, PAUSE, &waits)?.line(LONGEST_QUESTION)?;
+        line = Exchange::new(stream, PAUSE, &waits)?.line(LONGEST_QUESTION)?;
         conversation.is_silent(false);
     }
 }

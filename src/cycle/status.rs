@@ -168,6 +168,7 @@ pub struct BusGauge {
 
 /// A device that takes part in the cycle and is not a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize))]
 pub struct DeviceEnd {
     /// Its name.
     pub name: String,

@@ -3,8 +3,6 @@
 //! Sources: Documentation/timers/timekeeping.rst, vdso(7), proc_stat(5),
 //! Documentation/ABI/testing/sysfs-devices-clocksource.
 
-use std::io::ErrorKind;
-
 use super::Subject;
 use super::facts::{Facts, Root};
 use super::finding::{Area, Finding, write};
@@ -40,7 +38,7 @@ const FAST: [&str; 7] = [
 const SLOW: [&str; 5] = ["hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit"];
 
 fn source(root: &Root) -> Finding {
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Clock,
         "clocksource",
         "the processor's own counter (tsc, arch_sys_counter, kvm-clock ...)",
@@ -48,10 +46,7 @@ fn source(root: &Root) -> Finding {
          kernel falls back to them when it does not trust the counter",
     );
     let path = format!("{CLOCKSOURCE}/current_clocksource");
-    let current = match root.text(&path) {
-        Ok(current) => current,
-        Err(error) => return finding.unread(&path, &error),
-    };
+    let Some(current) = finding.read(root, &path) else { return finding };
     if FAST.contains(&current.as_str()) {
         return finding.good(current);
     }
@@ -93,7 +88,7 @@ const TIMER_MIGRATION: Sysctl = Sysctl {
 };
 
 fn hypervisor(root: &Root) -> Finding {
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Clock,
         "virtual machine",
         "none",
@@ -107,10 +102,7 @@ fn hypervisor(root: &Root) -> Finding {
         return finding.poor(by(kind)).advise(remedy);
     }
     let path = "proc/cpuinfo";
-    let info = match root.text(path) {
-        Ok(info) => info,
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(info) = finding.read(root, path) else { return finding };
     // x86 only: bit 31 of CPUID 1, which hypervisors set.
     let Some(flags) = info.lines().find_map(|line| line.strip_prefix("flags")) else {
         return finding.unknown("this processor does not report it");
@@ -123,18 +115,14 @@ fn hypervisor(root: &Root) -> Finding {
 
 fn steal(root: &Root, subject: &Subject) -> Finding {
     let core = subject.core;
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Clock,
         "stolen time",
         "none",
         "time in which this core was ready to run and the host of the virtual machine ran something else, in ticks",
     );
     let path = "proc/stat";
-    let stat = match root.text(path) {
-        Ok(stat) => stat,
-        Err(error) if error.kind() == ErrorKind::NotFound => return finding.unread(path, &error),
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(stat) = finding.read(root, path) else { return finding };
     let Some(stolen) = steal_of(&stat, Some(core)) else {
         return finding.unknown(format!("/{path} has no such column for core {core}"));
     };

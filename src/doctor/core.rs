@@ -6,7 +6,7 @@
 
 use super::Subject;
 use super::facts::{Facts, Root, Thread};
-use super::finding::{Area, Finding, list, write};
+use super::finding::{Area, Finding, lines, list, write};
 use crate::cycle::Wait;
 use crate::rt::RealtimeError;
 use crate::rt::host::cores_of;
@@ -59,17 +59,15 @@ pub(super) fn others(root: &Root, core: usize) -> Vec<usize> {
 
 fn isolation(root: &Root, subject: &Subject) -> Finding {
     let core = subject.core;
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Core,
         "isolation",
         format!("core {core} isolated"),
         "other threads on the same core cause kernel work there, which delays the loop whatever its priority",
     );
     let path = format!("{CPU}/isolated");
-    let isolated = match root.text(&path) {
-        Ok(text) => cores_of(&text).unwrap_or_default(),
-        Err(error) => return finding.unread(&path, &error),
-    };
+    let Some(text) = finding.read(root, &path) else { return finding };
+    let isolated = cores_of(&text).unwrap_or_default();
     if isolated.contains(&core) {
         return finding.good(format!("isolated: {}", list(&isolated)));
     }
@@ -90,21 +88,18 @@ fn isolation(root: &Root, subject: &Subject) -> Finding {
 fn ticks(root: &Root, subject: &Subject) -> Finding {
     let core = subject.core;
     let spins = subject.cycle.wait == Wait::Spin;
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Core,
         "nohz_full",
         "not this core, unless wait = \"spin\"",
         "it slows each system call, and a loop that sleeps in every cycle gains nothing: an idle core has no tick",
     );
     let path = format!("{CPU}/nohz_full");
-    let text = match root.text(&path) {
-        Ok(text) => text,
-        // The file is there on every kernel with CONFIG_NO_HZ_FULL.
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound && root.has(CPU) => {
-            return finding.good("not built into this kernel");
-        }
-        Err(error) => return finding.unread(&path, &error),
-    };
+    // The file is there on every kernel with CONFIG_NO_HZ_FULL.
+    if !root.has(&path) && root.has(CPU) {
+        return finding.good("not built into this kernel");
+    }
+    let Some(text) = finding.read(root, &path) else { return finding };
     // `(null)` where none was named.
     let cores = cores_of(&text).unwrap_or_default();
     match cores.contains(&core) {
@@ -118,17 +113,14 @@ fn ticks(root: &Root, subject: &Subject) -> Finding {
 
 fn callbacks(root: &Root, subject: &Subject) -> Finding {
     let core = subject.core;
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Core,
         "rcu_nocbs",
         format!("core {core} in it"),
         "otherwise RCU callbacks of the whole system also run on this core; with it they run in threads on other cores",
     );
     let path = "proc/cmdline";
-    let words = match root.text(path) {
-        Ok(words) => words,
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(words) = finding.read(root, path) else { return finding };
     // nohz_full implies it.
     let names = |key: &str| root.boot(key).and_then(|cores| cores_of(&cores)).unwrap_or_default();
     let all = words.split_whitespace().any(|word| word == "rcu_nocbs" || word == "rcu_nocbs=all");
@@ -171,14 +163,11 @@ fn company(root: &Root, subject: &Subject) -> Finding {
     };
     let found = above.iter().map(name).collect::<Vec<_>>().join(", ");
     let away = list(&others(root, core));
-    let mine = |thread: &&&Thread| !thread.kernel;
-    let each = |command: &dyn Fn(&Thread) -> String| {
-        above.iter().filter(mine).map(|thread| command(thread)).collect::<Vec<_>>().join("\n")
-    };
-    match above.iter().any(|thread| !thread.kernel) {
-        true if !away.is_empty() => finding.poor(found).fix(
-            each(&|thread| format!("sudo taskset -pc {away} {}", thread.tid)),
-            each(&|thread| format!("sudo taskset -pc {} {}", list(&thread.cores), thread.tid)),
+    let mine = || above.iter().filter(|thread| !thread.kernel);
+    match mine().next() {
+        Some(_) if !away.is_empty() => finding.poor(found).fix(
+            lines(mine(), |thread| format!("sudo taskset -pc {away} {}", thread.tid)),
+            lines(mine(), |thread| format!("sudo taskset -pc {} {}", list(&thread.cores), thread.tid)),
         ),
         _ => finding
             .poor(found)
@@ -192,17 +181,15 @@ fn highest(threads: &[&Thread]) -> u8 {
 
 fn sibling(root: &Root, subject: &Subject) -> Finding {
     let core = subject.core;
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Core,
         "hyper-threads",
         format!("nothing runs on the other hardware thread of core {core}"),
         "both share one core's execution units and caches: work on the other one slows every cycle, unseen",
     );
     let path = format!("{CPU}/cpu{core}/topology/thread_siblings_list");
-    let siblings = match root.text(&path) {
-        Ok(text) => cores_of(&text).unwrap_or_default(),
-        Err(error) => return finding.unread(&path, &error),
-    };
+    let Some(text) = finding.read(root, &path) else { return finding };
+    let siblings = cores_of(&text).unwrap_or_default();
     let others: Vec<usize> = siblings.into_iter().filter(|sibling| *sibling != core).collect();
     if others.is_empty() {
         return finding.good("none");
@@ -211,10 +198,7 @@ fn sibling(root: &Root, subject: &Subject) -> Finding {
     if others.iter().all(|other| isolated.contains(other)) {
         return finding.good(format!("{} is its sibling, isolated: leave it idle", list(&others)));
     }
-    let each = |value: u8| {
-        let switch = |other: &usize| write(value, &format!("{CPU}/cpu{other}/online"));
-        others.iter().map(switch).collect::<Vec<_>>().join("\n")
-    };
+    let each = |value: u8| lines(&others, |other| write(value, &format!("{CPU}/cpu{other}/online")));
     finding.poor(format!("{} is its sibling, used by other threads", list(&others))).fix(each(0), each(1))
 }
 

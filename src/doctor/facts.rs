@@ -144,12 +144,7 @@ impl Thread {
     }
 
     pub fn policy(&self) -> &'static str {
-        match self.policy {
-            libc::SCHED_FIFO => "SCHED_FIFO",
-            libc::SCHED_RR => "SCHED_RR",
-            libc::SCHED_DEADLINE => "SCHED_DEADLINE",
-            _ => "no real-time policy",
-        }
+        if self.is_real_time() { thread::policy_name(self.policy) } else { "no real-time policy" }
     }
 
     /// The number of the interrupt that it handles (`irq/31-eth0`).
@@ -278,10 +273,10 @@ pub(super) enum Way {
 impl Way {
     /// That of a bus: the first carrier that it opens. Refused, so that nothing is opened.
     pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Way> {
-        let asked = Asked::default();
-        let _ = bus.open(period_ns, &asked);
+        let noted = FirstOpened::default();
+        let _ = bus.open(period_ns, &noted);
         let name = bus.name().to_owned();
-        Some(match asked.0.into_inner().ok()?? {
+        Some(match noted.0.into_inner().ok()?? {
             Carrier::Datagrams(local, options) => {
                 let drives = bus.simulate().iter().map(|drive| drive.address()).collect();
                 Way::Wire(Wire { bus: name, local, options, drives })
@@ -299,16 +294,16 @@ enum Carrier {
 
 /// Carriers that only note what a bus opens first.
 #[derive(Default)]
-struct Asked(Mutex<Option<Carrier>>);
+struct FirstOpened(Mutex<Option<Carrier>>);
 
-impl Asked {
+impl FirstOpened {
     fn note<T>(&self, carrier: Carrier) -> io::Result<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(carrier);
         Err(io::ErrorKind::Unsupported.into())
     }
 }
 
-impl Carriers for Asked {
+impl Carriers for FirstOpened {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         self.note(Carrier::Datagrams(bind, *options))
     }
@@ -429,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bus_tells_its_wire_without_opening_it() {
+    fn a_bus_shows_its_wire_without_opening_it() {
         let drives = [11, 12].map(|host| LinUdpDrive::new(format!("x{host}"), [127, 77, 0, host].into()));
         let bus = LinUdpPlan::new([127, 77, 0, 1].into(), drives.into());
         let way = Way::of(&bus, 1_000_000).unwrap();
@@ -441,11 +436,11 @@ mod tests {
     }
 
     #[test]
-    fn a_bus_without_addresses_is_told_by_its_interface() {
-        let asked = Asked::default();
-        assert!(asked.frames("eth1", 0x88A4).is_err(), "nothing is opened");
-        assert!(asked.frames("eth2", 0x88A4).is_err());
-        let Some(Carrier::Frames(interface)) = asked.0.into_inner().unwrap() else { panic!("frames") };
+    fn a_bus_without_addresses_is_known_by_its_interface() {
+        let noted = FirstOpened::default();
+        assert!(noted.frames("eth1", 0x88A4).is_err(), "nothing is opened");
+        assert!(noted.frames("eth2", 0x88A4).is_err());
+        let Some(Carrier::Frames(interface)) = noted.0.into_inner().unwrap() else { panic!("frames") };
         assert_eq!(interface, "eth1", "the first one counts");
     }
 }

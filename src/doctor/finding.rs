@@ -4,7 +4,7 @@ use std::io;
 
 use serde::Serialize;
 
-use super::facts::shown;
+use super::facts::{Root, shown};
 
 /// What something is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -26,22 +26,6 @@ pub enum Area {
     Network,
     /// What was measured.
     Measured,
-}
-
-impl Area {
-    /// Its word in the output.
-    pub fn name(self) -> &'static str {
-        match self {
-            Area::Kernel => "kernel",
-            Area::Rights => "rights",
-            Area::Core => "core",
-            Area::Power => "power",
-            Area::Clock => "clock",
-            Area::Memory => "memory",
-            Area::Network => "network",
-            Area::Measured => "measured",
-        }
-    }
 }
 
 /// What a finding means for the plan.
@@ -88,16 +72,8 @@ impl Finding {
         why: impl Into<String>,
     ) -> Finding {
         let (name, wanted, why) = (name.into(), wanted.into(), why.into());
-        Finding {
-            area,
-            name,
-            verdict: Verdict::Unknown,
-            found: String::new(),
-            wanted,
-            why,
-            fix: None,
-            undo: None,
-        }
+        let (verdict, found) = (Verdict::Unknown, String::new());
+        Finding { area, name, verdict, found, wanted, why, fix: None, undo: None }
     }
 
     pub(super) fn good(self, found: impl Into<String>) -> Finding {
@@ -115,6 +91,11 @@ impl Finding {
     /// `why` it is not known.
     pub(super) fn unknown(self, why: impl AsRef<str>) -> Finding {
         Finding { verdict: Verdict::Unknown, found: format!("not known: {}", why.as_ref()), ..self }
+    }
+
+    /// The text of a file below `root`; if there is none, the finding is that.
+    pub(super) fn read(&mut self, root: &Root, path: &str) -> Option<String> {
+        root.text(path).map_err(|error| *self = self.clone().unread(path, &error)).ok()
     }
 
     /// Not known, since `path` could not be read.
@@ -156,6 +137,11 @@ pub(super) fn keep(file: &str) -> String {
 /// The command that writes `value` into a file that only root may write.
 pub(super) fn write(value: impl std::fmt::Display, path: &str) -> String {
     format!("echo {value} | sudo tee {}", shown(path))
+}
+
+/// A line for each of `items`.
+pub(super) fn lines<T>(items: impl IntoIterator<Item = T>, line: impl FnMut(T) -> String) -> String {
+    items.into_iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// Cores as the kernel writes them: `0-2,5`.

@@ -158,16 +158,13 @@ impl Sysctl {
     pub fn check(&self, root: &Root) -> Finding {
         let Sysctl { area, name, wanted, .. } = *self;
         let or_more = if self.or_more { " or more" } else { "" };
-        let finding = Finding::about(area, name, format!("{wanted}{or_more}"), self.why);
+        let mut finding = Finding::about(area, name, format!("{wanted}{or_more}"), self.why);
         let path = format!("proc/sys/{}", self.path);
-        let text = match root.text(&path) {
-            Ok(text) => text,
-            // What is not built in has no file.
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                return finding.good("this kernel has no such setting");
-            }
-            Err(error) => return finding.unread(&path, &error),
-        };
+        // What is not built in has no file.
+        if !root.has(&path) {
+            return finding.good("this kernel has no such setting");
+        }
+        let Some(text) = finding.read(root, &path) else { return finding };
         match text.parse::<i64>() {
             Ok(value) if value == wanted || (self.or_more && value > wanted) => finding.good(text),
             Ok(_) => {

@@ -50,7 +50,7 @@ const SYSCTLS: [Sysctl; 4] = [
 ];
 
 fn huge_pages(root: &Root) -> Finding {
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Memory,
         "huge pages",
         "madvise or never",
@@ -58,13 +58,10 @@ fn huge_pages(root: &Root) -> Finding {
          it locks the whole process, but not for other programs",
     );
     let path = "sys/kernel/mm/transparent_hugepage/enabled";
-    let text = match root.text(path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound && root.has("sys/kernel/mm") => {
-            return finding.good("not built into this kernel");
-        }
-        Err(error) => return finding.unread(path, &error),
-    };
+    if !root.has(path) && root.has("sys/kernel/mm") {
+        return finding.good("not built into this kernel");
+    }
+    let Some(text) = finding.read(root, path) else { return finding };
     match text.split(['[', ']']).nth(1) {
         Some("always") => finding.poor("always").fix(write("madvise", path), write("always", path)),
         Some(mode) => finding.good(mode),
@@ -76,17 +73,14 @@ fn huge_pages(root: &Root) -> Finding {
 const SWAPPINESS: u32 = 10;
 
 fn swap(root: &Root) -> Finding {
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Memory,
         "swap",
         format!("none, or vm.swappiness {SWAPPINESS} at most"),
         "locked memory is never swapped; other memory of the application is, and its threads then feed the loop late",
     );
     let path = "proc/swaps";
-    let text = match root.text(path) {
-        Ok(text) => text,
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(text) = finding.read(root, path) else { return finding };
     let areas: Vec<&str> = text.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
     if areas.is_empty() {
         return finding.good("none");

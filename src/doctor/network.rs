@@ -7,7 +7,7 @@ use std::net::SocketAddrV4;
 
 use super::Subject;
 use super::facts::{Facts, Line, Root, Wire};
-use super::finding::{Area, Finding};
+use super::finding::{Area, Finding, lines};
 use super::nic;
 
 /// All of them, for each bus.
@@ -129,7 +129,7 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
 const PERMANENT: &str = "0x6";
 
 fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
-    let finding = about(
+    let mut finding = about(
         &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
@@ -137,10 +137,7 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
          requests to an absent drive wait in the socket's buffer",
     );
     let path = "proc/net/arp";
-    let table = match root.text(path) {
-        Ok(table) => table,
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(table) = finding.read(root, path) else { return finding };
     // Address, hardware type, flags, hardware address, mask, device.
     let entry = |drive: &SocketAddrV4| {
         let lines = table.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
@@ -163,10 +160,7 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
     if missing.is_empty() {
         return finding.good(format!("all {all} permanent"));
     }
-    let lines = |line: &dyn Fn(&(&std::net::Ipv4Addr, String)) -> String| {
-        missing.iter().map(line).collect::<Vec<_>>().join("\n")
-    };
-    let mut fix = lines(&|(ip, hardware)| {
+    let mut fix = lines(&missing, |(ip, hardware)| {
         format!("sudo ip neigh replace {ip} lladdr {hardware} dev {interface} nud permanent")
     });
     if missing.iter().any(|(_, hardware)| hardware == "MAC") {
@@ -174,31 +168,28 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
     }
     finding
         .poor(format!("{} of {all} permanent", all - missing.len()))
-        .fix(fix, lines(&|(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
+        .fix(fix, lines(&missing, |(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
 }
 
-fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Finding {
-    let finding = about(
+fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, wanted: usize) -> Finding {
+    let mut finding = about(
         &wire.bus,
         name,
-        &format!("{asked} bytes or more (net.core.{limit})"),
+        &format!("{wanted} bytes or more (net.core.{limit})"),
         "it holds datagrams while the loop is delayed or a drive is absent; the kernel silently cuts it to this limit",
     );
     let path = format!("proc/sys/net/core/{limit}");
-    let text = match root.text(&path) {
-        Ok(text) => text,
-        Err(error) => return finding.unread(&path, &error),
-    };
+    let Some(text) = finding.read(root, &path) else { return finding };
     let set = |value: &dyn std::fmt::Display| format!("sudo sysctl -w net.core.{limit}={value}");
     match text.parse::<usize>() {
-        Ok(most) if most >= asked => finding.good(format!("{asked} of at most {most} bytes")),
-        Ok(most) => finding.poor(format!("cut to {most} bytes")).fix(set(&asked), set(&most)),
+        Ok(most) if most >= wanted => finding.good(format!("{wanted} of at most {most} bytes")),
+        Ok(most) => finding.poor(format!("cut to {most} bytes")).fix(set(&wanted), set(&most)),
         Err(_) => finding.unknown(format!("/{path} says {text}")),
     }
 }
 
 fn tracking(root: &Root, wire: &Wire) -> Finding {
-    let finding = about(
+    let mut finding = about(
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
@@ -209,10 +200,7 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         return finding.good("not loaded");
     }
     let path = "proc/net/nf_conntrack";
-    let table = match root.text(path) {
-        Ok(table) => table,
-        Err(error) => return finding.unread(path, &error),
-    };
+    let Some(table) = finding.read(root, path) else { return finding };
     let of = |drive: &&SocketAddrV4| {
         let (address, port) = (format!("dst={}", drive.ip()), format!("dport={}", drive.port()));
         table.lines().any(|line| {

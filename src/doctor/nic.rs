@@ -8,7 +8,7 @@ use super::Subject;
 use super::core::others;
 use super::ethtool::{Coalescing, Nic};
 use super::facts::{Facts, Root, Thread};
-use super::finding::{Finding, list, write};
+use super::finding::{Finding, lines, list, write};
 use super::network::about;
 use crate::cycle::Wait;
 use crate::rt::host::cores_of;
@@ -87,13 +87,11 @@ fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fi
         return finding.advise("no setting helps: this is the only core");
     }
     let path = |irq: u32| format!("proc/irq/{irq}/smp_affinity_list");
-    let each = |value: &dyn Fn(u32) -> String| {
-        on_core.iter().map(|irq| write(value(*irq), &path(*irq))).collect::<Vec<_>>().join("\n")
-    };
-    let before = |irq: u32| root.get(&path(irq)).unwrap_or_else(|| core.to_string());
+    let before = |irq| root.get(&path(irq)).unwrap_or_else(|| core.to_string());
+    let moved = lines(&on_core, |irq| write(&away, &path(*irq)));
     finding.fix(
-        format!("{}\nor irqaffinity={away} on the kernel command line", each(&|_| away.clone())),
-        each(&before),
+        format!("{moved}\nor irqaffinity={away} on the kernel command line"),
+        lines(&on_core, |irq| write(before(*irq), &path(*irq))),
     )
 }
 
@@ -131,16 +129,12 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
     };
     let low: Vec<&Thread> = threads.iter().filter(|thread| thread.priority < USUAL_PRIORITY).collect();
     if !low.is_empty() {
-        let each = |command: &dyn Fn(&Thread) -> String| {
-            low.iter().map(|thread| command(thread)).collect::<Vec<_>>().join("\n")
-        };
-        let back = |thread: &Thread| match thread.is_real_time() {
+        let back = |thread: &&Thread| match thread.is_real_time() {
             true => format!("sudo chrt -f -p {} {}", thread.priority, thread.tid),
             false => format!("sudo chrt -o -p 0 {}", thread.tid),
         };
-        return finding
-            .poor(names(&low))
-            .fix(each(&|thread| format!("sudo chrt -f -p {USUAL_PRIORITY} {}", thread.tid)), each(&back));
+        let raised = lines(&low, |thread| format!("sudo chrt -f -p {USUAL_PRIORITY} {}", thread.tid));
+        return finding.poor(names(&low)).fix(raised, lines(&low, back));
     }
     let spins = subject.cycle.wait == Wait::Spin;
     let starved = |thread: &&Thread| spins && thread.priority < priority && thread.cores == [core];
@@ -194,31 +188,24 @@ fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
         Ok(said) => *said,
         Err(error) => return finding.unknown(format!("the driver of {name} does not report it ({error})")),
     };
-    let word = |on: bool| if on { "on" } else { "off" };
     let adaptive = if adaptive_rx || adaptive_tx { ", adaptive" } else { "" };
     let found = format!("rx {rx_us} us, tx {tx_us} us{adaptive}");
     if rx_us.max(tx_us) <= COALESCING_US && adaptive.is_empty() {
         return finding.good(found);
     }
     // A setting that stands already is left out: some drivers refuse the whole command over one that they do not know.
-    let set = |rx: (bool, u32), tx: (bool, u32)| {
-        let one = |side: &str, (adaptive, us): (bool, u32), now: (bool, u32), then: (bool, u32)| {
-            let mut words = String::new();
-            if now.0 != then.0 {
-                words += &format!(" adaptive-{side} {}", word(adaptive));
-            }
-            if now.1 != then.1 {
-                words += &format!(" {side}-usecs {us}");
-            }
-            words
-        };
-        let wanted = |us: u32| (false, us.min(COALESCING_US));
-        let (of_rx, of_tx) = ((adaptive_rx, rx_us), (adaptive_tx, tx_us));
-        let (rx_then, tx_then) = (wanted(rx_us), wanted(tx_us));
-        format!("sudo ethtool -C {name}{}{}", one("rx", rx, of_rx, rx_then), one("tx", tx, of_tx, tx_then))
-    };
-    let least = |us: u32| (false, us.min(COALESCING_US));
-    finding.poor(found).fix(set(least(rx_us), least(tx_us)), set((adaptive_rx, rx_us), (adaptive_tx, tx_us)))
+    let (mut set, mut back) = (format!("sudo ethtool -C {name}"), format!("sudo ethtool -C {name}"));
+    for (side, adaptive, us) in [("rx", adaptive_rx, rx_us), ("tx", adaptive_tx, tx_us)] {
+        if adaptive {
+            set += &format!(" adaptive-{side} off");
+            back += &format!(" adaptive-{side} on");
+        }
+        if us > COALESCING_US {
+            set += &format!(" {side}-usecs {COALESCING_US}");
+            back += &format!(" {side}-usecs {us}");
+        }
+    }
+    finding.poor(found).fix(set, back)
 }
 
 fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {

@@ -4,7 +4,7 @@
 
 use super::Subject;
 use super::facts::{Facts, Root};
-use super::finding::{Area, Finding, keep, write};
+use super::finding::{Area, Finding, keep, lines, write};
 use crate::time::{Ns, US};
 
 /// All of them.
@@ -79,10 +79,7 @@ fn idle(root: &Root, subject: &Subject) -> Finding {
     if deep.is_empty() {
         return finding.good(found);
     }
-    let each = |value: u8| {
-        let switch = |state: &&State| write(value, &format!("{directory}/{}/disable", state.number));
-        deep.iter().map(switch).collect::<Vec<_>>().join("\n")
-    };
+    let each = |value| lines(&deep, |state| write(value, &format!("{directory}/{}/disable", state.number)));
     let fix = format!("{}\n{}", each(1), keep("tuned/"));
     finding.poor(found).fix(fix, each(0))
 }

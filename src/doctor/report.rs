@@ -143,7 +143,7 @@ impl fmt::Display for Report {
         let mut area = None;
         for finding in &self.findings {
             if area.replace(finding.area) != Some(finding.area) {
-                writeln!(f, "\n{}", finding.area.name())?;
+                writeln!(f, "\n{}", format!("{:?}", finding.area).to_lowercase())?;
             }
             self::finding(f, finding, width)?;
         }

@@ -76,7 +76,7 @@ fn refused(finding: Finding, denied: &Denied, subject: &Subject) -> Finding {
 /// With CONFIG_RT_GROUP_SCHED each control group has a budget of its own, and new ones have none
 /// (Documentation/scheduler/sched-rt-group.rst).
 fn group_budget(root: &Root, fifo: bool, subject: &Subject) -> Finding {
-    let finding = Finding::about(
+    let mut finding = Finding::about(
         Area::Rights,
         "RT group budget",
         "none of its own, or more than 0",
@@ -89,13 +89,10 @@ fn group_budget(root: &Root, fifo: bool, subject: &Subject) -> Finding {
         };
     };
     let path = format!("{directory}/cpu.rt_runtime_us");
-    let runtime = match root.text(&path) {
-        Ok(runtime) => runtime,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound && fifo => {
-            return finding.good("not limited");
-        }
-        Err(error) => return finding.unread(&path, &error),
-    };
+    if !root.has(&path) && fifo {
+        return finding.good("not limited");
+    }
+    let Some(runtime) = finding.read(root, &path) else { return finding };
     match runtime.parse::<i64>() {
         Ok(0) => {
             let finding = finding.fix(write(950_000, &path), write(0, &path));

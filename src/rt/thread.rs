@@ -273,15 +273,20 @@ fn scheduling() -> (&'static str, u8) {
         libc::syscall(libc::SYS_sched_getparam, 0, &raw mut priority);
         libc::syscall(libc::SYS_sched_getscheduler, 0)
     };
-    let policy = match policy as c_int & !libc::SCHED_RESET_ON_FORK {
+    let policy = policy_name(policy as c_int & !libc::SCHED_RESET_ON_FORK);
+    (policy, u8::try_from(priority).unwrap_or(0))
+}
+
+/// The name of a scheduling policy (sched.h).
+pub(crate) fn policy_name(policy: c_int) -> &'static str {
+    match policy {
         libc::SCHED_FIFO => "SCHED_FIFO",
         libc::SCHED_RR => "SCHED_RR",
         libc::SCHED_BATCH => "SCHED_BATCH",
         libc::SCHED_IDLE => "SCHED_IDLE",
         libc::SCHED_DEADLINE => "SCHED_DEADLINE",
         _ => "SCHED_OTHER",
-    };
-    (policy, u8::try_from(priority).unwrap_or(0))
+    }
 }
 
 #[cfg(test)]

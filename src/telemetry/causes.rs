@@ -225,31 +225,20 @@ impl Causes {
             (_, Some((cycle, axis))) if cycle == record.index => Some(Cause::Drive(axis)),
             _ => None,
         };
-        self.push(Late {
-            index: record.index,
-            lateness,
-            from,
-            to,
-            straight: match lateness {
-                Lateness::Wake(_) => record.spun,
-                Lateness::Stage(stage, _) => stage != Stage::Receive || !self.polls,
-                Lateness::Reply => false,
-            },
-            looks: (self.looked, record.look),
-            drive,
-        });
+        let straight = match lateness {
+            Lateness::Wake(_) => record.spun,
+            Lateness::Stage(stage, _) => stage != Stage::Receive || !self.polls,
+            Lateness::Reply => false,
+        };
+        let (index, looks) = (record.index, (self.looked, record.look));
+        self.push(Late { index, lateness, from, to, straight, looks, drive });
     }
 
     fn skipped(&mut self, record: &SkippedRecord) {
-        self.push(Late {
-            index: record.first,
-            lateness: Lateness::Wake(record.given_up_ns),
-            from: record.grid,
-            to: record.grid + record.given_up_ns,
-            straight: record.spun,
-            looks: (self.looked, record.look),
-            drive: None,
-        });
+        let (index, lateness) = (record.first, Lateness::Wake(record.given_up_ns));
+        let (from, to) = (record.grid, record.grid + record.given_up_ns);
+        let (straight, looks) = (record.spun, (self.looked, record.look));
+        self.push(Late { index, lateness, from, to, straight, looks, drive: None });
     }
 
     /// A cycle passed the next grid point although none of its stages was late: the longest of them is to blame, or
@@ -268,15 +257,8 @@ impl Causes {
         } else {
             (Lateness::Stage(stage, u64::from(ns)), begin, end)
         };
-        self.push(Late {
-            index: last.index,
-            lateness,
-            from,
-            to,
-            straight: stage != Stage::Receive || !self.polls,
-            looks: (self.looked, record.look),
-            drive: None,
-        });
+        let (straight, looks) = (stage != Stage::Receive || !self.polls, (self.looked, record.look));
+        self.push(Late { index: last.index, lateness, from, to, straight, looks, drive: None });
     }
 
     fn push(&mut self, late: Late) {

@@ -90,38 +90,30 @@ impl Histograms {
     /// Enters one record.
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
-            Record::Drive(record) => self.enter_drive(record),
-            Record::Monitor(_) => {}
-            Record::Reference(record) => self.enter_reference(record),
-            Record::Cycle(record) => self.enter_cycle(record),
-            Record::Skipped(record) => self.enter_skipped(record, period_ns),
-        }
-    }
-
-    fn enter_drive(&mut self, record: &DriveRecord) {
-        let Some(drive) = self.drives.get_mut(usize::from(record.axis)) else { return };
-        for (histogram, ns) in [
-            (&mut drive.rtt, record.rtt_ns),
-            (&mut drive.send_jitter, record.jitter_ns),
-            (&mut drive.age, record.age_ns),
-        ] {
-            if let Some(ns) = ns {
-                enter(histogram, u64::from(ns.get()));
+            Record::Drive(DriveRecord { axis, rtt_ns, jitter_ns, age_ns, .. }) => {
+                let Some(drive) = self.drives.get_mut(usize::from(*axis)) else { return };
+                let measured =
+                    [(&mut drive.rtt, rtt_ns), (&mut drive.send_jitter, jitter_ns), (&mut drive.age, age_ns)];
+                for (histogram, ns) in measured {
+                    if let Some(ns) = ns {
+                        enter(histogram, ns.get().into());
+                    }
+                }
             }
-        }
-    }
-
-    fn enter_reference(&mut self, record: &ReferenceRecord) {
-        if let Some(error_ns) = record.error_ns.filter(|_| record.counts) {
-            enter(&mut self.reference, error_ns.unsigned_abs().into());
-        }
-    }
-
-    fn enter_cycle(&mut self, record: &CycleRecord) {
-        enter(&mut self.wake, u64::from(record.wake_ns));
-        enter(&mut self.jitter, u64::from(record.jitter_ns));
-        for (histogram, ns) in self.stages.iter_mut().zip(record.stages_ns) {
-            enter(histogram, u64::from(ns));
+            Record::Monitor(_) => {}
+            Record::Reference(ReferenceRecord { error_ns, counts, .. }) => {
+                if let Some(error_ns) = error_ns.filter(|_| *counts) {
+                    enter(&mut self.reference, error_ns.unsigned_abs().into());
+                }
+            }
+            Record::Cycle(CycleRecord { wake_ns, jitter_ns, stages_ns, .. }) => {
+                enter(&mut self.wake, (*wake_ns).into());
+                enter(&mut self.jitter, (*jitter_ns).into());
+                for (histogram, ns) in self.stages.iter_mut().zip(stages_ns) {
+                    enter(histogram, (*ns).into());
+                }
+            }
+            Record::Skipped(record) => self.enter_skipped(record, period_ns),
         }
     }
 

@@ -53,7 +53,7 @@ pub struct Measured {
 }
 
 /// So many files and emergencies are kept for the application.
-const MOST_TOLD: usize = 64;
+const MOST_KEPT: usize = 64;
 
 /// A part of the program failed: a panic, or a thread that ended too early.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -100,7 +100,7 @@ impl Measured {
         self.causes.record(record);
         let Record::Drive(drive) = record else { return };
         if let Some(emergency) = drive.emergency() {
-            self.tell(drive.index, drive.axis.into(), emergency);
+            self.note(drive.index, drive.axis.into(), emergency);
         }
         if drive.stopped == Some(StopCause::LinkThread) {
             self.failed(
@@ -113,14 +113,14 @@ impl Measured {
 
     /// Notes that a part of the program failed, once.
     fn failed(&mut self, what: &str, fails_run: bool) {
-        if self.failures.len() < MOST_TOLD && self.failures.iter().all(|failure| failure.what != what) {
+        if self.failures.len() < MOST_KEPT && self.failures.iter().all(|failure| failure.what != what) {
             self.failures.push(Failure { what: what.to_owned(), fails_run });
         }
     }
 
-    fn tell(&mut self, cycle: u64, axis: usize, emergency: Emergency) {
+    fn note(&mut self, cycle: u64, axis: usize, emergency: Emergency) {
         let number = self.emergencies.back().map_or(1, |newest| newest.number + 1);
-        if self.emergencies.len() == MOST_TOLD {
+        if self.emergencies.len() == MOST_KEPT {
             self.emergencies.pop_front();
         }
         self.emergencies.push_back(DriveEmergency { number, cycle, axis, emergency });
@@ -132,8 +132,8 @@ impl Measured {
         self.black_boxes.retain(|one| written.replaced.as_ref() != Some(&one.path));
         self.black_boxes.push(written);
         // The first ones show where it began.
-        if self.black_boxes.len() > MOST_TOLD {
-            self.black_boxes.remove(MOST_TOLD / 2);
+        if self.black_boxes.len() > MOST_KEPT {
+            self.black_boxes.remove(MOST_KEPT / 2);
         }
     }
 }
@@ -357,8 +357,8 @@ mod tests {
     fn the_newest_emergencies_are_kept_and_all_are_numbered() {
         let mut measured = Measured::new(2, &CyclePlan::default(), false);
         for index in 0..100 {
-            let told = Emergency { code: index as u16, register: 1 };
-            let emergency = (index % 10 != 9).then_some(told.into());
+            let one = Emergency { code: index as u16, register: 1 };
+            let emergency = (index % 10 != 9).then_some(one.into());
             measured.enter(&Record::Drive(DriveRecord {
                 index,
                 axis: 1,
@@ -369,7 +369,7 @@ mod tests {
         let [first, .., last] = measured.emergencies.make_contiguous() else { panic!("none") };
         assert_eq!((first.number, first.cycle, first.axis), (27, 28, 1));
         assert_eq!((last.number, last.cycle, last.emergency.code), (90, 98, 98));
-        assert_eq!(measured.emergencies.len(), MOST_TOLD);
+        assert_eq!(measured.emergencies.len(), MOST_KEPT);
     }
 
     /// A black box with an error of ours.

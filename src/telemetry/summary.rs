@@ -15,7 +15,6 @@ use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus, Status};
-use crate::master::Master;
 use crate::rt::{Granted, host};
 use crate::style::{BAD, paint};
 use crate::time::{MS, Ns, S, US, three_digits};
@@ -35,13 +34,6 @@ impl Monitor {
     }
 }
 
-impl Master {
-    /// See [`Monitor::summary`].
-    pub fn summary(&self) -> Summary {
-        self.monitor().summary()
-    }
-}
-
 /// The whole run. Keys are stable; values are in ns unless the key says otherwise; what is not known is null.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -58,7 +50,7 @@ pub struct Summary {
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
     /// Devices that are not drives, in the order of the plan.
-    pub devices: Vec<Device>,
+    pub devices: Vec<DeviceEnd>,
     /// The buses: datagrams that belong to no drive, and their clocks.
     pub buses: Vec<Bus>,
     /// How real-time the run was.
@@ -142,21 +134,14 @@ impl fmt::Display for ReferenceNumbers {
     }
 }
 
-/// Times of the stages of a cycle.
-#[derive(Clone, Debug, Serialize)]
-pub struct Stages {
-    /// Draining the sockets and handing the requests to the kernel.
-    pub send: Quantiles,
-    /// Taking in replies.
-    pub receive: Quantiles,
-    /// Link health, limits, stop sequences.
-    pub evaluate: Quantiles,
-    /// Command queues and the in-loop task.
-    pub commands: Quantiles,
-    /// Building the next requests.
-    pub prepare: Quantiles,
-    /// Feedback, events, records.
-    pub publish: Quantiles,
+/// Times of the stages of a cycle, in the order of [`Stage::ALL`]; serialised by their names.
+#[derive(Clone, Debug)]
+pub struct Stages(pub [Quantiles; 6]);
+
+impl Serialize for Stages {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(Stage::ALL.iter().map(|stage| stage.name()).zip(&self.0))
+    }
 }
 
 /// Late cycles.
@@ -365,9 +350,9 @@ impl Variable {
         Variable {
             name,
             unit,
-            value: extent.and_then(|extent| told(extent.value)),
-            min: extent.and_then(|extent| told(extent.min)),
-            max: extent.and_then(|extent| told(extent.max)),
+            value: extent.and_then(|extent| reported(extent.value)),
+            min: extent.and_then(|extent| reported(extent.min)),
+            max: extent.and_then(|extent| reported(extent.max)),
         }
     }
 }
@@ -438,15 +423,6 @@ impl fmt::Display for ClockNumbers {
             Ns(window_ns)
         )
     }
-}
-
-/// A device that is not a drive.
-#[derive(Clone, Debug, Serialize)]
-pub struct Device {
-    /// Its name.
-    pub name: String,
-    /// Why it is not in operation; null: it is, or was until the orderly end.
-    pub not_operational: Option<String>,
 }
 
 /// How real-time the run was.
@@ -530,7 +506,7 @@ impl Summary {
                     age_ns: Quantiles::of(&measured.age, peaks.age),
                     age_cycles: feedback.age,
                     protocol_counters: ProtocolCounters::of(own, counters),
-                    position: told(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
+                    position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
                     inhibited: feedback.status.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
@@ -541,9 +517,6 @@ impl Summary {
             .collect();
         let leads = |bus: &str| plan.cycle.reference.as_deref() == Some(bus);
         let clocks = numbers.clocks.iter().copied().chain(std::iter::repeat(None));
-        let devices = (numbers.devices.iter().cloned())
-            .map(|DeviceEnd { name, not_operational }| Device { name, not_operational })
-            .collect();
         let buses = (numbers.buses.iter().zip(clocks))
             .map(|((name, unmatched), clock)| Bus {
                 name: name.clone(),
@@ -553,7 +526,6 @@ impl Summary {
                 clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
             })
             .collect();
-        let stage = |stage: Stage| Quantiles::of(histograms.stage(stage), status.stage_max[stage as usize]);
         Summary {
             cycle: CycleNumbers {
                 period_ns: plan.cycle.period_ns,
@@ -566,14 +538,10 @@ impl Summary {
             },
             wake_ns: Quantiles::of(&histograms.wake, status.wake_max),
             jitter_ns: Quantiles::of(&histograms.jitter, status.jitter_max),
-            stages_ns: Stages {
-                send: stage(Stage::Send),
-                receive: stage(Stage::Receive),
-                evaluate: stage(Stage::Evaluate),
-                commands: stage(Stage::Commands),
-                prepare: stage(Stage::Prepare),
-                publish: stage(Stage::Publish),
-            },
+            stages_ns: Stages(
+                Stage::ALL
+                    .map(|stage| Quantiles::of(histograms.stage(stage), status.stage_max[stage as usize])),
+            ),
             late: Late {
                 threshold_ns: plan.cycle.late_ns(),
                 count: status.late,
@@ -581,7 +549,7 @@ impl Summary {
                 newest: (measured.causes.newest(NEWEST)).map(|late| LateCycle::of(late, plan)).collect(),
             },
             drives,
-            devices,
+            devices: numbers.devices.clone(),
             buses,
             realtime: RealtimeNumbers {
                 policy: granted.policy,
@@ -685,7 +653,7 @@ pub(super) fn plain(value: f64) -> f64 {
 }
 
 /// A value that a drive reports; NaN is none.
-pub(super) fn told(value: f64) -> Option<f64> {
+pub(super) fn reported(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
@@ -799,7 +767,7 @@ impl Summary {
                 writeln!(f, "bus {}: its clock {clock}", bus.name)?;
             }
         }
-        for Device { name, not_operational } in &self.devices {
+        for DeviceEnd { name, not_operational } in &self.devices {
             match not_operational {
                 Some(why) => {
                     let line = format!("device {name}: not in operation: {why}");
@@ -814,17 +782,11 @@ impl Summary {
     /// Wake-up latency, jitter and stages in one unit.
     fn loop_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut table = Table::new(&["loop, times in us", "p50", "p99", "p99.9", "max"], 1..5, "  ");
-        let stages = &self.stages_ns;
-        let mut quantities = vec![("wake-up latency", &self.wake_ns), ("cycle jitter", &self.jitter_ns)];
-        quantities.extend(self.cycle.reference.as_ref().map(|led| ("phase error", &led.error_ns)));
-        quantities.extend([
-            ("stage send", &stages.send),
-            ("stage receive", &stages.receive),
-            ("stage evaluate", &stages.evaluate),
-            ("stage commands", &stages.commands),
-            ("stage prepare", &stages.prepare),
-            ("stage publish", &stages.publish),
-        ]);
+        let mut quantities =
+            vec![("wake-up latency".to_owned(), &self.wake_ns), ("cycle jitter".to_owned(), &self.jitter_ns)];
+        quantities.extend(self.cycle.reference.as_ref().map(|led| ("phase error".to_owned(), &led.error_ns)));
+        let stages = Stage::ALL.iter().map(|stage| format!("stage {}", stage.name()));
+        quantities.extend(stages.zip(&self.stages_ns.0));
         for (name, of) in quantities {
             let mut row = vec![Cell::plain(name)];
             row.extend([of.p50, of.p99, of.p99_9, of.max].map(|ns| Cell::plain(us(ns))));
@@ -878,16 +840,11 @@ impl Summary {
             plural(real.events_lost, "event")
         )?;
         let host = &self.host;
-        let or = |text: &Option<String>| text.clone().unwrap_or_else(|| String::from("?"));
+        let [kernel, preemption, cpu] =
+            [&host.kernel, &host.preemption, &host.cpu].map(|fact| fact.as_deref().unwrap_or("?"));
         let steal = host.steal_ms.map_or(String::from("?"), |steal| steal.to_string());
-        writeln!(
-            f,
-            "host: {}, {}, {}; steal {steal} ms; other threads had the loop's core for {} ms",
-            or(&host.kernel),
-            or(&host.preemption),
-            or(&host.cpu),
-            host.taken_ms
-        )?;
+        write!(f, "host: {kernel}, {preemption}, {cpu}; steal {steal} ms; ")?;
+        writeln!(f, "other threads had the loop's core for {} ms", host.taken_ms)?;
         for written in &self.black_boxes {
             writeln!(f, "{written}")?;
         }
@@ -913,10 +870,10 @@ mod tests {
         let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
         let mut counters = Counters::default();
         (counters.own[0], counters.own[2]) = (3, u64::MAX);
-        let told = ProtocolCounters::of(&own, &counters);
-        assert_eq!(told.to_string(), format!("exceptions: 3; closed: {}", u64::MAX));
+        let shown = ProtocolCounters::of(&own, &counters);
+        assert_eq!(shown.to_string(), format!("exceptions: 3; closed: {}", u64::MAX));
         let json = format!(r#"{{"exceptions":3,"opened":0,"closed":{}}}"#, u64::MAX);
-        assert_eq!(serde_json::to_string(&told).unwrap(), json);
+        assert_eq!(serde_json::to_string(&shown).unwrap(), json);
         let none = ProtocolCounters::of(&[], &counters);
         assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
     }
@@ -994,17 +951,17 @@ mod tests {
     fn a_clock_that_follows_is_one_line() {
         let clock =
             BusClock { error_ns: Some(-1_250), locked: true, error_max_ns: 4_000, window_ns: 320_000 };
-        let told = |clock| ClockNumbers::of(clock, false).to_string();
+        let line_of = |clock| ClockNumbers::of(clock, false).to_string();
         let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives tolerate 320 us";
-        assert_eq!(told(clock), line);
+        assert_eq!(line_of(clock), line);
         let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate \
                     320 us";
-        assert_eq!(told(BusClock { error_ns: None, locked: false, ..clock }), line);
+        assert_eq!(line_of(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 
     #[test]
     fn an_unknown_value_is_a_dash() {
-        let text = |value| decimals(told(value), 3);
+        let text = |value| decimals(reported(value), 3);
         assert_eq!([1.0, -0.25, f64::NAN, f64::INFINITY].map(text), ["1.000", "-0.250", "-", "-"]);
     }
 
@@ -1014,12 +971,12 @@ mod tests {
             Variable::of(MonitorChannel { name: "demand-velocity".into(), unit }, extent).to_string()
         };
         let extent = |value, min, max| Some(Extent { value, min, max });
-        let told = [
+        let shown = [
             ("mm/s", extent(0.1 + 0.2, -1e-9, 200.0), "0.3 mm/s, from 0 to 200"),
             ("", extent(4294967295.0, -12.5, 4294967295.0), "4294967295, from -12.5 to 4294967295"),
             ("C", None, "not received yet"),
         ];
-        for (unit, extent, expected) in told {
+        for (unit, extent, expected) in shown {
             assert_eq!(text(unit, extent), format!("demand-velocity    {expected}"));
         }
     }

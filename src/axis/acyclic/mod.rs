@@ -18,7 +18,9 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-pub use parameter::{Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Scalar};
+pub use parameter::{
+    Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Request, Scalar,
+};
 pub use port::{Commanding, Port, Posted};
 #[cfg(test)]
 pub(crate) use queue::tests::{both, both_of};

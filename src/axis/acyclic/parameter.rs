@@ -88,18 +88,61 @@ pub enum NotationError {
 }
 crate::errors::debug_as_display!(NotationError);
 
+/// An access to a parameter, for messages.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// The drive.
+    pub drive: String,
+    /// The access: read or write.
+    pub access: &'static str,
+    /// Its address.
+    pub address: String,
+    /// The value that was to be written.
+    pub value: Option<String>,
+}
+
+impl std::fmt::Display for Request {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "drive {}: {} {}", self.drive, self.access, self.address)?;
+        self.value.as_ref().map_or(Ok(()), |value| write!(f, " = {value}"))
+    }
+}
+
+impl Request {
+    /// To read `address`.
+    pub fn read(drive: &str, address: &str) -> Request {
+        Request { drive: drive.to_owned(), access: "read", address: address.to_owned(), value: None }
+    }
+
+    /// To write `value` to `address`.
+    pub fn write(drive: &str, address: &str, value: String) -> Request {
+        Request { access: "write", value: Some(value), ..Request::read(drive, address) }
+    }
+
+    fn wrong(&self, error: NotationError) -> ParameterError {
+        ParameterError::Notation { request: Request { value: None, ..self.clone() }, error }
+    }
+
+    /// It was not carried out.
+    pub fn failed(&self, why: CallError, notation: &dyn Notation) -> ParameterError {
+        let request = self.clone();
+        match why {
+            CallError::Refused(status) => {
+                ParameterError::Refused { request, status, reason: notation.reason(status) }
+            }
+            why => ParameterError::Failed { request, why },
+        }
+    }
+}
+
 /// Why a parameter was not read or written.
 #[derive(Clone, PartialEq, Eq, Error)]
 pub enum ParameterError {
     /// Nothing was sent.
-    #[error("drive {drive}: {access} {address}: {error}")]
+    #[error("{request}: {error}")]
     Notation {
-        /// The drive.
-        drive: String,
-        /// The access: read or write.
-        access: &'static str,
-        /// Its address.
-        address: String,
+        /// The access, without a value.
+        request: Request,
         /// The reason.
         error: NotationError,
     },
@@ -107,41 +150,25 @@ pub enum ParameterError {
     #[error(transparent)]
     Post(#[from] PostError),
     /// The drive refused.
-    #[error("drive {drive}: {access} {address}{}: {reason}", of(.value))]
+    #[error("{request}: {reason}")]
     Refused {
-        /// The drive.
-        drive: String,
-        /// The access: read or write.
-        access: &'static str,
-        /// Its address.
-        address: String,
-        /// The value that was to be written.
-        value: Option<String>,
+        /// The access.
+        request: Request,
         /// The drive's status.
         status: u32,
         /// The meaning of the status.
         reason: String,
     },
     /// It was not carried out.
-    #[error("drive {drive}: {access} {address}{}: {why}", of(.value))]
+    #[error("{request}: {why}")]
     Failed {
-        /// The drive.
-        drive: String,
-        /// The access: read or write.
-        access: &'static str,
-        /// Its address.
-        address: String,
-        /// The value that was to be written.
-        value: Option<String>,
+        /// The access.
+        request: Request,
         /// The reason.
         why: CallError,
     },
 }
 crate::errors::debug_as_display!(ParameterError);
-
-fn of(value: &Option<String>) -> String {
-    value.as_ref().map_or(String::new(), |value| format!(" = {value}"))
-}
 
 /// A type that a parameter may have: it takes the low bits of the raw value.
 pub trait Scalar: Copy {
@@ -224,9 +251,9 @@ impl Parameters {
 
     /// Requests a parameter and returns at once.
     pub fn post_read<T: Scalar>(&self, address: &str) -> Result<ParameterTicket<T>, ParameterError> {
-        let asked = Asked::read(self.0.axis(), address);
-        let call = self.0.notation().read(address).map_err(|error| asked.wrong(error))?;
-        self.post(asked, call)
+        let request = Request::read(self.0.axis(), address);
+        let call = self.0.notation().read(address).map_err(|error| request.wrong(error))?;
+        self.post(request, call)
     }
 
     /// Sends a value and returns at once.
@@ -236,26 +263,26 @@ impl Parameters {
         value: T,
     ) -> Result<ParameterTicket<()>, ParameterError> {
         let raw = value.to_raw();
-        let asked = Asked::write(self.0.axis(), address, self.0.notation().show(address, raw));
-        let call = self.0.notation().write(address, raw).map_err(|error| asked.wrong(error))?;
-        self.post(asked, call)
+        let request = Request::write(self.0.axis(), address, self.0.notation().show(address, raw));
+        let call = self.0.notation().write(address, raw).map_err(|error| request.wrong(error))?;
+        self.post(request, call)
     }
 
-    fn post<T: Scalar>(&self, asked: Asked, call: Call) -> Result<ParameterTicket<T>, ParameterError> {
+    fn post<T: Scalar>(&self, request: Request, call: Call) -> Result<ParameterTicket<T>, ParameterError> {
         let notation = Arc::clone(self.0.notation());
         let ticket = match self.0.post(call, notation.limit(&call)) {
             // In the same words as from the loop.
-            Err(PostError::Refused { why, .. }) => return Err(asked.failed(why)),
+            Err(PostError::Refused { why, .. }) => return Err(request.failed(why, &*notation)),
             posted => posted?,
         };
-        Ok(ParameterTicket { asked, notation, ticket, value: PhantomData })
+        Ok(ParameterTicket { request, notation, ticket, value: PhantomData })
     }
 }
 
 /// A read or write under way. If dropped before its end, it is cancelled.
 #[derive(Debug)]
 pub struct ParameterTicket<T> {
-    asked: Asked,
+    request: Request,
     notation: Arc<dyn Notation>,
     ticket: CallTicket,
     value: PhantomData<T>,
@@ -265,24 +292,18 @@ impl<T: Scalar> ParameterTicket<T> {
     /// Its result, once, if it has ended. Never waits.
     pub fn poll(&mut self) -> Option<Result<T, ParameterError>> {
         let result = self.ticket.poll()?;
-        Some(self.asked.verdict(result, &*self.notation).map(T::from_raw))
+        Some(self.verdict(result))
     }
 
     /// Waits for its result.
     pub fn wait(mut self) -> Result<T, ParameterError> {
         let result = self.ticket.wait();
-        self.asked.verdict(result, &*self.notation).map(T::from_raw)
+        self.verdict(result)
     }
 
-    /// Waits no longer than `limit`, then cancels it.
-    pub fn wait_for(mut self, limit: Duration) -> Result<T, ParameterError> {
-        let result = self.ticket.wait_for(limit);
-        self.asked.verdict(result, &*self.notation).map(T::from_raw)
-    }
-
-    /// Cancels it; see [`CallTicket::cancel`].
-    pub fn cancel(&self) {
-        self.ticket.cancel();
+    fn verdict(&self, result: Result<Answer, CallError>) -> Result<T, ParameterError> {
+        let value = result.map(|answer| T::from_raw(answer.value));
+        value.map_err(|why| self.request.failed(why, &*self.notation))
     }
 }
 
@@ -306,71 +327,25 @@ impl std::fmt::Debug for Access<'_> {
 impl Access<'_> {
     /// Reads a parameter.
     pub fn read(&self, address: &str) -> Result<u64, ParameterError> {
-        let asked = Asked::read(self.drive, address);
-        let call = self.notation.read(address).map_err(|error| asked.wrong(error))?;
-        self.carry_out(&asked, call)
+        let request = Request::read(self.drive, address);
+        let call = self.notation.read(address).map_err(|error| request.wrong(error))?;
+        self.carry_out(&request, call)
     }
 
     /// Writes a parameter from its text.
     pub fn write(&self, address: &str, text: &str) -> Result<u64, ParameterError> {
-        let asked = Asked::write(self.drive, address, text.to_owned());
-        let raw = self.notation.value(address, text).map_err(|error| asked.wrong(error))?;
-        let call = self.notation.write(address, raw).map_err(|error| asked.wrong(error))?;
-        self.carry_out(&asked, call)?;
+        let request = Request::write(self.drive, address, text.to_owned());
+        let raw = self.notation.value(address, text).map_err(|error| request.wrong(error))?;
+        let call = self.notation.write(address, raw).map_err(|error| request.wrong(error))?;
+        self.carry_out(&request, call)?;
         Ok(raw)
     }
 
-    fn carry_out(&self, asked: &Asked, call: Call) -> Result<u64, ParameterError> {
+    fn carry_out(&self, request: &Request, call: Call) -> Result<u64, ParameterError> {
         let series = self.carrier.run(&[call], self.notation.limit(&call));
-        let result = match (series.answers.first(), series.failed) {
-            (Some(answer), _) => Ok(*answer),
-            (None, why) => Err(why.unwrap_or(CallError::Gone)),
-        };
-        asked.verdict(result, self.notation)
-    }
-}
-
-/// The request, for messages.
-#[derive(Clone, Debug)]
-struct Asked {
-    drive: String,
-    access: &'static str,
-    address: String,
-    value: Option<String>,
-}
-
-impl Asked {
-    fn read(drive: &str, address: &str) -> Asked {
-        Asked { drive: drive.to_owned(), access: "read", address: address.to_owned(), value: None }
-    }
-
-    fn write(drive: &str, address: &str, value: String) -> Asked {
-        Asked { access: "write", value: Some(value), ..Asked::read(drive, address) }
-    }
-
-    fn wrong(&self, error: NotationError) -> ParameterError {
-        let Asked { drive, access, address, .. } = self.clone();
-        ParameterError::Notation { drive, access, address, error }
-    }
-
-    fn verdict(
-        &self,
-        result: Result<Answer, CallError>,
-        notation: &dyn Notation,
-    ) -> Result<u64, ParameterError> {
-        match result {
-            Ok(answer) => Ok(answer.value),
-            Err(CallError::Refused(status)) => {
-                let Asked { drive, access, address, value } = self.clone();
-                let reason = notation.reason(status);
-                Err(ParameterError::Refused { drive, access, address, value, status, reason })
-            }
-            Err(why) => Err(self.failed(why)),
+        match series.answers.first() {
+            Some(answer) => Ok(answer.value),
+            None => Err(request.failed(series.failed.unwrap_or(CallError::Gone), self.notation)),
         }
-    }
-
-    fn failed(&self, why: CallError) -> ParameterError {
-        let Asked { drive, access, address, value } = self.clone();
-        ParameterError::Failed { drive, access, address, value, why }
     }
 }

@@ -118,13 +118,6 @@ pub enum PostError {
 }
 crate::errors::debug_as_display!(PostError);
 
-impl PostError {
-    /// Room may become free later.
-    pub fn is_full(&self) -> bool {
-        matches!(self, PostError::Full { .. })
-    }
-}
-
 impl From<PostError> for CallError {
     fn from(error: PostError) -> CallError {
         match error {
@@ -249,7 +242,7 @@ impl Acyclic {
         let begun = Instant::now();
         let tickets = loop {
             match self.post_series(calls, limit) {
-                Err(error) if error.is_full() && begun.elapsed() < limit + GRACE => rest()?,
+                Err(PostError::Full { .. }) if begun.elapsed() < limit + GRACE => rest()?,
                 posted => break posted?,
             }
         };
@@ -287,16 +280,16 @@ impl Acyclic {
 
     /// Posts a call for which there is room.
     fn enqueue(&self, ends: &mut Ends, series: u64, call: Call, limit: Duration) -> CallTicket {
-        let limit = limit.max(self.shared.least);
         let number = ends.next;
         ends.next += 1;
-        let posted = Posted { number, series, limit_ns: nanos(limit), call };
+        let limit_ns = nanos(limit.max(self.shared.least));
+        let posted = Posted { number, series, limit_ns, call };
         match ends.calls.push(posted) {
             Ok(()) => ends.under_way += 1,
             // Never more calls are under way than the ring has places.
             Err(_) => drop(ends.ended.insert(number, Err(CallError::Gone))),
         }
-        CallTicket { acyclic: self.clone(), number, limit, over: false }
+        CallTicket { acyclic: self.clone(), number, over: false }
     }
 
     /// Hands the ended calls to the holders of their tickets.
@@ -366,7 +359,6 @@ impl Drop for Claim {
 pub struct CallTicket {
     acyclic: Acyclic,
     number: u64,
-    limit: Duration,
     /// Its end was returned.
     over: bool,
 }
@@ -397,24 +389,6 @@ impl CallTicket {
             }
             self.acyclic.rest();
         }
-    }
-
-    /// Waits no longer than `limit`, then cancels it.
-    pub fn wait_for(&mut self, limit: Duration) -> Result<Answer, CallError> {
-        let begun = Instant::now();
-        while begun.elapsed() < limit {
-            if let Some(result) = self.poll() {
-                return result;
-            }
-            self.acyclic.rest();
-        }
-        self.cancel();
-        Err(CallError::TimedOut)
-    }
-
-    /// The time limit of the call.
-    pub fn limit(&self) -> Duration {
-        self.limit
     }
 
     /// Cancels the call: it ends as cancelled, unless it has ended already. If it was already sent, the drive may

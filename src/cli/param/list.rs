@@ -1,4 +1,4 @@
-//! `fieldbeat param list`. A LinMot drive tells which parameters it has; a Unidrive is asked for each of a menu,
+//! `fieldbeat param list`. A LinMot drive reports which parameters it has; each of a menu is read from a Unidrive,
 //! and of a drive on EtherCAT the known objects are listed.
 
 use clap::Args;

@@ -24,7 +24,7 @@ use crate::rt::thread::{fifo, permitted_cores};
 use crate::rt::{GuardTuner, Realtime, RealtimeError, host, memory};
 use crate::telemetry::summary::plural;
 use crate::time::{MS, Ns, S, US};
-use slice::{GAP_NS, Setting};
+use slice::Setting;
 
 /// How thoroughly.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -134,7 +134,7 @@ pub struct Untried {
 }
 
 /// Interruptions of a thread that looks at the clock without pause.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Noise {
     /// For so long it looked.
     pub looked_ns: u64,
@@ -291,34 +291,22 @@ pub fn measure(
         (
             "/dev/cpu_dma_latency at 0".to_owned(),
             may_hold,
-            Setting { awake: false, ..base },
-            Setting { awake: true, ..base },
+            [false, true].map(|awake| Setting { awake, ..base }),
         ),
-        (
-            "final spin (guard)".to_owned(),
-            Ok(()),
-            Setting { guarded: false, ..base },
-            Setting { guarded: true, ..base },
-        ),
+        ("final spin (guard)".to_owned(), Ok(()), [false, true].map(|guarded| Setting { guarded, ..base })),
         (
             format!("SCHED_FIFO {priority}"),
             may_fifo,
-            Setting { fifo: None, ..base },
-            Setting { fifo: Some(priority), ..base },
+            [None, Some(priority)].map(|fifo| Setting { fifo, ..base }),
         ),
-        (
-            "memory lock".to_owned(),
-            may_lock,
-            Setting { locked: false, ..base },
-            Setting { locked: true, ..base },
-        ),
+        ("memory lock".to_owned(), may_lock, [false, true].map(|locked| Setting { locked, ..base })),
     ];
     let others: Vec<usize> = permitted_cores().into_iter().filter(|core| *core != subject.core).collect();
 
     let mut bench = Bench { subject, effort: *effort, tell, done_ns: 0.0, base, planned: Vec::new() };
     let noise = bench.noise()?;
     let (mut factors, mut untried) = (Vec::new(), Vec::new());
-    for (name, may, without, with) in things {
+    for (name, may, [without, with]) in things {
         match may {
             Ok(()) => factors.extend(bench.compare(&name, without, &[(name.clone(), with)], FACTOR)?),
             Err(why) => untried.push(Untried { name, why }),
@@ -371,15 +359,8 @@ impl Bench<'_> {
     fn noise(&mut self) -> Result<Noise, RealtimeError> {
         let span_ns = self.effort.span_ns as f64 * NOISE;
         (self.tell)(Progress { what: "hardware noise", done: 0.0 });
-        let gaps = slice::gaps(&self.base, span_ns as u64)?;
         self.done_ns += span_ns;
-        Ok(Noise {
-            looked_ns: gaps.looked_ns,
-            gap_ns: GAP_NS,
-            gaps: gaps.count,
-            longest_ns: gaps.longest_ns,
-            taken_ns: gaps.taken_ns,
-        })
+        slice::gaps(&self.base, span_ns as u64)
     }
 
     /// `without` against each of `with`, in turns.
@@ -611,6 +592,7 @@ pub(super) fn word(ratio: &Interval) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::facts::testing::subject;
+    use super::slice::GAP_NS;
     use super::*;
     use crate::doctor::Verdict::{Bad, Good, Poor, Unknown};
 

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::Write;
 
 use super::super::facts::on_a_thread;
+use super::Noise;
 use crate::rt::{Clock, GuardTuner, MonotonicClock, RealtimeError, memory, thread};
 use crate::time::{MS, Time, US};
 
@@ -110,22 +111,13 @@ pub(super) const GAP_NS: u64 = 10 * US;
 /// from RT throttling and from the fair server.
 const LOOK_NS: u64 = 25 * MS;
 
-/// What interrupted a thread that never sleeps.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Gaps {
-    pub looked_ns: u64,
-    pub count: u64,
-    pub longest_ns: u64,
-    pub taken_ns: u64,
-}
-
 /// Looks for `span_ns` in all, pauses included.
-pub(super) fn gaps(setting: &Setting, span_ns: u64) -> Result<Gaps, RealtimeError> {
+pub(super) fn gaps(setting: &Setting, span_ns: u64) -> Result<Noise, RealtimeError> {
     within(setting, || look(&mut MonotonicClock, span_ns))
 }
 
-fn look(clock: &mut dyn Clock, span_ns: u64) -> Gaps {
-    let mut gaps = Gaps::default();
+fn look(clock: &mut dyn Clock, span_ns: u64) -> Noise {
+    let mut noise = Noise { gap_ns: GAP_NS, ..Noise::default() };
     let end = clock.now() + span_ns;
     loop {
         let begin = clock.now();
@@ -135,15 +127,15 @@ fn look(clock: &mut dyn Clock, span_ns: u64) -> Gaps {
             let now = clock.now();
             let gap = now.since(last);
             if gap > GAP_NS {
-                gaps.count += 1;
-                gaps.longest_ns = gaps.longest_ns.max(gap);
-                gaps.taken_ns += gap;
+                noise.gaps += 1;
+                noise.longest_ns = noise.longest_ns.max(gap);
+                noise.taken_ns += gap;
             }
             last = now;
         }
-        gaps.looked_ns += last.since(begin);
+        noise.looked_ns += last.since(begin);
         if last + LOOK_NS >= end {
-            return gaps;
+            return noise;
         }
         clock.sleep_until(last + LOOK_NS);
     }
@@ -203,7 +195,7 @@ mod tests {
         };
         let mut clock = Scripted { now: Time(0), late: || 0, read };
         let gaps = look(&mut clock, 200 * MS);
-        assert_eq!((gaps.count, gaps.longest_ns, gaps.taken_ns), (1, 300 * US, 300 * US));
+        assert_eq!((gaps.gaps, gaps.longest_ns, gaps.taken_ns), (1, 300 * US, 300 * US));
         assert!((95 * MS..=105 * MS).contains(&gaps.looked_ns), "{gaps:?}");
         assert!(clock.now <= Time(201 * MS), "{}", clock.now);
     }

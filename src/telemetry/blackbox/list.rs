@@ -78,7 +78,7 @@ impl Entry {
                 cycle: Some(header.cycle),
                 ..entry
             },
-            Err(error) => Entry { error: Some(error.reason()), ..entry },
+            Err(error) => Entry { error: Some(error.why.to_string()), ..entry },
         })
     }
 }

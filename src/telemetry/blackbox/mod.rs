@@ -5,14 +5,14 @@
 //! | `mod` | what is kept, and when it is written |
 //! | `file` | the file's bytes, both ways |
 //! | `list` | the files of a directory |
-//! | `story` | what led up to it, in words |
+//! | `events` | what led up to it, in words |
 //!
 //! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
 //! slow disk holds up nobody.
 
+pub mod events;
 pub mod file;
 pub mod list;
-pub mod story;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -205,8 +205,8 @@ impl BlackBox {
             let (Some(of), Some(names)) = (header.axes.get_mut(axis), self.fault_names.get(axis)) else {
                 continue;
             };
-            let told = drive.emergency().map_or(0, |emergency| emergency.code.into());
-            for code in [drive.fault, told].into_iter().filter(|code| *code != 0) {
+            let reported = drive.emergency().map_or(0, |emergency| emergency.code.into());
+            for code in [drive.fault, reported].into_iter().filter(|code| *code != 0) {
                 if let Some(name) = names(code) {
                     of.faults.entry(code).or_insert_with(|| name.to_owned());
                 }
@@ -375,7 +375,7 @@ mod tests {
         assert_eq!((header.why.as_str(), header.cycle), ("drive y: fault 0x000b (11, position lag)", 500));
         let lag = [(0x0B, "position lag".to_owned())];
         assert_eq!((header.axes[0].faults.len(), &header.axes[1].faults), (0, &lag.into()));
-        assert!(story::tell(&header, &records, 3).contains("fault none -> 0x000b (11, position lag)"));
+        assert!(events::text(&header, &records, 3).contains("fault none -> 0x000b (11, position lag)"));
         assert_eq!(records.len(), 300, "100 cycles of 2 drives and a cycle record each");
         let after = records.iter().filter(|record| matches!(record, Record::Cycle(c) if c.index >= 500));
         assert_eq!(after.count(), 51);
@@ -409,13 +409,13 @@ mod tests {
         // Room for one more record a cycle than it needs in every second one.
         assert_eq!(records.len(), 500);
 
-        let courses = story::courses(&header, &records, &[], 3);
+        let courses = events::courses(&header, &records, &[], 3);
         assert_eq!(courses.iter().map(|course| course.monitor.len()).collect::<Vec<_>>(), [2, 0, 0]);
         let rows: Vec<_> = courses[0].rows.iter().map(|row| (row.cycle, &row.monitor[..])).collect();
         let at = |value: f64| [Some(40.5), Some(value)];
         let none = [None, None];
         assert_eq!(rows, [(296, &at(46.0)[..]), (297, &none), (298, &at(48.0)), (299, &none)]);
-        let text = story::tell(&header, &records, 3);
+        let text = events::text(&header, &records, 3);
         let (_, table) = text.split_once("drive z, mm\n").unwrap();
         let lines: Vec<&str> = table.lines().take(3).collect();
         assert!(lines[0].ends_with(" current A core-temperature C demand-velocity mm/s"), "{text}");
@@ -454,8 +454,11 @@ mod tests {
                 written.extend(black_box.write(false));
             }
         }
-        let asked = written.pop().unwrap();
-        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("requested", 4_200, true));
+        let requested = written.pop().unwrap();
+        assert_eq!(
+            (requested.why.as_str(), requested.cycle, requested.path.exists()),
+            ("requested", 4_200, true)
+        );
         let all: Vec<u64> = written.iter().map(|one| one.cycle).collect();
         // Each begins where the one before it ends.
         assert!(all.len() > 30 && all[1..].windows(2).all(|pair| pair[1] - pair[0] == 100), "{all:?}");
@@ -508,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_directory_is_made_and_an_impossible_one_is_told() {
+    fn a_missing_directory_is_made_and_an_impossible_one_is_reported() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("file");
         std::fs::write(&file, "").unwrap();

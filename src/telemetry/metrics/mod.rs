@@ -171,12 +171,12 @@ impl Shared {
         let mut clients = Clients::new(PATIENCE, MOST_BYTES);
         while !self.end.load(Ordering::Acquire) {
             let accept = || self.listener.accept().map(|(stream, _)| stream);
-            let is_whole = |said: &[u8]| asked(said, &|_| true).is_some();
+            let is_whole = |said: &[u8]| requested(said, &|_| true).is_some();
             for client in clients.turn(self.listener.as_fd(), LOOK_EVERY, accept, is_whole) {
                 let Ok(local) = client.stream.local_addr() else { continue };
                 let meant = |host: Meant<'_>| self.names.are_ours(host, local.ip());
                 // Cut off, it is nobody's request.
-                let Some(request) = asked(&client.said, &meant) else { continue };
+                let Some(request) = requested(&client.said, &meant) else { continue };
                 match catch_unwind(AssertUnwindSafe(|| answer(&request, page))) {
                     Ok(bytes) => clients.answer(client, bytes),
                     Err(_) => failed(),
@@ -187,12 +187,12 @@ impl Shared {
 }
 
 /// The whole answer.
-fn answer(request: &Asked, page: &dyn Fn() -> String) -> Vec<u8> {
+fn answer(request: &Requested, page: &dyn Fn() -> String) -> Vec<u8> {
     let (status, body) = match request {
-        Asked::Page => ("200 OK", page()),
-        Asked::Head => ("200 OK", String::new()),
-        Asked::Refused(status) => (*status, format!("{status}; the metrics are at GET /metrics\n")),
-        Asked::Misdirected => (FORBIDDEN, format!("{FORBIDDEN}; {REMEDY}\n")),
+        Requested::Page => ("200 OK", page()),
+        Requested::Head => ("200 OK", String::new()),
+        Requested::Refused(status) => (*status, format!("{status}; the metrics are at GET /metrics\n")),
+        Requested::Misdirected => (FORBIDDEN, format!("{FORBIDDEN}; {REMEDY}\n")),
     };
     let kind = if status.starts_with("200") { CONTENT_TYPE } else { "text/plain; charset=utf-8" };
     let length = body.len();
@@ -210,7 +210,7 @@ const REMEDY: &str = "the Host of the request is no name of this endpoint: use i
 
 /// What is requested.
 #[derive(Debug, PartialEq)]
-enum Asked {
+enum Requested {
     Page,
     /// Whether there is one.
     Head,
@@ -220,29 +220,29 @@ enum Asked {
 }
 
 /// `None` as long as its end is missing. `is_ours`: whether it was meant for this endpoint.
-fn asked(bytes: &[u8], is_ours: &dyn Fn(Meant<'_>) -> bool) -> Option<Asked> {
+fn requested(bytes: &[u8], is_ours: &dyn Fn(Meant<'_>) -> bool) -> Option<Requested> {
     let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     match request.parse(bytes) {
         Ok(httparse::Status::Partial) if bytes.len() < MOST_BYTES => return None,
         Ok(httparse::Status::Partial) | Err(httparse::Error::TooManyHeaders) => {
-            return Some(Asked::Refused("431 Request Header Fields Too Large"));
+            return Some(Requested::Refused("431 Request Header Fields Too Large"));
         }
         Ok(httparse::Status::Complete(_)) => {}
-        Err(_) => return Some(Asked::Refused("400 Bad Request")),
+        Err(_) => return Some(Requested::Refused("400 Bad Request")),
     }
     let mut hosts = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case("host"));
     let path = request.path.unwrap_or_default().split('?').next();
     Some(match (hosts.next(), hosts.next()) {
         // RFC 9112, 3.2: exactly one, but HTTP/1.0 has none.
-        (None, _) if request.version == Some(1) => Asked::Refused("400 Bad Request"),
-        (_, Some(_)) => Asked::Refused("400 Bad Request"),
-        (Some(host), None) if !Meant::parse(host.value).is_some_and(is_ours) => Asked::Misdirected,
+        (None, _) if request.version == Some(1) => Requested::Refused("400 Bad Request"),
+        (_, Some(_)) => Requested::Refused("400 Bad Request"),
+        (Some(host), None) if !Meant::parse(host.value).is_some_and(is_ours) => Requested::Misdirected,
         _ => match request.method {
-            _ if path != Some("/metrics") => Asked::Refused("404 Not Found"),
-            Some("GET") => Asked::Page,
-            Some("HEAD") => Asked::Head,
-            _ => Asked::Refused("405 Method Not Allowed"),
+            _ if path != Some("/metrics") => Requested::Refused("404 Not Found"),
+            Some("GET") => Requested::Page,
+            Some("HEAD") => Requested::Head,
+            _ => Requested::Refused("405 Method Not Allowed"),
         },
     })
 }
@@ -270,8 +270,8 @@ mod tests {
         }
     }
 
-    fn judged(bytes: &[u8]) -> Option<Asked> {
-        asked(bytes, &|host| host.name == "x")
+    fn judged(bytes: &[u8]) -> Option<Requested> {
+        requested(bytes, &|host| host.name == "x")
     }
 
     #[test]
@@ -280,11 +280,11 @@ mod tests {
         for end in 0..get.len() {
             assert_eq!(judged(&get[..end]), None, "{end}");
         }
-        assert_eq!(judged(get), Some(Asked::Page));
-        assert_eq!(judged(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Asked::Page));
-        assert_eq!(judged(b"HEAD /metrics HTTP/1.1\r\nhost:x:1\r\n\r\n"), Some(Asked::Head));
+        assert_eq!(judged(get), Some(Requested::Page));
+        assert_eq!(judged(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Requested::Page));
+        assert_eq!(judged(b"HEAD /metrics HTTP/1.1\r\nhost:x:1\r\n\r\n"), Some(Requested::Head));
         let refused = |bytes: &[u8]| match judged(bytes) {
-            Some(Asked::Refused(status)) => status[..3].to_owned(),
+            Some(Requested::Refused(status)) => status[..3].to_owned(),
             other => panic!("{other:?}"),
         };
         assert_eq!(refused(b"POST /metrics HTTP/1.1\r\nHost: x\r\n\r\n"), "405");
@@ -302,10 +302,10 @@ mod tests {
         for host in ["evil.example", "evil.example:9464", "", "x.evil.example", "x@evil.example", "[x]"] {
             for request in ["GET /metrics HTTP/1.1", "GET / HTTP/1.1", "GET /metrics HTTP/1.0"] {
                 let request = format!("{request}\r\nHost: {host}\r\n\r\n");
-                assert_eq!(judged(request.as_bytes()), Some(Asked::Misdirected), "{request}");
+                assert_eq!(judged(request.as_bytes()), Some(Requested::Misdirected), "{request}");
             }
         }
-        let text = String::from_utf8(answer(&Asked::Misdirected, &String::new)).unwrap();
+        let text = String::from_utf8(answer(&Requested::Misdirected, &String::new)).unwrap();
         assert!(
             text.starts_with("HTTP/1.1 403 Forbidden\r\n") && text.contains("--metrics NAME:PORT"),
             "{text}"

@@ -9,34 +9,19 @@ use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::axis::{Link, MonitorChannel};
-use crate::bus::OwnCounter;
+use crate::bus::{BusClock, OwnCounter, Unmatched};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::{DriveEnd, Numbers, ReferenceStatus};
+use crate::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
 use crate::rt::host;
-use crate::telemetry::histograms::Quantity;
+use crate::telemetry::histograms::{DriveHistograms, Quantity};
 use crate::telemetry::summary::Found;
 use crate::telemetry::{Histograms, Measured, Monitor};
 use crate::time::{MS, S, US};
 
-/// Upper ends of the buckets, ns: three a decade, from what a tuned loop wakes with to what a lost one does.
-const BUCKETS: [u64; 15] = [
-    US,
-    2 * US,
-    5 * US,
-    10 * US,
-    20 * US,
-    50 * US,
-    100 * US,
-    200 * US,
-    500 * US,
-    MS,
-    2 * MS,
-    5 * MS,
-    10 * MS,
-    20 * MS,
-    50 * MS,
-];
+/// Upper ends of the buckets, us: three a decade, from what a tuned loop wakes with to what a lost one does.
+const BUCKETS_US: [u64; 15] =
+    [1, 2, 5, 10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000];
 
 /// The page of a machine.
 pub fn page(monitor: &Monitor) -> String {
@@ -55,26 +40,129 @@ struct Machine(Monitor);
 impl Collector for Machine {
     fn encode(&self, encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let Machine(monitor) = self;
+        let (plan, numbers) = (monitor.plan(), monitor.numbers());
+        let Numbers { status, drives, buses, clocks, devices, .. } = &numbers;
         let mut sheet = Sheet(encoder);
-        let numbers = monitor.numbers();
         sheet.host(monitor)?;
-        sheet.cycle(monitor.plan().cycle.period_ns, &numbers)?;
-        sheet.reference(monitor.plan(), &numbers)?;
-        sheet.drives(&numbers.drives)?;
-        sheet.protocols(monitor.plan(), &numbers.drives)?;
-        sheet.connections(monitor, &numbers.drives)?;
-        sheet.monitored(monitor.plan(), &numbers.drives)?;
-        sheet.buses(&numbers)?;
-        sheet.lines(&numbers)?;
+        sheet.values((Time, "cycle_period", "The period of the cycle."), [([], plan.cycle.period_ns)])?;
+        sheet.numbers(&STATUS, [([], status)])?;
+        let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], status.stage_max[stage as usize].ns));
+        sheet.values((Time, "stage_max", "The longest time of each stage."), stages)?;
+        let led = plan.cycle.reference.as_deref().map(|bus| [("bus", bus)]);
+        sheet.numbers(&REFERENCE, led.zip(status.reference.as_ref()))?;
+        let named = || drives.iter().map(|drive| (name_of(drive), drive));
+        sheet.numbers(&DRIVE, named())?;
+        sheet.protocols(plan, drives)?;
+        let connected = named().enumerate().filter(|(index, _)| monitor.has_connection(*index));
+        sheet.numbers(&CONNECTION, connected.map(|(_, drive)| drive))?;
+        sheet.monitored(plan, drives)?;
+        sheet.numbers(&BUS, buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus)))?;
+        sheet.numbers(&DEVICE, devices.iter().map(|device| ([("device", device.name.as_str())], device)))?;
+        let clocks = buses.iter().zip(clocks);
+        let clocks =
+            clocks.filter_map(|((name, _), clock)| Some(([("bus", name.as_str())], clock.as_ref()?)));
+        sheet.numbers(&CLOCK, clocks)?;
         monitor.measured(|Measured { histograms, causes, .. }| {
-            sheet.histograms(histograms, &numbers.drives)?;
-            sheet.phase(monitor.plan(), histograms)?;
-            let found: Vec<Found> =
-                causes.ranked().iter().map(|tally| Found::of(tally, monitor.plan())).collect();
+            sheet.histograms(histograms, drives)?;
+            sheet.distributions(
+                "reference_error",
+                "Phase errors of the grid, late or early, since its first lock.",
+                led.map(|labels| (labels, &histograms.reference)),
+            )?;
+            let found: Vec<Found> = causes.ranked().iter().map(|tally| Found::of(tally, plan)).collect();
             sheet.causes(&found)
         })
     }
 }
+
+/// A family of one number: how it is written, its name, its help, and where the number is.
+type Field<T> = (Kind, &'static str, &'static str, fn(&T) -> u64);
+
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Count,
+    Gauge,
+    /// Of ns.
+    Time,
+}
+
+use Kind::{Count, Gauge, Time};
+
+const STATUS: [Field<Status>; 11] = [
+    (Count, "cycles_planned", "Slots of the grid.", |of| of.planned),
+    (Count, "cycles_executed", "Cycles executed.", |of| of.executed),
+    (Count, "cycles_skipped", "Slots skipped.", |of| of.skipped),
+    (Count, "overruns", "Times that a cycle ended too late for the next slot.", |of| of.overruns),
+    (Count, "late_cycles", "Cycles later than the late limit of the plan.", |of| of.late),
+    (Count, "telemetry_records_lost", RECORDS_LOST, |of| of.lost_records),
+    (Count, "events_lost", EVENTS_LOST, |of| of.lost_events),
+    (Gauge, "axes_online", "Axes online.", |of| of.online.into()),
+    (Gauge, "axes_operational", "Axes in operation.", |of| of.operational.into()),
+    (Time, "wake_up_max", LONGEST_WAKE_UP, |of| of.wake_max.ns),
+    (Time, "cycle_jitter_max", "Largest jitter of the cycle.", |of| of.jitter_max.ns),
+];
+const RECORDS_LOST: &str = "Records lost before the histograms: the telemetry ring was full.";
+const EVENTS_LOST: &str = "Events and samples lost because a queue of the application was full.";
+const LONGEST_WAKE_UP: &str = "Largest wake-up latency: start of a cycle after its grid point.";
+
+const REFERENCE: [Field<ReferenceStatus>; 6] = [
+    (Gauge, "reference_locked", "1 while the grid is locked to its reference clock.", |of| of.locked.into()),
+    (Count, "reference_lock_losses", "Times that the grid lost its lock.", |of| of.losses),
+    (Count, "reference_samples", "Executed cycles with a sample of the reference clock.", |of| of.samples),
+    (Count, "reference_silent_cycles", WITHOUT_SAMPLE, |of| of.silent),
+    (Time, "reference_error_max", LARGEST_ERROR, |of| of.error_max.ns),
+    (Time, "reference_step_max", "Largest step of the grid.", |of| of.step_max.ns),
+];
+const WITHOUT_SAMPLE: &str = "Executed cycles without a sample of the reference clock.";
+const LARGEST_ERROR: &str = "Largest phase error of the grid since its first lock.";
+
+const DRIVE: [Field<DriveEnd>; 16] = [
+    (Count, "drive_requests_sent", "Requests sent.", |of| of.counters.sent),
+    (Count, "drive_requests_unsent", UNSENT, |of| of.counters.unsent),
+    (Count, "drive_replies_in_time", "Requests answered in time.", |of| of.counters.answered),
+    (Count, "drive_replies_missed", "Requests not answered in time.", |of| of.counters.missed),
+    (Count, "drive_replies_late", "Replies after the receive deadline.", |of| of.counters.late),
+    (Count, "drive_replies_duplicate", "Duplicate replies.", |of| of.counters.duplicate),
+    (Count, "drive_replies_suspect", SUSPECT, |of| of.counters.suspect),
+    (Count, "drive_datagrams_rejected", REJECTED, |of| of.counters.malformed + of.counters.foreign),
+    (Count, "drive_link_losses", "Times that the link was lost.", |of| of.losses),
+    (Gauge, "drive_online", "1 while the link is up.", |of| (of.feedback.link == Link::Online).into()),
+    (Gauge, "drive_stopped", "1 while a stop is latched.", |of| of.feedback.stopped.is_some().into()),
+    (Gauge, "drive_inhibited", INHIBITED, |of| of.feedback.status.inhibited.into()),
+    (Gauge, "drive_fault", "Fault code, 0 = none.", |of| of.feedback.status.fault.into()),
+    (Time, "drive_round_trip_max", "The longest round trip.", |of| of.peaks.rtt.ns),
+    (Time, "drive_send_jitter_max", "The largest jitter of the requests.", |of| of.peaks.send_jitter.ns),
+    (Time, "drive_value_age_max", LARGEST_AGE, |of| of.peaks.age.ns),
+];
+const UNSENT: &str = "Requests not sent: refused by the operating system.";
+const SUSPECT: &str = "Replies that may belong to an earlier request.";
+const REJECTED: &str = "Malformed and unmatched datagrams from its address.";
+const INHIBITED: &str = "1 while the hardware enable (STO) is missing.";
+const LARGEST_AGE: &str = "Largest age of the feedback at the receive deadline.";
+
+/// Of drives that are reached by a connection.
+const CONNECTION: [Field<DriveEnd>; 1] =
+    [(Gauge, "drive_not_connected", NOT_CONNECTED, |of| of.not_connected.is_some().into())];
+const NOT_CONNECTED: &str = "1 while the connection to the drive cannot be opened.";
+
+const BUS: [Field<Unmatched>; 3] = [
+    (Count, "bus_unmatched", "Datagrams from unknown senders.", |of| of.datagrams),
+    (Count, "bus_dropped", DROPPED, |of| of.dropped),
+    (Count, "bus_receive_errors", "Errors of the receiving socket.", |of| of.errors),
+];
+const DROPPED: &str = "Datagrams dropped by the kernel because the receive buffer was full.";
+
+/// Of what takes part without being a drive.
+const DEVICE: [Field<DeviceEnd>; 1] =
+    [(Gauge, "device_not_operational", NOT_OPERATIONAL, |of| of.not_operational.is_some().into())];
+const NOT_OPERATIONAL: &str = "1 while a device that is not a drive is not in operation.";
+
+const CLOCK: [Field<BusClock>; 2] = [
+    (Gauge, "bus_clock_locked", CLOCK_LOCKED, |of| of.locked.into()),
+    (Time, "bus_clock_error_max", CLOCK_ERROR, |of| of.error_max_ns),
+];
+const CLOCK_LOCKED: &str = "1 while the clock of the bus and the grid are synchronised.";
+const CLOCK_ERROR: &str = "Largest phase error of that clock and the grid since they were synchronised.";
 
 /// Labels of a sample.
 type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
@@ -102,34 +190,32 @@ impl Sheet<'_> {
         Ok(())
     }
 
-    fn counters<'a, const N: usize>(
+    fn values<'a, const N: usize>(
         &mut self,
-        name: &str,
-        help: &str,
+        (kind, name, help): (Kind, &str, &str),
         samples: impl IntoIterator<Item = (Labels<'a, N>, u64)>,
     ) -> fmt::Result {
-        self.family((name, help), None, MetricType::Counter, samples, |to, count| {
-            to.encode_counter::<NoLabelSet, _, f64>(&count, None)
+        let (unit, metric) = match kind {
+            Count => (None, MetricType::Counter),
+            Gauge => (None, MetricType::Gauge),
+            Time => (Some(Unit::Seconds), MetricType::Gauge),
+        };
+        self.family((name, help), unit, metric, samples, |to, value| match kind {
+            Count => to.encode_counter::<NoLabelSet, _, f64>(&value, None),
+            Gauge => to.encode_gauge(&value),
+            Time => to.encode_gauge(&seconds(value)),
         })
     }
 
-    fn gauges<'a, const N: usize>(
+    /// A family for each of the fields, with a sample of each thing that has them.
+    fn numbers<'a, T: 'a, const N: usize>(
         &mut self,
-        name: &str,
-        help: &str,
-        samples: impl IntoIterator<Item = (Labels<'a, N>, u64)>,
+        fields: &[Field<T>],
+        of: impl IntoIterator<Item = (Labels<'a, N>, &'a T)> + Clone,
     ) -> fmt::Result {
-        self.family((name, help), None, MetricType::Gauge, samples, |to, value| to.encode_gauge(&value))
-    }
-
-    fn times<'a, const N: usize>(
-        &mut self,
-        name: &str,
-        help: &str,
-        samples: impl IntoIterator<Item = (Labels<'a, N>, u64)>,
-    ) -> fmt::Result {
-        self.family((name, help), Some(Unit::Seconds), MetricType::Gauge, samples, |to, ns| {
-            to.encode_gauge(&seconds(ns))
+        fields.iter().try_for_each(|(kind, name, help, value)| {
+            let samples = of.clone().into_iter().map(|(labels, of)| (labels, value(of)));
+            self.values((*kind, name, help), samples)
         })
     }
 
@@ -164,123 +250,13 @@ impl Sheet<'_> {
         let help = ("loop", "The program, and how its loop is scheduled.");
         self.family(help, None, MetricType::Info, [([], labels)], |to, labels| to.encode_info(&labels))?;
         let all = u64::from(granted.missing.is_empty());
-        self.gauges(
-            "realtime",
-            "1 if the loop got the scheduling and the locked memory of its plan.",
-            [([], all)],
-        )?;
+        let help = "1 if the loop got the scheduling and the locked memory of its plan.";
+        self.values((Gauge, "realtime", help), [([], all)])?;
         let help = ("steal", "Time that the hypervisor took from all cores since the start.");
         let steal = monitor.steal_ms().map(|ms| ([], ms * MS));
         self.family(help, Some(Unit::Seconds), MetricType::Counter, steal, |to, ns| {
             to.encode_counter::<NoLabelSet, _, f64>(&seconds(ns), None)
         })
-    }
-
-    fn cycle(&mut self, period_ns: u64, Numbers { status, .. }: &Numbers) -> fmt::Result {
-        self.times("cycle_period", "The period of the cycle.", [([], period_ns)])?;
-        for (name, help, count) in [
-            ("cycles_planned", "Slots of the grid.", status.planned),
-            ("cycles_executed", "Cycles executed.", status.executed),
-            ("cycles_skipped", "Slots skipped.", status.skipped),
-            ("overruns", "Times that a cycle ended too late for the next slot.", status.overruns),
-            ("late_cycles", "Cycles later than the late limit of the plan.", status.late),
-            (
-                "telemetry_records_lost",
-                "Records lost before the histograms: the telemetry ring was full.",
-                status.lost_records,
-            ),
-            (
-                "events_lost",
-                "Events and samples lost because a queue of the application was full.",
-                status.lost_events,
-            ),
-        ] {
-            self.counters(name, help, [([], count)])?;
-        }
-        self.gauges("axes_online", "Axes online.", [([], u64::from(status.online))])?;
-        self.gauges("axes_operational", "Axes in operation.", [([], u64::from(status.operational))])?;
-        self.times(
-            "wake_up_max",
-            "Largest wake-up latency: start of a cycle after its grid point.",
-            [([], status.wake_max.ns)],
-        )?;
-        self.times("cycle_jitter_max", "Largest jitter of the cycle.", [([], status.jitter_max.ns)])?;
-        let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], status.stage_max[stage as usize].ns));
-        self.times("stage_max", "The longest time of each stage.", stages)
-    }
-
-    fn reference(&mut self, plan: &Plan, Numbers { status, .. }: &Numbers) -> fmt::Result {
-        let led = status.reference.zip(plan.cycle.reference.as_deref());
-        let (led, bus) = (led.map(|(status, _)| status), led.map_or("", |(_, bus)| bus));
-        let of = |value: fn(&ReferenceStatus) -> u64| led.map(|status| ([("bus", bus)], value(&status)));
-        let locked = of(|status| status.locked.into());
-        self.gauges("reference_locked", "1 while the grid is locked to its reference clock.", locked)?;
-        let losses = of(|status| status.losses);
-        self.counters("reference_lock_losses", "Times that the grid lost its lock.", losses)?;
-        let samples = of(|status| status.samples);
-        self.counters("reference_samples", "Executed cycles with a sample of the reference clock.", samples)?;
-        let silent = of(|status| status.silent);
-        self.counters(
-            "reference_silent_cycles",
-            "Executed cycles without a sample of the reference clock.",
-            silent,
-        )?;
-        let error = of(|status| status.error_max.ns);
-        self.times("reference_error_max", "Largest phase error of the grid since its first lock.", error)?;
-        let step = of(|status| status.step_max.ns);
-        self.times("reference_step_max", "Largest step of the grid.", step)
-    }
-
-    fn drives(&mut self, drives: &[DriveEnd]) -> fmt::Result {
-        type Field = (&'static str, &'static str, fn(&DriveEnd) -> u64);
-        const COUNTS: [Field; 9] = [
-            ("drive_requests_sent", "Requests sent.", |drive| drive.counters.sent),
-            ("drive_requests_unsent", "Requests not sent: refused by the operating system.", |drive| {
-                drive.counters.unsent
-            }),
-            ("drive_replies_in_time", "Requests answered in time.", |drive| drive.counters.answered),
-            ("drive_replies_missed", "Requests not answered in time.", |drive| drive.counters.missed),
-            ("drive_replies_late", "Replies after the receive deadline.", |drive| drive.counters.late),
-            ("drive_replies_duplicate", "Duplicate replies.", |drive| drive.counters.duplicate),
-            ("drive_replies_suspect", "Replies that may belong to an earlier request.", |drive| {
-                drive.counters.suspect
-            }),
-            ("drive_datagrams_rejected", "Malformed and unmatched datagrams from its address.", |drive| {
-                drive.counters.malformed + drive.counters.foreign
-            }),
-            ("drive_link_losses", "Times that the link was lost.", |drive| drive.losses),
-        ];
-        const STATES: [Field; 4] = [
-            ("drive_online", "1 while the link is up.", |drive| {
-                u64::from(drive.feedback.link == Link::Online)
-            }),
-            ("drive_stopped", "1 while a stop is latched.", |drive| {
-                u64::from(drive.feedback.stopped.is_some())
-            }),
-            ("drive_inhibited", "1 while the hardware enable (STO) is missing.", |drive| {
-                u64::from(drive.feedback.status.inhibited)
-            }),
-            ("drive_fault", "Fault code, 0 = none.", |drive| u64::from(drive.feedback.status.fault)),
-        ];
-        const MAXIMA_NS: [Field; 3] = [
-            ("drive_round_trip_max", "The longest round trip.", |drive| drive.peaks.rtt.ns),
-            ("drive_send_jitter_max", "The largest jitter of the requests.", |drive| {
-                drive.peaks.send_jitter.ns
-            }),
-            ("drive_value_age_max", "Largest age of the feedback at the receive deadline.", |drive| {
-                drive.peaks.age.ns
-            }),
-        ];
-        for (name, help, value) in COUNTS {
-            self.counters(name, help, drives.iter().map(|drive| (name_of(drive), value(drive))))?;
-        }
-        for (name, help, value) in STATES {
-            self.gauges(name, help, drives.iter().map(|drive| (name_of(drive), value(drive))))?;
-        }
-        for (name, help, value) in MAXIMA_NS {
-            self.times(name, help, drives.iter().map(|drive| (name_of(drive), value(drive))))?;
-        }
-        Ok(())
     }
 
     fn protocols(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
@@ -290,14 +266,7 @@ impl Sheet<'_> {
                 .zip(drive.counters.own)
                 .map(move |(OwnCounter { key, .. }, count)| (labels(*key), count))
         });
-        self.counters("drive_protocol_events", "Counters of the protocol of the drive.", samples)
-    }
-
-    fn connections(&mut self, monitor: &Monitor, drives: &[DriveEnd]) -> fmt::Result {
-        let samples = (drives.iter().enumerate())
-            .filter(|(index, _)| monitor.has_connection(*index))
-            .map(|(_, drive)| (name_of(drive), u64::from(drive.not_connected.is_some())));
-        self.gauges("drive_not_connected", "1 while the connection to the drive cannot be opened.", samples)
+        self.values((Count, "drive_protocol_events", "Counters of the protocol of the drive."), samples)
     }
 
     fn monitored(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
@@ -336,48 +305,6 @@ impl Sheet<'_> {
         Ok(())
     }
 
-    /// What takes part without being a drive, and the clocks of the buses.
-    fn lines(&mut self, Numbers { buses, clocks, devices, .. }: &Numbers) -> fmt::Result {
-        let samples = devices
-            .iter()
-            .map(|device| ([("device", device.name.as_str())], u64::from(device.not_operational.is_some())));
-        self.gauges(
-            "device_not_operational",
-            "1 while a device that is not a drive is not in operation.",
-            samples,
-        )?;
-        let clocks: Vec<_> = buses
-            .iter()
-            .zip(clocks)
-            .filter_map(|((name, _), clock)| Some(([("bus", name.as_str())], (*clock)?)))
-            .collect();
-        let locked = clocks.iter().map(|(bus, clock)| (*bus, u64::from(clock.locked)));
-        self.gauges(
-            "bus_clock_locked",
-            "1 while the clock of the bus and the grid are synchronised.",
-            locked,
-        )?;
-        let error = clocks.iter().map(|(bus, clock)| (*bus, clock.error_max_ns));
-        self.times(
-            "bus_clock_error_max",
-            "Largest phase error of that clock and the grid since they were synchronised.",
-            error,
-        )
-    }
-
-    fn buses(&mut self, Numbers { buses, .. }: &Numbers) -> fmt::Result {
-        let unmatched = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
-        self.counters("bus_unmatched", "Datagrams from unknown senders.", unmatched)?;
-        let dropped = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.dropped));
-        self.counters(
-            "bus_dropped",
-            "Datagrams dropped by the kernel because the receive buffer was full.",
-            dropped,
-        )?;
-        let errors = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.errors));
-        self.counters("bus_receive_errors", "Errors of the receiving socket.", errors)
-    }
-
     fn histograms(&mut self, histograms: &Histograms, drives: &[DriveEnd]) -> fmt::Result {
         let Histograms { wake, jitter, .. } = histograms;
         self.distributions(
@@ -392,27 +319,17 @@ impl Sheet<'_> {
         )?;
         let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], histograms.stage(stage)));
         self.distributions("stage", "Time of each stage of a cycle.", stages)?;
-        let drives =
-            || drives.iter().zip(&histograms.drives).map(|(drive, measured)| (name_of(drive), measured));
-        let rtt = drives().map(|(labels, drive)| (labels, &drive.rtt));
-        self.distributions("drive_round_trip", "Round trips.", rtt)?;
-        let jitter = drives().map(|(labels, drive)| (labels, &drive.send_jitter));
-        self.distributions(
-            "drive_send_jitter",
-            "Differences between the distance of two requests and that of their grid points.",
-            jitter,
-        )?;
-        let age = drives().map(|(labels, drive)| (labels, &drive.age));
-        self.distributions("drive_value_age", "Age of the feedback at the receive deadline.", age)
-    }
-
-    fn phase(&mut self, plan: &Plan, histograms: &Histograms) -> fmt::Result {
-        let led = plan.cycle.reference.as_deref().map(|bus| ([("bus", bus)], &histograms.reference));
-        self.distributions(
-            "reference_error",
-            "Phase errors of the grid, late or early, since its first lock.",
-            led,
-        )
+        const DRIVE: [(&str, &str, fn(&DriveHistograms) -> &Quantity); 3] = [
+            ("drive_round_trip", "Round trips.", |of| &of.rtt),
+            ("drive_send_jitter", SEND_JITTER, |of| &of.send_jitter),
+            ("drive_value_age", "Age of the feedback at the receive deadline.", |of| &of.age),
+        ];
+        const SEND_JITTER: &str =
+            "Differences between the distance of two requests and that of their grid points.";
+        DRIVE.into_iter().try_for_each(|(name, help, of)| {
+            let drives = drives.iter().zip(&histograms.drives);
+            self.distributions(name, help, drives.map(|(drive, measured)| (name_of(drive), of(measured))))
+        })
     }
 
     fn causes(&mut self, found: &[Found]) -> fmt::Result {
@@ -423,11 +340,8 @@ impl Sheet<'_> {
                 found.count,
             )
         });
-        self.counters(
-            "late_cycles_explained",
-            "Late cycles by their cause; the newest are not explained yet.",
-            samples,
-        )
+        let help = "Late cycles by their cause; the newest are not explained yet.";
+        self.values((Count, "late_cycles_explained", help), samples)
     }
 }
 
@@ -441,12 +355,13 @@ fn seconds(ns: u64) -> f64 {
 
 /// The samples of each bucket, and those beyond.
 fn buckets(histogram: &Quantity) -> Vec<(f64, u64)> {
-    let ends = BUCKETS.iter().map(|end| seconds(*end)).chain([f64::INFINITY]);
-    let mut buckets: Vec<(f64, u64)> = ends.map(|end| (end, 0)).collect();
+    let ends = BUCKETS_US.map(|us| us * US);
+    let mut buckets: Vec<(f64, u64)> = ends.iter().map(|end| (seconds(*end), 0)).collect();
+    buckets.push((f64::INFINITY, 0));
     for step in histogram.iter_recorded() {
         // The middle of its bin stands for a sample, as it does in the sum.
         let value = histogram.median_equivalent(step.value_iterated_to());
-        let place = BUCKETS.partition_point(|end| *end < value);
+        let place = ends.partition_point(|end| *end < value);
         buckets[place].1 += step.count_since_last_iteration();
     }
     buckets

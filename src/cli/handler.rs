@@ -1,4 +1,4 @@
-//! What the program does beside a running master: the live line, what happened to links and black boxes, the service
+//! What the program does next to a running master: the live line, what happened to links and black boxes, the service
 //! manager, the control socket, and SIGUSR1.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use fieldbeat::axis::{Axis, Fault, FaultNames, Link, StopCause};
-use fieldbeat::control::{Answering, Desk, Server, place};
+use fieldbeat::control::{Answering, Server, Session, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::blackbox::Written;
@@ -27,7 +27,7 @@ const MOST_REASONS: usize = 64;
 
 /// Looks after a master.
 #[derive(Debug)]
-pub struct Attendant {
+pub struct Handler {
     live: Live,
     service: Service,
     interrupt: Interrupt,
@@ -40,7 +40,7 @@ pub struct Attendant {
     devices: Vec<Known>,
     /// All of them were online once.
     complete: bool,
-    /// The number of the last file of the black box that was told of, and of the last emergency.
+    /// The number of the last file of the black box that was reported, and of the last emergency.
     black_boxes: usize,
     emergencies: u64,
     /// How many failures of the program itself were reported.
@@ -49,14 +49,14 @@ pub struct Attendant {
     is_blind: bool,
 }
 
-impl Attendant {
+impl Handler {
     /// Begins. Without a control socket the master runs all the same.
-    pub fn new(master: &Master, interrupt: &Interrupt) -> Attendant {
+    pub fn new(master: &Master, interrupt: &Interrupt) -> Handler {
         let control = serve(master);
         if let Err(why) = &control {
             complain(&format!("no `fieldbeat status`: {why}"));
         }
-        Attendant {
+        Handler {
             live: Live::new(),
             service: Service::ready(),
             interrupt: interrupt.clone(),
@@ -74,7 +74,7 @@ impl Attendant {
     }
 
     /// Takes the events of these axes, which nobody else wants.
-    pub fn taking(mut self, axes: Vec<Axis>) -> Attendant {
+    pub fn taking(mut self, axes: Vec<Axis>) -> Handler {
         self.axes = axes;
         self
     }
@@ -172,7 +172,8 @@ impl Attendant {
         let drives = master.observers().iter().zip(&mut self.drives);
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
-            let apart = known.not_connected(feedback.link, now, || master.not_connected(index));
+            let why = known.stands(feedback.link, now, || master.not_connected(index));
+            let apart = why.map(|why| format!("not connected: {why}"));
             let other = known.other_master(feedback.stopped);
             for news in apart.into_iter().chain(known.fault(feedback.status.fault)).chain(other) {
                 self.live.say(&format!("drive {name}: {news}"));
@@ -185,38 +186,42 @@ impl Attendant {
         let now = Instant::now();
         for (device, known) in master.devices().into_iter().zip(&mut self.devices) {
             let link = if device.not_operational.is_some() { Link::Unseen } else { Link::Online };
-            let was_told = known.apart.iter().any(|apart| apart.told);
+            let was_reported = known.apart.iter().any(|apart| apart.reported);
             let why = known.stands(link, now, || device.not_operational);
             let news = why.map(|why| format!("not in operation: {why}"));
-            let back = (was_told && link == Link::Online).then(|| "in operation".to_owned());
+            let back = (was_reported && link == Link::Online).then(|| "in operation".to_owned());
             for news in news.into_iter().chain(back) {
                 self.live.say(&format!("device {}: {news}", device.name));
             }
         }
     }
 
-    /// Says what drives told by themselves.
+    /// Says what drives reported by themselves.
     fn look_at_emergencies(&mut self, master: &Master) {
         let before = self.emergencies;
         let new: Vec<DriveEmergency> = master.measured(|measured| {
-            measured.emergencies.iter().filter(|told| told.number > before).copied().collect()
+            measured.emergencies.iter().filter(|one| one.number > before).copied().collect()
         });
-        for told in new {
-            let missed = told.number - self.emergencies - 1;
-            self.emergencies = told.number;
+        for newest in new {
+            let missed = newest.number - self.emergencies - 1;
+            self.emergencies = newest.number;
             if missed > 0 {
                 self.live.say(&format!("{missed} emergencies before the next one came too fast to be shown"));
             }
-            let ((name, _), known) = (&master.observers()[told.axis], &self.drives[told.axis]);
-            let fault = Fault::new(told.emergency.code.into(), known.fault_names);
-            self.live.say(&format!("drive {name}: {} (cycle {})", told.emergency.told(fault), told.cycle));
+            let ((name, _), known) = (&master.observers()[newest.axis], &self.drives[newest.axis]);
+            let fault = Fault::new(newest.emergency.code.into(), known.fault_names);
+            self.live.say(&format!(
+                "drive {name}: {} (cycle {})",
+                newest.emergency.told(fault),
+                newest.cycle
+            ));
         }
     }
 
     fn look_at_black_boxes(&mut self, master: &Master) {
-        let told = self.black_boxes;
+        let shown = self.black_boxes;
         let new: Vec<Written> = master.measured(|measured| {
-            measured.black_boxes.iter().filter(|written| written.number > told).cloned().collect()
+            measured.black_boxes.iter().filter(|written| written.number > shown).cloned().collect()
         });
         for written in new {
             self.black_boxes = written.number;
@@ -225,7 +230,7 @@ impl Attendant {
     }
 }
 
-/// What was told of a drive.
+/// What was reported of a drive.
 #[derive(Debug)]
 struct Known {
     fault_names: FaultNames,
@@ -241,22 +246,12 @@ struct Known {
 struct Apart {
     why: String,
     first_seen: Instant,
-    told: bool,
+    reported: bool,
 }
 
 impl Known {
     fn new(fault_names: FaultNames) -> Known {
         Known { fault_names, fault: 0, other_master: false, apart: Vec::new() }
-    }
-
-    /// Why it has no connection, if that stands.
-    fn not_connected(
-        &mut self,
-        link: Link,
-        now: Instant,
-        why: impl FnOnce() -> Option<String>,
-    ) -> Option<String> {
-        self.stands(link, now, why).map(|why| format!("not connected: {why}"))
     }
 
     /// A reason that stands: each once, however often it is tried.
@@ -268,14 +263,14 @@ impl Known {
         let why = why()?;
         let Some(known) = self.apart.iter_mut().find(|known| known.why == why) else {
             if self.apart.len() < MOST_REASONS {
-                self.apart.push(Apart { why, first_seen: now, told: false });
+                self.apart.push(Apart { why, first_seen: now, reported: false });
             }
             return None;
         };
-        if known.told || now.duration_since(known.first_seen) < STANDS_FOR {
+        if known.reported || now.duration_since(known.first_seen) < STANDS_FOR {
             return None;
         }
-        known.told = true;
+        known.reported = true;
         Some(why)
     }
 
@@ -307,7 +302,7 @@ fn serve(master: &Master) -> Result<Server, String> {
     let open = move || Conversation {
         monitor: monitor.clone(),
         config: config.clone(),
-        desk: Desk::new(acyclics.clone()),
+        session: Session::new(acyclics.clone()),
     };
     Server::start(&path, move || helper_thread(core), open).map_err(|error| error.to_string())
 }
@@ -316,7 +311,7 @@ fn serve(master: &Master) -> Result<Server, String> {
 struct Conversation {
     monitor: Monitor,
     config: Option<PathBuf>,
-    desk: Desk,
+    session: Session,
 }
 
 impl Answering for Conversation {
@@ -324,13 +319,13 @@ impl Answering for Conversation {
         if question["ask"] == "status" {
             return Ok(status(&self.monitor, self.config.as_deref()));
         }
-        self.desk.answer(question, go_on).unwrap_or_else(|| {
+        self.session.answer(question, go_on).unwrap_or_else(|| {
             Err("this master does not know that question; is it another version?".to_owned())
         })
     }
 
     fn end(&mut self, go_on: &dyn Fn() -> bool) {
-        self.desk.end(go_on);
+        self.session.end(go_on);
     }
 }
 
@@ -350,39 +345,39 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reason_that_stands_is_told_once_until_the_drive_was_online() {
+    fn a_reason_that_stands_is_reported_once_until_the_drive_was_online() {
         let mut known = Known::new(|_| None);
         let mut now = Instant::now();
-        let mut told = |link, why: Option<&str>, wait: Duration| {
+        let mut reported = |link, why: Option<&str>, wait: Duration| {
             now += wait;
-            known.not_connected(link, now, || why.map(str::to_owned))
+            known.stands(link, now, || why.map(str::to_owned))
         };
         let short = STANDS_FOR / 4;
         // On the way up it is many things.
         for why in [None, Some("begins"), Some("waits"), Some("begins"), None] {
-            assert_eq!(told(Link::Unseen, why, short), None);
+            assert_eq!(reported(Link::Unseen, why, short), None);
         }
-        let not = |why: &str| Some(format!("not connected: {why}"));
-        assert_eq!(told(Link::Unseen, Some("begins"), short), not("begins"));
-        assert_eq!(told(Link::Unseen, Some("refused"), short), None);
-        assert_eq!(told(Link::Qualifying, Some("refused"), STANDS_FOR), not("refused"));
-        assert_eq!(told(Link::Unseen, Some("silent"), short), None);
+        let not = |why: &str| Some(why.to_owned());
+        assert_eq!(reported(Link::Unseen, Some("begins"), short), not("begins"));
+        assert_eq!(reported(Link::Unseen, Some("refused"), short), None);
+        assert_eq!(reported(Link::Qualifying, Some("refused"), STANDS_FOR), not("refused"));
+        assert_eq!(reported(Link::Unseen, Some("silent"), short), None);
         // It is tried again and again, and is many things each time.
-        assert_eq!(told(Link::Unseen, Some("begins"), STANDS_FOR), None, "known");
-        assert_eq!(told(Link::Unseen, Some("silent"), short), not("silent"));
+        assert_eq!(reported(Link::Unseen, Some("begins"), STANDS_FOR), None, "known");
+        assert_eq!(reported(Link::Unseen, Some("silent"), short), not("silent"));
         for why in [Some("refused"), None, Some("refused"), Some("silent"), Some("silent")] {
-            assert_eq!(told(Link::Unseen, why, STANDS_FOR), None, "known");
+            assert_eq!(reported(Link::Unseen, why, STANDS_FOR), None, "known");
         }
-        assert_eq!(told(Link::Online, Some("refused"), short), None);
-        assert_eq!(told(Link::Lost, Some("refused"), STANDS_FOR), None);
-        assert_eq!(told(Link::Lost, Some("refused"), STANDS_FOR), not("refused"));
+        assert_eq!(reported(Link::Online, Some("refused"), short), None);
+        assert_eq!(reported(Link::Lost, Some("refused"), STANDS_FOR), None);
+        assert_eq!(reported(Link::Lost, Some("refused"), STANDS_FOR), not("refused"));
     }
 
     #[test]
-    fn a_fault_is_told_by_its_name_when_it_comes_changes_and_goes() {
+    fn a_fault_is_reported_by_its_name_when_it_comes_changes_and_goes() {
         let mut known = Known::new(|code| (code == 30).then_some("watchdog"));
-        let told: Vec<_> = [0, 30, 30, 7, 0, 0].into_iter().map(|code| known.fault(code)).collect();
-        let text: Vec<_> = told.iter().map(Option::as_deref).collect();
+        let reported: Vec<_> = [0, 30, 30, 7, 0, 0].into_iter().map(|code| known.fault(code)).collect();
+        let text: Vec<_> = reported.iter().map(Option::as_deref).collect();
         let expected = [
             None,
             Some("fault 0x001e (30, watchdog)"),

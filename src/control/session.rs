@@ -21,53 +21,53 @@ const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
 
 /// The drives, and what this conversation has of them. All of that ends with it.
 #[derive(Debug)]
-pub struct Desk {
-    drives: Vec<Place>,
+pub struct Session {
+    drives: Vec<Held>,
 }
 
 /// One drive.
 #[derive(Debug)]
-struct Place {
+struct Held {
     acyclic: Acyclic,
     claim: Option<Box<dyn Any + Send>>,
     /// What is carried out should the conversation end before it is taken back.
     legacy: Vec<Call>,
 }
 
-impl Desk {
-    /// A desk for these drives.
-    pub fn new(acyclics: Vec<Acyclic>) -> Desk {
-        let place = |acyclic| Place { acyclic, claim: None, legacy: Vec::new() };
-        Desk { drives: acyclics.into_iter().map(place).collect() }
+impl Session {
+    /// A session with these drives.
+    pub fn new(acyclics: Vec<Acyclic>) -> Session {
+        let held = |acyclic| Held { acyclic, claim: None, legacy: Vec::new() };
+        Session { drives: acyclics.into_iter().map(held).collect() }
     }
 
     /// Answers the questions that are about drives; `None` to any other.
     pub fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Option<Result<Value, String>> {
-        let asked = question["ask"].as_str()?;
-        if !["drive", "claim", "release", "condition", "calls", "bequeath"].contains(&asked) {
+        let request = question["ask"].as_str()?;
+        if !["drive", "claim", "release", "condition", "calls", "bequeath"].contains(&request) {
             return None;
         }
         let name = question["drive"].as_str().unwrap_or_default();
-        let Some(place) = self.drives.iter_mut().find(|place| place.acyclic.axis() == name) else {
+        let Some(held) = self.drives.iter_mut().find(|held| held.acyclic.axis() == name) else {
             return Some(Err(format!(
                 "this master has no drive {name:?}; does it run another configuration?"
             )));
         };
-        let acyclic = &place.acyclic;
-        Some(match asked {
+        let acyclic = &held.acyclic;
+        Some(match request {
             "drive" => {
                 let protocol = acyclic.notation().protocol();
                 Ok(json!({ "protocol": protocol, "capacity": acyclic.capacity() }))
             }
             "claim" => match acyclic.claim() {
                 Ok(claim) => {
-                    place.claim = Some(claim);
+                    held.claim = Some(claim);
                     Ok(json!({ "claimed": true }))
                 }
                 Err(error) => Ok(json!({ "failed": error })),
             },
             "release" => {
-                place.claim = None;
+                held.claim = None;
                 Ok(json!({ "released": true }))
             }
             "condition" => Ok(match acyclic.condition() {
@@ -75,8 +75,8 @@ impl Desk {
                 Err(error) => json!({ "failed": error }),
             }),
             "bequeath" => calls_of(acyclic, question).map(|calls| {
-                place.legacy = calls;
-                json!({ "bequeathed": place.legacy.len() })
+                held.legacy = calls;
+                json!({ "bequeathed": held.legacy.len() })
             }),
             _ => calls_of(acyclic, question).map(|calls| {
                 let limit = question["limit_ms"].as_u64().map_or(Duration::ZERO, Duration::from_millis);
@@ -88,9 +88,9 @@ impl Desk {
     /// The conversation is over: carries out what it left to be done, while `go_on`. What it had claimed stays claimed
     /// until then.
     pub fn end(&mut self, go_on: &dyn Fn() -> bool) {
-        for place in &mut self.drives {
-            let attended = Attended { acyclic: &place.acyclic, go_on };
-            for call in std::mem::take(&mut place.legacy) {
+        for held in &mut self.drives {
+            let attended = Attended { acyclic: &held.acyclic, go_on };
+            for call in std::mem::take(&mut held.legacy) {
                 // The client has gone: there is nobody to report to.
                 let _ = attended.insist(call, LEGACY_LIMIT, LEGACY_PATIENCE);
             }

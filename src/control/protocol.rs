@@ -18,22 +18,22 @@ pub const LOOK_EVERY: Duration = Duration::from_millis(50);
 const PIECE: usize = 16 << 10;
 
 /// A conversation that ends in time.
-pub struct Talk<'a> {
+pub struct Exchange<'a> {
     stream: &'a UnixStream,
     until: Instant,
     go_on: &'a dyn Fn() -> bool,
 }
 
-impl<'a> Talk<'a> {
+impl<'a> Exchange<'a> {
     /// All of it takes `patience` at most, and ends once `go_on` is false.
     pub fn new(
         stream: &'a UnixStream,
         patience: Duration,
         go_on: &'a dyn Fn() -> bool,
-    ) -> io::Result<Talk<'a>> {
+    ) -> io::Result<Exchange<'a>> {
         stream.set_read_timeout(Some(LOOK_EVERY))?;
         stream.set_write_timeout(Some(LOOK_EVERY))?;
-        Ok(Talk { stream, until: Instant::now() + patience, go_on })
+        Ok(Exchange { stream, until: Instant::now() + patience, go_on })
     }
 
     /// Everything up to the end of the line, of the stream, or of `most` bytes.

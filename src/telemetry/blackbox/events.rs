@@ -12,12 +12,12 @@ use crate::axis::{Command, Link};
 use crate::cycle::record::{
     CycleRecord, DriveRecord, Lateness, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
 };
-use crate::telemetry::summary::{decimals, plain, plural, told};
+use crate::telemetry::summary::{decimals, plain, plural, reported};
 use crate::time::{Ns, S, three_digits};
 
 /// Something that changed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Happening {
+pub struct Event {
     /// The cycle.
     pub cycle: u64,
     /// Seconds from the failure; negative before it.
@@ -34,7 +34,7 @@ pub struct Happening {
     pub worst_ns: Option<u64>,
 }
 
-/// What a record adds to the story.
+/// What a record adds.
 struct News {
     what: String,
     /// A disturbance: its kind, and how long it was, ns. `None` = a change of state.
@@ -58,9 +58,9 @@ const WIDEST_NAME: usize = 64;
 /// to the one before of its kind if nothing has changed since then, with its drive or, for the loop, with any: late
 /// cycles before a lost link are not those after it. A change belongs to the same one before, on the same side of the
 /// failure.
-pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
+pub fn events(header: &Header, records: &[Record]) -> Vec<Event> {
     let mut known: Vec<Option<DriveRecord>> = vec![None; header.axes.len()];
-    let mut told: Vec<Happening> = Vec::new();
+    let mut found: Vec<Event> = Vec::new();
     let (the_loop, the_reference) = (header.axes.len(), header.axes.len() + 1);
     // What may be repeated: by its axis, or the loop, or what leads its grid, and its kind or its words.
     let mut disturbances: BTreeMap<(usize, &'static str), usize> = BTreeMap::new();
@@ -76,7 +76,7 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
                     None => vec![News::change(format!("{}, {}{}", drive.link, drive.state, running(drive)))],
                 };
                 let fault = |code| header.axes[axis].fault(code);
-                let emergency = drive.emergency().map(|told| told.told(fault(told.code.into())));
+                let emergency = drive.emergency().map(|one| one.told(fault(one.code.into())));
                 news.extend(emergency.map(News::change));
                 (drive.index, axis, news)
             }
@@ -94,11 +94,11 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
         };
         for News { what, disturbance } in news {
             let earlier = match disturbance {
-                Some((kind, _)) => *disturbances.entry((place, kind)).or_insert(told.len()),
-                None => *changed.entry((place, cycle >= header.cycle, what.clone())).or_insert(told.len()),
+                Some((kind, _)) => *disturbances.entry((place, kind)).or_insert(found.len()),
+                None => *changed.entry((place, cycle >= header.cycle, what.clone())).or_insert(found.len()),
             };
             let ns = disturbance.and_then(|(_, ns)| ns);
-            if let Some(one) = told.get_mut(earlier) {
+            if let Some(one) = found.get_mut(earlier) {
                 (one.times, one.until, one.worst_ns) = (one.times + 1, cycle, one.worst_ns.max(ns));
                 continue;
             }
@@ -107,10 +107,10 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
             }
             let drive = header.axes.get(place).map(|axis| axis.name.clone());
             let at_s = seconds(header, cycle);
-            told.push(Happening { cycle, at_s, drive, what, times: 1, until: cycle, worst_ns: ns });
+            found.push(Event { cycle, at_s, drive, what, times: 1, until: cycle, worst_ns: ns });
         }
     }
-    told
+    found
 }
 
 /// A span with three significant digits.
@@ -176,40 +176,40 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
         Reply::Suspect => disturbance("the reply may belong to an earlier request"),
         _ => None,
     };
-    let mut told = Vec::new();
+    let mut found = Vec::new();
     if before.verb != now.verb {
-        told.push(match now.verb {
+        found.push(match now.verb {
             0 => format!("{} ended", verb(before.verb)),
             code => format!("{} begins", verb(code)),
         });
     }
     if before.state != now.state {
-        told.push(format!("{} -> {}", before.state, now.state));
+        found.push(format!("{} -> {}", before.state, now.state));
     }
     if before.inhibited != now.inhibited {
-        told.push(format!("hardware enable (STO) {}", if now.inhibited { "missing" } else { "present" }));
+        found.push(format!("hardware enable (STO) {}", if now.inhibited { "missing" } else { "present" }));
     }
     if before.warning != now.warning {
-        told.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
+        found.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
     }
     if before.fault != now.fault {
-        told.push(format!("fault {} -> {}", axis.fault(before.fault), axis.fault(now.fault)));
+        found.push(format!("fault {} -> {}", axis.fault(before.fault), axis.fault(now.fault)));
     }
     if before.link != now.link {
-        told.push(format!("link {} -> {}", before.link, now.link));
+        found.push(format!("link {} -> {}", before.link, now.link));
     }
     if before.stopped != now.stopped {
-        told.push(match now.stopped {
+        found.push(match now.stopped {
             Some(cause) => format!("stopped: {cause}"),
             None => "stop reset".to_owned(),
         });
     }
-    disturbance.into_iter().chain(told.into_iter().map(News::change)).collect()
+    disturbance.into_iter().chain(found.into_iter().map(News::change)).collect()
 }
 
-/// The story as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that
+/// The events as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that
 /// it happened to.
-pub fn tell(header: &Header, records: &[Record], cycles: u64) -> String {
+pub fn text(header: &Header, records: &[Record], cycles: u64) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     let _ = write(&mut text, header, records, cycles);
@@ -236,9 +236,9 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
         plural(records.len() as u64, "record")
     )?;
     writeln!(text, "\nwhat happened (0 s: the failure)")?;
-    let happenings = happenings(header, records);
+    let events = events(header, records);
     let wide = header.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).clamp(4, WIDEST_NAME);
-    for one in &happenings {
+    for one in &events {
         let who = one.drive.as_deref().unwrap_or("loop");
         write!(text, "{:>+10.4} s  cycle {:<10} {who:wide$}  {}", one.at_s, one.cycle, one.what)?;
         if one.times > 1 {
@@ -279,7 +279,7 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
         }
         writeln!(text)?;
     }
-    courses(header, records, &happenings, cycles).iter().try_for_each(|course| write_course(text, course))
+    courses(header, records, &events, cycles).iter().try_for_each(|course| write_course(text, course))
 }
 
 fn write_course(text: &mut String, Course { name, unit, monitor, rows }: &Course) -> std::fmt::Result {
@@ -363,10 +363,10 @@ pub struct Row {
 }
 
 /// The drives that it happened to, from `cycles` cycles before the failure on.
-pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cycles: u64) -> Vec<Course> {
+pub fn courses(header: &Header, records: &[Record], events: &[Event], cycles: u64) -> Vec<Course> {
     let shown = around(header, cycles);
     let mut courses: Vec<Option<Course>> = vec![None; header.axes.len()];
-    for axis in concerned(header, happenings, cycles) {
+    for axis in concerned(header, events, cycles) {
         let of = &header.axes[axis];
         let (name, unit) = (of.name.clone(), of.unit.clone());
         let monitor = of.monitor.iter().flatten().cloned().collect();
@@ -382,8 +382,8 @@ pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cy
                     rtt_ns: drive.rtt_ns,
                     link: drive.link.to_string(),
                     state: drive.state.to_string(),
-                    position: told(drive.position),
-                    demand: told(drive.demand),
+                    position: reported(drive.position),
+                    demand: reported(drive.demand),
                     velocity: Some(drive.velocity).filter(|velocity| velocity.is_finite()),
                     current: Some(drive.current).filter(|current| current.is_finite()),
                     monitor: vec![None; course.monitor.len()],
@@ -393,7 +393,7 @@ pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cy
                 let axis = usize::from(of.axis);
                 let Some(Some(course)) = courses.get_mut(axis) else { continue };
                 let Some(row) = course.rows.last_mut().filter(|row| row.cycle == of.index) else { continue };
-                let values = of.shown.values().map(|value| value.and_then(told));
+                let values = of.shown.values().map(|value| value.and_then(reported));
                 let channels = header.axes[axis].monitor.iter().zip(values);
                 row.monitor =
                     channels.filter_map(|(channel, value)| channel.as_ref().map(|_| value)).collect();
@@ -410,11 +410,11 @@ fn around(header: &Header, cycles: u64) -> RangeInclusive<u64> {
 }
 
 /// The drives to which something happened around the failure; all of them if it was to none.
-fn concerned(header: &Header, happenings: &[Happening], cycles: u64) -> Vec<usize> {
-    let until = |one: &Happening| one.until.saturating_add(1).saturating_add(cycles);
-    let near = |one: &Happening| until(one) > header.cycle && one.cycle <= header.cycle;
+fn concerned(header: &Header, events: &[Event], cycles: u64) -> Vec<usize> {
+    let until = |one: &Event| one.until.saturating_add(1).saturating_add(cycles);
+    let near = |one: &Event| until(one) > header.cycle && one.cycle <= header.cycle;
     let met = |axis: &usize| {
-        happenings.iter().any(|one| near(one) && one.drive.as_ref() == Some(&header.axes[*axis].name))
+        events.iter().any(|one| near(one) && one.drive.as_ref() == Some(&header.axes[*axis].name))
     };
     let some: Vec<usize> = (0..header.axes.len()).filter(met).collect();
     if some.is_empty() { (0..header.axes.len()).collect() } else { some }
@@ -465,7 +465,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leads_the_grid_is_told_when_it_changes_and_its_silence_once() {
+    fn what_leads_the_grid_is_reported_when_it_changes_and_its_silence_once() {
         let (mut header, _) = machine();
         header.reference = Some("line".into());
         let mut records = Vec::new();
@@ -486,21 +486,21 @@ mod tests {
             }));
             records.push(Record::Cycle(CycleRecord { index, wake_ns: 412_000, ..CycleRecord::default() }));
         }
-        let happenings = happenings(&header, &records);
-        let of_line = happenings.iter().filter(|one| one.what.contains("line"));
-        let told: Vec<_> = of_line.map(|one| (one.cycle, one.times, one.what.as_str())).collect();
+        let events = events(&header, &records);
+        let of_line = events.iter().filter(|one| one.what.contains("line"));
+        let found: Vec<_> = of_line.map(|one| (one.cycle, one.times, one.what.as_str())).collect();
         let expected = [
             (90, 1, "grid not locked to line"),
             (92, 1, "lock to line found: 300 ns late"),
             (95, 3, "no phase from line"),
             (103, 1, "lock to line lost: 250 us late"),
         ];
-        assert_eq!(told, expected);
+        assert_eq!(found, expected);
         // The late wake-ups are counted between the changes of the lock.
-        let woke = happenings.iter().filter(|one| one.what.starts_with("woke"));
+        let woke = events.iter().filter(|one| one.what.starts_with("woke"));
         let counted: Vec<_> = woke.map(|one| (one.cycle, one.times, one.until)).collect();
         assert_eq!(counted, [(90, 2, 91), (92, 11, 102), (103, 3, 105)]);
-        let text = tell(&header, &records, 8);
+        let text = text(&header, &records, 8);
         assert!(text.lines().any(|line| line.ends_with("phase      step")), "{text}");
         assert!(
             text.lines()
@@ -509,9 +509,9 @@ mod tests {
     }
 
     #[test]
-    fn the_way_to_a_lost_link_is_told_in_its_order() {
+    fn the_way_to_a_lost_link_is_reported_in_its_order() {
         let (header, records) = machine();
-        let told: Vec<String> = happenings(&header, &records)
+        let found: Vec<String> = events(&header, &records)
             .into_iter()
             .map(|one| {
                 format!(
@@ -524,7 +524,7 @@ mod tests {
             })
             .collect();
         assert_eq!(
-            told,
+            found,
             [
                 "96 x online, OperationEnabled, follow x1",
                 "96 long online, OperationEnabled, follow x1",
@@ -540,7 +540,7 @@ mod tests {
     #[test]
     fn the_tables_show_the_drive_it_happened_to() {
         let (header, records) = machine();
-        let text = tell(&header, &records, 4);
+        let text = text(&header, &records, 4);
         assert!(text.contains("drive x, mm") && !text.contains("drive long, mm"), "{text}");
         assert!(text.contains("   -0.0040 s  cycle 99         loop  woke 412 us late"), "{text}");
         assert!(text.contains("no reply ... 4 times until cycle 103\n"), "{text}");
@@ -563,7 +563,7 @@ mod tests {
                 records.push(Record::Cycle(CycleRecord { wake_ns: 4 * cycle.wake_ns, ..cycle }));
             }
         }
-        let text = tell(&header, &records, 0);
+        let text = text(&header, &records, 0);
         for line in [
             "cycle 62         x     no reply ... 19 times until cycle 98\n",
             "cycle 63         long  warning 0x0000 -> 0x0001 ... 10 times until cycle 99\n",
@@ -581,7 +581,7 @@ mod tests {
             (drive.position, drive.demand, drive.velocity, drive.current) =
                 (f64::NAN, f64::NAN, 2.5, f32::NAN);
         }
-        let text = tell(&header, &records, 4);
+        let text = text(&header, &records, 4);
         let row = text.lines().rfind(|line| line.contains("missed")).unwrap();
         let columns: Vec<&str> = row.split_whitespace().rev().take(4).collect();
         assert_eq!((columns, text.contains("NaN")), (vec!["-", "2.50", "-", "-"], false), "{text}");
@@ -602,14 +602,14 @@ mod tests {
                 _ => {}
             }
         }
-        let told: Vec<String> = happenings(&header, &records).into_iter().map(|one| one.what).collect();
+        let found: Vec<String> = events(&header, &records).into_iter().map(|one| one.what).collect();
         for what in ["fault none -> 0x001e (30, watchdog)", "fault none -> 0x03e7 (999)"] {
-            assert!(told.iter().any(|told| told == what), "{told:?}");
+            assert!(found.iter().any(|found| found == what), "{found:?}");
         }
     }
 
     #[test]
-    fn an_emergency_is_told_by_its_name_when_it_came() {
+    fn an_emergency_is_reported_by_its_name_when_it_came() {
         let (mut header, mut records) = machine();
         header.axes[0].faults.insert(0x4310, "motor temperature".into());
         for record in &mut records {
@@ -618,7 +618,7 @@ mod tests {
                 drive.emergency = Some(Emergency { code, register: 8 }.into());
             }
         }
-        let told: Vec<_> = happenings(&header, &records)
+        let found: Vec<_> = events(&header, &records)
             .into_iter()
             .filter(|one| one.what.starts_with("emergency"))
             .map(|one| (one.cycle, one.what))
@@ -627,17 +627,17 @@ mod tests {
             "emergency 0x4310 (17168, motor temperature), register 0x08",
             "emergency: error over, register 0x08",
         ];
-        assert_eq!(told, [(98, words[0].to_owned()), (100, words[1].to_owned())]);
+        assert_eq!(found, [(98, words[0].to_owned()), (100, words[1].to_owned())]);
     }
 
     #[test]
     fn an_empty_one_says_so() {
         let (header, _) = machine();
-        assert!(tell(&header, &[], 4).contains("it holds no cycle"));
+        assert!(text(&header, &[], 4).contains("it holds no cycle"));
     }
 
     #[test]
-    fn any_number_and_any_name_can_be_told() {
+    fn any_number_and_any_name_can_be_shown() {
         let (mut header, mut records) = machine();
         let name = "\x1b[2J".repeat(20_000);
         header.axes[0].monitor[2] = Some(Channel { name: name.clone(), unit: "\x07".into() });
@@ -656,7 +656,7 @@ mod tests {
                 }
             }
             for cycles in [0, 4, u64::MAX] {
-                let text = tell(&header, &records, cycles);
+                let text = text(&header, &records, cycles);
                 assert!(text.contains("drive x, mm") && !text.contains('\x1b') && !text.contains("NaN"));
             }
         }
