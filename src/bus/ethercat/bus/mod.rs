@@ -412,7 +412,7 @@ fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Str
         Some(mark) if mark.master == master => Ok(mark.number),
         Some(_) => Err(Stranger::Unknown),
         None => match datagrams(received) {
-            Err(FrameError::Ethertype(_) | FrameError::Type(_)) => Err(Stranger::Foreign),
+            Err(FrameError::Foreign) => Err(Stranger::Foreign),
             _ => Err(Stranger::Broken),
         },
     }

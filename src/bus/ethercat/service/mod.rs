@@ -404,21 +404,21 @@ impl Service {
         let is_awaited = active.is_some();
         let failed = |status| Step::Failed(Failure::Unusable(status));
         let step = match (parse(mailbox.message()), active) {
-            (Ok(Message::Emergency(emergency)), _) => {
+            (Some(Message::Emergency(emergency)), _) => {
                 Own::Emergencies.count(counters);
                 if !self.emergencies.push(emergency) {
                     Own::EmergenciesLost.count(counters);
                 }
                 return;
             }
-            (Ok(Message::Sdo { counter, response }), Some(active))
+            (Some(Message::Sdo { counter, response }), Some(active))
                 if counter == 0 || counter == mailbox.count() =>
             {
                 active.sdo.take(&response)
             }
-            (Ok(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
-            (Ok(_), _) => Step::Stray,
-            (Err(_), _) => {
+            (Some(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
+            (Some(_), _) => Step::Stray,
+            (None, _) => {
                 Own::MailboxBroken.count(counters);
                 if !is_awaited {
                     return;
