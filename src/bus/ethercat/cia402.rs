@@ -4,12 +4,10 @@
 //! S700 ("Device control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map
 //! theirs.
 
-use std::fmt;
-
 use crate::axis::State;
 
 /// The control word, 6040h.
-#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ControlWord(pub u16);
 
 impl ControlWord {
@@ -33,25 +31,6 @@ impl ControlWord {
     /// Bit 8: halt.
     pub const HALT: u16 = 1 << 8;
 
-    const NAMES: [Option<&'static str>; 16] = [
-        Some("switch on"),
-        Some("enable voltage"),
-        Some("no quick stop"),
-        Some("enable operation"),
-        Some("start"),
-        Some("at once"),
-        Some("relative"),
-        Some("fault reset"),
-        Some("halt"),
-        None,
-        None,
-        None,
-        None,
-        None,
-        None,
-        None,
-    ];
-
     /// All of `bits` are 1.
     pub const fn has(self, bits: u16) -> bool {
         self.0 & bits == bits
@@ -73,17 +52,6 @@ impl ControlWord {
             let (mask, value) = command.bits();
             self.0 & mask == value
         })
-    }
-
-    /// The names of the bits that are 1. Reserved ones have none.
-    pub fn names(self) -> impl Iterator<Item = &'static str> {
-        names(self.0, &Self::NAMES)
-    }
-}
-
-impl fmt::Debug for ControlWord {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write_word(f, "ControlWord", self.0, self.names())
     }
 }
 
@@ -187,11 +155,6 @@ impl Transition {
         ]
     };
 
-    /// The one that leads from one state to another; `None`: it takes more than one, or there is none.
-    pub fn between(from: State, to: State) -> Option<Transition> {
-        Self::ALL.into_iter().find(|transition| (transition.from, transition.to) == (from, to))
-    }
-
     /// The one that a control word causes in a drive in this state.
     pub fn caused(from: State, word: ControlWord, before: ControlWord) -> Option<Transition> {
         let command = word.command();
@@ -203,18 +166,10 @@ impl Transition {
                 }
         })
     }
-
-    /// The control word that causes it. A reset needs one without its bit before.
-    pub const fn word(self) -> ControlWord {
-        match self.cause {
-            Cause::ControlCommand(command) => command.word(),
-            Cause::FaultReset => ControlWord(ControlWord::FAULT_RESET),
-        }
-    }
 }
 
 /// The status word, 6041h. It is not valid outside of SAFEOP and OP.
-#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct StatusWord(pub u16);
 
 impl StatusWord {
@@ -244,25 +199,6 @@ impl StatusWord {
     pub const MODE_12: u16 = 1 << 12;
     /// Bit 13, of the mode: following error, homing error.
     pub const MODE_13: u16 = 1 << 13;
-
-    const NAMES: [Option<&'static str>; 16] = [
-        Some("ready"),
-        Some("switched on"),
-        Some("operation enabled"),
-        Some("fault"),
-        Some("voltage"),
-        Some("no quick stop"),
-        Some("switch-on disabled"),
-        Some("warning"),
-        None,
-        Some("remote"),
-        Some("target reached"),
-        Some("internal limit"),
-        Some("mode 12"),
-        Some("mode 13"),
-        None,
-        None,
-    ];
 
     /// The relevant bits of each state, and their values. The CAN manual of the S300 prints bit 6 of the first as
     /// 1; the standard and the AKD have 0.
@@ -298,35 +234,6 @@ impl StatusWord {
         let known = Self::STATES.iter().find(|(known, ..)| *known == state);
         StatusWord(known.map_or(0, |(.., value)| *value))
     }
-
-    /// The names of the bits that are 1. Reserved ones have none.
-    pub fn names(self) -> impl Iterator<Item = &'static str> {
-        names(self.0, &Self::NAMES)
-    }
-}
-
-impl fmt::Debug for StatusWord {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write_word(f, "StatusWord", self.0, self.names())
-    }
-}
-
-fn names(word: u16, names: &'static [Option<&'static str>; 16]) -> impl Iterator<Item = &'static str> {
-    names.iter().enumerate().filter(move |(bit, _)| word >> bit & 1 != 0).filter_map(|(_, name)| *name)
-}
-
-fn write_word(
-    f: &mut fmt::Formatter<'_>,
-    kind: &str,
-    word: u16,
-    names: impl Iterator<Item = &'static str>,
-) -> fmt::Result {
-    write!(f, "{kind}({word:#06x}")?;
-    names.enumerate().try_for_each(|(index, name)| match index {
-        0 => write!(f, ": {name}"),
-        _ => write!(f, ", {name}"),
-    })?;
-    f.write_str(")")
 }
 
 /// A mode of operation as in 6060h and 6061h.
@@ -436,19 +343,6 @@ mod tests {
     }
 
     #[test]
-    fn every_transition_is_caused_by_the_commands_of_the_sheet_and_no_other() {
-        let numbers = |command| {
-            let of = Transition::ALL.into_iter().filter(|one| one.cause == Cause::ControlCommand(command));
-            of.map(|one| one.number).collect::<Vec<_>>()
-        };
-        assert_eq!(numbers(ControlCommand::Shutdown), [2, 6, 8]);
-        assert_eq!(numbers(ControlCommand::SwitchOn), [3, 5]);
-        assert_eq!(numbers(ControlCommand::EnableOperation), [4, 16]);
-        assert_eq!(numbers(ControlCommand::DisableVoltage), [7, 9, 10, 12]);
-        assert_eq!(numbers(ControlCommand::QuickStop), [7, 10, 11]);
-    }
-
-    #[test]
     fn the_word_of_a_transition_causes_it_from_its_state() {
         let expected = [
             (2, 0x06),
@@ -468,13 +362,9 @@ mod tests {
             (16, 0x0F),
         ];
         for (transition, (number, word)) in Transition::ALL.into_iter().zip(expected) {
-            assert_eq!((transition.number, transition.word().0), (number, word));
-            let caused = Transition::caused(transition.from, transition.word(), ControlWord(0));
-            assert_eq!(caused, Some(transition));
-            let between = Transition::between(transition.from, transition.to);
-            assert_eq!(between.map(|one| one.number), Some(number));
+            let caused = Transition::caused(transition.from, ControlWord(word), ControlWord(0));
+            assert_eq!((caused, transition.number), (Some(transition), number));
         }
-        assert_eq!(Transition::between(State::SwitchOnDisabled, State::OperationEnabled), None);
     }
 
     #[test]
@@ -500,19 +390,6 @@ mod tests {
         assert_eq!(caused(State::SwitchOnDisabled, 0x07), None);
         assert_eq!(caused(State::ReadyToSwitchOn, 0x0F), None);
         assert_eq!(caused(State::NotReadyToSwitchOn, 0x06), None);
-    }
-
-    #[test]
-    fn words_are_told_with_the_names_of_their_bits() {
-        assert_eq!(format!("{:?}", ControlWord(0)), "ControlWord(0x0000)");
-        assert_eq!(
-            format!("{:?}", ControlWord(0x0106)),
-            "ControlWord(0x0106: enable voltage, no quick stop, halt)"
-        );
-        assert_eq!(
-            format!("{:?}", StatusWord(0x0250)),
-            "StatusWord(0x0250: voltage, switch-on disabled, remote)"
-        );
     }
 
     #[test]

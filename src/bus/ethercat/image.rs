@@ -41,7 +41,7 @@ const SPLIT_OVERHEAD: usize = 12;
 
 /// The offsets of the process data of one slave: bytes of its frame, and logical addresses.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Spot {
+pub struct Offsets {
     /// The index of the frame.
     pub frame: usize,
     /// Its outputs.
@@ -136,8 +136,8 @@ impl Image {
         source: Mac,
         clock: bool,
         lrw: bool,
-    ) -> Option<(Image, Vec<Spot>)> {
-        let (mut frames, mut spots) = (Vec::new(), Vec::new());
+    ) -> Option<(Image, Vec<Offsets>)> {
+        let (mut frames, mut offsets) = (Vec::new(), Vec::new());
         let mut rest = slaves;
         while !rest.is_empty() || frames.is_empty() {
             let overhead = if frames.is_empty() { FIRST_OVERHEAD } else { 0 };
@@ -150,11 +150,11 @@ impl Image {
             let logical = base.wrapping_add(frames.len() as u32 * FRAME_SPACE);
             let first = frames.is_empty();
             let frame = Frame::new(first, these, logical, source, clock && first, lrw)?;
-            spots.extend(frame.spots(frames.len(), these));
+            offsets.extend(frame.offsets(frames.len(), these));
             frames.push(frame);
             rest = others;
         }
-        Some((Image { frames: frames.into() }, spots))
+        Some((Image { frames: frames.into() }, offsets))
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -242,12 +242,12 @@ impl Frame {
     }
 
     /// The offsets of each of its slaves.
-    fn spots(&self, frame: usize, slaves: &[(Owner, &SlavePlan)]) -> Vec<Spot> {
+    fn offsets(&self, frame: usize, slaves: &[(Owner, &SlavePlan)]) -> Vec<Offsets> {
         let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
         // Inputs follow the outputs, in the same datagram or in the next one.
         let behind = self.read.map_or(self.data.data().start + outputs, |read| read.data().start);
         let (mut out, mut input) = (0, 0);
-        let spot = |(_, slave): &(Owner, &SlavePlan)| {
+        let offsets = |(_, slave): &(Owner, &SlavePlan)| {
             let (wide, deep) = (usize::from(slave.outputs.length), usize::from(slave.inputs.length));
             let begin = self.data.data().start + out;
             let al = behind + input;
@@ -256,7 +256,7 @@ impl Frame {
                 Logical { outputs: at(out), al: at(outputs + input), inputs: at(outputs + input + AL_SIZE) };
             out += wide;
             input += AL_SIZE + deep;
-            Spot {
+            Offsets {
                 frame,
                 outputs: begin..begin + wide,
                 al,
@@ -264,7 +264,7 @@ impl Frame {
                 logical,
             }
         };
-        slaves.iter().map(spot).collect()
+        slaves.iter().map(offsets).collect()
     }
 
     /// The bytes to send.
@@ -274,13 +274,13 @@ impl Frame {
 
     /// The next outputs of the slave at these offsets: they stay until others are written there.
     #[inline]
-    pub fn outputs(&mut self, spot: &Spot) -> &mut [u8] {
-        self.next.get_mut(spot.outputs.clone()).unwrap_or_default()
+    pub fn outputs(&mut self, offsets: &Offsets) -> &mut [u8] {
+        self.next.get_mut(offsets.outputs.clone()).unwrap_or_default()
     }
 
     /// Its next outputs are the previous ones.
-    pub fn keep_outputs(&mut self, spot: &Spot) {
-        let range = spot.outputs.clone();
+    pub fn keep_outputs(&mut self, offsets: &Offsets) {
+        let range = offsets.outputs.clone();
         if let (Some(next), Some(sent)) = (self.next.get_mut(range.clone()), self.bytes.get(range)) {
             next.copy_from_slice(sent);
         }
@@ -311,8 +311,8 @@ impl Frame {
             set_command(&mut *self.bytes, place, station.map_or(Command::Nop, read));
         }
         if let Some(place) = self.time {
-            let told = station.filter(|_| follows);
-            let command = told.map_or(Command::Nop, |station| Command::Fpwr(station, address::DC_TIME));
+            let address = station.filter(|_| follows);
+            let command = address.map_or(Command::Nop, |station| Command::Fpwr(station, address::DC_TIME));
             set_command(&mut *self.bytes, place, command);
         }
     }
@@ -325,7 +325,7 @@ impl Frame {
     }
 
     /// Puts the request into the slot, replacing the previous one.
-    pub fn ask(&mut self, ask: &Ask) {
+    pub fn request(&mut self, ask: &Ask) {
         if ask.is_empty() && self.slot[0].is_none() {
             return;
         }

@@ -9,7 +9,7 @@
 //! | `counters` | counters that only EtherCAT has |
 //! | `bus` | stations, devices and frames as one bus |
 //! | `image` | the process data of the segment, and its frames |
-//! | `line` | bringing the slaves to OP, and the clock of the segment |
+//! | `segment` | bringing the slaves to OP, and the clock of the segment |
 //! | `slot` | the acyclic slot of a frame |
 //! | `service` | SDOs and emergencies of a slave |
 //! | `station`, `profile` | the master's view of one drive; what is desired as outputs, and what answers prove |
@@ -29,11 +29,11 @@ pub mod wire;
 
 mod bus;
 mod image;
-mod line;
 mod native;
 mod other;
 mod plan;
 mod profile;
+mod segment;
 mod service;
 mod slot;
 mod start_up;

@@ -1,20 +1,12 @@
 //! Objects written to a drive in PREOP, before its process data run (EtherCAT manual, "PDO assignment", "Cycle
 //! time").
 
+use super::object::number::{
+    CYCLE_POWER, CYCLE_UNITS, INPUT_PDO, MODE, OUTPUT_PDO, RESOLUTION, RESOLUTION_TURNS,
+};
 use super::object::pdo::Layout;
 use super::object::{Object, Type};
 use super::plan::{KollmorgenDrive, Mapping, Start};
-
-/// Time of an interpolation cycle: units, and their power of ten.
-const CYCLE_UNITS: Object = Object::new(0x60C2, 1);
-const CYCLE_POWER: Object = Object::new(0x60C2, 2);
-const MODE: Object = Object::new(0x6060, 0);
-/// Resolution of the position encoder: increments, in so many turns (CiA 402).
-const INCREMENTS: Object = Object::new(0x608F, 1);
-const TURNS: Object = Object::new(0x608F, 2);
-/// The assignment of the SyncManagers of outputs and of inputs.
-const OUTPUT_PDO: u16 = 0x1C12;
-const INPUT_PDO: u16 = 0x1C13;
 
 /// The objects to write, in this order: cycle time, PDOs, mode, and what the plan adds.
 pub fn start_up(drive: &KollmorgenDrive, period_ns: u64) -> Vec<Start> {
@@ -55,7 +47,10 @@ pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
         return Vec::new();
     }
     let increments = drive.scaling.increments() as u64;
-    vec![Start::factor(TURNS, Type::U32), Start { object: INCREMENTS, kind: Type::U32, raw: increments }]
+    vec![
+        Start::factor(RESOLUTION_TURNS, Type::U32),
+        Start { object: RESOLUTION, kind: Type::U32, raw: increments },
+    ]
 }
 
 /// Objects required of a drive that is found in OP: its PDOs, and the content of those that the master maps.
@@ -149,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_text_is_written_as_long_as_it_is() {
-        let start = |kind, raw| Start { object: INCREMENTS, kind, raw };
+        let start = |kind, raw| Start { object: RESOLUTION, kind, raw };
         let text = |text: &[u8]| start(Type::Text, crate::bus::ethercat::object::long::raw(text)).bytes();
         assert_eq!(
             [text(b""), text(b"a"), text(b"abcd"), text(b"abcde"), text(b"abcdefgh")],

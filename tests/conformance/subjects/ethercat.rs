@@ -225,7 +225,7 @@ impl Subject for EtherCat {
     fn is_strange(&self, frame: &[u8]) -> bool {
         let Some(sender) = frame.get(SENDER..).and_then(<[u8]>::first_chunk::<6>) else { return true };
         let own = [sender[0] & !PASSED, sender[1], sender[2], sender[3], sender[4], sender[5]] == MAC;
-        !own || matches!(datagrams(frame), Err(FrameError::Ethertype(_) | FrameError::Type(_)))
+        !own || matches!(datagrams(frame), Err(FrameError::Foreign))
     }
 
     fn of_another(&self, frame: &[u8]) -> Vec<u8> {

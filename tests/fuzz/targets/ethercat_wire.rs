@@ -19,26 +19,18 @@ pub fn ethercat_wire(data: &[u8]) {
 
 fn frame(bytes: &[u8]) {
     let mut end = HEADER;
-    match datagrams(bytes) {
-        Ok(all) => {
-            let mut sound = Vec::new();
-            for read in all {
-                match read {
-                    Ok(datagram) => {
-                        let place = datagram.place;
-                        assert_eq!(place.at, end, "one behind the other");
-                        end = place.end();
-                        assert!(end <= bytes.len() && datagram.data.len() == place.length);
-                        assert_eq!(end, place.at + DATAGRAM_HEADER + place.length + WORKING_COUNTER);
-                        sound.push(datagram);
-                    }
-                    Err(error) => drop(error.to_string()),
-                }
-            }
-            again(bytes, &sound);
-        }
-        Err(error) => drop(error.to_string()),
+    let Ok(all) = datagrams(bytes) else { return };
+    let mut sound = Vec::new();
+    for read in all {
+        let Ok(datagram) = read else { continue };
+        let place = datagram.place;
+        assert_eq!(place.at, end, "one behind the other");
+        end = place.end();
+        assert!(end <= bytes.len() && datagram.data.len() == place.length);
+        assert_eq!(end, place.at + DATAGRAM_HEADER + place.length + WORKING_COUNTER);
+        sound.push(datagram);
     }
+    again(bytes, &sound);
 }
 
 /// The datagrams that were read are built again, and are the same.
@@ -100,17 +92,16 @@ fn message(bytes: &[u8]) {
         assert!((mailbox::HEADER..=size.max(mailbox::HEADER)).contains(&extent));
         let whole = &bytes[..bytes.len().min(size)];
         match mailbox::parse(whole) {
-            Ok(Message::Sdo { counter, response }) => {
+            Some(Message::Sdo { counter, response }) => {
                 assert!(counter < 8);
                 within(whole, &response);
             }
-            Ok(Message::Emergency(emergency)) => drop(format!("{emergency:?}")),
-            Ok(Message::Refused(error)) => drop(error.to_string()),
-            Ok(Message::Other { .. }) => {}
-            Err(error) => drop(error.to_string()),
+            Some(Message::Emergency(emergency)) => drop(format!("{emergency:?}")),
+            Some(Message::Refused(error)) => drop(error.to_string()),
+            Some(Message::Other { .. }) | None => {}
         }
     }
-    if let Ok(response) = Response::parse(bytes) {
+    if let Some(response) = Response::parse(bytes) {
         within(bytes, &response);
     }
 }

@@ -3,11 +3,11 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the frames under way, and the bus |
-//! | `seats` | the drives and devices behind the members of the segment |
+//! | `endpoints` | the drives and devices behind the slaves of the segment |
 //! | `notes` | why one is not in operation |
 
+mod endpoints;
 mod notes;
-mod seats;
 
 use std::any::Any;
 use std::io::ErrorKind;
@@ -15,18 +15,18 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
+use self::endpoints::{DeviceEnd, DriveEnd, Endpoints};
 use self::notes::{DOWN, NOTHING_BACK, OTHER_MASTER, SlaveNotes, WELL};
-use self::seats::{DeviceSeat, Seats};
 use super::counters::{OWN, Own};
 use super::faults;
 use super::image::{Image, Mark, Read};
-use super::line::{Back, Line, Sent};
-use super::native::{Native, Terminals, terminals};
+use super::native::terminals;
 use super::object::Objects;
 use super::other::{OtherMaster, listen};
-use super::plan::{EthercatPlan, KollmorgenDrive, Owner};
+use super::plan::{Device, EthercatPlan, KollmorgenDrive, Owner};
 use super::profile;
 use super::scan::{Busy, Shown, require_idle};
+use super::segment::{Back, Segment, Sent};
 use super::service::Service;
 use super::sim::EthercatSim;
 use super::start_up::{last_written, start_up, verify, verify_found};
@@ -69,8 +69,9 @@ pub struct EthercatBus {
     net: Box<dyn Frames>,
     source: [u8; 6],
     image: Image,
-    line: Line,
-    crew: Seats,
+    segment: Segment,
+    drives: Vec<DriveEnd>,
+    devices: Vec<DeviceEnd>,
     /// Identifies this master in its frames, and counts them.
     mark: Mark,
     /// The state of the last frames, each at the index of its number.
@@ -88,10 +89,6 @@ pub struct EthercatBus {
     interface: String,
     unmatched: Unmatched,
     other: OtherMaster,
-    natives: Vec<Option<Native>>,
-    acyclics: Vec<Option<AcyclicEnds>>,
-    devices: Vec<Option<Terminals>>,
-    device_acyclics: Vec<Option<(AcyclicEnds, Observer)>>,
     /// The segment is this master's until its socket is closed.
     _lock: Lock,
 }
@@ -116,7 +113,7 @@ impl std::fmt::Debug for EthercatBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("EthercatBus")
             .field("name", &self.name)
-            .field("line", &self.line)
+            .field("segment", &self.segment)
             .finish_non_exhaustive()
     }
 }
@@ -145,62 +142,42 @@ impl EthercatBus {
         let broken = || OpenError::Plan { bus: plan.name.clone(), drive: plan.name.clone() };
         let begun = net.now();
         let base = LOGICAL + (begun.0 / US % LOGICAL_COUNT) as u32 * LOGICAL_EACH;
-        let (image, spots) = Image::new(&slaves, base, source, clock, plan.lrw).ok_or_else(broken)?;
-        let spot = |owner: Owner| {
-            let member = slaves.iter().position(|(other, _)| *other == owner).unwrap_or_default();
-            (member, spots.get(member).cloned().unwrap_or_default())
+        let (image, offsets) = Image::new(&slaves, base, source, clock, plan.lrw).ok_or_else(broken)?;
+        let offsets_of = |owner: Owner| {
+            let slave = slaves.iter().position(|(other, _)| *other == owner).unwrap_or_default();
+            (slave, offsets.get(slave).cloned().unwrap_or_default())
         };
-        let mut device_acyclics = Vec::new();
-        let (mut crew, mut natives, mut acyclics, mut devices) = (
-            Seats {
-                stations: Vec::new(),
-                built: Vec::new(),
-                spots: Vec::new(),
-                members: Vec::new(),
-                devices: Vec::new(),
-            },
-            Vec::new(),
-            Vec::new(),
-            Vec::new(),
-        );
-        for (index, drive) in plan.drives.iter().enumerate() {
+        let turn_ns = period_ns.saturating_mul(slaves.len() as u64);
+        let drives = plan.drives.iter().enumerate().map(|(index, drive)| {
             let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-            let (station, native, acyclic) = Station::new(drive, interval_ns);
-            let (member, spot) = spot(Owner::Drive(index));
-            crew.stations.push(station);
-            crew.built.push(false);
-            crew.members.push(member);
-            crew.spots.push(spot);
-            natives.push(Some(native));
-            acyclics.push(Some(acyclic));
-        }
-        for (index, device) in plan.devices.iter().enumerate() {
-            let slave = &device.slave;
+            let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns);
+            let (slave, offsets) = offsets_of(Owner::Drive(index));
+            let (native, acyclic) = (Some(native), Some(acyclic));
+            DriveEnd { station, built: false, offsets, slave, native, acyclic }
+        });
+        let devices = plan.devices.iter().enumerate().map(|(index, Device { slave, .. })| {
             let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
             let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
-            device_acyclics.push(Some((ends, Observer(reader))));
-            crew.devices.push(DeviceSeat {
-                service: Service::new(slave, Some(calls)),
+            DeviceEnd {
+                service: Service::new(slave, Some(calls), turn_ns),
                 reached,
                 port,
-                spot: spot(Owner::Device(index)).1,
+                offsets: offsets_of(Owner::Device(index)).1,
                 operational: false,
-            });
-            devices.push(Some(application));
-        }
-        let turn_ns = period_ns.saturating_mul(slaves.len() as u64);
-        crew.stations.iter_mut().for_each(|station| station.set_turn(turn_ns));
-        crew.devices.iter_mut().for_each(|device| device.service.set_turn(turn_ns));
-        let line = Line::new(&plan, spots, period_ns);
+                terminals: Some(application),
+                acyclic: Some((ends, Observer(reader))),
+            }
+        });
         Ok(EthercatBus {
             name: plan.name.clone(),
             net,
             source,
             flights: vec![Flight::default(); image.frames().len()].into(),
             image,
-            line,
-            crew,
+            drives: drives.collect(),
+            devices: devices.collect(),
+            segment: Segment::new(&plan, offsets, period_ns),
             mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
             known: Box::new([Known::default(); KNOWN]),
             room: Box::new([0; FRAME_MAX]),
@@ -211,10 +188,6 @@ impl EthercatBus {
             interface: plan.interface.clone(),
             unmatched: Unmatched::default(),
             other: OtherMaster::default(),
-            natives,
-            acyclics,
-            devices,
-            device_acyclics,
             _lock: lock,
         })
     }
@@ -253,12 +226,12 @@ impl EthercatBus {
     fn sort(&mut self, at: Time, received: &[u8], in_window: bool, slots: &mut [Slot]) {
         let number = match own_number(received, &self.source, self.mark.master) {
             Ok(number) => number,
-            Err(stranger) => {
-                match stranger {
-                    Stranger::Foreign => self.unmatched.datagrams += 1,
-                    Stranger::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
+            Err(sender) => {
+                match sender {
+                    UnknownSender::Foreign => self.unmatched.datagrams += 1,
+                    UnknownSender::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
                     // Its frame cannot be identified.
-                    Stranger::Broken => self.count(None, slots, |counters| counters.malformed += 1),
+                    UnknownSender::Broken => self.count(None, slots, |counters| counters.malformed += 1),
                 }
                 if self.other.see(at, received) {
                     other_master(slots);
@@ -293,8 +266,9 @@ impl EthercatBus {
                 }
                 let back =
                     Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
-                self.line.heard(&back, frame, &mut self.crew, slots);
-                if self.line.take_lowered() {
+                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
+                self.segment.receive(&back, frame, &mut Endpoints { drives, devices, slots });
+                if std::mem::take(&mut self.segment.lowered) {
                     other_master(slots);
                 }
             }
@@ -305,8 +279,10 @@ impl EthercatBus {
 
     /// Counts something of each drive in a frame; of all drives, if the frame is unknown.
     fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
-        for ((slot, spot), member) in slots.iter_mut().zip(&self.crew.spots).zip(&self.crew.members) {
-            if frame.is_none_or(|frame| frame == spot.frame) && self.line.is_operational(*member) {
+        for (slot, drive) in slots.iter_mut().zip(&self.drives) {
+            if frame.is_none_or(|frame| frame == drive.offsets.frame)
+                && self.segment.is_operational(drive.slave)
+            {
                 count(&mut slot.counters);
             }
         }
@@ -314,10 +290,9 @@ impl EthercatBus {
 
     /// Counts frame `number`, which came after its window, as late for the drives of its exchanges.
     fn count_late(&self, number: usize, sent: &Sent, slots: &mut [Slot]) {
-        let Seats { stations, spots, members, .. } = &self.crew;
-        for (((slot, station), spot), member) in slots.iter_mut().zip(stations).zip(spots).zip(members) {
-            let asked = spot.frame == number && station.was_asked(sent.cycle.grid);
-            if asked && self.line.is_operational(*member) {
+        for (slot, drive) in slots.iter_mut().zip(&self.drives) {
+            let was_sent = drive.offsets.frame == number && drive.station.sent_grid == sent.cycle.grid;
+            if was_sent && self.segment.is_operational(drive.slave) {
                 slot.counters.late += 1;
             }
         }
@@ -326,9 +301,10 @@ impl EthercatBus {
     /// Completes the first frame, once nothing of the one before is under way.
     fn finish(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         if !self.prepared {
-            self.line.leave(!self.ending && self.other.is_there(cycle.grid));
+            self.segment.left = !self.ending && self.other.is_there(cycle.grid);
             if let Some(first) = self.image.frames_mut().first_mut() {
-                self.line.prepare(cycle, first, &mut self.crew, slots);
+                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
+                self.segment.prepare(cycle, first, &mut Endpoints { drives, devices, slots });
             }
             self.prepared = true;
         }
@@ -336,20 +312,18 @@ impl EthercatBus {
 
     /// Opens the exchanges of the drives that are due with frame `number`.
     fn asked(&mut self, number: usize, sent_at: Option<Time>, cycle: &Cycle, slots: &mut [Slot]) {
-        let Seats { stations, built, spots, members, .. } = &mut self.crew;
-        let seats = stations.iter_mut().zip(built).zip(spots).zip(members);
-        let settled = self.line.is_settled();
-        for ((((station, built), spot), member), slot) in seats.zip(slots.iter_mut()) {
-            if !slot.due || spot.frame != number {
+        let settled = self.segment.is_settled();
+        for (DriveEnd { station, built, offsets, slave, .. }, slot) in self.drives.iter_mut().zip(slots) {
+            if !slot.due || offsets.frame != number {
                 continue;
             }
             *built = sent_at.is_none();
-            let is_asked = settled || self.line.is_operational(*member);
+            let is_requested = settled || self.segment.is_operational(*slave);
             // The frame is sent in each cycle with the last outputs: so the counting of sent outputs advances in
             // each.
-            slot.reachable |= is_asked && slot.link == Link::Lost;
-            match sent_at.filter(|_| is_asked) {
-                Some(sent_at) if settled || self.line.outputs_count(*member) => {
+            slot.reachable |= is_requested && slot.link == Link::Lost;
+            match sent_at.filter(|_| is_requested) {
+                Some(sent_at) if settled || self.segment.outputs_count(*slave) => {
                     station.sent(sent_at, cycle.deadline, slot);
                 }
                 Some(sent_at) => station.asked(sent_at, cycle.deadline, slot),
@@ -371,8 +345,8 @@ impl EthercatBus {
         frame.number(mark);
         if number == 0 {
             let now = self.net.now();
-            let clock = self.line.clock();
-            frame.set_time(clock.told(cycle, now));
+            let clock = &mut self.segment.clock;
+            frame.set_time(clock.sent_time(cycle, now));
             clock.lead_on();
         }
         let sent = self.net.send(frame.bytes());
@@ -393,7 +367,7 @@ impl EthercatBus {
 
 /// A frame that is not one of this master's last frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stranger {
+enum UnknownSender {
     /// Of an unknown sender.
     Foreign,
     /// From here, but not of this master.
@@ -403,17 +377,17 @@ enum Stranger {
 }
 
 /// The number of a frame that this master has sent.
-fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Stranger> {
-    let Some(from) = received.get(6..12) else { return Err(Stranger::Foreign) };
+fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, UnknownSender> {
+    let Some(from) = received.get(6..12) else { return Err(UnknownSender::Foreign) };
     if from[0] & !PASSED != source[0] || from[1..] != source[1..] {
-        return Err(Stranger::Foreign);
+        return Err(UnknownSender::Foreign);
     }
     match Mark::of(received) {
         Some(mark) if mark.master == master => Ok(mark.number),
-        Some(_) => Err(Stranger::Unknown),
+        Some(_) => Err(UnknownSender::Unknown),
         None => match datagrams(received) {
-            Err(FrameError::Ethertype(_) | FrameError::Type(_)) => Err(Stranger::Foreign),
-            _ => Err(Stranger::Broken),
+            Err(FrameError::Foreign) => Err(UnknownSender::Foreign),
+            _ => Err(UnknownSender::Broken),
         },
     }
 }
@@ -463,20 +437,17 @@ impl Bus for EthercatBus {
         regions.add(self);
         self.net.memory(regions);
         self.image.memory(regions);
-        self.line.memory(regions);
+        self.segment.memory(regions);
         regions.add(&*self.wire);
         regions.add(&*self.known);
         regions.add(&*self.flights);
         regions.add(&*self.room);
-        regions.add(&*self.crew.stations);
-        regions.add(&*self.crew.spots);
-        regions.add(&*self.crew.built);
-        regions.add(&*self.crew.members);
-        regions.add(&*self.crew.devices);
-        for station in &self.crew.stations {
-            station.memory(regions);
+        regions.add(&*self.drives);
+        regions.add(&*self.devices);
+        for drive in &self.drives {
+            drive.station.memory(regions);
         }
-        for device in &self.crew.devices {
+        for device in &self.devices {
             device.port.memory(regions);
             device.reached.memory(regions);
             device.service.memory(regions);
@@ -488,13 +459,14 @@ impl Bus for EthercatBus {
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        self.line.clock().pass();
+        self.segment.clock.pass();
         if !self.is_back() {
             self.take_in(false, slots);
         }
         for number in 0..self.flights.len() {
             if !self.flights[number].back {
-                self.line.lost(cycle.grid, number == 0, &mut self.crew, slots);
+                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
+                self.segment.lost(cycle.grid, number == 0, &mut Endpoints { drives, devices, slots });
                 self.prepared &= number != 0;
             }
         }
@@ -511,7 +483,7 @@ impl Bus for EthercatBus {
             self.asked(number, sent_at, cycle, slots);
         }
         self.prepared = false;
-        self.crew.devices.iter_mut().for_each(|device| device.port.sent());
+        self.devices.iter_mut().for_each(|device| device.port.sent());
     }
 
     fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
@@ -520,18 +492,17 @@ impl Bus for EthercatBus {
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         let frames = self.image.frames_mut();
-        let seats = self.crew.stations.iter_mut().zip(&mut self.crew.built).zip(&self.crew.spots);
-        for (((station, built), spot), slot) in seats.zip(slots.iter_mut()) {
+        for (DriveEnd { station, built, offsets, .. }, slot) in self.drives.iter_mut().zip(&mut *slots) {
             if slot.due {
-                station.prepare(cycle, slot, frames[spot.frame].outputs(spot));
+                station.profile.encode(cycle.grid, &slot.desired, frames[offsets.frame].outputs(offsets));
             } else if *built {
                 // Its send was passed over.
-                frames[spot.frame].keep_outputs(spot);
+                frames[offsets.frame].keep_outputs(offsets);
             }
             *built = slot.due;
         }
-        for device in &mut self.crew.devices {
-            let place = frames[device.spot.frame].outputs(&device.spot);
+        for device in &mut self.devices {
+            let place = frames[device.offsets.frame].outputs(&device.offsets);
             place.iter_mut().zip(device.port.outputs()).for_each(|(place, output)| *place = *output);
         }
         if self.is_back() {
@@ -543,7 +514,7 @@ impl Bus for EthercatBus {
         // The loop has stopped the drives by then.
         self.ending = true;
         let owed = slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }));
-        self.line.shut_down(cycle.grid) && !owed
+        self.segment.shut_down(cycle.grid) && !owed
     }
 
     fn unmatched(&self) -> Unmatched {
@@ -551,14 +522,11 @@ impl Bus for EthercatBus {
     }
 
     fn notes(&self) -> Option<Arc<dyn Notes>> {
-        let places = self.line.places();
-        let placed = |member: usize| (member, places.get(member).copied().unwrap_or(0));
-        let devices =
-            (0..self.crew.devices.len()).filter_map(|index| self.line.member_of(Owner::Device(index)));
+        let slave_of = |owner| self.segment.slave_of(owner);
         Some(Arc::new(SlaveNotes {
-            notes: self.line.notes(),
-            members: self.crew.members.iter().copied().map(placed).collect(),
-            devices: devices.map(placed).collect(),
+            notes: self.segment.notes.clone(),
+            drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
+            devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
             dropped: self.net.dropped(),
             wire: self.wire.clone(),
             interface: self.interface.clone(),
@@ -566,33 +534,33 @@ impl Bus for EthercatBus {
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let native = self.natives.get_mut(index)?.take()?;
+        let native = self.drives.get_mut(index)?.native.take()?;
         Some(Box::new(native))
     }
 
     fn lead(&mut self) {
-        self.line.lead();
+        self.segment.leads = true;
     }
 
     fn phase_error(&mut self) -> Option<i64> {
-        self.line.clock().take_error()
+        self.segment.clock.take_error()
     }
 
     fn clock(&self) -> Option<BusClock> {
-        self.line.clock_status()
+        self.segment.clock_status()
     }
 
     fn device_acyclic(&mut self, index: usize) -> Option<(AcyclicEnds, Observer)> {
-        self.device_acyclics.get_mut(index)?.take()
+        self.devices.get_mut(index)?.acyclic.take()
     }
 
     fn device(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let terminals = self.devices.get_mut(index)?.take()?;
+        let terminals = self.devices.get_mut(index)?.terminals.take()?;
         Some(Box::new(terminals))
     }
 
     fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.acyclics.get_mut(index)?.take()
+        self.drives.get_mut(index)?.acyclic.take()
     }
 }
 

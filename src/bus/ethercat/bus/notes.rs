@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::bus::Notes;
-use crate::bus::ethercat::line::note::Notes as LineNotes;
+use crate::bus::ethercat::segment::note::Notes as SegmentNotes;
 use crate::net::frames::Dropped;
 use crate::net::local;
 
@@ -17,9 +17,9 @@ pub(super) const OTHER_MASTER: u8 = 3;
 /// The notes of drives and devices, in the order of the plan.
 #[derive(Debug)]
 pub(super) struct SlaveNotes {
-    pub(super) notes: LineNotes,
-    /// The member of each drive, and its position.
-    pub(super) members: Vec<(usize, u16)>,
+    pub(super) notes: SegmentNotes,
+    /// The slave of each drive, and its position.
+    pub(super) drives: Vec<(usize, u16)>,
     /// The same of each device.
     pub(super) devices: Vec<(usize, u16)>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
@@ -29,7 +29,7 @@ pub(super) struct SlaveNotes {
 
 impl Notes for SlaveNotes {
     fn get(&self, index: usize) -> Option<String> {
-        self.note(*self.members.get(index)?)
+        self.note(*self.drives.get(index)?)
     }
 
     fn device(&self, index: usize) -> Option<String> {
@@ -42,7 +42,7 @@ impl Notes for SlaveNotes {
 }
 
 impl SlaveNotes {
-    fn note(&self, (member, place): (usize, u16)) -> Option<String> {
+    fn note(&self, (slave, place): (usize, u16)) -> Option<String> {
         let interface = &self.interface;
         match self.wire.load(Ordering::Relaxed) {
             DOWN if local::name(interface).is_some() => {
@@ -54,10 +54,10 @@ impl SlaveNotes {
                 master"
             )),
             // While it is there no slave is brought up; those that are in operation stay so.
-            OTHER_MASTER => self.notes.get(member).text(place).map(|_| {
+            OTHER_MASTER => self.notes.get(slave).text(place).map(|_| {
                 format!("another master has frames on {interface}: end it, or look where its cable leads")
             }),
-            _ => self.notes.get(member).text(place),
+            _ => self.notes.get(slave).text(place),
         }
     }
 }

@@ -7,6 +7,7 @@ use super::{
 };
 use crate::axis::{HeldBy, Load, PlanFault};
 use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type};
 use crate::bus::ethercat::sim::coupler::Terminals;
@@ -14,8 +15,6 @@ use crate::cycle::plan::is_plain_name;
 use crate::time::{Ns, US};
 
 /// What a master must map to drive it.
-const CONTROL_WORD: Object = Object::new(0x6040, 0);
-const STATUS_WORD: Object = Object::new(0x6041, 0);
 /// The period of a drive's position controller, of which the cycle of the bus is a multiple (EtherCAT manual).
 const CONTROLLER_NS: u64 = 250 * US;
 /// The most of them (object 35D5h).

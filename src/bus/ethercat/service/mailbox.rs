@@ -63,7 +63,7 @@ pub(super) struct Mailbox {
     sending: Sending,
     reading: Reading,
     read: Box<[u8]>,
-    asked: Option<Asked>,
+    pending: Option<Pending>,
     looked: Option<Time>,
     /// The message there may answer a request that is over.
     stale: bool,
@@ -109,7 +109,7 @@ enum Reading {
 
 /// The last request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Asked {
+enum Pending {
     Write,
     Look,
     Piece(Piece),
@@ -127,7 +127,7 @@ struct Piece {
 
 /// The result of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Heard {
+pub(super) enum Received {
     /// Nothing ended.
     Nothing,
     /// The slave does not empty the mailbox: the request was given up.
@@ -143,7 +143,7 @@ fn done(answer: &Option<Answer<'_>>) -> bool {
 
 impl Mailbox {
     /// The mailboxes of a slave; `None`: too short to be any.
-    pub(super) fn new([out, input]: [Area; 2], station: u16) -> Option<Mailbox> {
+    pub(super) fn new([out, input]: [Area; 2], station: u16, turn_ns: u64) -> Option<Mailbox> {
         let is_one = [out, input].iter().all(|area| usize::from(area.length) >= SDO_SIZE);
         is_one.then(|| Mailbox {
             station,
@@ -155,16 +155,12 @@ impl Mailbox {
             sending: Sending::Nothing,
             reading: Reading::Nothing,
             read: vec![0; usize::from(input.length)].into(),
-            asked: None,
+            pending: None,
             looked: None,
             stale: true,
             counts: false,
-            turn_ns: 0,
+            turn_ns,
         })
-    }
-
-    pub(super) fn set_turn(&mut self, turn_ns: u64) {
-        self.turn_ns = turn_ns;
     }
 
     /// A time that is also long enough for so many turns.
@@ -178,7 +174,7 @@ impl Mailbox {
 
     /// Discards everything under way. The count continues: the slave may still know the last one.
     pub(super) fn reset(&mut self) {
-        (self.sending, self.reading, self.asked) = (Sending::Nothing, Reading::Nothing, None);
+        (self.sending, self.reading, self.pending) = (Sending::Nothing, Reading::Nothing, None);
         (self.looked, self.stale, self.counts) = (None, true, false);
     }
 
@@ -211,7 +207,7 @@ impl Mailbox {
 
     /// The request of the next frame is to be written with it.
     pub(super) fn writes(&self) -> bool {
-        self.asked == Some(Asked::Write)
+        self.pending == Some(Pending::Write)
     }
 
     /// The request is with the slave, and was not answered yet.
@@ -229,7 +225,7 @@ impl Mailbox {
     /// The answer is no longer awaited; it may still come.
     pub(super) fn abandon(&mut self) {
         // The answer to its frame is not that of the next request.
-        self.asked = self.asked.filter(|asked| *asked != Asked::Write);
+        self.pending = self.pending.filter(|pending| *pending != Pending::Write);
         (self.sending, self.stale) = (Sending::Nothing, true);
     }
 
@@ -253,49 +249,49 @@ impl Mailbox {
     }
 
     /// Its request for the next slot.
-    pub(super) fn ask(&mut self, now: Time, ask: &mut Ask) {
+    pub(super) fn request(&mut self, now: Time, ask: &mut Ask) {
         self.recount(now);
-        let asked = self.next(now);
-        let is_asked = match asked {
+        let pending = self.next(now);
+        let is_requested = match pending {
             None => false,
-            Some(Asked::Write) => self.ask_write(ask),
-            Some(Asked::Look) => self.ask_look(ask),
-            Some(Asked::Piece(piece)) => self.ask_piece(piece, ask),
-            Some(Asked::Toggle(toggle)) => ask.write(Command::Fpwr(self.station, ACTIVATE), &[ON | toggle]),
+            Some(Pending::Write) => self.request_write(ask),
+            Some(Pending::Look) => self.request_look(ask),
+            Some(Pending::Piece(piece)) => self.request_piece(piece, ask),
+            Some(Pending::Toggle(toggle)) => ask.write(Command::Fpwr(self.station, ACTIVATE), &[ON | toggle]),
         };
         // The room that others left in the slot may be too small.
-        self.asked = asked.filter(|_| is_asked);
+        self.pending = pending.filter(|_| is_requested);
     }
 
-    fn next(&self, now: Time) -> Option<Asked> {
+    fn next(&self, now: Time) -> Option<Pending> {
         let rest = match (self.reading, self.sending) {
-            (Reading::There(at), _) => return Some(Asked::Piece(self.piece(at))),
-            (Reading::Repeat { toggle, .. }, _) => return Some(Asked::Toggle(toggle)),
-            (Reading::Lost, _) => return Some(Asked::Look),
-            (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Asked::Look),
-            (Reading::Nothing, Sending::Due { .. }) => return Some(Asked::Write),
+            (Reading::There(at), _) => return Some(Pending::Piece(self.piece(at))),
+            (Reading::Repeat { toggle, .. }, _) => return Some(Pending::Toggle(toggle)),
+            (Reading::Lost, _) => return Some(Pending::Look),
+            (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Pending::Look),
+            (Reading::Nothing, Sending::Due { .. }) => return Some(Pending::Write),
             // On a long segment that leaves slots for others.
             (Reading::Nothing, Sending::Nothing) => self.within(IDLE_NS, 2),
             (Reading::Nothing, Sending::Written { .. }) | (Reading::Repeated { .. }, _) => LOOK_NS,
         };
-        self.looked.is_none_or(|looked| now.since(looked) >= rest).then_some(Asked::Look)
+        self.looked.is_none_or(|looked| now.since(looked) >= rest).then_some(Pending::Look)
     }
 
-    fn ask_write(&self, ask: &mut Ask) -> bool {
+    fn request_write(&self, ask: &mut Ask) -> bool {
         let (area, message) = (self.out, &self.message[..self.length]);
         let last = area.start.wrapping_add(area.length - 1);
         ask.write(Command::Fpwr(self.station, area.start), message)
             && (self.length == usize::from(area.length) || ask.write(Command::Fpwr(self.station, last), &[0]))
     }
 
-    fn ask_look(&self, ask: &mut Ask) -> bool {
+    fn request_look(&self, ask: &mut Ask) -> bool {
         // A mailbox that is no longer would be emptied by that.
         let head = self.read.len() <= HEAD || ask.room().is_none_or(|room| room < HEAD + 3);
         ask.read(Command::Fprd(self.station, STATUS), 3)
             && (head || ask.read(Command::Fprd(self.station, self.input.start), HEAD))
     }
 
-    fn ask_piece(&self, piece: Piece, ask: &mut Ask) -> bool {
+    fn request_piece(&self, piece: Piece, ask: &mut Ask) -> bool {
         let (start, length) = (self.input.start, self.input.length);
         let at = start.wrapping_add(piece.at as u16);
         let is_read = piece.length == 0 || ask.read(Command::Fprd(self.station, at), piece.length);
@@ -315,16 +311,16 @@ impl Mailbox {
     }
 
     /// Takes the answer to its request.
-    pub(super) fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
-        match self.asked.take() {
-            None => Heard::Nothing,
-            Some(Asked::Write) => self.heard_write(now, answers, counters),
-            Some(Asked::Look) => {
-                self.heard_look(now, answers, counters);
-                Heard::Nothing
+    pub(super) fn receive(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Received {
+        match self.pending.take() {
+            None => Received::Nothing,
+            Some(Pending::Write) => self.receive_write(now, answers, counters),
+            Some(Pending::Look) => {
+                self.receive_look(now, answers, counters);
+                Received::Nothing
             }
-            Some(Asked::Piece(piece)) => self.heard_piece(piece, answers, counters),
-            Some(Asked::Toggle(toggle)) => {
+            Some(Pending::Piece(piece)) => self.receive_piece(piece, answers, counters),
+            Some(Pending::Toggle(toggle)) => {
                 if let Reading::Repeat { since, .. } = self.reading {
                     self.reading = match done(&answers[0]) {
                         true => Reading::Repeated { toggle, since },
@@ -332,13 +328,13 @@ impl Mailbox {
                         false => self.reading,
                     };
                 }
-                Heard::Nothing
+                Received::Nothing
             }
         }
     }
 
-    fn heard_write(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
-        let Sending::Due { answered, lost, full, since } = self.sending else { return Heard::Nothing };
+    fn receive_write(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Received {
+        let Sending::Due { answered, lost, full, since } = self.sending else { return Received::Nothing };
         let parts = if self.length == usize::from(self.out.length) { 1 } else { 2 };
         let parts = &answers[..parts];
         if parts.iter().any(Option::is_none) {
@@ -352,14 +348,14 @@ impl Mailbox {
             let since = if full == 0 { now } else { since };
             if full >= FULL && now.since(since) >= FULL_NS {
                 self.sending = Sending::Nothing;
-                return Heard::Full;
+                return Received::Full;
             }
             self.sending = Sending::Due { answered, lost, full: full.saturating_add(1), since };
         }
-        Heard::Nothing
+        Received::Nothing
     }
 
-    fn heard_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+    fn receive_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         let [Some(Answer { working_counter: 1, data: &[status, activate, control] }), head] = *answers else {
             // Haste does not help with a slave that does not answer at all.
             if answers[0].is_some() {
@@ -387,7 +383,7 @@ impl Mailbox {
         }
     }
 
-    fn heard_piece(&mut self, piece: Piece, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
+    fn receive_piece(&mut self, piece: Piece, answers: &Answers<'_>, counters: &mut Counters) -> Received {
         let Piece { at, length, closes } = piece;
         let end = at + length;
         let is_apart = closes && end < self.read.len();
@@ -408,18 +404,18 @@ impl Mailbox {
             if is_lost && !closes {
                 Own::MailboxRepeats.count(counters);
             }
-            return Heard::Nothing;
+            return Received::Nothing;
         };
         if let Some(place) = self.read.get_mut(at..end) {
             place.copy_from_slice(data);
         }
         self.reading = if closes { Reading::Nothing } else { Reading::There(end) };
         if !closes {
-            return Heard::Nothing;
+            return Received::Nothing;
         }
         // Another one may follow.
         self.looked = None;
-        Heard::Message
+        Received::Message
     }
 }
 

@@ -16,9 +16,10 @@
 mod mailbox;
 mod sdo;
 
-use self::mailbox::{Heard, Mailbox};
+use self::mailbox::{Mailbox, Received};
 use self::sdo::{Failure, KEPT, Sdo, Step};
 use super::counters::Own;
+use super::object::number::DEVICE_TYPE;
 use super::object::{self, Target, Type, long};
 use super::plan::SlavePlan;
 use super::slot::{Answers, Ask};
@@ -60,9 +61,6 @@ pub enum SdoFailure {
     /// It did not answer, or nothing usable, or the mailbox was closed.
     Silent,
 }
-
-/// An object that every slave with a mailbox has.
-const DEVICE_TYPE: Object = Object::new(0x1000, 0);
 
 /// The mailbox of one slave.
 #[derive(Debug)]
@@ -183,9 +181,9 @@ impl Emergencies {
 
 impl Service {
     /// The mailbox of a slave, and the application's calls for it.
-    pub fn new(slave: &SlavePlan, port: Option<Port>) -> Service {
+    pub fn new(slave: &SlavePlan, port: Option<Port>, turn_ns: u64) -> Service {
         Service {
-            mailbox: slave.mailbox.and_then(|areas| Mailbox::new(areas, slave.station())),
+            mailbox: slave.mailbox.and_then(|areas| Mailbox::new(areas, slave.station(), turn_ns)),
             port,
             open: false,
             waiting: None,
@@ -196,15 +194,7 @@ impl Service {
             unsettled: false,
             silent: 0,
             lost: 0,
-            turn_ns: 0,
-        }
-    }
-
-    /// The longest time until its mailbox has the slot again, ns: on a long segment everything takes longer.
-    pub fn set_turn(&mut self, turn_ns: u64) {
-        self.turn_ns = turn_ns;
-        if let Some(mailbox) = &mut self.mailbox {
-            mailbox.set_turn(turn_ns);
+            turn_ns,
         }
     }
 
@@ -373,9 +363,9 @@ impl Service {
     /// Writes its request for the next frame into `ask`; nothing, if there is nothing to do. Called again without
     /// an answer, the frame was not sent, and the request is the same.
     #[inline]
-    pub fn ask(&mut self, now: Time, ask: &mut Ask) {
+    pub fn request(&mut self, now: Time, ask: &mut Ask) {
         if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {
-            mailbox.ask(now, ask);
+            mailbox.request(now, ask);
             if let Some(active) = &mut self.active {
                 active.gone_out |= mailbox.writes();
             }
@@ -383,17 +373,17 @@ impl Service {
     }
 
     /// Takes the answer to its request.
-    pub fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+    pub fn receive(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
         counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
-        let heard = self.mailbox.as_mut().map(|mailbox| mailbox.heard(now, answers, counters));
+        let heard = self.mailbox.as_mut().map(|mailbox| mailbox.receive(now, answers, counters));
         match heard {
-            None | Some(Heard::Nothing) => {}
-            Some(Heard::Full) => {
+            None | Some(Received::Nothing) => {}
+            Some(Received::Full) => {
                 counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
                 self.finish(now, End::Failed(Failure::Unusable(object::FULL)));
             }
-            Some(Heard::Message) => self.take(now, counters),
+            Some(Received::Message) => self.take(now, counters),
         }
     }
 
@@ -404,21 +394,21 @@ impl Service {
         let is_awaited = active.is_some();
         let failed = |status| Step::Failed(Failure::Unusable(status));
         let step = match (parse(mailbox.message()), active) {
-            (Ok(Message::Emergency(emergency)), _) => {
+            (Some(Message::Emergency(emergency)), _) => {
                 Own::Emergencies.count(counters);
                 if !self.emergencies.push(emergency) {
                     Own::EmergenciesLost.count(counters);
                 }
                 return;
             }
-            (Ok(Message::Sdo { counter, response }), Some(active))
+            (Some(Message::Sdo { counter, response }), Some(active))
                 if counter == 0 || counter == mailbox.count() =>
             {
                 active.sdo.take(&response)
             }
-            (Ok(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
-            (Ok(_), _) => Step::Stray,
-            (Err(_), _) => {
+            (Some(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
+            (Some(_), _) => Step::Stray,
+            (None, _) => {
                 Own::MailboxBroken.count(counters);
                 if !is_awaited {
                     return;

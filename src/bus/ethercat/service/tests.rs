@@ -9,6 +9,7 @@ use proptest::prelude::*;
 use self::server::{Server, coe, message};
 use super::*;
 use crate::axis::acyclic::{Acyclic, CallTicket, both, both_of};
+use crate::bus::ethercat::object::number::{DEVICE_NAME as NAME, MODE, STATUS_WORD};
 use crate::bus::ethercat::object::{READ, WRITE};
 use crate::bus::ethercat::plan::Area;
 use crate::bus::ethercat::sim::sii::{Contents, Mailboxes};
@@ -20,9 +21,6 @@ use crate::time::S;
 
 const STATION: u16 = 0x1001;
 const LIMIT: Duration = Duration::from_secs(1);
-const STATUS_WORD: Object = Object::new(0x6041, 0);
-const MODE: Object = Object::new(0x6060, 0);
-const NAME: Object = Object::new(0x1008, 0);
 
 /// What becomes of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +61,7 @@ impl Bench {
         let (acyclic, port) = both_of(16, object::commanding([]));
         let mut bench = Bench {
             line: Line::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
-            service: Service::new(&plan(length), Some(port)),
+            service: Service::new(&plan(length), Some(port), 0),
             acyclic,
             counters: Counters::default(),
             now: Time(S),
@@ -111,8 +109,8 @@ impl Bench {
         self.now = self.now + MS;
         self.service.advance(self.now, self.link, self.guarded);
         let (mut ask, mut again) = (Ask::default(), Ask::default());
-        self.service.ask(self.now, &mut ask);
-        self.service.ask(self.now, &mut again);
+        self.service.request(self.now, &mut ask);
+        self.service.request(self.now, &mut again);
         let of = |ask: &Ask| -> Vec<_> { ask.datagrams().map(|(c, data)| (c, data.to_vec())).collect() };
         assert_eq!(of(&ask), of(&again), "asked again, it asks the same");
         self.line.live(self.now);
@@ -140,7 +138,7 @@ impl Bench {
                 *answer = Some(slot::Answer { working_counter, data: datagram.data });
             }
         }
-        self.service.heard(self.now, &answers, &mut self.counters);
+        self.service.receive(self.now, &answers, &mut self.counters);
     }
 
     fn steps(&mut self, count: usize) {
@@ -309,7 +307,7 @@ fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
     assert_eq!(bench.own(Own::MailboxSilent), 2);
 
     // A firmware that stands still never takes the request.
-    let mut full = Service::new(&plan(16), None);
+    let mut full = Service::new(&plan(16), None, 0);
     full.open(true);
     full.begin(Transfer::Read(MODE));
     let empty = [0x02, 0x01, 0x00];
@@ -321,10 +319,10 @@ fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
         assert!(bench.now.since(begun) < 40 * MS, "it goes on for ever");
         full.advance(bench.now, Link::Online, false);
         let mut ask = Ask::default();
-        full.ask(bench.now, &mut ask);
+        full.request(bench.now, &mut ask);
         let is_look = ask.datagrams().any(|(command, _)| command == Command::Fprd(STATION, 0x080D));
         let first = if is_look { answer(1, &empty[..]) } else { answer(0, &[0; 16][..]) };
-        full.heard(bench.now, &[first, None], &mut bench.counters);
+        full.receive(bench.now, &[first, None], &mut bench.counters);
         end = full.take_end();
     }
     assert_eq!(end, Some(Err(SdoFailure::Silent)));
@@ -620,7 +618,7 @@ fn a_write_that_nobody_waits_for_is_under_way_until_a_later_request_is_answered(
 #[test]
 fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     let (acyclic, port) = both(4);
-    let mut none = Service::new(&SlavePlan::new(0), Some(port));
+    let mut none = Service::new(&SlavePlan::new(0), Some(port), 0);
     none.open(true);
     none.begin(Transfer::Read(MODE));
     assert_eq!(none.take_end(), Some(Err(SdoFailure::Silent)));
@@ -630,7 +628,7 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     none.advance(Time(S), Link::Online, false);
     assert_eq!(ticket.poll(), Some(Err(CallError::Refused(object::NO_MAILBOX))));
     let mut ask = Ask::default();
-    none.ask(Time(S), &mut ask);
+    none.request(Time(S), &mut ask);
     assert!(ask.is_empty());
 
     let (mut bench, _server) = Bench::server(16, &[(MODE, &[7])]);
@@ -657,7 +655,7 @@ fn what_is_no_call_is_refused() {
 
 #[test]
 fn all_memory_is_told() {
-    let service = Service::new(&plan(1_024), None);
+    let service = Service::new(&plan(1_024), None, 0);
     let mut regions = Regions::new();
     service.memory(&mut regions);
     assert!(regions.covers(service.mailbox.as_ref().unwrap().message()));
@@ -690,7 +688,7 @@ proptest! {
         writes: bool,
     ) {
         let (acyclic, port) = both(4);
-        let mut service = Service::new(&plan(length), Some(port));
+        let mut service = Service::new(&plan(length), Some(port), 0);
         service.open(true);
         let target = Target::parse("0x6041:0.u32").unwrap();
         let call = if writes { target.write(5) } else { target.read() };
@@ -702,7 +700,7 @@ proptest! {
             service.advance(now, Link::Online, false);
             end = end.or(ticket.poll());
             let mut ask = Ask::default();
-            service.ask(now, &mut ask);
+            service.request(now, &mut ask);
             let mut heard: Answers<'_> = [None; slot::DATAGRAMS];
             let came = &answers[step as usize % answers.len()];
             let mut fitted: Vec<Option<(u16, Vec<u8>)>> = Vec::new();
@@ -716,7 +714,7 @@ proptest! {
             for (place, came) in heard.iter_mut().zip(&fitted) {
                 *place = came.as_ref().map(|(counter, data)| slot::Answer { working_counter: *counter, data });
             }
-            service.heard(now, &heard, &mut counters);
+            service.receive(now, &heard, &mut counters);
         }
         let Some(end) = end else { panic!("it has no end") };
         prop_assert!(end.is_err(), "{:?}", end);

@@ -346,7 +346,7 @@ mod tests {
         let both = [mailbox.next(), mailbox.next()].map(Option::unwrap);
         assert_eq!(both.each_ref().map(|message| message[8]), [0x43, 0x4F]);
         assert_eq!(both[1][12..], [9, 2, 3, 4]);
-        let Ok(Parsed::Sdo { response: Response::Value { data, .. }, .. }) = parse(&both[1]) else {
+        let Some(Parsed::Sdo { response: Response::Value { data, .. }, .. }) = parse(&both[1]) else {
             panic!()
         };
         assert_eq!(data, [9]);
@@ -376,7 +376,7 @@ mod tests {
         };
         let aborted = |change| {
             let answer = refusal(change).unwrap();
-            let Ok(Parsed::Sdo { response: Response::Abort { code, .. }, .. }) = parse(&answer) else {
+            let Some(Parsed::Sdo { response: Response::Abort { code, .. }, .. }) = parse(&answer) else {
                 panic!()
             };
             code
@@ -385,7 +385,7 @@ mod tests {
         assert_eq!(aborted(|message| message[8] = 0x60), AbortCode::COMMAND);
         assert_eq!(aborted(|message| message[8] = 0x50), AbortCode::NOT_COMPLETE);
         let refused = |change| match parse(&refusal(change).unwrap()) {
-            Ok(Parsed::Refused(MailboxError(code))) => code,
+            Some(Parsed::Refused(MailboxError(code))) => code,
             other => panic!("{other:?}"),
         };
         assert_eq!(refused(|message| message[5] = 0x02), error::PROTOCOL);

@@ -3,8 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the station |
-//! | `places` | the PDO offsets |
-//! | `asking` | the station's own SDOs: mode, reference, monitored objects |
+//! | `requests` | the station's own SDOs: mode, reference, monitored objects |
 //!
 //! It takes instants and slices, and knows no frame. What is desired of it becomes outputs in `profile`. The segment
 //! reports the state of the slave, and whether inputs are of this exchange: an answer is never suspect.
@@ -12,41 +11,25 @@
 //! Where the setpoint is not a position, the actual position is reported as the demand: there is no demand
 //! position.
 
-mod asking;
-mod places;
+mod requests;
 
-use self::asking::Asking;
-use self::places::{Places, Said};
-use super::cia402::{Mode, StatusWord};
+use self::requests::Requests;
+use super::cia402::StatusWord;
 use super::counters::Own;
 use super::faults::Clearing;
-use super::native::{Native, NativePort, native};
+use super::native::{Native, native};
 use super::object::{Object, commanding};
-use super::plan::KollmorgenDrive;
-use super::profile::{Inputs, Profile};
+use super::plan::{KollmorgenDrive, Setpoint};
+use super::profile::{Counts, Inputs, Profile, tells_position};
 use super::service::Service;
 use super::wire::mailbox::Emergency;
 use super::wire::registers::AlState;
 use crate::axis::acyclic::{self, AcyclicEnds};
-use crate::axis::command::NativeOwner;
 use crate::axis::units::Unwrap;
 use crate::axis::{self, State, Units};
-use crate::bus::desired::Quantity;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::{MS, Time};
-
-pub(super) const CONTROL_WORD: Object = Object::new(0x6040, 0);
-const MANUFACTURER_STATUS: Object = Object::new(0x1002, 0);
-const FAULT_CODE: Object = Object::new(0x603F, 0);
-const STATUS_WORD: Object = Object::new(0x6041, 0);
-const MODE: Object = Object::new(0x6060, 0);
-const MODE_DISPLAY: Object = Object::new(0x6061, 0);
-const INCREMENTS: Object = Object::new(0x6063, 0);
-const POSITION: Object = Object::new(0x6064, 0);
-const VELOCITY: Object = Object::new(0x606C, 0);
-const TORQUE: Object = Object::new(0x6077, 0);
-const HOMING_METHOD: Object = Object::new(0x6098, 0);
 
 /// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: then it is
 /// this one, any error (CAN manual).
@@ -58,7 +41,6 @@ const ANY_ERROR: u16 = 0x1000;
 #[derive(Debug)]
 pub struct Station {
     units: Units,
-    places: Places,
     unit_per_count: f64,
     /// User units/s per count of 606Ch; A per per mille.
     velocity_per_count: f64,
@@ -71,19 +53,17 @@ pub struct Station {
     interval_ns: u64,
     /// Its setpoint is a position, and it reports its own.
     has_place: bool,
-    profile: Profile,
+    pub(super) profile: Profile,
     inputs: Inputs,
-    native: NativePort,
-    asking: Asking,
-    service: Service,
+    pub(super) requests: Requests,
+    pub(super) service: Service,
     /// The slave's state; `None`: below SAFEOP, or not there.
     al: Option<AlState>,
     actual: Unwrap,
     demand: Unwrap,
     /// The last position, and its slot of the grid.
     last: Option<(i64, Time)>,
-    grid: Time,
-    sent_grid: Time,
+    pub(super) sent_grid: Time,
     /// Outputs were written since OP: there is a demand.
     led: bool,
     /// The outputs of the last exchange reach the drive.
@@ -100,17 +80,17 @@ pub struct Station {
 }
 
 impl Station {
-    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process
+    /// The station of `drive` for an exchange every `interval_ns`, whose mailbox has the slot again within `turn_ns`,
+    /// and the application's ends of its native process
     /// data and of its acyclic access.
-    pub fn new(drive: &KollmorgenDrive, interval_ns: u64) -> (Station, Native, AcyclicEnds) {
+    pub fn new(drive: &KollmorgenDrive, interval_ns: u64, turn_ns: u64) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(&drive.outputs, &drive.inputs);
         let outputs = drive.outputs.entries.iter().map(|entry| entry.object);
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let units = drive.axis.units;
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;
-        let places = Places::new(drive);
-        let profile = Profile::new(drive);
+        let profile = Profile::new(drive, native);
         let station = Station {
             units,
             unit_per_count,
@@ -121,25 +101,22 @@ impl Station {
                 * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
             rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
             interval_ns,
-            has_place: profile.quantity() == Quantity::Position && tells_position(drive),
-            places,
+            has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && tells_position(drive),
             profile,
             inputs: Inputs::default(),
-            native,
-            asking: Asking::new(drive),
-            service: Service::new(&drive.slave, Some(port)),
+            requests: Requests::new(drive),
+            service: Service::new(&drive.slave, Some(port), turn_ns),
             al: None,
             actual: Unwrap::default(),
             demand: Unwrap::default(),
             last: None,
-            grid: Time(0),
             sent_grid: Time(0),
             led: false,
             reached: false,
             emergency: Emergency::default(),
             emergency_at: Time(0),
             faulted_at: None,
-            named_within_ns: NAMED_WITHIN_NS,
+            named_within_ns: NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns),
             warning: 0,
             was_restarted: false,
             commanded: false,
@@ -149,19 +126,8 @@ impl Station {
 
     /// Adds what it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
-        self.native.memory(regions);
+        self.profile.memory(regions);
         self.service.memory(regions);
-    }
-
-    /// The longest time until its mailbox has the slot again, ns.
-    pub fn set_turn(&mut self, turn_ns: u64) {
-        self.named_within_ns = NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns);
-        self.service.set_turn(turn_ns);
-    }
-
-    /// Its mailbox: the segment opens it, and gives it the acyclic slot.
-    pub fn service(&mut self) -> &mut Service {
-        &mut self.service
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -171,7 +137,7 @@ impl Station {
             return;
         }
         if before.is_none() {
-            self.asking.forget();
+            self.requests.forget();
         }
         if before == Some(AlState::Op) {
             self.leave_operation();
@@ -190,43 +156,11 @@ impl Station {
     pub fn restarted(&mut self) {
         self.was_restarted = true;
         self.profile.drive_restarted();
-        self.asking.forget();
+        self.requests.forget();
         self.actual.reset();
         self.demand.reset();
         (self.last, self.inputs.seen, self.inputs.velocity) = (None, false, 0.0);
         (self.emergency, self.faulted_at, self.warning) = (Emergency::default(), None, 0);
-    }
-
-    /// Whether something stops it if the master dies, as far as that depends on its watchdog.
-    pub fn watched(&mut self, is_watched: bool) {
-        self.profile.watched(is_watched);
-    }
-
-    /// It was found in this mode of operation, and left so.
-    pub fn found_in(&mut self, mode: Mode) {
-        self.asking.found_in(mode);
-    }
-
-    /// An order is present: the drive is commanded from now on. Before, it is only read, and a drive found in OP
-    /// continues as it was.
-    pub fn wants_outputs(&self) -> bool {
-        self.profile.writes()
-    }
-
-    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: state that
-    /// changes with every exchange changes in [`sent`](Self::sent).
-    #[inline]
-    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, outputs: &mut [u8]) {
-        self.grid = cycle.grid;
-        let out = self.profile.encode(cycle.grid, &slot.desired, &mut self.native);
-        self.places.write(out.control.0, out.setpoint, outputs);
-        if let Some((native, owner)) = self.profile.native() {
-            let size = native.bytes().len().min(outputs.len());
-            outputs[..size].copy_from_slice(&native.bytes()[..size]);
-            if owner == NativeOwner::Master {
-                self.places.write_control(out.control.0, outputs);
-            }
-        }
     }
 
     /// The frame with the prepared outputs went out.
@@ -235,7 +169,7 @@ impl Station {
         self.open(sent_at, reply_by, slot);
         self.reached = true;
         self.profile.sent();
-        slot.gone.grid = Some(self.grid);
+        slot.gone.grid = Some(self.profile.grid);
     }
 
     /// A frame was sent that only reads this drive: its outputs do not count there yet.
@@ -248,32 +182,27 @@ impl Station {
     fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
-        (self.sent_grid, self.reached) = (self.grid, false);
-        self.ask();
+        (self.sent_grid, self.reached) = (self.profile.grid, false);
+        self.request();
     }
 
     /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
     #[inline]
-    fn ask(&mut self) {
+    fn request(&mut self) {
         if self.al.is_none() {
             return;
         }
         // After a parameter that may command the drive its mode is read again.
         let commanded = self.service.commands();
         if std::mem::replace(&mut self.commanded, commanded) && !commanded {
-            self.asking.doubt_mode();
+            self.requests.doubt_mode();
         }
-        if !self.asking.advance(self.grid, self.profile.mode_wanted(), &mut self.service) {
+        if !self.requests.advance(self.profile.grid, self.profile.mode_wanted(), &mut self.service) {
             return;
         }
-        if self.asking.take_refused() {
+        if std::mem::take(&mut self.requests.refused) {
             self.profile.mode_refused();
         }
-    }
-
-    /// The frame of this slot of the grid was the last one with an exchange of it.
-    pub fn was_asked(&self, grid: Time) -> bool {
-        self.sent_grid == grid
     }
 
     /// It could not be handed to the wire, or the slave is not part of the exchange.
@@ -285,12 +214,9 @@ impl Station {
     /// The inputs that answer the open exchange, of a slave in this state.
     #[inline]
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
-        let Exchange::Owed { sent_at, .. } = slot.exchange else {
-            slot.counters.late += 1;
-            return;
-        };
-        let said = self.places.read(inputs);
-        if said.is_some_and(|said| said.status == 0) && inputs.iter().all(|byte| *byte == 0) {
+        let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
+        let counts = self.profile.read(inputs);
+        if counts.is_some_and(|counts| counts.status == 0) && inputs.iter().all(|byte| *byte == 0) {
             // As the master has sent them: the slave has counted for its AL status alone.
             Own::PassedBy.count(&mut slot.counters);
             slot.exchange = Exchange::Absent { sent_at };
@@ -309,36 +235,36 @@ impl Station {
         }
         self.led = operational && self.reached && self.profile.writes();
         self.inputs.operational = operational;
-        self.native.publish(at, self.profile.is_native(), inputs);
-        if let Some(said) = said {
-            self.read(at, said, slot);
+        self.profile.publish(at, inputs);
+        if let Some(counts) = counts {
+            self.read(at, counts, slot);
         }
     }
 
     /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
     /// end of one.
-    pub fn mailbox_heard(&mut self, slot: &mut Slot) {
+    pub fn mailbox_received(&mut self, slot: &mut Slot) {
         if slot.notices.emergency.is_some() {
             return;
         }
         let Some(emergency) = self.service.take_emergency() else { return };
         match Clearing::of(&emergency) {
             Some(Clearing::Warning) => self.warning = emergency.code,
-            _ => (self.emergency, self.emergency_at) = (emergency, self.grid),
+            _ => (self.emergency, self.emergency_at) = (emergency, self.profile.grid),
         }
         slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
     /// The drive's report, in user units.
     #[inline]
-    fn read(&mut self, at: Time, said: Said, slot: &mut Slot) {
-        let (status, before) = (StatusWord(said.status), self.inputs.status);
+    fn read(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
+        let (status, before) = (StatusWord(counts.status), self.inputs.status);
         if status.0 != self.inputs.status.0 || !self.inputs.seen {
             self.inputs.state = status.state();
             self.inputs.status = status;
         }
-        let position = self.take_position(said, before);
-        self.take_fault(at, said);
+        let position = self.take_position(counts, before);
+        self.take_fault(at, counts);
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.position) = (true, position.unwrap_or(0.0));
         let Slot { status: report, notices, evidence, .. } = slot;
@@ -349,14 +275,14 @@ impl Station {
         report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
         let powered = report.state.is_powered();
         self.profile.look(inputs);
-        self.profile.prove(inputs, self.asking.mode(), evidence);
-        evidence.reference = self.asking.reference();
-        report.inhibited = !powered && self.profile.is_inhibited(self.grid);
+        self.profile.prove(inputs, self.requests.mode(), evidence);
+        evidence.reference = self.requests.reference();
+        report.inhibited = !powered && self.profile.is_inhibited();
         report.moving = powered && (self.profile.is_moving() || inputs.velocity.abs() > self.standstill);
         let homing = self.profile.is_homing();
         let led = self.has_place && self.led && !homing && !self.profile.is_native();
         report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.profile.is_moving());
-        report.homed = !homing && self.asking.homed() == Some(true);
+        report.homed = !homing && self.requests.homed == Some(true);
         let units = &self.units;
         report.position = position.map_or(f64::NAN, |position| units.folded(position));
         report.demand = report.position;
@@ -365,12 +291,13 @@ impl Station {
             report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
         }
         report.velocity = inputs.velocity;
-        report.current = said.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
+        report.current =
+            counts.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
         report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
-        if let Some(shown) = self.asking.take_shown() {
+        if let Some(shown) = self.requests.take_shown() {
             (report.monitor, notices.monitor_fresh) = (*shown, true);
-            if let Some(refusal) = self.asking.take_refusal() {
+            if let Some(refusal) = self.requests.refusal.take() {
                 notices.monitor_refused = Some(refusal);
             }
         }
@@ -378,24 +305,24 @@ impl Station {
 
     /// The actual position, not folded, and the velocity.
     #[inline]
-    fn take_position(&mut self, said: Said, before: StatusWord) -> Option<f64> {
+    fn take_position(&mut self, counts: Counts, before: StatusWord) -> Option<f64> {
         let homing = self.profile.is_homing();
         if homing {
             // The positions have a new origin.
             self.actual.reset();
             self.demand.reset();
             if self.profile.is_finding_home() {
-                self.asking.ask_reference();
+                self.requests.request_reference();
             }
         }
-        let count = said.position.map(|raw| self.actual.next(raw));
-        if let Some(velocity) = said.velocity {
+        let count = counts.position.map(|raw| self.actual.next(raw));
+        if let Some(velocity) = counts.velocity {
             self.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
         } else if let Some(count) = count {
             let velocity = self.inputs.velocity;
             self.differ(count);
             if homing {
-                let attained = said.status & !before.0 & StatusWord::MODE_12 != 0;
+                let attained = counts.status & !before.0 & StatusWord::MODE_12 != 0;
                 if attained || self.inputs.velocity.abs() > self.most_velocity {
                     // That was no motion.
                     self.inputs.velocity = velocity;
@@ -424,7 +351,7 @@ impl Station {
 
     /// Takes what is known of the fault in the status.
     #[inline]
-    fn take_fault(&mut self, at: Time, said: Said) {
+    fn take_fault(&mut self, at: Time, counts: Counts) {
         let inputs = &mut self.inputs;
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
             // An emergency that no fault has followed by then names no later one.
@@ -436,20 +363,13 @@ impl Station {
             return;
         }
         let since = *self.faulted_at.get_or_insert(at);
-        let told = said.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
+        let told = counts.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
         let waited = at.since(since) > self.named_within_ns;
         inputs.fault = if told == 0 && waited { ANY_ERROR } else { told };
         inputs.named = inputs.fault != 0;
         let clearing = Clearing::of(&self.emergency);
         inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));
     }
-}
-
-/// Its inputs have an actual position.
-pub(super) fn tells_position(drive: &KollmorgenDrive) -> bool {
-    let is_one =
-        |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
-    is_one(POSITION) || is_one(INCREMENTS)
 }
 
 /// The reported state of a drive below OP: it follows no setpoint.

@@ -4,9 +4,11 @@
 use std::collections::VecDeque;
 
 use super::*;
+use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Jog, Link, Move, Profile, Row, Target};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
+use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::{Family, Type, pdo};
 use crate::bus::ethercat::profile::capabilities;
 use crate::bus::ethercat::sim::{Drive, DriveSettings};
@@ -79,7 +81,7 @@ impl Rig {
         let mut settings = DriveSettings::new(plan.family);
         settings.position = 123_456;
         change(&mut settings);
-        let (station, native, _) = Station::new(&plan, PERIOD * u64::from(plan.axis.divisor));
+        let (station, native, _) = Station::new(&plan, PERIOD * u64::from(plan.axis.divisor), 0);
         let mut rig = Rig {
             machine: Machine::new(&plan.axis, capabilities(&plan), PERIOD),
             drive: Drive::new(settings),
@@ -108,7 +110,7 @@ impl Rig {
     /// What the line does until the drive is in OP.
     fn bring_up(&mut self) {
         self.station.operational(None, &mut self.slot);
-        self.station.service().open(false);
+        self.station.service.open(false);
         self.mail.clear();
         let now = self.now;
         self.drive.may_enter(now, AlState::PreOp).unwrap();
@@ -122,7 +124,7 @@ impl Rig {
             assert!(self.drive.mailbox(&message, &mut reply));
             assert_eq!(reply[8], 0x60, "{start:?}");
         }
-        self.station.service().open(true);
+        self.station.service.open(true);
         self.drive.may_enter(now, AlState::SafeOp).unwrap();
         let neutral = vec![0; self.outputs.len()];
         for _ in 0..200 {
@@ -149,9 +151,9 @@ impl Rig {
         }
         let before = self.setpoint();
         self.machine.propose(self.now, &mut self.slot);
-        self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
+        self.station.profile.encode(cycle.grid, &self.slot.desired, &mut self.outputs);
         let built = self.outputs.clone();
-        self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
+        self.station.profile.encode(cycle.grid, &self.slot.desired, &mut self.outputs);
         assert_eq!(built, self.outputs, "built again it is the same");
         self.steepest = self.steepest.max(self.setpoint().wrapping_sub(before).saturating_abs());
     }
@@ -165,7 +167,8 @@ impl Rig {
     }
 
     fn control(&self) -> u16 {
-        self.station.places.control(&self.outputs).unwrap()
+        let at = self.plan.outputs.place(CONTROL_WORD).unwrap();
+        u16::from_le_bytes([self.outputs[at], self.outputs[at + 1]])
     }
 
     /// One cycle. The inputs that come with a frame are those of before its outputs.
@@ -222,8 +225,8 @@ impl Rig {
     /// The acyclic slot of a frame.
     fn mails(&mut self) {
         let mut ask = Ask::default();
-        self.station.service().advance(self.now, self.slot.link, self.slot.guarded);
-        self.station.service().ask(self.now, &mut ask);
+        self.station.service.advance(self.now, self.slot.link, self.slot.guarded);
+        self.station.service.request(self.now, &mut ask);
         let mut message = Vec::new();
         if self.mail.is_empty() && self.drive.message(&mut message) {
             self.mail.push_back(message.clone());
@@ -234,8 +237,8 @@ impl Rig {
             Some(Answer { working_counter: *working_counter, data })
         };
         let answers = if self.muted { [None, None] } else { [answer(0), answer(1)] };
-        self.station.service().heard(self.now, &answers, &mut self.slot.counters);
-        self.station.mailbox_heard(&mut self.slot);
+        self.station.service.receive(self.now, &answers, &mut self.slot.counters);
+        self.station.mailbox_received(&mut self.slot);
     }
 
     fn carry(&mut self, command: DatagramCommand, data: &[u8]) -> (u16, Vec<u8>) {
@@ -339,7 +342,7 @@ impl Rig {
 #[test]
 fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
     let mut rig = Rig::new(position());
-    assert!(!rig.station.wants_outputs());
+    assert!(!rig.station.profile.writes());
     rig.turns(100);
     assert_eq!((rig.control(), rig.setpoint()), (0, 123_456));
     assert_eq!(rig.state(), State::SwitchOnDisabled);
@@ -349,7 +352,7 @@ fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
     assert!(report.current.is_nan(), "its rated current is not known");
     rig.order(None);
     rig.turn();
-    assert_eq!((rig.end(), rig.control(), rig.station.wants_outputs()), (Some(Ok(())), 0, true));
+    assert_eq!((rig.end(), rig.control(), rig.station.profile.writes()), (Some(Ok(())), 0, true));
 }
 
 #[test]
@@ -613,17 +616,17 @@ fn a_drive_found_running_goes_on_until_it_is_stopped_along_a_ramp() {
         rig.order(Rig::jog(1.0));
         rig.turns(500);
         // Another master, that knows nothing: it only looks on.
-        let (mut second, native, _) = Station::new(&plan, PERIOD);
+        let (mut second, native, _) = Station::new(&plan, PERIOD, 0);
         let mut slot = Slot { link: Link::Online, ..Slot::default() };
         second.operational(Some(AlState::Op), &mut slot);
         for _ in 0..50 {
-            second.prepare(&rig.cycle(), &mut slot, &mut [0; 6]);
-            assert!(!second.wants_outputs());
+            second.profile.encode(rig.now, &slot.desired, &mut [0; 6]);
+            assert!(!second.profile.writes());
             second.sent(rig.now, rig.now + PERIOD / 2, &mut slot);
             second.take(rig.now + 50_000, &rig.inputs, AlState::Op, &mut slot);
             rig.turn();
         }
-        second.service().open(true);
+        second.service.open(true);
         (rig.station, rig.native, rig.slot) = (second, native, slot);
         assert!(rig.slot.status.moving && (rig.slot.status.velocity - 1.0).abs() < 0.02);
         rig.order(None);

@@ -9,8 +9,6 @@
 //!
 //! The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
 
-use thiserror::Error;
-
 /// On the wire, big-endian.
 pub const ETHERTYPE: u16 = 0x88A4;
 /// Ethernet and EtherCAT header.
@@ -299,30 +297,13 @@ pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Retu
 }
 
 /// Why bytes are not a valid frame.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// It ends within its header.
-    #[error("{0} bytes are not a frame")]
-    Short(usize),
-    /// Another protocol.
-    #[error("Ethertype {0:#06x} is not EtherCAT")]
-    Ethertype(u16),
-    /// The EtherCAT header is not that of datagrams: mailbox gateways and network variables have others.
-    #[error("type {0} in the EtherCAT header: not datagrams")]
-    Type(u8),
-    /// It is shorter than its header says.
-    #[error("{says} bytes of datagrams in the header, {has} in the frame")]
-    Length {
-        /// By the header.
-        says: usize,
-        /// In the frame.
-        has: usize,
-    },
-    /// A datagram extends past the end of its frame, or announces a following one that is missing.
-    #[error("the datagram at byte {0} does not end within the frame")]
-    Datagram(usize),
+    /// Its Ethertype or its type is another one.
+    Foreign,
+    /// It is too short, or a datagram does not end within it.
+    Broken,
 }
-crate::errors::debug_as_display!(FrameError);
 
 /// A datagram as it was received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -348,13 +329,13 @@ pub struct Datagram<'a> {
 impl<'a> Datagram<'a> {
     /// The datagram at byte `at` of a frame, and whether another one follows.
     fn parse(frame: &'a [u8], at: usize, end: usize) -> Result<(Datagram<'a>, bool), FrameError> {
-        let broken = FrameError::Datagram(at);
-        let header = frame.get(at..end).and_then(<[u8]>::first_chunk::<DATAGRAM_HEADER>).ok_or(broken)?;
+        let header =
+            frame.get(at..end).and_then(<[u8]>::first_chunk::<DATAGRAM_HEADER>).ok_or(FrameError::Broken)?;
         let [number, index, a, b, c, d, low, high, event_low, event_high] = *header;
         let flags = u16::from_le_bytes([low, high]);
         let place = Place { at, length: usize::from(flags & LENGTH_MASK) };
         if place.end() > end {
-            return Err(broken);
+            return Err(FrameError::Broken);
         }
         let counter = place.data().end;
         let datagram = Datagram {
@@ -386,18 +367,15 @@ pub struct Datagrams<'a> {
 
 /// Reads a frame; the error names a frame that is not EtherCAT.
 pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
-    let header = frame.first_chunk::<HEADER>().ok_or(FrameError::Short(frame.len()))?;
+    let header = frame.first_chunk::<HEADER>().ok_or(FrameError::Broken)?;
     let ethertype = u16::from_be_bytes([header[12], header[13]]);
-    if ethertype != ETHERTYPE {
-        return Err(FrameError::Ethertype(ethertype));
-    }
     let length = u16::from_le_bytes([header[14], header[15]]);
-    if length & !LENGTH_MASK & !(1 << 11) != TYPE_DATAGRAMS {
-        return Err(FrameError::Type((length >> 12) as u8));
+    if ethertype != ETHERTYPE || length & !LENGTH_MASK & !(1 << 11) != TYPE_DATAGRAMS {
+        return Err(FrameError::Foreign);
     }
-    let (says, has) = (usize::from(length & LENGTH_MASK), frame.len() - HEADER);
-    if says > has {
-        return Err(FrameError::Length { says, has });
+    let says = usize::from(length & LENGTH_MASK);
+    if says > frame.len() - HEADER {
+        return Err(FrameError::Broken);
     }
     Ok(Datagrams { frame, next: (says > 0).then_some(HEADER), end: HEADER + says })
 }
@@ -521,20 +499,20 @@ mod tests {
             frame[at] = byte;
             frame
         };
-        assert_eq!(datagrams(&whole[..15]).unwrap_err(), FrameError::Short(15));
-        assert_eq!(datagrams(&changed(13, 0)).unwrap_err(), FrameError::Ethertype(0x8800));
-        assert_eq!(datagrams(&changed(15, 0x40)).unwrap_err(), FrameError::Type(4));
-        assert_eq!(datagrams(&whole[..89]).unwrap_err(), FrameError::Length { says: 74, has: 73 });
+        assert_eq!(datagrams(&whole[..15]).unwrap_err(), FrameError::Broken);
+        assert_eq!(datagrams(&changed(13, 0)).unwrap_err(), FrameError::Foreign);
+        assert_eq!(datagrams(&changed(15, 0x40)).unwrap_err(), FrameError::Foreign);
+        assert_eq!(datagrams(&whole[..89]).unwrap_err(), FrameError::Broken);
         // The second one is said to be longer than all the rest.
         let long = changed(36 + 6, 0xFF);
         let read: Vec<_> = datagrams(&long).unwrap().collect();
         assert_eq!(read.len(), 2);
-        assert_eq!(read[1], Err(FrameError::Datagram(36)));
+        assert_eq!(read[1], Err(FrameError::Broken));
         // One more is said to follow the last.
         let more = changed(76 + 7, 0x80);
         let read: Vec<_> = datagrams(&more).unwrap().collect();
         assert_eq!(read.len(), 4);
-        assert_eq!(read[3], Err(FrameError::Datagram(90)));
+        assert_eq!(read[3], Err(FrameError::Broken));
         let circulated = changed(76 + 7, 0x40);
         assert!(datagrams(&circulated).unwrap().last().unwrap().unwrap().circulated);
     }

@@ -11,8 +11,6 @@
 
 use std::fmt;
 
-use thiserror::Error;
-
 use super::sdo;
 
 /// The header of a mailbox message.
@@ -140,26 +138,6 @@ impl fmt::Display for MailboxError {
     }
 }
 
-/// Why bytes are not a message.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
-pub enum MessageError {
-    /// It ends too early.
-    #[error("a mailbox message of {0} bytes is too short")]
-    Short(usize),
-    /// It is longer than the mailbox.
-    #[error("{says} bytes in the mailbox header, {has} in the mailbox")]
-    Length {
-        /// By the header.
-        says: usize,
-        /// In the mailbox.
-        has: usize,
-    },
-    /// The command of no SDO answer.
-    #[error("{0:#04x} is not an SDO answer")]
-    Command(u8),
-}
-crate::errors::debug_as_display!(MessageError);
-
 /// How far a mailbox has to be read for the message of its first bytes: to its end if it is for us, otherwise no
 /// further than its header. `None` if it does not fit `mailbox` bytes.
 pub fn extent(head: &[u8], mailbox: usize) -> usize {
@@ -170,41 +148,37 @@ pub fn extent(head: &[u8], mailbox: usize) -> usize {
 }
 
 /// Reads a mailbox. After the message there may be anything: old memory.
-pub fn parse(mailbox: &[u8]) -> Result<Message<'_>, MessageError> {
-    let header = mailbox.first_chunk::<HEADER>().ok_or(MessageError::Short(mailbox.len()))?;
+pub fn parse(mailbox: &[u8]) -> Option<Message<'_>> {
+    let header = mailbox.first_chunk::<HEADER>()?;
     let (says, has) = (usize::from(u16::from_le_bytes([header[0], header[1]])), mailbox.len() - HEADER);
     let (kind, counter) = (header[5] & 0x0F, header[5] >> 4 & 7);
     // A drive's manual shows a length of 14 for an answer of 10: the present bytes count, if only the length is
     // wrong.
     let lies = says == SDO_SIZE - 2 && has == SDO_SIZE - HEADER;
     let length = if lies { has } else { says };
-    let short = MessageError::Short(mailbox.len().min(HEADER + length));
-    let body = mailbox.get(HEADER..HEADER + length).ok_or(MessageError::Length { says, has })?;
+    let body = mailbox.get(HEADER..HEADER + length)?;
     match kind {
         kind::ERROR => {
-            let &[_, _, low, high, ..] = body else { return Err(short) };
-            Ok(Message::Refused(MailboxError(u16::from_le_bytes([low, high]))))
+            let &[_, _, low, high, ..] = body else { return None };
+            Some(Message::Refused(MailboxError(u16::from_le_bytes([low, high]))))
         }
         kind::COE => {
-            let Some(([_, high], data)) = body.split_first_chunk() else { return Err(short) };
+            let Some(([_, high], data)) = body.split_first_chunk() else { return None };
             match high >> 4 {
                 service::EMERGENCY => {
-                    let &[a, b, register, c, d, e, f, g] = data.first_chunk::<EMERGENCY>().ok_or(short)?;
+                    let &[a, b, register, c, d, e, f, g] = data.first_chunk::<EMERGENCY>()?;
                     let code = u16::from_le_bytes([a, b]);
-                    Ok(Message::Emergency(Emergency { code, register, vendor: [c, d, e, f, g] }))
+                    Some(Message::Emergency(Emergency { code, register, vendor: [c, d, e, f, g] }))
                 }
                 // In the drive's manual answers have the service of a request.
                 service::SDO_REQUEST | service::SDO_RESPONSE => {
-                    let response = sdo::Response::parse(data).map_err(|error| match error {
-                        sdo::ResponseError::Short => short,
-                        sdo::ResponseError::Command(command) => MessageError::Command(command),
-                    })?;
-                    Ok(Message::Sdo { counter, response })
+                    let response = sdo::Response::parse(data)?;
+                    Some(Message::Sdo { counter, response })
                 }
-                service => Ok(Message::Other { kind, service }),
+                service => Some(Message::Other { kind, service }),
             }
         }
-        kind => Ok(Message::Other { kind, service: 0 }),
+        kind => Some(Message::Other { kind, service: 0 }),
     }
 }
 
@@ -228,7 +202,7 @@ mod tests {
         assert_eq!(request, [0x0A, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0, 0x1C, 0, 0, 0, 0, 0]);
         let answer = [0x0A, 0, 0, 0, 0, 0x13, 0, 0x30, 0x4F, 0, 0x1C, 0, 4, 0, 0, 0];
         let response = Response::Value { object, data: &[4] };
-        assert_eq!(parse(&answer), Ok(Message::Sdo { counter: 1, response }));
+        assert_eq!(parse(&answer), Some(Message::Sdo { counter: 1, response }));
     }
 
     #[test]
@@ -236,7 +210,7 @@ mod tests {
         let object = Object::new(0x1600, 1);
         let answer = [0x0A, 0, 0, 0, 0, 0x63, 0, 0x30, 0x43, 0, 0x16, 1, 0x10, 0, 0x40, 0x60];
         let response = Response::Value { object, data: &[0x10, 0, 0x40, 0x60] };
-        assert_eq!(parse(&answer), Ok(Message::Sdo { counter: 6, response }));
+        assert_eq!(parse(&answer), Some(Message::Sdo { counter: 6, response }));
         let value = 0x1704_u32.to_le_bytes();
         let mut out = [0xEE; SDO_SIZE];
         let select = Request::Download { object: Object::new(0x1C12, 1), value, length: 2 };
@@ -252,21 +226,21 @@ mod tests {
         answer.extend([0xEE; 100]);
         let response =
             Response::Begun { object: Object::new(0x1C00, 0), size: Some(6), data: &[4, 0, 1, 2, 3, 4] };
-        assert_eq!(parse(&answer), Ok(Message::Sdo { counter: 1, response }));
+        assert_eq!(parse(&answer), Some(Message::Sdo { counter: 1, response }));
     }
 
     #[test]
     fn a_short_value_is_read_without_the_garbage_behind_it() {
         let answer = [0x0A, 0, 0, 0, 0, 0x13, 0, 0x30, 0x4B, 0x41, 0x60, 0, 0x37, 6, 0xEE, 0xEE];
         let response = Response::Value { object: Object::new(0x6041, 0), data: &[0x37, 6] };
-        assert_eq!(parse(&answer), Ok(Message::Sdo { counter: 1, response }));
+        assert_eq!(parse(&answer), Some(Message::Sdo { counter: 1, response }));
     }
 
     #[test]
     fn all_mailbox_errors_have_names() {
         for code in 1..=8 {
             let refused = [4, 0, 0, 0, 0, 0, 1, 0, code, 0];
-            let Ok(Message::Refused(error)) = parse(&refused) else { panic!() };
+            let Some(Message::Refused(error)) = parse(&refused) else { panic!() };
             assert!(error.0 == u16::from(code) && error.name().is_some());
         }
         assert_eq!(MailboxError(9).name(), None);
@@ -284,7 +258,7 @@ mod tests {
     #[test]
     fn both_dialects_of_an_answer_are_read() {
         let object = Object::new(0x1C12, 1);
-        let written = Ok(Message::Sdo { counter: 0, response: Response::Downloaded { object } });
+        let written = Some(Message::Sdo { counter: 0, response: Response::Downloaded { object } });
         // The manual's: length 14, service of a request, not counted.
         let manual = [0x0E, 0, 0, 0, 0, 0x03, 0, 0x20, 0x60, 0x12, 0x1C, 1, 0, 0, 0, 0];
         assert_eq!(parse(&manual), written);
@@ -301,23 +275,23 @@ mod tests {
     fn what_comes_in_place_of_an_answer_is_told_apart() {
         let emergency = [0x0A, 0, 0, 0, 0, 0x03, 0, 0x10, 0x10, 0x43, 8, 1, 0, 0, 0, 0];
         let read = Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] };
-        assert_eq!(parse(&emergency), Ok(Message::Emergency(read)));
+        assert_eq!(parse(&emergency), Some(Message::Emergency(read)));
         let abort = [0x0A, 0, 0, 0, 0, 0x33, 0, 0x20, 0x80, 0xFF, 0x5F, 1, 0, 0, 2, 6];
         let response = Response::Abort { object: Object::new(0x5FFF, 1), code: AbortCode(0x0602_0000) };
-        assert_eq!(parse(&abort), Ok(Message::Sdo { counter: 3, response }));
+        assert_eq!(parse(&abort), Some(Message::Sdo { counter: 3, response }));
         let refused = [4, 0, 0, 0, 0, 0x00, 1, 0, 2, 0];
-        assert_eq!(parse(&refused), Ok(Message::Refused(MailboxError(2))));
+        assert_eq!(parse(&refused), Some(Message::Refused(MailboxError(2))));
         let ethernet = [4, 0, 0, 0, 0, 0x02, 0, 0, 0, 0];
-        assert_eq!(parse(&ethernet), Ok(Message::Other { kind: 2, service: 0 }));
+        assert_eq!(parse(&ethernet), Some(Message::Other { kind: 2, service: 0 }));
     }
 
     #[test]
     fn what_is_no_message_is_told() {
-        assert_eq!(parse(&[0; 5]), Err(MessageError::Short(5)));
-        assert_eq!(parse(&[9, 0, 0, 0, 0, 3, 0, 0x30]), Err(MessageError::Length { says: 9, has: 2 }));
-        assert_eq!(parse(&[1, 0, 0, 0, 0, 3, 0]), Err(MessageError::Short(7)));
+        assert_eq!(parse(&[0; 5]), None);
+        assert_eq!(parse(&[9, 0, 0, 0, 0, 3, 0, 0x30]), None);
+        assert_eq!(parse(&[1, 0, 0, 0, 0, 3, 0]), None);
         let none = [0x0A, 0, 0, 0, 0, 3, 0, 0x30, 0xA0, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(parse(&none), Err(MessageError::Command(0xA0)));
+        assert_eq!(parse(&none), None);
     }
 
     #[test]

@@ -207,19 +207,10 @@ pub enum Response<'a> {
     },
 }
 
-/// Why bytes are not an answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ResponseError {
-    /// They end within it.
-    Short,
-    /// No answer begins with this byte.
-    Command(u8),
-}
-
 impl<'a> Response<'a> {
     /// Reads the bytes after the CoE header, up to the end of the mailbox message.
-    pub fn parse(message: &'a [u8]) -> Result<Response<'a>, ResponseError> {
-        let &first = message.first().ok_or(ResponseError::Short)?;
+    pub fn parse(message: &'a [u8]) -> Option<Response<'a>> {
+        let &first = message.first()?;
         let toggle = first & command::TOGGLE != 0;
         match first & command::KIND {
             command::SEGMENT => {
@@ -227,16 +218,16 @@ impl<'a> Response<'a> {
                 let data = &message[SEGMENT_HEADER..];
                 // A padded segment gives its padding; a longer one has none.
                 let used = if data.len() <= SEGMENT_MIN { SEGMENT_MIN - unused } else { data.len() };
-                let data = data.get(..used).ok_or(ResponseError::Short)?;
-                return Ok(Response::Segment { toggle, last: first & command::LAST != 0, data });
+                let data = data.get(..used)?;
+                return Some(Response::Segment { toggle, last: first & command::LAST != 0, data });
             }
-            command::SEGMENT_TAKEN => return Ok(Response::SegmentTaken { toggle }),
+            command::SEGMENT_TAKEN => return Some(Response::SegmentTaken { toggle }),
             _ => {}
         }
-        let &[_, low, high, sub] = message.first_chunk().ok_or(ResponseError::Short)?;
+        let &[_, low, high, sub] = message.first_chunk()?;
         let object = Object { index: u16::from_le_bytes([low, high]), sub };
-        let value = || message.get(4..).and_then(<[u8]>::first_chunk::<4>).ok_or(ResponseError::Short);
-        Ok(match first & command::KIND {
+        let value = || message.get(4..).and_then(<[u8]>::first_chunk::<4>);
+        Some(match first & command::KIND {
             // Some slaves leave size and data of the request in the answer.
             command::DOWNLOADED => Response::Downloaded { object },
             command::UPLOADED if first & command::EXPEDITED != 0 => {
@@ -250,7 +241,7 @@ impl<'a> Response<'a> {
             command::ABORT if first == command::ABORT => {
                 Response::Abort { object, code: AbortCode(u32::from_le_bytes(*value()?)) }
             }
-            _ => return Err(ResponseError::Command(first)),
+            _ => return None,
         })
     }
 }
@@ -359,7 +350,7 @@ mod tests {
             let message = [first, 0x00, 0x16, 1, 0x10, 0x00, 0x40, 0x60];
             let data = &message[4..4 + length];
             let object = Object::new(0x1600, 1);
-            assert_eq!(Response::parse(&message), Ok(Response::Value { object, data }));
+            assert_eq!(Response::parse(&message), Some(Response::Value { object, data }));
         }
     }
 
@@ -369,7 +360,7 @@ mod tests {
         assert_eq!(bytes(Request::Upload { object, complete: true }), [0x50, 0, 0x1C, 0, 0, 0, 0, 0]);
         let message = [0x51, 0, 0x1C, 0, 6, 0, 0, 0, 4, 0, 1, 2, 3, 4];
         let begun = Response::Begun { object, size: Some(6), data: &[4, 0, 1, 2, 3, 4] };
-        assert_eq!(Response::parse(&message), Ok(begun));
+        assert_eq!(Response::parse(&message), Some(begun));
     }
 
     #[test]
@@ -379,14 +370,14 @@ mod tests {
         let begin = Request::DownloadBegin { object, complete: true, size: 4, data: &data };
         assert_eq!(bytes(begin), [0x31, 0x12, 0x1C, 0, 4, 0, 0, 0, 1, 0, 4, 0x17]);
         let short = [0x53, 0x12, 0x1C, 0, 1, 0, 4, 0x17];
-        assert_eq!(Response::parse(&short), Ok(Response::Value { object, data: &data }));
+        assert_eq!(Response::parse(&short), Some(Response::Value { object, data: &data }));
     }
 
     #[test]
     fn a_longer_value_need_not_say_its_size() {
         let message = [0x40, 0x08, 0x10, 0, 0xEE, 0xEE, 0xEE, 0xEE, b'S'];
         let begun = Response::Begun { object: Object::new(0x1008, 0), size: None, data: b"S" };
-        assert_eq!(Response::parse(&message), Ok(begun));
+        assert_eq!(Response::parse(&message), Some(begun));
     }
 
     #[test]
@@ -397,7 +388,7 @@ mod tests {
             let unused = 7_usize.saturating_sub(length);
             assert_eq!((sent.len(), usize::from(sent[0])), (1 + length.max(7), unused << 1));
             let read = Response::Segment { toggle: false, last: false, data };
-            assert_eq!(Response::parse(&sent), Ok(read), "an answer has the same form");
+            assert_eq!(Response::parse(&sent), Some(read), "an answer has the same form");
         }
     }
 
@@ -456,22 +447,22 @@ mod tests {
 
         let filled = [0x19, 3, 4, 5, 0, 0, 0, 0];
         let read = Response::Segment { toggle: true, last: true, data: &[3, 4, 5] };
-        assert_eq!(Response::parse(&filled), Ok(read));
+        assert_eq!(Response::parse(&filled), Some(read));
         let full = [&[0x00][..], &long].concat();
         let read = Response::Segment { toggle: false, last: false, data: &long };
-        assert_eq!(Response::parse(&full), Ok(read));
+        assert_eq!(Response::parse(&full), Some(read));
         let taken = [0x30, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(Response::parse(&taken), Ok(Response::SegmentTaken { toggle: true }));
+        assert_eq!(Response::parse(&taken), Some(Response::SegmentTaken { toggle: true }));
     }
 
     #[test]
     fn what_ends_too_early_or_begins_wrong_is_told() {
-        assert_eq!(Response::parse(&[]), Err(ResponseError::Short));
-        assert_eq!(Response::parse(&[0x43, 0, 0x16]), Err(ResponseError::Short));
-        assert_eq!(Response::parse(&[0x43, 0, 0x16, 1, 2, 3, 4]), Err(ResponseError::Short));
-        assert_eq!(Response::parse(&[0x00, 1, 2]), Err(ResponseError::Short));
-        assert_eq!(Response::parse(&[0xC0, 0, 0, 0, 0, 0, 0, 0]), Err(ResponseError::Command(0xC0)));
-        assert_eq!(Response::parse(&[0x84, 0, 0, 0, 0, 0, 0, 0]), Err(ResponseError::Command(0x84)));
+        assert_eq!(Response::parse(&[]), None);
+        assert_eq!(Response::parse(&[0x43, 0, 0x16]), None);
+        assert_eq!(Response::parse(&[0x43, 0, 0x16, 1, 2, 3, 4]), None);
+        assert_eq!(Response::parse(&[0x00, 1, 2]), None);
+        assert_eq!(Response::parse(&[0xC0, 0, 0, 0, 0, 0, 0, 0]), None);
+        assert_eq!(Response::parse(&[0x84, 0, 0, 0, 0, 0, 0, 0]), None);
     }
 
     #[test]

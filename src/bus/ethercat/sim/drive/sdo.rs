@@ -5,7 +5,6 @@ use crate::bus::ethercat::sim::mailbox::Request;
 use crate::bus::ethercat::sim::objects::abort;
 use crate::bus::ethercat::wire::sdo::AbortCode;
 
-const NAME: Object = Object::new(0x1008, 0);
 const COUNT: u8 = 0;
 
 impl Drive {
@@ -24,7 +23,7 @@ impl Drive {
 
     fn read(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
         match object {
-            NAME if self.settings.long_sdos.is_some() => Ok(self.settings.name.as_bytes().to_vec()),
+            DEVICE_NAME if self.settings.long_sdos.is_some() => Ok(self.settings.name.as_bytes().to_vec()),
             _ if self.mapping.has(object) => self.mapping.read(object),
             _ => self.objects.read(object),
         }

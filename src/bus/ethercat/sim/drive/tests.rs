@@ -138,13 +138,13 @@ impl Bench {
         assert_eq!(emit(request, self.counter, &mut bytes), SDO_SIZE);
         let mut reply = Vec::new();
         assert!(self.drive.mailbox(&bytes, &mut reply));
-        while !matches!(parse(&reply), Ok(Message::Sdo { .. })) {
+        while !matches!(parse(&reply), Some(Message::Sdo { .. })) {
             assert!(self.drive.message(&mut reply));
         }
         match parse(&reply) {
-            Ok(Message::Sdo { response: Response::Value { data, .. }, .. }) => Ok(data.to_vec()),
-            Ok(Message::Sdo { response: Response::Downloaded { .. }, .. }) => Ok(Vec::new()),
-            Ok(Message::Sdo { response: Response::Abort { code, .. }, .. }) => Err(code),
+            Some(Message::Sdo { response: Response::Value { data, .. }, .. }) => Ok(data.to_vec()),
+            Some(Message::Sdo { response: Response::Downloaded { .. }, .. }) => Ok(Vec::new()),
+            Some(Message::Sdo { response: Response::Abort { code, .. }, .. }) => Err(code),
             other => panic!("{other:?}"),
         }
     }
@@ -169,7 +169,7 @@ impl Bench {
         let mut reply = Vec::new();
         let mut codes = Vec::new();
         while self.drive.message(&mut reply) {
-            if let Ok(Message::Emergency(emergency)) = parse(&reply) {
+            if let Some(Message::Emergency(emergency)) = parse(&reply) {
                 codes.push(emergency.code);
             }
         }
@@ -375,10 +375,10 @@ fn an_emergency_comes_in_place_of_the_answer_and_the_answer_behind_it() {
     emit(&Request::Upload { object, complete: false }, bench.counter.next(), &mut request);
     let mut reply = Vec::new();
     assert!(bench.drive.mailbox(&request, &mut reply));
-    assert!(matches!(parse(&reply), Ok(Message::Emergency(Emergency { code: 0x4310, register: 8, .. }))));
+    assert!(matches!(parse(&reply), Some(Message::Emergency(Emergency { code: 0x4310, register: 8, .. }))));
     assert!(bench.drive.message(&mut reply));
     let response = Response::Value { object, data: &[9] };
-    assert_eq!(parse(&reply), Ok(Message::Sdo { counter: 1, response }));
+    assert_eq!(parse(&reply), Some(Message::Sdo { counter: 1, response }));
     assert!(!bench.drive.message(&mut reply));
 }
 

@@ -1,10 +1,10 @@
 //! SyncManagers, FMMUs and watchdog of a slave, as the configuration has them.
 
-use super::Member;
+use super::Slave;
 use crate::bus::ethercat::image::AL_SIZE;
-use crate::bus::ethercat::line::note::Note;
-use crate::bus::ethercat::line::sii::Contents;
 use crate::bus::ethercat::plan::Area;
+use crate::bus::ethercat::segment::note::Note;
+use crate::bus::ethercat::segment::sii::Contents;
 use crate::bus::ethercat::wire::registers::{Fmmu, SyncManager, address};
 use crate::bus::ethercat::wire::sii::Use;
 
@@ -14,7 +14,7 @@ const WATCHDOG_TICK_NS: u64 = 100_000;
 /// FMMUs of one slave: outputs, inputs, AL status.
 pub(super) const FMMUS: usize = 3;
 
-impl Member {
+impl Slave {
     /// The number of FMMUs that it needs for its process data.
     pub(super) fn wanted_fmmus(&self) -> usize {
         usize::from(self.plan.outputs.length > 0) + usize::from(self.plan.inputs.length > 0)
@@ -22,7 +22,7 @@ impl Member {
 
     /// Its FMMUs one after the other, and their length in bytes.
     pub(super) fn fmmus(&self) -> ([u8; FMMUS * Fmmu::SIZE], usize) {
-        let logical = self.spot.logical;
+        let logical = self.offsets.logical;
         let area = |at, area: Area, output| {
             (area.length > 0).then(|| Fmmu::bytes(at, area.length, area.start, output))
         };

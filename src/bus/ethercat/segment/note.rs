@@ -236,7 +236,7 @@ impl Note {
 }
 
 /// The notes of all slaves of a segment.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Notes(Arc<[AtomicU64]>);
 
 impl Notes {

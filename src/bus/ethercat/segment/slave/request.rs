@@ -1,6 +1,6 @@
 //! The request of each step.
 
-use super::{Around, Change, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Member, Note, Step};
+use super::{Change, Context, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::plan::Owner;
 use crate::bus::ethercat::slot::Ask;
 use crate::bus::ethercat::wire::frame::Command;
@@ -29,10 +29,10 @@ const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 /// The bit of the event request that a change of state sets.
 const EVENT_MASK: u16 = 0x0004;
 
-impl Member {
+impl Slave {
     /// Writes its request for the next frame, if it has one.
-    pub fn ask(&mut self, around: &Around<'_>, ask: &mut Ask) {
-        let now = around.cycle.grid;
+    pub fn request(&mut self, context: &Context<'_>, ask: &mut Ask) {
+        let now = context.cycle.grid;
         if self.ending && !matches!(self.step, Step::State(Change { to: AlState::Init, .. })) {
             return;
         }
@@ -40,14 +40,14 @@ impl Member {
             Step::Rest(until) => {
                 if now >= until {
                     self.enter(now, Step::Look);
-                    self.ask(around, ask);
+                    self.request(context, ask);
                 }
             }
             Step::Look => {
                 ask.read(self.reads(address::AL_STATUS), AL_LOOK);
                 ask.read(self.reads(address::TYPE), LOOK);
             }
-            Step::Time(_) | Step::FoundClock => self.ask_running(ask),
+            Step::Time(_) | Step::FoundClock => self.request_running(ask),
             Step::GiveBack(_) => {
                 ask.write(self.writes(address::STATION), &[0; 2]);
             }
@@ -56,17 +56,17 @@ impl Member {
                 ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
             }
             Step::Sii(reader) => {
-                reader.ask(|register| self.reads(register), |register| self.writes(register), ask);
+                reader.request(|register| self.reads(register), |register| self.writes(register), ask);
             }
-            Step::Found => self.ask_found(ask),
-            Step::FoundFmmus => self.ask_found_fmmus(ask),
-            Step::Join => self.ask_join(ask),
+            Step::Found => self.request_found(ask),
+            Step::FoundFmmus => self.request_found_fmmus(ask),
+            Step::Join => self.request_join(ask),
             Step::Ports => {
                 // Each loop by itself; no alias; the event of AL control only.
                 ask.write(self.writes(address::PORT_LOOPS), &[0; 3]);
                 ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
             }
-            Step::Clear(done) => self.ask_clear(done, ask),
+            Step::Clear(done) => self.request_clear(done, ask),
             Step::Address => {
                 ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
                 ask.read(Command::Fprd(self.station(), address::STATION), 2);
@@ -95,46 +95,46 @@ impl Member {
                     ask.read(self.reads(address::sync_manager(number)), SyncManager::SIZE);
                 }
             }
-            Step::Fmmus | Step::LetGo => {
+            Step::Fmmus | Step::Release => {
                 let (fmmus, length) = self.fmmus();
                 ask.write(self.writes(address::FMMU), &fmmus[..length]);
             }
-            Step::Lock => self.ask_lock(around, ask),
-            Step::State(change) => self.ask_state(now, change, ask),
+            Step::Lock => self.request_lock(context, ask),
+            Step::State(change) => self.request_state(now, change, ask),
             Step::Up => {
-                let next = self.joined && self.go_on_joined(around);
+                let next = self.joined && self.go_on_joined(context);
                 if !next && !self.has_al && now.since(self.since) >= super::LOOK_EVERY_NS {
                     // The image does not show its state.
                     self.enter(now, Step::Code);
                 }
                 if !matches!(self.step, Step::Up) {
-                    self.ask(around, ask);
+                    self.request(context, ask);
                 }
             }
             Step::Code => {
                 ask.read(self.reads(address::AL_STATUS), AL_LOOK);
             }
-            _ => self.ask_clock(around, ask),
+            _ => self.request_clock(context, ask),
         }
     }
 
     /// The steps of its clock.
-    fn ask_clock(&mut self, around: &Around<'_>, ask: &mut Ask) {
-        let (register, length) = Member::TIMES;
+    fn request_clock(&mut self, context: &Context<'_>, ask: &mut Ask) {
+        let (register, length) = Slave::TIMES;
         match self.step {
             Step::Latch => {
-                let is_there = around.timed || self.is_reference(around) && around.may_begin;
-                if !around.timing_taken && is_there {
+                let is_there = context.timed || self.is_reference(context) && context.may_begin;
+                if !context.timing_taken && is_there {
                     ask.write(Command::Bwr(address::DC_PORTS), &[0; 4]);
                 }
-                self.note = match around.stranger {
+                self.note = match context.other_time {
                     _ if !ask.is_empty() => Note::Starting,
                     Some(place) => Note::OtherTime(place),
                     None => Note::WaitsForClock,
                 };
             }
             Step::ReferenceTimes { .. } => {
-                let reference = around.reference.unwrap_or_else(|| self.station());
+                let reference = context.reference.unwrap_or_else(|| self.station());
                 ask.read(Command::Fprd(reference, register), length);
                 ask.read(Command::Fprd(reference, address::LINKS), 2);
             }
@@ -150,19 +150,19 @@ impl Member {
                 ask.write(self.writes(address::DC_FILTER), &FILTER_DEPTHS.to_le_bytes());
                 ask.write(self.writes(address::DC_SPEED), &SPEED_START.to_le_bytes());
             }
-            Step::Settle { next, .. } if around.cycle.grid >= next => {
+            Step::Settle { next, .. } if context.cycle.grid >= next => {
                 ask.read(self.reads(address::DC_DIFFERENCE), 4);
             }
-            Step::LineTime => {
+            Step::SegmentTime => {
                 // Its start must not be written while it is imminent.
                 ask.write(self.writes(address::DC_ACTIVATION), &[0]);
                 ask.read(self.reads(address::DC_TIME), 8);
             }
-            Step::SyncStart { ahead_ns, line_ns } => {
-                let start = self.sync_start(ahead_ns, line_ns);
+            Step::SyncStart { ahead_ns, segment_ns } => {
+                let start = self.sync_start(ahead_ns, segment_ns);
                 ask.write(self.writes(address::DC_START), &start.to_le_bytes());
                 // SYNC1 stays off: its cycle is 0.
-                ask.write(self.writes(address::DC_CYCLE), &around.clock.period_ns().to_le_bytes());
+                ask.write(self.writes(address::DC_CYCLE), &context.clock.period_ns().to_le_bytes());
             }
             Step::SyncOn { .. } => {
                 ask.write(self.writes(address::DC_CONTROL), &SYNC0_ON);
@@ -171,7 +171,7 @@ impl Member {
         }
     }
 
-    fn ask_clear(&self, done: u8, ask: &mut Ask) {
+    fn request_clear(&self, done: u8, ask: &mut Ask) {
         const ZERO: [u8; FMMUS_AT_ONCE as usize * Fmmu::SIZE] = [0; FMMUS_AT_ONCE as usize * Fmmu::SIZE];
         let left = |count: u8, at_once: u8| usize::from(count.saturating_sub(done).min(at_once));
         let fmmus = left(self.fmmus, FMMUS_AT_ONCE);
@@ -193,25 +193,25 @@ impl Member {
     }
 
     /// In SAFEOP: a drive has to see regular cycles first, and SYNC0 where the grid wants it.
-    fn ask_lock(&mut self, around: &Around<'_>, ask: &mut Ask) {
-        let now = around.cycle.grid;
-        let sync_ns = if self.plan.sync { sync_ahead_ns(around) } else { 0 };
+    fn request_lock(&mut self, context: &Context<'_>, ask: &mut Ask) {
+        let now = context.cycle.grid;
+        let sync_ns = if self.plan.sync { sync_ahead_ns(context) } else { 0 };
         let synchronised = match self.owner {
-            Owner::Drive(_) => sync_ns + SYNCHRONISE_CYCLES * around.cycle.period_ns,
+            Owner::Drive(_) => sync_ns + SYNCHRONISE_CYCLES * context.cycle.period_ns,
             Owner::Device(_) => sync_ns,
         };
-        let locked = !self.plan.sync || around.clock.is_locked();
+        let locked = !self.plan.sync || context.clock.is_locked();
         if locked && now.since(self.since) >= synchronised {
             self.note = Note::Starting;
             self.enter(now, Step::to(AlState::Op));
-            self.ask(around, ask);
+            self.request(context, ask);
         } else {
-            let error = around.clock.error_ns().and_then(|error| i32::try_from(error).ok());
+            let error = context.clock.error_ns().and_then(|error| i32::try_from(error).ok());
             self.note = Note::WaitsForLock(error.filter(|_| self.plan.sync && !locked));
         }
     }
 
-    fn ask_state(&mut self, now: Time, change: Change, ask: &mut Ask) {
+    fn request_state(&mut self, now: Time, change: Change, ask: &mut Ask) {
         let limit = if change.to == AlState::Op { OP_NS } else { STATE_NS };
         if now.since(self.since) > limit {
             return self.refuse(now, Note::Slow(change.to));
@@ -230,7 +230,7 @@ impl Member {
     }
 
     /// Its outputs are released.
-    pub(super) fn let_go(&mut self, now: Time) {
+    pub(super) fn release(&mut self, now: Time) {
         self.mapped = Mapped::All;
         if self.is_device() {
             // It has everything that it would have been set up with.

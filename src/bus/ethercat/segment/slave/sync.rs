@@ -5,9 +5,9 @@
 //! the reference, all others stay ahead of it by its own delay, about 1 us for each slave between the two, until
 //! they are set up again.
 
-use super::{Around, Member, Note, Step};
-use crate::bus::ethercat::line::clock::delay_ns;
-use crate::bus::ethercat::line::running::near;
+use super::{Context, Note, Slave, Step};
+use crate::bus::ethercat::segment::clock::delay_ns;
+use crate::bus::ethercat::segment::running::near;
 use crate::bus::ethercat::wire::registers::{AlState, Difference, Links, address};
 use crate::time::{MS, S, Time};
 
@@ -27,60 +27,60 @@ const SYNC_LEFT_NS: u64 = 5 * MS;
 /// The offset of its offset register behind the times of its ports.
 const OFFSET_AT: usize = (address::DC_OFFSET - address::DC_PORTS) as usize;
 
-impl Member {
+impl Slave {
     /// Its clock is the segment's.
-    pub(super) fn is_reference(&self, around: &Around<'_>) -> bool {
-        around.reference == Some(self.station())
+    pub(super) fn is_reference(&self, context: &Context<'_>) -> bool {
+        context.reference == Some(self.station())
     }
 
-    /// The times of the reference at the latch; `line_ns`: the segment's, as the master has it.
+    /// The times of the reference at the latch; `segment_ns`: the segment's, as the master has it.
     pub(super) fn referred(
         &mut self,
         now: Time,
-        around: &Around<'_>,
-        line_ns: u64,
+        context: &Context<'_>,
+        segment_ns: u64,
         times: &[u8],
         links: &[u8],
     ) {
         let offset = times.get(OFFSET_AT..).and_then(<[u8]>::first_chunk::<8>);
-        let line_ns = match (received_ns(times), offset) {
+        let segment_ns = match (received_ns(times), offset) {
             // The reference itself is set to the master's value.
-            _ if self.is_reference(around) && !around.timed => line_ns,
+            _ if self.is_reference(context) && !context.timed => segment_ns,
             // Its upper half may be missing.
             (Some(received), Some(offset)) => {
-                near(line_ns, received.wrapping_add(u64::from_le_bytes(*offset)) as u32)
+                near(segment_ns, received.wrapping_add(u64::from_le_bytes(*offset)) as u32)
             }
             _ => return,
         };
-        self.enter(now, Step::OwnTimes { line_ns, reference_loop_ns: loop_ns(times, links) });
+        self.enter(now, Step::OwnTimes { segment_ns, reference_loop_ns: loop_ns(times, links) });
     }
 
     /// Its own times at the same latch.
     pub(super) fn timed(
         &mut self,
         now: Time,
-        around: &Around<'_>,
-        line_ns: u64,
+        context: &Context<'_>,
+        segment_ns: u64,
         reference_loop_ns: u32,
         times: &[u8],
         links: &[u8],
     ) {
         let Some(received) = received_ns(times) else { return };
         let own_loop_ns = loop_ns(times, links);
-        let is_reference = self.is_reference(around);
+        let is_reference = self.is_reference(context);
         let delay_ns = if is_reference { 0 } else { delay_ns(reference_loop_ns, own_loop_ns) };
-        let offset = line_ns.wrapping_add(delay_ns.into()).wrapping_sub(received);
+        let offset = segment_ns.wrapping_add(delay_ns.into()).wrapping_sub(received);
         self.enter(now, Step::Offset { offset: self.whole(offset), delay_ns });
     }
 
-    pub(super) fn settled(&mut self, around: &Around<'_>, good: u8, data: &[u8]) {
-        let now = around.cycle.grid;
-        let limit_ns = SETTLE_NS.max(around.cycle.period_ns.saturating_mul(SETTLE_CYCLES));
+    pub(super) fn settled(&mut self, context: &Context<'_>, good: u8, data: &[u8]) {
+        let now = context.cycle.grid;
+        let limit_ns = SETTLE_NS.max(context.cycle.period_ns.saturating_mul(SETTLE_CYCLES));
         let Some(bytes) = data.first_chunk::<4>() else { return };
         let off = Difference(u32::from_le_bytes(*bytes)).ns();
         let good = if off.abs() <= SETTLED_NS { good + 1 } else { 0 };
         if good >= SETTLED_LOOKS {
-            self.enter(now, Step::LineTime);
+            self.enter(now, Step::SegmentTime);
         } else if now.since(self.since) > limit_ns {
             self.refuse(now, Note::Unsettled);
         } else {
@@ -89,24 +89,24 @@ impl Member {
     }
 
     /// Its own time, as this frame read it.
-    pub(super) fn line_time(&mut self, now: Time, around: &Around<'_>, data: &[u8]) {
+    pub(super) fn segment_time(&mut self, now: Time, context: &Context<'_>, data: &[u8]) {
         let Some(own) = data.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else { return };
-        let line_ns = near(around.clock.time(around.cycle, around.sent_at), own as u32);
-        let ahead_ns = own.wrapping_sub(line_ns);
-        let line_ns = around.clock.sync_from(line_ns.wrapping_add(sync_ahead_ns(around)));
-        self.enter(now, Step::SyncStart { ahead_ns, line_ns });
+        let segment_ns = near(context.clock.time(context.cycle, context.sent_at), own as u32);
+        let ahead_ns = own.wrapping_sub(segment_ns);
+        let segment_ns = context.clock.sync_from(segment_ns.wrapping_add(sync_ahead_ns(context)));
+        self.enter(now, Step::SyncStart { ahead_ns, segment_ns });
     }
 
     /// The start of SYNC0 by its own clock.
-    pub(super) fn sync_start(&self, ahead_ns: u64, line_ns: u64) -> u64 {
-        self.whole(line_ns.wrapping_add(ahead_ns))
+    pub(super) fn sync_start(&self, ahead_ns: u64, segment_ns: u64) -> u64 {
+        self.whole(segment_ns.wrapping_add(ahead_ns))
     }
 
     /// SYNC0 was switched on: its start must lie ahead, or there is none.
-    pub(super) fn sync_on(&mut self, now: Time, around: &Around<'_>, line_ns: u64) {
-        let left = line_ns.wrapping_sub(around.clock.time(around.cycle, around.sent_at)) as i64;
+    pub(super) fn sync_on(&mut self, now: Time, context: &Context<'_>, segment_ns: u64) {
+        let left = segment_ns.wrapping_sub(context.clock.time(context.cycle, context.sent_at)) as i64;
         let in_time = left > SYNC_LEFT_NS as i64;
-        self.enter(now, if in_time { Step::to(AlState::SafeOp) } else { Step::LineTime });
+        self.enter(now, if in_time { Step::to(AlState::SafeOp) } else { Step::SegmentTime });
     }
 
     /// A time that its clock can have.
@@ -125,8 +125,8 @@ impl Member {
 }
 
 /// How long before its begin SYNC0 is set up.
-pub(super) fn sync_ahead_ns(around: &Around<'_>) -> u64 {
-    SYNC_AHEAD_NS + SYNC_TURNS * around.turn_ns
+pub(super) fn sync_ahead_ns(context: &Context<'_>) -> u64 {
+    SYNC_AHEAD_NS + SYNC_TURNS * context.turn_ns
 }
 
 /// When the processing unit received the latch, by the slave's own clock.

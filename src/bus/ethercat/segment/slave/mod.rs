@@ -3,11 +3,11 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the slave, its steps, and how it leaves them |
-//! | `asking`, `hearing` | the request of a step; the answer to it |
+//! | `request`, `receive` | the request of a step; the answer to it |
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
 //! | `setup` | its SyncManagers, FMMUs and watchdog |
-//! | `part` | its content in the frames |
+//! | `frames` | its content in the frames |
 //!
 //! | step | what |
 //! |---|---|
@@ -22,21 +22,22 @@
 //!
 //! A step is repeated while its frames are lost; with a slave that does not answer it begins anew after a while.
 
-mod asking;
 mod found;
-mod hearing;
-mod part;
+mod frames;
+mod receive;
+mod request;
 mod setup;
 mod sync;
 
-use super::clock::LineClock;
+use super::clock::SegmentClock;
 use super::note::Note;
 use super::sii::{Contents, Reader};
 use crate::axis::FoundRunning;
 use crate::bus::Cycle;
 use crate::bus::ethercat::cia402::{Mode, StatusWord};
-use crate::bus::ethercat::image::Spot;
+use crate::bus::ethercat::image::Offsets;
 use crate::bus::ethercat::object::Type;
+use crate::bus::ethercat::object::number::{MODE_DISPLAY, STATUS_WORD};
 use crate::bus::ethercat::plan::{Owner, SlavePlan, Start};
 use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
 use crate::bus::ethercat::wire::frame::{Command, position};
@@ -56,13 +57,13 @@ const MANAGERS_AT_ONCE: u8 = 8;
 
 /// What a step has to know of the segment.
 #[derive(Clone, Copy, Debug)]
-pub struct Around<'a> {
+pub struct Context<'a> {
     /// The cycle whose frame is built, or was received.
     pub cycle: &'a Cycle,
     /// When that frame was sent.
     pub sent_at: Time,
     /// The time of the segment.
-    pub clock: LineClock,
+    pub clock: SegmentClock,
     /// The station address of the slave whose clock is the segment's, or is to be.
     pub reference: Option<u16>,
     /// Its time goes to all.
@@ -70,7 +71,7 @@ pub struct Around<'a> {
     /// It does, or may begin to.
     pub may_begin: bool,
     /// The position of a slave that runs on a time other than the segment's: it may not begin yet.
-    pub stranger: Option<u16>,
+    pub other_time: Option<u16>,
     /// The segment has a time, and not from this slave.
     pub has_time: bool,
     /// A clock of the segment is set: SYNC0 comes where that has it.
@@ -85,7 +86,7 @@ pub struct Around<'a> {
     pub powered: Option<(bool, Time)>,
 }
 
-impl Around<'_> {
+impl Context<'_> {
     /// SYNC0 of all others has this offset.
     fn is_phase(&self, phase_ns: u64) -> bool {
         let period = self.clock.period_ns() as i64;
@@ -141,10 +142,10 @@ enum Step {
     Fmmus,
     Latch,
     ReferenceTimes {
-        line_ns: u64,
+        segment_ns: u64,
     },
     OwnTimes {
-        line_ns: u64,
+        segment_ns: u64,
         reference_loop_ns: u32,
     },
     Offset {
@@ -156,29 +157,27 @@ enum Step {
         good: u8,
         next: Time,
     },
-    LineTime,
+    SegmentTime,
     /// `ahead_ns`: its own time less the segment's.
     SyncStart {
         ahead_ns: u64,
-        line_ns: u64,
+        segment_ns: u64,
     },
     SyncOn {
-        line_ns: u64,
+        segment_ns: u64,
     },
     State(Change),
     Lock,
     Up,
     /// Its outputs are released.
-    LetGo,
+    Release,
     /// It has reported an AL error in operation.
     Code,
 }
 
-/// The state of a drive: the mode that it shows, and its status word.
-const MODE_SHOWN: Object = Object::new(0x6061, 0);
 const STATE: [Start; 2] = [
-    Start { object: MODE_SHOWN, kind: Type::I8, raw: 0 },
-    Start { object: Object::new(0x6041, 0), kind: Type::U16, raw: 0 },
+    Start { object: MODE_DISPLAY, kind: Type::I8, raw: 0 },
+    Start { object: STATUS_WORD, kind: Type::U16, raw: 0 },
 ];
 
 /// A list of objects, and what is done with them.
@@ -212,7 +211,7 @@ impl Step {
 
 /// What a running slave gives to the segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lent {
+pub struct TimeSource {
     /// Its time, as the frame passed it: the lower half.
     pub time: u32,
     /// The offset of SYNC0 in its periods, if the segment is to have it there.
@@ -234,12 +233,12 @@ pub enum Happened {
 
 /// One slave of the segment.
 #[derive(Debug)]
-pub struct Member {
+pub struct Slave {
     /// Its owner.
     pub owner: Owner,
     /// The offsets of its process data.
-    pub spot: Spot,
-    plan: SlavePlan,
+    pub offsets: Offsets,
+    pub plan: SlavePlan,
     /// The process data go by LRW.
     lrw: bool,
     found_running: FoundRunning,
@@ -251,24 +250,24 @@ pub struct Member {
     fmmus: u8,
     managers: u8,
     contents: Contents,
-    mapped: Mapped,
-    has_al: bool,
+    pub mapped: Mapped,
+    pub has_al: bool,
     /// Its state, as far as is known; `None`: it is not there.
-    al: Option<AlState>,
+    pub al: Option<AlState>,
     /// It was joined in OP: not all of it was set up here.
-    joined: bool,
+    pub joined: bool,
     /// The mode that it showed then.
-    found_mode: Option<Mode>,
+    pub found_mode: Option<Mode>,
     /// Its watchdog is set as configured.
-    watched: bool,
+    pub watched: bool,
     was_operational: bool,
-    mailbox_open: bool,
+    pub mailbox_open: bool,
     /// Its clock was set to the segment's, and it has not been away since.
-    clock_set: bool,
+    pub clock_set: bool,
     /// It was read, or does not answer.
-    looked_at: bool,
+    pub looked_at: bool,
     /// It runs on a time other than the segment's, as far as is known.
-    strange: bool,
+    pub other_time: bool,
     /// It was given its station address, and has not been switched off since.
     known: bool,
     /// All of it was set up here, and nothing has contradicted that since.
@@ -280,14 +279,29 @@ pub struct Member {
     note: Note,
     /// Why it was refused last.
     refused: Note,
+    /// The state last reported, and whether its mailbox was opened.
+    pub reported: Option<AlState>,
+    pub is_open: bool,
+    /// Its AL status in the newest frame; 0: none.
+    pub shown: AlStatus,
+    /// It was in OP with all of its process data, which was reported, and the newest frame shows the same.
+    pub steady: bool,
+    /// Frames in a row that came back without it.
+    pub missing: u8,
 }
 
-impl Member {
+impl Slave {
     /// A slave that was not seen yet.
-    pub fn new(owner: Owner, plan: &SlavePlan, spot: Spot, lrw: bool, found_running: FoundRunning) -> Member {
-        Member {
+    pub fn new(
+        owner: Owner,
+        plan: &SlavePlan,
+        offsets: Offsets,
+        lrw: bool,
+        found_running: FoundRunning,
+    ) -> Slave {
+        Slave {
             owner,
-            spot,
+            offsets,
             plan: plan.clone(),
             lrw,
             found_running,
@@ -309,13 +323,18 @@ impl Member {
             mailbox_open: false,
             clock_set: false,
             looked_at: false,
-            strange: false,
+            other_time: false,
             known: false,
             ours: false,
             ending: false,
             factor: 1,
             note: Note::Starting,
             refused: Note::None,
+            reported: None,
+            is_open: false,
+            shown: AlStatus::default(),
+            steady: false,
+            missing: 0,
         }
     }
 
@@ -329,16 +348,6 @@ impl Member {
     /// Its station address.
     pub fn station(&self) -> u16 {
         self.plan.station()
-    }
-
-    /// Its position on the segment.
-    pub fn place(&self) -> u16 {
-        self.plan.place
-    }
-
-    /// Which of its process data the frames carry.
-    pub fn mapped(&self) -> Mapped {
-        self.mapped
     }
 
     /// The state of its replies; `None`: they do not count, since it has not been in OP, or its inputs are not
@@ -375,44 +384,9 @@ impl Member {
         matches!(self.step, Step::ReferenceTimes { .. } | Step::OwnTimes { .. } | Step::Offset { .. })
     }
 
-    /// It is to have a clock.
-    pub fn has_clock(&self) -> bool {
-        self.plan.sync
-    }
-
-    /// Its clock is synchronised to the segment's, or is about to be set.
-    pub fn clock_is_set(&self) -> bool {
-        self.clock_set
-    }
-
-    /// It was read, or does not answer.
-    pub fn was_looked_at(&self) -> bool {
-        self.looked_at
-    }
-
-    /// It runs on a time other than the segment's.
-    pub fn is_stranger(&self) -> bool {
-        self.strange
-    }
-
     /// It is about to have its clock set.
     pub fn waits_for_clock(&self) -> bool {
         matches!(self.step, Step::Latch) || self.is_timing()
-    }
-
-    /// Its watchdog is set as configured.
-    pub fn is_watched(&self) -> bool {
-        self.watched
-    }
-
-    /// The mode that it was found in, if it was joined.
-    pub fn found_mode(&self) -> Option<Mode> {
-        self.found_mode.filter(|_| self.joined)
-    }
-
-    /// Its mailbox works.
-    pub fn has_mailbox(&self) -> bool {
-        self.mailbox_open
     }
 
     fn reads(&self, register: u16) -> Command {
@@ -451,7 +425,7 @@ impl Member {
 
     /// No slave answers at its position.
     fn absent(&mut self, now: Time) {
-        (self.clock_set, self.looked_at, self.strange) = (false, true, false);
+        (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
         self.refused = Note::None;
         self.start_over(now, LOOK_EVERY_NS, Note::Absent);
     }
@@ -517,7 +491,7 @@ impl Member {
         let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
         let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
         match end {
-            Ok(found) if list == List::State && start.object == MODE_SHOWN => {
+            Ok(found) if list == List::State && start.object == MODE_DISPLAY => {
                 self.found_mode = Some(Mode(found as u8 as i8));
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }

@@ -3,10 +3,10 @@
 //! The mode of operation comes first, since a homing waits for it; then whether the drive has its reference; then
 //! the monitored objects, in turns.
 
-use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::desired::{Mode as ModeWanted, ModeIs, Reference};
 use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::object::number::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::bus::ethercat::object::{Object, Type};
 use crate::bus::ethercat::plan::KollmorgenDrive;
 use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
@@ -21,7 +21,7 @@ const SHOW_EVERY_NS: u64 = 10 * MS;
 
 /// The SDO under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Asked {
+enum Pending {
     Method,
     Mode(Mode),
     Display,
@@ -30,14 +30,12 @@ enum Asked {
 }
 
 /// The SDOs of one station.
-#[derive(Debug)]
-pub(super) struct Asking {
+#[derive(Debug, Default)]
+pub struct Requests {
     own: Option<Mode>,
     method: Option<i8>,
     show: [Option<(Object, Type)>; MONITOR_CHANNELS],
-    /// There is any monitored object.
-    shows: bool,
-    asked: Option<Asked>,
+    pending: Option<Pending>,
     not_before: Time,
     /// With this mode wanted there is nothing to do, except for monitored objects.
     content: Option<ModeWanted>,
@@ -48,67 +46,48 @@ pub(super) struct Asking {
     /// The method was written for this homing.
     method_written: bool,
     display_read: bool,
-    homed: Option<bool>,
+    pub homed: Option<bool>,
     /// It does not report that.
     unreferred: bool,
     /// The SDO under way began too early.
     outdated: bool,
-    refused: bool,
+    pub refused: bool,
     turn: usize,
     next_show: Time,
     shown: [Option<f64>; MONITOR_CHANNELS],
     show_refused: [bool; MONITOR_CHANNELS],
     shown_fresh: bool,
-    refusal: Option<(u8, u32)>,
+    pub refusal: Option<(u8, u32)>,
 }
 
-impl Asking {
-    pub(super) fn new(drive: &KollmorgenDrive) -> Asking {
+impl Requests {
+    pub(super) fn new(drive: &KollmorgenDrive) -> Requests {
         let own = drive.setpoint().map(|setpoint| setpoint.mode(drive.family));
-        Asking {
+        Requests {
             own: drive.mode.or(own),
             method: drive.home_method,
             show: drive.show,
-            shows: drive.show.iter().any(Option::is_some),
-            asked: None,
-            not_before: Time(0),
-            content: None,
-            mode: None,
-            doubted: false,
-            method_written: false,
-            display_read: false,
-            homed: None,
-            unreferred: false,
-            outdated: false,
-            refused: false,
-            turn: 0,
-            next_show: Time(0),
-            shown: [None; MONITOR_CHANNELS],
-            show_refused: [false; MONITOR_CHANNELS],
-            shown_fresh: false,
-            refusal: None,
+            ..Requests::default()
         }
     }
 
-    /// The drive is another one than before, or may be: everything known of it is read again.
+    /// The drive is another one than before, or may be: everything known of it is read again. The end of the present
+    /// SDO is nobody's any more.
     pub(super) fn forget(&mut self) {
-        // The end of the present SDO is nobody's any more.
-        (self.asked, self.content) = (None, None);
-        (self.mode, self.display_read, self.homed, self.method_written) = (None, false, None, false);
-        self.doubted = false;
-        (self.shown, self.show_refused, self.not_before) = ([None; _], [false; _], Time(0));
+        let Requests { own, method, show, .. } = *self;
+        *self = Requests { own, method, show, ..Requests::default() };
         self.show_again(Time(0));
     }
 
     /// The drive shows this mode: nothing of the start-up was written to it.
-    pub(super) fn found_in(&mut self, mode: Mode) {
+    pub fn found_in(&mut self, mode: Mode) {
         (self.mode, self.display_read, self.content) = (Some(mode), true, None);
     }
 
     /// The application may have changed the mode.
     pub(super) fn doubt_mode(&mut self) {
         (self.doubted, self.display_read, self.content) = (true, false, None);
-        self.outdated |= self.asked == Some(Asked::Display);
+        self.outdated |= self.pending == Some(Pending::Display);
     }
 
     /// Monitored objects are read from then on; never, if there are none.
@@ -117,14 +96,9 @@ impl Asking {
     }
 
     /// Its reference may have changed.
-    pub(super) fn ask_reference(&mut self) {
+    pub(super) fn request_reference(&mut self) {
         (self.homed, self.content) = (None, None);
-        self.outdated |= self.asked == Some(Asked::Reference);
-    }
-
-    /// The drive reports that it has its reference; `None`: not known.
-    pub(super) fn homed(&self) -> Option<bool> {
-        self.homed
+        self.outdated |= self.pending == Some(Pending::Reference);
     }
 
     /// What a homing has left; `None`: not known yet.
@@ -139,7 +113,7 @@ impl Asking {
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
-            _ if self.doubted || matches!(self.asked, Some(Asked::Mode(_))) => ModeIs::Other,
+            _ if self.doubted || matches!(self.pending, Some(Pending::Mode(_))) => ModeIs::Other,
             None => ModeIs::Own,
             mode if mode == self.own => ModeIs::Own,
             Some(Mode::HOMING) => ModeIs::Homing,
@@ -149,19 +123,10 @@ impl Asking {
         }
     }
 
-    /// The drive has refused the mode of homing, or its method, since this was last called.
-    pub(super) fn take_refused(&mut self) -> bool {
-        std::mem::take(&mut self.refused)
-    }
-
     /// The monitored values, if they are new; and the refused ones.
     #[inline]
     pub(super) fn take_shown(&mut self) -> Option<&[Option<f64>; MONITOR_CHANNELS]> {
         std::mem::take(&mut self.shown_fresh).then_some(&self.shown)
-    }
-
-    pub(super) fn take_refusal(&mut self) -> Option<(u8, u32)> {
-        self.refusal.take()
     }
 
     /// Takes the result of the last SDO, and begins the next; false: there was nothing to do.
@@ -177,18 +142,18 @@ impl Asking {
     #[inline(never)]
     fn go_on(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) {
         self.content = None;
-        if let Some(asked) = self.asked
+        if let Some(pending) = self.pending
             && let Some(end) = service.take_end()
         {
-            self.asked = None;
-            self.take(now, asked, end);
+            self.pending = None;
+            self.take(now, pending, end);
         }
-        if self.asked.is_some() || now < self.not_before {
+        if self.pending.is_some() || now < self.not_before {
             return;
         }
         match self.next(now, wanted) {
-            Some((asked, transfer)) if service.is_free() => {
-                self.asked = Some(asked);
+            Some((pending, transfer)) if service.is_free() => {
+                self.pending = Some(pending);
                 service.begin(transfer);
             }
             Some(_) => {}
@@ -196,7 +161,7 @@ impl Asking {
         }
     }
 
-    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Asked, Transfer)> {
+    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Pending, Transfer)> {
         let wants = match wanted {
             ModeWanted::AsIs => None,
             ModeWanted::Own => self.own.filter(|_| self.mode.is_some()),
@@ -206,16 +171,16 @@ impl Asking {
             return self.next_mode(wants?);
         }
         if !self.display_read {
-            return Some((Asked::Display, Transfer::Read(MODE_DISPLAY)));
+            return Some((Pending::Display, Transfer::Read(MODE_DISPLAY)));
         }
         if self.homed.is_none() {
-            return Some((Asked::Reference, Transfer::Read(MANUFACTURER_STATUS)));
+            return Some((Pending::Reference, Transfer::Read(MANUFACTURER_STATUS)));
         }
-        if !self.shows || now < self.next_show {
+        if now < self.next_show {
             return None;
         }
         let (channel, object) = self.next_shown()?;
-        Some((Asked::Shown(channel), Transfer::Read(object)))
+        Some((Pending::Shown(channel), Transfer::Read(object)))
     }
 
     /// The next channel whose turn it is.
@@ -226,48 +191,48 @@ impl Asking {
             .find_map(|channel| Some((channel, self.show[channel]?.0)))
     }
 
-    fn next_mode(&self, mode: Mode) -> Option<(Asked, Transfer)> {
+    fn next_mode(&self, mode: Mode) -> Option<(Pending, Transfer)> {
         let byte = |object, value: i8| Transfer::Write { object, raw: u64::from(value as u8), bytes: 1 };
         match self.method {
             Some(method) if mode == Mode::HOMING && !self.method_written => {
-                Some((Asked::Method, byte(HOMING_METHOD, method)))
+                Some((Pending::Method, byte(HOMING_METHOD, method)))
             }
-            _ => Some((Asked::Mode(mode), byte(MODE, mode.0))),
+            _ => Some((Pending::Mode(mode), byte(MODE, mode.0))),
         }
     }
 
-    fn take(&mut self, now: Time, asked: Asked, end: Result<u32, SdoFailure>) {
+    fn take(&mut self, now: Time, pending: Pending, end: Result<u32, SdoFailure>) {
         if end == Err(SdoFailure::Silent) {
             self.outdated = false;
             self.not_before = now + AGAIN_NS;
-            if matches!(asked, Asked::Mode(_)) {
+            if matches!(pending, Pending::Mode(_)) {
                 // The write may have reached the drive.
                 self.doubt_mode();
             }
             return;
         }
-        match (asked, end) {
-            (Asked::Method, Ok(_)) => self.method_written = true,
-            (Asked::Mode(mode), Ok(_)) => {
+        match (pending, end) {
+            (Pending::Method, Ok(_)) => self.method_written = true,
+            (Pending::Mode(mode), Ok(_)) => {
                 self.mode = Some(mode);
                 self.method_written &= mode == Mode::HOMING;
             }
-            (Asked::Method | Asked::Mode(_), Err(_)) => {
+            (Pending::Method | Pending::Mode(_), Err(_)) => {
                 self.refused = true;
                 self.not_before = now + AGAIN_NS;
             }
-            (Asked::Display | Asked::Reference, _) if std::mem::take(&mut self.outdated) => {}
-            (Asked::Display, end) => {
+            (Pending::Display | Pending::Reference, _) if std::mem::take(&mut self.outdated) => {}
+            (Pending::Display, end) => {
                 (self.display_read, self.doubted) = (true, false);
                 // A drive that does not report its mode has the one that was written.
                 self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
             }
             // A reference that it does not report is not set.
-            (Asked::Reference, end) => {
+            (Pending::Reference, end) => {
                 self.unreferred = end.is_err();
                 self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0));
             }
-            (Asked::Shown(channel), end) => self.take_value(now, channel, end),
+            (Pending::Shown(channel), end) => self.take_value(now, channel, end),
         }
     }
 
@@ -293,18 +258,18 @@ mod tests {
 
     #[test]
     fn a_mode_whose_write_was_not_answered_is_read_before_it_counts() {
-        let mut asking = Asking::new(&KollmorgenDrive::new("x", 0, Family::S700));
-        let own = asking.own.unwrap();
-        asking.found_in(own);
-        assert_eq!(asking.mode(), ModeIs::Own);
-        let write = Asked::Mode(Mode::HOMING);
-        asking.take(Time(0), write, Err(SdoFailure::Silent));
-        assert_eq!(asking.mode(), ModeIs::Other, "the drive may have taken it");
-        let next = asking.next(Time(u64::MAX), ModeWanted::Own).map(|(asked, _)| asked);
-        assert_eq!(next, Some(Asked::Display));
-        asking.take(Time(0), Asked::Display, Ok(Mode::HOMING.0 as u8 as u32));
-        assert_eq!(asking.mode(), ModeIs::Homing);
-        let next = asking.next(Time(u64::MAX), ModeWanted::Own).map(|(asked, _)| asked);
-        assert_eq!(next, Some(Asked::Mode(own)));
+        let mut requests = Requests::new(&KollmorgenDrive::new("x", 0, Family::S700));
+        let own = requests.own.unwrap();
+        requests.found_in(own);
+        assert_eq!(requests.mode(), ModeIs::Own);
+        let write = Pending::Mode(Mode::HOMING);
+        requests.take(Time(0), write, Err(SdoFailure::Silent));
+        assert_eq!(requests.mode(), ModeIs::Other, "the drive may have taken it");
+        let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
+        assert_eq!(next, Some(Pending::Display));
+        requests.take(Time(0), Pending::Display, Ok(Mode::HOMING.0 as u8 as u32));
+        assert_eq!(requests.mode(), ModeIs::Homing);
+        let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
+        assert_eq!(next, Some(Pending::Mode(own)));
     }
 }

@@ -3,7 +3,7 @@
 //! SYNC0 comes at whole periods of that time, and a slot of the grid shall be a fixed time before it. So the master
 //! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. The time
 //! shown instead, less that, is the phase error: our own wake-up jitter is not part of it. Clocks of 32 bits wrap
-//! around every 4.3 s; since the error is small against that, it is the difference of the lower halves.
+//! context every 4.3 s; since the error is small against that, it is the difference of the lower halves.
 
 use crate::bus::{BusClock, Cycle};
 use crate::time::{MS, Time, US};
@@ -23,8 +23,8 @@ const SAME: i64 = 4;
 const SAMPLES: u32 = 64;
 
 /// The relation of the grid and the segment's time.
-#[derive(Clone, Copy, Debug)]
-pub struct LineClock {
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SegmentClock {
     period_ns: u64,
     /// Its intended value at slot 0 of the grid.
     origin_ns: u64,
@@ -49,23 +49,16 @@ pub const fn window_ns(period_ns: u64) -> i64 {
     if period_ns >= MS { WINDOW_NS } else { WINDOW_SHORT_NS }
 }
 
-impl LineClock {
+impl SegmentClock {
     /// A grid of this period, whose slots shall be so long before SYNC0.
-    pub fn new(period_ns: u64, ahead_ns: u64) -> LineClock {
+    pub fn new(period_ns: u64, ahead_ns: u64) -> SegmentClock {
         let target = period_ns - ahead_ns % period_ns;
-        LineClock {
+        SegmentClock {
             period_ns,
-            // Far from zero: a clock that is found running may be anywhere around it.
+            // Far from zero: a clock that is found running may be anywhere context it.
             origin_ns: ORIGIN_NS.next_multiple_of(period_ns) + target,
-            phase_ns: 0,
             window_ns: window_ns(period_ns),
-            error_ns: 0,
-            new: false,
-            seen: false,
-            slew_ns: 0,
-            good: 0,
-            was_locked: false,
-            error_max_ns: 0,
+            ..SegmentClock::default()
         }
     }
 
@@ -88,7 +81,7 @@ impl LineClock {
 
     /// A running slave showed `time`: the segment's time is its time from now on, with SYNC0 where that slave has
     /// it, if that is known.
-    pub fn lend(&mut self, cycle: &Cycle, at: Time, time: u32, phase_ns: Option<u64>) {
+    pub fn take_over(&mut self, cycle: &Cycle, at: Time, time: u32, phase_ns: Option<u64>) {
         if let Some(phase_ns) = phase_ns {
             self.origin_ns = self.origin_ns.wrapping_sub(self.phase_ns).wrapping_add(phase_ns);
             self.phase_ns = phase_ns;
@@ -112,7 +105,7 @@ impl LineClock {
 
     /// The time sent at `at` to a reference that follows: the segment's time, once the reference has been adjusted
     /// to it. A clock from which drives make SYNC0 must not be adjusted faster than they tolerate.
-    pub fn told(&self, cycle: &Cycle, at: Time) -> u64 {
+    pub fn sent_time(&self, cycle: &Cycle, at: Time) -> u64 {
         self.time(cycle, at).wrapping_add(self.slew_ns as u64)
     }
 
@@ -213,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_slot_stands_so_long_before_sync0_whatever_the_jitter() {
-        let mut clock = LineClock::new(MS, 400 * US);
+        let mut clock = SegmentClock::new(MS, 400 * US);
         for (index, late, off) in [(0, 0, 0), (1, 90_000, 0), (2, 3_000, 5_000), (3, 0, -70_000)] {
             let cycle = cycle(index);
             let sent_at = cycle.grid + late;
@@ -227,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_clock_of_32_bits_goes_round_without_a_leap() {
-        let mut clock = LineClock::new(MS, 500 * US);
+        let mut clock = SegmentClock::new(MS, 500 * US);
         for index in (0..20_000).step_by(7) {
             let cycle = cycle(index);
             clock.sample(&cycle, cycle.grid, (clock.time(&cycle, cycle.grid) + 1_234) as u32);
@@ -237,7 +230,7 @@ mod tests {
 
     #[test]
     fn whole_periods_of_a_clock_that_others_have_set_are_no_error() {
-        let mut clock = LineClock::new(MS, 500 * US);
+        let mut clock = SegmentClock::new(MS, 500 * US);
         let wanted = clock.time(&cycle(0), cycle(0).grid);
         clock.sample(&cycle(0), cycle(0).grid, (wanted + 123 * MS + 20 * US) as u32);
         assert_eq!(clock.take_error(), Some(20_000));
@@ -246,10 +239,10 @@ mod tests {
 
     #[test]
     fn a_time_that_is_lent_is_the_lines_and_no_other_one_is() {
-        let mut clock = LineClock::new(MS, 500 * US);
+        let mut clock = SegmentClock::new(MS, 500 * US);
         let own = clock.time(&cycle(0), cycle(0).grid);
         for (time, phase) in [(7_u32, None), (3_999_999_999, Some(250 * US)), (123, Some(0))] {
-            clock.lend(&cycle(5), cycle(5).grid, time, phase);
+            clock.take_over(&cycle(5), cycle(5).grid, time, phase);
             let shows = clock.shows(&cycle(6), cycle(6).grid);
             assert_eq!(shows as u32, time.wrapping_add(MS as u32));
             assert!(shows.abs_diff(own) < 1 << 33, "far from zero");
@@ -263,7 +256,7 @@ mod tests {
 
     #[test]
     fn it_is_locked_after_so_many_good_samples_and_a_bad_one_starts_over() {
-        let mut clock = LineClock::new(250 * US, 100 * US);
+        let mut clock = SegmentClock::new(250 * US, 100 * US);
         let mut feed = |off: u64, count: u64| {
             for index in 0..count {
                 let cycle = Cycle { period_ns: 250 * US, ..cycle(index) };
@@ -277,9 +270,9 @@ mod tests {
 
     #[test]
     fn the_largest_error_counts_from_the_first_lock_on() {
-        let mut clock = LineClock::new(MS, 500 * US);
+        let mut clock = SegmentClock::new(MS, 500 * US);
         let mut index = 0;
-        let mut feed = |clock: &mut LineClock, off: i64, count: u64| {
+        let mut feed = |clock: &mut SegmentClock, off: i64, count: u64| {
             for _ in 0..count {
                 index += 1;
                 let cycle = cycle(index);

@@ -14,7 +14,7 @@ const MOST: u16 = 1_024;
 /// Pause between two looks, once each position was read: while the segment has no time yet, and after that.
 const WAIT_NS: u64 = 10 * MS;
 const IDLE_NS: u64 = 100 * MS;
-/// Slots for the members between two of the unconfigured slaves'.
+/// Slots for the slaves between two of the unconfigured slaves'.
 const TURNS: u64 = 4;
 /// Bytes from its type to its station address, and the offset of its features.
 const LOOK: usize = 0x12;
@@ -22,8 +22,8 @@ const FEATURES: usize = (address::FEATURES - address::TYPE) as usize;
 const STATION: usize = (address::STATION - address::TYPE) as usize;
 
 /// Reads each unconfigured position, again and again: the slave there may be changed.
-#[derive(Debug)]
-pub struct Guests {
+#[derive(Debug, Default)]
+pub struct Unconfigured {
     /// Unconfigured positions before the last configured one; all positions after it are unconfigured.
     gaps: Box<[u16]>,
     behind: u16,
@@ -34,36 +34,30 @@ pub struct Guests {
     is_ours: bool,
     not_before: Time,
     /// Each was read.
-    looked: bool,
+    pub are_read: bool,
     /// A slave that runs on a time other than the segment's: in this round, and in the last one.
-    found: Option<u16>,
-    stranger: Option<u16>,
-    ended: bool,
+    pub found: Option<u16>,
+    other_time: Option<u16>,
+    pub ended: bool,
 }
 
 /// What is requested at a position.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Step {
+    #[default]
     Look,
     Clock,
     Clear,
 }
 
-impl Guests {
+impl Unconfigured {
     /// On a segment with slaves configured at these positions.
-    pub fn new(taken: &[u16]) -> Guests {
+    pub fn new(taken: &[u16]) -> Unconfigured {
         let behind = taken.iter().max().map_or(0, |last| last.saturating_add(1)).min(MOST);
-        Guests {
+        Unconfigured {
             gaps: (0..behind).filter(|place| !taken.contains(place)).collect(),
             behind,
-            next: 0,
-            step: Step::Look,
-            is_ours: false,
-            not_before: Time(0),
-            looked: false,
-            found: None,
-            stranger: None,
-            ended: false,
+            ..Unconfigured::default()
         }
     }
 
@@ -72,19 +66,9 @@ impl Guests {
         regions.add(&*self.gaps);
     }
 
-    /// Stops all looks; returns whether they were stopped already.
-    pub fn end(&mut self) -> bool {
-        std::mem::replace(&mut self.ended, true)
-    }
-
-    /// All of them were read.
-    pub fn are_looked_at(&self) -> bool {
-        self.looked
-    }
-
     /// A slave that runs on a time other than the segment's.
-    pub fn stranger(&self) -> Option<u16> {
-        self.found.or(self.stranger)
+    pub fn other_time(&self) -> Option<u16> {
+        self.found.or(self.other_time)
     }
 
     /// The position that is being read.
@@ -97,7 +81,7 @@ impl Guests {
     /// Requests the next look, on a segment of so many slaves; `timed`: it has its time. False: it is not their
     /// turn.
     #[inline]
-    pub fn ask(&mut self, now: Time, count: u16, timed: bool, period_ns: u64, ask: &mut Ask) -> bool {
+    pub fn request(&mut self, now: Time, count: u16, timed: bool, period_ns: u64, ask: &mut Ask) -> bool {
         if now < self.not_before || self.ended || count == 0 {
             return false;
         }
@@ -111,39 +95,39 @@ impl Guests {
                 ask.read(Command::Aprd(place, address::AL_STATUS), 2);
                 ask.read(Command::Aprd(place, address::TYPE), LOOK);
             }
-            Step::Clock => Running::ask(|register| Command::Aprd(place, register), ask),
+            Step::Clock => Running::request(|register| Command::Aprd(place, register), ask),
             Step::Clear => {
                 ask.write(Command::Apwr(place, address::STATION), &[0; 2]);
             }
         }
-        if self.looked && self.step == Step::Look {
+        if self.are_read && self.step == Step::Look {
             self.not_before = now + if timed { IDLE_NS } else { WAIT_NS }.max(TURNS * period_ns);
         }
         true
     }
 
     fn end_round(&mut self, now: Time, period_ns: u64) {
-        (self.next, self.step, self.looked) = (0, Step::Look, true);
-        self.stranger = self.found.take();
+        (self.next, self.step, self.are_read) = (0, Step::Look, true);
+        self.other_time = self.found.take();
         self.not_before = now + IDLE_NS.max(TURNS * period_ns);
     }
 
     /// Takes the answer; returns the time of a running clock.
-    pub fn heard(&mut self, answers: &Answers<'_>) -> Option<Running> {
+    pub fn receive(&mut self, answers: &Answers<'_>) -> Option<Running> {
         let first = answers[0]?;
         let is_there = first.working_counter > 0;
         match self.step {
-            Step::Look if is_there => self.heard_look(first.data, answers[1].map_or(&[], |look| look.data)),
+            Step::Look if is_there => self.receive_look(first.data, answers[1].map_or(&[], |look| look.data)),
             Step::Clock if is_there => {
                 self.enter(if self.is_ours { Step::Clear } else { Step::Look });
-                return Running::heard(answers).filter(Running::is_cyclic);
+                return Running::receive(answers).filter(Running::is_cyclic);
             }
             _ => self.enter(Step::Look),
         }
         None
     }
 
-    fn heard_look(&mut self, status: &[u8], look: &[u8]) {
+    fn receive_look(&mut self, status: &[u8], look: &[u8]) {
         let word = |at: usize| look.get(at..).and_then(<[u8]>::first_chunk::<2>).copied();
         let station = word(STATION).map_or(0, u16::from_le_bytes);
         let features = Features(word(FEATURES).map_or(0, u16::from_le_bytes));
@@ -162,10 +146,5 @@ impl Guests {
     fn enter(&mut self, step: Step) {
         self.next = self.next.saturating_add(u16::from(step == Step::Look));
         self.step = step;
-    }
-
-    /// The slave at this position runs on a time other than the segment's.
-    pub fn is_strange(&mut self, place: u16) {
-        self.found = Some(place);
     }
 }

@@ -123,8 +123,8 @@ fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
     plan.devices = vec![coupler(0)];
     let mut rig = Rig::new(&plan);
     let write = |rig: &mut Rig, byte: u8| {
-        let spot = rig.line.members[0].member.spot.clone();
-        rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[byte]);
+        let offsets = rig.line.slaves[0].offsets.clone();
+        rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[byte]);
     };
     write(&mut rig, 0xA5);
     rig.all_up(2_000);
@@ -144,7 +144,7 @@ fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
     rig.told.wants_outputs = true;
     rig.run(5);
     assert_eq!((rig.al(0), rig.told.inputs.as_slice()), (AlState::Op, &[0x5A][..]));
-    assert!(rig.line.members[0].member.wants_nothing());
+    assert!(rig.line.slaves[0].wants_nothing());
 }
 
 #[test]

@@ -14,11 +14,11 @@
 //! time goes to no slave.
 
 use super::setup::WATCHDOG_DIVIDER;
-use super::{Around, Lent, List, Mapped, Member, Note, Step};
+use super::{Context, List, Mapped, Note, Slave, Step, TimeSource};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
-use crate::bus::ethercat::line::running::Running;
-use crate::bus::ethercat::line::sii::Reader;
+use crate::bus::ethercat::segment::running::Running;
+use crate::bus::ethercat::segment::sii::Reader;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
 use crate::time::{MS, Time};
@@ -27,22 +27,22 @@ use crate::time::{MS, Time};
 const MANAGERS: usize = 4 * SyncManager::SIZE;
 const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 
-impl Member {
-    pub(super) fn ask_found(&self, ask: &mut Ask) {
+impl Slave {
+    pub(super) fn request_found(&self, ask: &mut Ask) {
         ask.read(self.reads(address::SYNC_MANAGER), MANAGERS);
         ask.read(self.reads(address::WATCHDOG_DIVIDER), WATCHDOGS);
     }
 
-    pub(super) fn ask_found_fmmus(&self, ask: &mut Ask) {
+    pub(super) fn request_found_fmmus(&self, ask: &mut Ask) {
         ask.read(self.reads(address::FMMU), self.fmmus().1);
     }
 
-    pub(super) fn ask_running(&self, ask: &mut Ask) {
-        Running::ask(|register| self.reads(register), ask);
+    pub(super) fn request_running(&self, ask: &mut Ask) {
+        Running::request(|register| self.reads(register), ask);
     }
 
     /// Its inputs and AL status; after the FMMU of its outputs.
-    pub(super) fn ask_join(&self, ask: &mut Ask) {
+    pub(super) fn request_join(&self, ask: &mut Ask) {
         ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
         let (fmmus, length) = self.fmmus();
         let behind = if self.plan.outputs.length > 0 { Fmmu::SIZE } else { 0 };
@@ -76,7 +76,7 @@ impl Member {
         // A setting that a device lacks now would be missing for good.
         let is_safe = self.watched || !self.is_device() || self.plan.outputs.length == 0;
         // With SYNC0 the time is read again.
-        let in_time = self.plan.sync || !self.strange;
+        let in_time = self.plan.sync || !self.other_time;
         if is_own && is_safe && in_time {
             self.enter(now, Step::FoundFmmus);
         } else {
@@ -98,46 +98,47 @@ impl Member {
     }
 
     /// It runs: on the segment's time, or on another one. Its own becomes the segment's, if that has none.
-    fn meet(&mut self, around: &Around<'_>, running: &Running) -> Option<Lent> {
-        let is_same = around.clock.is_time_of(around.cycle, around.sent_at, running.time());
-        self.strange = running.is_cyclic() && around.has_time && !is_same;
-        let lends = running.is_cyclic() && !around.has_time;
-        lends.then_some(Lent { time: running.time(), phase_ns: None })
+    fn meet(&mut self, context: &Context<'_>, running: &Running) -> Option<TimeSource> {
+        let is_same = context.clock.is_time_of(context.cycle, context.sent_at, running.time);
+        self.other_time = running.is_cyclic() && context.has_time && !is_same;
+        let lends = running.is_cyclic() && !context.has_time;
+        lends.then_some(TimeSource { time: running.time, phase_ns: None })
     }
 
     /// The time that it runs on, read before anything else.
     pub(super) fn runs_on(
         &mut self,
-        around: &Around<'_>,
+        context: &Context<'_>,
         answers: &Answers<'_>,
         note: Option<Note>,
-    ) -> Option<Lent> {
-        let now = around.cycle.grid;
-        let running = Running::heard(answers)?;
+    ) -> Option<TimeSource> {
+        let now = context.cycle.grid;
+        let running = Running::receive(answers)?;
         self.looked_at = true;
-        let lent = self.meet(around, &running);
+        let source = self.meet(context, &running);
         match note {
             Some(note) => self.refuse(now, note),
             None => self.enter(now, Step::Sii(Reader::default())),
         }
-        lent
+        source
     }
 
     /// Its SYNC0: it has to run on the segment's time, and come where all others have theirs. Returns that offset
     /// if there is none yet.
-    pub(super) fn found_clock(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Option<Lent> {
-        let now = around.cycle.grid;
-        let running = Running::heard(answers)?;
-        let lent = self.meet(around, &running);
-        let phase = running.phase_ns(&around.clock, around.cycle, around.sent_at);
-        let Some(phase) = phase.filter(|phase| !self.strange && (!around.phased || around.is_phase(*phase)))
+    pub(super) fn found_clock(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Option<TimeSource> {
+        let now = context.cycle.grid;
+        let running = Running::receive(answers)?;
+        let source = self.meet(context, &running);
+        let phase = running.phase_ns(&context.clock, context.cycle, context.sent_at);
+        let Some(phase) =
+            phase.filter(|phase| !self.other_time && (!context.phased || context.is_phase(*phase)))
         else {
             self.not_joinable(now);
-            return lent;
+            return source;
         };
         self.enter(now, Step::Join);
-        let phase_ns = (!around.phased).then_some(phase);
-        phase_ns.map(|_| Lent { time: running.time(), phase_ns }).or(lent)
+        let phase_ns = (!context.phased).then_some(phase);
+        phase_ns.map(|_| TimeSource { time: running.time, phase_ns }).or(source)
     }
 
     /// Its clock fits, or the segment's was made to.
@@ -183,7 +184,7 @@ impl Member {
     /// brought up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
         let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
-        self.strange = false;
+        self.other_time = false;
         (self.addressed, self.mapped, self.mailbox_open) = (true, Mapped::All, self.plan.mailbox.is_some());
         match al {
             AlState::Op => {
@@ -206,16 +207,16 @@ impl Member {
     }
 
     /// A joined drive is without power, or its outputs are wanted: what follows.
-    pub(super) fn go_on_joined(&mut self, around: &Around<'_>) -> bool {
-        let now = around.cycle.grid;
-        match around.powered {
+    pub(super) fn go_on_joined(&mut self, context: &Context<'_>) -> bool {
+        let now = context.cycle.grid;
+        match context.powered {
             // Time to set it up completely.
             Some((false, at)) if at > self.since + 10 * MS => {
                 self.set_up(now);
                 true
             }
-            _ if self.mapped == Mapped::Inputs && around.wants_outputs => {
-                self.enter(now, Step::LetGo);
+            _ if self.mapped == Mapped::Inputs && context.wants_outputs => {
+                self.enter(now, Step::Release);
                 true
             }
             _ => false,

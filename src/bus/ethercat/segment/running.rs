@@ -2,7 +2,7 @@
 //! The segment's time goes to all slaves with a clock, configured or not. For a running slave it must be the time
 //! that it runs on: any other time would move its clock, and a drive goes into a fault by that (F28).
 
-use super::clock::LineClock;
+use super::clock::SegmentClock;
 use crate::bus::Cycle;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::frame::Command;
@@ -23,18 +23,18 @@ pub struct Running {
     start: u32,
     cycle_ns: u32,
     /// Its time as the frame passed it: the lower half.
-    time: u32,
+    pub time: u32,
 }
 
 impl Running {
     /// Requests it, with a command that reaches the slave at a register.
-    pub fn ask(read: impl Fn(u16) -> Command, ask: &mut Ask) {
+    pub fn request(read: impl Fn(u16) -> Command, ask: &mut Ask) {
         ask.read(read(address::DC_CONTROL), SYNC);
         ask.read(read(address::DC_TIME), 8);
     }
 
     /// Takes the answer.
-    pub fn heard(answers: &Answers<'_>) -> Option<Running> {
+    pub fn receive(answers: &Answers<'_>) -> Option<Running> {
         let [Some(sync), Some(time)] = answers else { return None };
         let long = |at: u16| {
             let at = usize::from(at - address::DC_CONTROL);
@@ -53,27 +53,22 @@ impl Running {
         self.active & CYCLIC != 0
     }
 
-    /// Its time as the frame passed it.
-    pub fn time(&self) -> u32 {
-        self.time
-    }
-
     /// The offset of SYNC0 in the periods of its time, if that is near to the segment's; `None`: it has none of
     /// this period.
-    pub fn phase_ns(&self, clock: &LineClock, cycle: &Cycle, at: Time) -> Option<u64> {
+    pub fn phase_ns(&self, clock: &SegmentClock, cycle: &Cycle, at: Time) -> Option<u64> {
         let period = clock.period_ns();
         if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {
             return None;
         }
         // Read back, the start is that of the next pulse.
-        let line_ns = near(clock.time(cycle, at), self.time);
-        Some(near(line_ns, self.start) % period)
+        let segment_ns = near(clock.time(cycle, at), self.time);
+        Some(near(segment_ns, self.start) % period)
     }
 }
 
-/// The time that has this lower half and is nearest to `line_ns`.
-pub fn near(line_ns: u64, half: u32) -> u64 {
-    line_ns.wrapping_add(i64::from(half.wrapping_sub(line_ns as u32) as i32) as u64)
+/// The time that has this lower half and is nearest to `segment_ns`.
+pub fn near(segment_ns: u64, half: u32) -> u64 {
+    segment_ns.wrapping_add(i64::from(half.wrapping_sub(segment_ns as u32) as i32) as u64)
 }
 
 #[cfg(test)]
@@ -99,10 +94,10 @@ mod tests {
         };
         let mut sync = [0; SYNC];
         sync[1] = 3;
-        let running = Running::heard(&answers(&sync, &[1, 2, 0, 0])).unwrap();
-        assert_eq!((running.is_cyclic(), running.time()), (true, 0x0201));
-        assert_eq!(Running::heard(&answers(&sync[..SYNC - 1], &[0; 8])), None);
-        assert_eq!(Running::heard(&answers(&sync, &[0; 3])), None);
-        assert_eq!(Running::heard(&[None, None]), None);
+        let running = Running::receive(&answers(&sync, &[1, 2, 0, 0])).unwrap();
+        assert_eq!((running.is_cyclic(), running.time), (true, 0x0201));
+        assert_eq!(Running::receive(&answers(&sync[..SYNC - 1], &[0; 8])), None);
+        assert_eq!(Running::receive(&answers(&sync, &[0; 3])), None);
+        assert_eq!(Running::receive(&[None, None]), None);
     }
 }

@@ -1,10 +1,10 @@
 //! The answers to the requests of a step.
 
-use super::asking::{AL_LOOK, LOOK};
+use super::request::{AL_LOOK, LOOK};
 use super::setup::WATCHDOG_DIVIDER;
-use super::{Around, Change, FMMUS_AT_ONCE, Happened, Lent, List, Mapped, Member, Note, Step};
-use crate::bus::ethercat::line::sii::{Contents, Reader, Reading};
+use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step, TimeSource};
 use crate::bus::ethercat::plan::FIRST_STATION;
+use crate::bus::ethercat::segment::sii::{Contents, Reader, Reading};
 use crate::bus::ethercat::slot::{Answer, Answers};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
 use crate::time::Time;
@@ -14,23 +14,27 @@ const SILENT: u8 = 3;
 /// Errors that are acknowledged on the way to one state.
 const ERRORS: u8 = 3;
 
-impl Member {
+impl Slave {
     /// Takes the answer to its request; returns the time of a running slave, if the segment has none or is to have
     /// its SYNC0 there.
-    pub fn heard(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> (Happened, Option<Lent>) {
+    pub fn receive(
+        &mut self,
+        context: &Context<'_>,
+        answers: &Answers<'_>,
+    ) -> (Happened, Option<TimeSource>) {
         let step = self.step;
-        let happened = self.hear(around, answers);
-        let is_heard = answers.iter().flatten().all(|answer| answer.working_counter > 0);
-        let lent = match step {
-            Step::FoundClock if is_heard => self.found_clock(around, answers),
-            Step::Time(note) if is_heard => self.runs_on(around, answers, note),
+        let happened = self.hear(context, answers);
+        let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
+        let source = match step {
+            Step::FoundClock if is_received => self.found_clock(context, answers),
+            Step::Time(note) if is_received => self.runs_on(context, answers, note),
             _ => None,
         };
-        (happened, lent)
+        (happened, source)
     }
 
-    fn hear(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Happened {
-        let now = around.cycle.grid;
+    fn hear(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
+        let now = context.cycle.grid;
         // A lost frame: the same is requested again.
         let Some(first) = answers[0] else { return Happened::Nothing };
         // AL control may still be unread by the firmware, and not accept a second request.
@@ -52,7 +56,7 @@ impl Member {
         match self.step {
             Step::Look => return self.looked(now, answers),
             Step::SiiOwner => self.enter(now, Step::Sii(Reader::default())),
-            Step::Sii(mut reader) => match reader.heard(answers) {
+            Step::Sii(mut reader) => match reader.receive(answers) {
                 Reading::On => self.step = Step::Sii(reader),
                 Reading::Done => self.identified(now, reader.contents()),
                 Reading::Failed => self.refuse(now, Note::Sii),
@@ -92,34 +96,34 @@ impl Member {
                 self.enter(now, if self.plan.sync { Step::Latch } else { Step::to(AlState::SafeOp) });
             }
             Step::State(change) => return self.went(now, change, answers),
-            Step::LetGo => self.let_go(now),
-            Step::Code => return self.told_code(now, first.data),
+            Step::Release => self.release(now),
+            Step::Code => return self.receive_code(now, first.data),
             Step::Rest(_) | Step::Time(_) | Step::FoundClock => {}
             Step::Objects { .. } | Step::Lock | Step::Up => {}
-            _ => self.heard_clock(around, first.data, answers[1].map_or(&[], |answer| answer.data)),
+            _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
         Happened::Nothing
     }
 
     /// The steps of its clock.
-    fn heard_clock(&mut self, around: &Around<'_>, first: &[u8], second: &[u8]) {
-        let now = around.cycle.grid;
+    fn receive_clock(&mut self, context: &Context<'_>, first: &[u8], second: &[u8]) {
+        let now = context.cycle.grid;
         match self.step {
             Step::Latch => {
-                let line_ns = around.clock.shows(around.cycle, around.sent_at);
-                self.enter(now, Step::ReferenceTimes { line_ns });
+                let segment_ns = context.clock.shows(context.cycle, context.sent_at);
+                self.enter(now, Step::ReferenceTimes { segment_ns });
             }
-            Step::ReferenceTimes { line_ns } => self.referred(now, around, line_ns, first, second),
-            Step::OwnTimes { line_ns, reference_loop_ns } => {
-                self.timed(now, around, line_ns, reference_loop_ns, first, second);
+            Step::ReferenceTimes { segment_ns } => self.referred(now, context, segment_ns, first, second),
+            Step::OwnTimes { segment_ns, reference_loop_ns } => {
+                self.timed(now, context, segment_ns, reference_loop_ns, first, second);
             }
             Step::Offset { .. } => self.offset_set(now),
-            Step::Filter if self.is_reference(around) => self.enter(now, Step::LineTime),
+            Step::Filter if self.is_reference(context) => self.enter(now, Step::SegmentTime),
             Step::Filter => self.enter(now, Step::Settle { good: 0, next: now }),
-            Step::Settle { good, .. } => self.settled(around, good, first),
-            Step::LineTime => self.line_time(now, around, second),
-            Step::SyncStart { line_ns, .. } => self.enter(now, Step::SyncOn { line_ns }),
-            Step::SyncOn { line_ns } => self.sync_on(now, around, line_ns),
+            Step::Settle { good, .. } => self.settled(context, good, first),
+            Step::SegmentTime => self.segment_time(now, context, second),
+            Step::SyncStart { segment_ns, .. } => self.enter(now, Step::SyncOn { segment_ns }),
+            Step::SyncOn { segment_ns } => self.sync_on(now, context, segment_ns),
             _ => {}
         }
     }
@@ -139,7 +143,7 @@ impl Member {
         let runs = self.runs();
         let unusable = self.unusable(station);
         let others = runs && self.features.has_clock();
-        (self.looked_at, self.strange) = (!others, others);
+        (self.looked_at, self.other_time) = (!others, others);
         if let Some(note) = unusable {
             match others {
                 true => self.enter(now, Step::Time(Some(note))),
@@ -298,7 +302,7 @@ impl Member {
                 self.start_over(now, 0, Note::None);
             }
             AlState::Init | AlState::Boot => {
-                (self.mailbox_open, self.strange) = (false, false);
+                (self.mailbox_open, self.other_time) = (false, false);
                 self.enter(now, Step::Ports);
             }
         }
@@ -306,7 +310,7 @@ impl Member {
     }
 
     /// The AL status code of a fall out of OP.
-    fn told_code(&mut self, now: Time, data: &[u8]) -> Happened {
+    fn receive_code(&mut self, now: Time, data: &[u8]) -> Happened {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
         // The image may not have shown it.
         self.al = status.state();

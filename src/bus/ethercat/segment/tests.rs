@@ -15,7 +15,7 @@ use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimLine;
 use crate::time::{MS, S, US};
 
-/// What the line told its crew.
+/// What the line told its handler.
 #[derive(Default)]
 struct Told {
     states: Vec<(Owner, Option<AlState>)>,
@@ -25,60 +25,60 @@ struct Told {
     /// The newest inputs.
     inputs: Vec<u8>,
     wants_outputs: bool,
+    wrong_counts: u64,
 }
 
-impl Crew for Told {
+impl Handler for Told {
     fn service(&mut self, _owner: Owner) -> Option<&mut Service> {
         None
     }
 
-    fn advance(&mut self, _owner: Owner, _now: Time, _slots: &mut [Slot]) {}
+    fn advance(&mut self, _owner: Owner, _now: Time) {}
 
-    fn state(&mut self, owner: Owner, al: Option<AlState>, _slots: &mut [Slot]) {
-        self.states.push((owner, al));
+    fn state(&mut self, owner: Owner, state: SlaveState) {
+        self.states.push((owner, state.al));
     }
 
     fn restarted(&mut self, owner: Owner) {
         self.restarted.push(owner);
     }
 
-    fn mailbox_heard(&mut self, _owner: Owner, _slots: &mut [Slot]) {}
+    fn mailbox_received(&mut self, _owner: Owner, _now: Time, _answers: &Answers<'_>) {}
 
     fn wants_outputs(&self, _owner: Owner) -> bool {
         self.wants_outputs
     }
 
-    fn watched(&mut self, _owner: Owner, _is_watched: bool) {}
+    fn powered(&self, owner: Owner) -> Option<(bool, Time)> {
+        matches!(owner, Owner::Drive(_)).then_some((false, Time(0)))
+    }
 
-    fn found_in(&mut self, _owner: Owner, _mode: Mode) {}
+    fn expect_silence(&mut self, _owner: Owner) {}
 
-    fn excuse(&mut self, _owner: Owner, _slots: &mut [Slot]) {}
-
-    fn take(&mut self, owner: Owner, taken: Taken<'_>, _slots: &mut [Slot]) {
+    fn take(&mut self, owner: Owner, taken: Taken<'_>) {
         assert!(!taken.inputs.is_empty() && taken.in_window);
         self.taken.push(owner);
         self.inputs = taken.inputs.to_vec();
     }
 
-    fn passed_by(&mut self, owner: Owner, _slots: &mut [Slot]) {
+    fn passed_by(&mut self, owner: Owner) {
         self.passed_by.push(owner);
     }
 
-    fn counters<'a>(&self, owner: Owner, slots: &'a mut [Slot]) -> Option<&'a mut Counters> {
-        match owner {
-            Owner::Drive(index) => slots.get_mut(index).map(|slot| &mut slot.counters),
-            Owner::Device(_) => None,
+    fn count(&mut self, owner: Owner, counter: Own) {
+        if let Owner::Drive(_) = owner {
+            self.wrong_counts += u64::from(counter == Own::WrongCount);
         }
     }
 }
 
 /// A line, a simulated one, and the loop between them.
 struct Rig {
-    line: Line,
+    line: Segment,
     image: Image,
     sim: EthercatSim,
+    drives: usize,
     told: Told,
-    slots: Vec<Slot>,
     cycle: Cycle,
     number: u32,
     /// Frames are lost.
@@ -100,14 +100,14 @@ impl Rig {
 
     fn based(plan: &EthercatPlan, whole: &EthercatPlan, base: u32) -> Rig {
         let slaves = plan.slaves();
-        let (image, spots) = Image::new(&slaves, base, [0x10; 6], true, plan.lrw).unwrap();
+        let (image, offsets) = Image::new(&slaves, base, [0x10; 6], true, plan.lrw).unwrap();
         let grid = Time(50 * S);
         Rig {
-            line: Line::new(plan, spots, MS),
+            line: Segment::new(plan, offsets, MS),
             image,
             sim: EthercatSim::new(whole),
             told: Told::default(),
-            slots: vec![Slot::default(); plan.drives.len()],
+            drives: plan.drives.len(),
             cycle: Cycle { index: 0, grid, period_ns: MS, deadline: grid + MS / 2 },
             number: 0,
             lossy: false,
@@ -122,19 +122,19 @@ impl Rig {
         let late = u64::from(self.number % 250) * 131;
         let at = self.cycle.grid + late;
         let first = &mut self.image.frames_mut()[0];
-        self.line.prepare(&self.cycle, first, &mut self.told, &mut self.slots);
+        self.line.prepare(&self.cycle, first, &mut self.told);
         for (number, frame) in self.image.frames_mut().iter_mut().enumerate() {
             frame.load_outputs();
             frame.number(Mark { master: 7, number: self.number });
             self.number += 1;
             if number == 0 {
-                frame.set_time(self.line.clock.told(&self.cycle, at));
+                frame.set_time(self.line.clock.sent_time(&self.cycle, at));
                 self.line.clock.lead_on();
             }
             let mut received = frame.bytes().to_vec();
             let came = self.sim.pass(at, &mut received);
             if !came || self.lossy && self.number.is_multiple_of(7) {
-                self.line.lost(at, number == 0, &mut self.told, &mut self.slots);
+                self.line.lost(at, number == 0, &mut self.told);
                 continue;
             }
             let Read::Good(counter) = frame.read(&received) else { panic!("a frame of our own") };
@@ -144,7 +144,7 @@ impl Rig {
                 continue;
             }
             let back = Back { sent, frame, at: at + 30 * US, received: &received, counter, in_window: true };
-            self.line.heard(&back, number, &mut self.told, &mut self.slots);
+            self.line.receive(&back, number, &mut self.told);
         }
     }
 
@@ -152,7 +152,7 @@ impl Rig {
         let (sent, received, counter) = self.held.take().unwrap();
         let frame = &self.image.frames()[0];
         let back = Back { sent, frame, at: sent.at, received: &received, counter, in_window: false };
-        self.line.heard(&back, 0, &mut self.told, &mut self.slots);
+        self.line.receive(&back, 0, &mut self.told);
     }
 
     fn run(&mut self, cycles: usize) {
@@ -168,8 +168,8 @@ impl Rig {
             }
             self.step();
         }
-        let members: Vec<_> = self.line.members.iter().map(|part| &part.member).collect();
-        panic!("not within {most} cycles: {what}; {members:#?}");
+        let slaves: Vec<_> = self.line.slaves.iter().collect();
+        panic!("not within {most} cycles: {what}; {slaves:#?}");
     }
 
     fn al(&mut self, place: usize) -> AlState {
@@ -207,7 +207,7 @@ impl Rig {
     }
 
     fn all_up(&mut self, most: usize) -> usize {
-        let count = self.line.members.len();
+        let count = self.line.slaves.len();
         self.until("all in OP", most, |rig| (0..count).all(|index| rig.line.is_operational(index)))
     }
 }
@@ -231,19 +231,17 @@ fn coupler(place: u16) -> Device {
     }
 }
 
-const WRONG: usize = Own::WrongCount as usize;
-
 impl Rig {
     /// Runs so many cycles, and how often each drive was heard in them.
-    fn heard(&mut self, cycles: usize) -> Vec<usize> {
+    fn receive(&mut self, cycles: usize) -> Vec<usize> {
         self.told.taken.clear();
         self.run(cycles);
         let count = |index| self.told.taken.iter().filter(|owner| **owner == Owner::Drive(index)).count();
-        (0..self.slots.len()).map(count).collect()
+        (0..self.drives).map(count).collect()
     }
 
     fn wrong_counts(&self) -> u64 {
-        self.slots.iter().map(|slot| slot.counters.own[WRONG]).sum()
+        self.told.wrong_counts
     }
 
     fn note(&self, index: usize) -> Note {
@@ -256,7 +254,7 @@ fn a_line_comes_up_to_op_and_every_frame_counts() {
     let mut rig = Rig::new(&drives(3));
     rig.all_up(3_000);
     assert!((0..3).all(|place| rig.al(place) == AlState::Op));
-    assert_eq!(rig.heard(500), [500; 3]);
+    assert_eq!(rig.receive(500), [500; 3]);
     assert!(rig.told.passed_by.is_empty() && rig.told.restarted.is_empty());
     assert_eq!(rig.wrong_counts(), 0);
     assert!((0..3).all(|index| rig.note(index) == Note::None));
@@ -275,7 +273,7 @@ fn a_drive_that_hears_nothing_costs_no_other_one_a_frame_and_comes_back() {
     let mut rig = Rig::new(&drives(5));
     rig.all_up(4_000);
     rig.sim.deafen(2, true);
-    assert_eq!(rig.heard(1_000), [1_000, 1_000, 0, 1_000, 1_000]);
+    assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 1_000, 1_000]);
     // It is not counted: at its place there is the one behind it, and is left alone.
     assert_eq!((rig.wrong_counts(), rig.note(2)), (0, Note::WrongPlace(3)));
     assert_eq!(rig.told.states.last(), Some(&(Owner::Drive(2), None)));
@@ -283,7 +281,7 @@ fn a_drive_that_hears_nothing_costs_no_other_one_a_frame_and_comes_back() {
     let frames = rig.told.taken.len();
     let cycles = rig.all_up(4_000);
     assert_eq!(rig.told.taken.len() - frames, 4 * cycles, "the others went on");
-    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 5]));
+    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
 }
 
 #[test]
@@ -291,13 +289,13 @@ fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
     let mut rig = Rig::new(&drives(5));
     rig.all_up(4_000);
     rig.sim.cut(Some(2));
-    assert_eq!(rig.heard(1_000), [1_000, 1_000, 0, 0, 0]);
+    assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 0, 0]);
     rig.sim.cut(None);
     rig.told.taken.clear();
     let cycles = rig.all_up(6_000);
     let upstream = rig.told.taken.iter().filter(|owner| matches!(owner, Owner::Drive(0 | 1))).count();
     assert_eq!(upstream, 2 * cycles, "they went on while the others came back");
-    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 5]));
+    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
     assert!(rig.told.restarted.is_empty(), "nothing was switched off");
 }
 
@@ -307,11 +305,11 @@ fn a_drive_that_was_switched_off_and_on_is_told_and_comes_back() {
     rig.all_up(4_000);
     let now = rig.cycle.grid;
     rig.sim.restart(now, 1);
-    let [first, _, last] = rig.heard(10)[..] else { panic!() };
+    let [first, _, last] = rig.receive(10)[..] else { panic!() };
     assert_eq!((first, last), (10, 10));
     rig.all_up(4_000);
     assert_eq!(rig.told.restarted, [Owner::Drive(1)]);
-    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 3]));
+    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 3]));
 }
 
 #[test]
@@ -321,10 +319,10 @@ fn a_coupler_takes_part_with_its_bytes() {
     plan.devices = vec![coupler(1)];
     let mut rig = Rig::new(&plan);
     rig.all_up(4_000);
-    rig.heard(10);
+    rig.receive(10);
     assert_eq!(rig.told.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
-    let spot = rig.line.members[1].member.spot.clone();
-    rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[0xA5]);
+    let offsets = rig.line.slaves[1].offsets.clone();
+    rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
     rig.run(2);
     assert_eq!((rig.wrong_counts(), rig.al(1)), (0, AlState::Op));
 }
@@ -335,7 +333,7 @@ fn a_line_without_lrw_goes_by_two_datagrams() {
     plan.lrw = false;
     let mut rig = Rig::new(&plan);
     rig.all_up(4_000);
-    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 3]));
+    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 3]));
 }
 
 #[test]
@@ -343,9 +341,9 @@ fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
     let mut rig = Rig::new(&drives(90));
     assert!(rig.image.frames().len() > 1);
     rig.all_up(20_000);
-    assert_eq!((rig.wrong_counts(), rig.heard(20)), (0, vec![20; 90]));
+    assert_eq!((rig.wrong_counts(), rig.receive(20)), (0, vec![20; 90]));
     rig.sim.deafen(80, true);
-    let heard = rig.heard(100);
+    let heard = rig.receive(100);
     assert!((0..90).all(|index| heard[index] == if index == 80 { 0 } else { 100 }), "{heard:?}");
 }
 
@@ -358,7 +356,7 @@ fn a_drive_of_another_make_is_refused_by_name_and_the_others_run() {
     rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
     assert_eq!(rig.note(1), Note::Product(8));
     rig.run(500);
-    assert_eq!((rig.al(1), rig.heard(50)), (AlState::Init, vec![50, 0, 50]));
+    assert_eq!((rig.al(1), rig.receive(50)), (AlState::Init, vec![50, 0, 50]));
 }
 
 #[test]
@@ -446,15 +444,15 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
     let io = plan.devices[0].simulate.slave("I/O", Identity::default(), settings);
     *rig.sim.line() = sim::Line::new(vec![io]);
-    let spot = rig.line.members[0].member.spot.clone();
-    rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[0xA5]);
+    let offsets = rig.line.slaves[0].offsets.clone();
+    rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
     rig.all_up(4_000);
-    assert!(!rig.line.members[0].member.has_al());
+    assert!(!rig.line.slaves[0].has_al);
     rig.run(200);
     rig.told.states.clear();
     // Its state is asked for by itself, and told before anything is done about it.
     rig.poke(0, address::AL_CONTROL, &[4, 0]);
-    rig.until("it was asked", 200, |rig| !rig.line.members[0].member.is_settled());
+    rig.until("it was asked", 200, |rig| !rig.line.slaves[0].is_settled());
     assert_eq!(rig.told.states, [(Owner::Device(0), Some(AlState::SafeOp))]);
     rig.run(400);
     assert_eq!(rig.told.states.last(), Some(&(Owner::Device(0), Some(AlState::Op))));
@@ -467,16 +465,16 @@ fn an_address_of_ours_is_taken_from_a_slave_that_gets_it_later() {
     rig.poke(1, address::STATION, &FIRST_STATION.to_le_bytes());
     rig.run(500);
     assert_eq!(rig.peek(1, address::STATION, 2), [0; 2]);
-    assert_eq!(rig.heard(100), [100]);
+    assert_eq!(rig.receive(100), [100]);
 }
 
 #[test]
 fn a_place_beyond_all_addresses_is_no_panic() {
     let mut plan = drives(1);
     plan.drives[0].slave.place = u16::MAX;
-    let _ = crate::bus::ethercat::station::Station::new(&plan.drives[0], MS);
+    let _ = crate::bus::ethercat::station::Station::new(&plan.drives[0], MS, 0);
     let slaves = plan.slaves();
-    let (_, spots) = Image::new(&slaves, 0x1000_0000, [0x10; 6], true, true).unwrap();
-    let line = Line::new(&plan, spots, MS);
-    assert_eq!((line.members[0].member.station(), line.guests.place()), (0x1000, 0));
+    let (_, offsets) = Image::new(&slaves, 0x1000_0000, [0x10; 6], true, true).unwrap();
+    let line = Segment::new(&plan, offsets, MS);
+    assert_eq!((line.slaves[0].station(), line.unconfigured.place()), (0x1000, 0));
 }

@@ -104,7 +104,7 @@ impl Reader {
     }
 
     /// Requests the next part, with commands that reach the slave at a register.
-    pub fn ask(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
+    pub fn request(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
         let Some(word) = self.word() else { return };
         if self.asked {
             ask.read(read(address::SII_CONTROL), POLL);
@@ -114,7 +114,7 @@ impl Reader {
     }
 
     /// Takes the answer.
-    pub fn heard(&mut self, answers: &Answers<'_>) -> Reading {
+    pub fn receive(&mut self, answers: &Answers<'_>) -> Reading {
         // A lost frame: the same is requested again.
         let Some(answer) = answers[0] else { return Reading::On };
         if !self.asked {

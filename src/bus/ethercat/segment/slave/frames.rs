@@ -1,6 +1,6 @@
 //! The content of a slave in the frames, and its possible share of their working counters.
 
-use super::{Mapped, Member, Note, Step};
+use super::{Mapped, Note, Slave, Step};
 use crate::bus::ethercat::image::AL_SIZE;
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus};
 use crate::time::{MS, Time};
@@ -8,18 +8,13 @@ use crate::time::{MS, Time};
 /// In OP for so long, ns, no frame of its way there comes back any more.
 const UP_FOR_NS: u64 = 10 * MS;
 
-impl Member {
-    /// A spare FMMU puts its AL status into the image.
-    pub fn has_al(&self) -> bool {
-        self.has_al
-    }
-
+impl Slave {
     /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, its last known
     /// state, if there is anything of its inputs.
     #[inline]
-    pub fn shown(&self, received: &[u8]) -> AlStatus {
+    pub fn shown_in(&self, received: &[u8]) -> AlStatus {
         if self.has_al {
-            let al = received.get(self.spot.al..).and_then(<[u8]>::first_chunk::<AL_SIZE>);
+            let al = received.get(self.offsets.al..).and_then(<[u8]>::first_chunk::<AL_SIZE>);
             return AlStatus(al.map_or(0, |bytes| u16::from_le_bytes(*bytes) & AlStatus::SHOWN));
         }
         AlStatus(self.al.filter(|_| self.has_inputs(received)).map_or(0, |al| al.number().into()))
@@ -27,23 +22,21 @@ impl Member {
 
     /// There is anything of its inputs: the master sends zeros.
     pub fn has_inputs(&self, received: &[u8]) -> bool {
-        received.get(self.spot.inputs.clone()).unwrap_or_default().iter().any(|byte| *byte != 0)
+        received.get(self.offsets.inputs.clone()).unwrap_or_default().iter().any(|byte| *byte != 0)
     }
 
     /// Its possible share of the working counter of such a frame, at least and at most.
     #[inline]
-    pub fn counts(&self, shown: AlStatus) -> (u16, u16) {
+    pub fn counts(&self) -> (u16, u16) {
         let inputs = u16::from(self.has_al || self.plan.inputs.length > 0);
-        // A write counts twice, if it is one datagram with the read.
-        let written = if self.lrw { 2 } else { 1 };
-        let all = inputs + if self.plan.outputs.length > 0 { written } else { 0 };
+        let all = inputs + self.written();
         let full = if self.mapped == Mapped::Inputs { inputs } else { all };
-        match shown.state() {
+        match self.shown.state() {
             // Nothing shows whether it is there.
             _ if !self.has_al => (0, all),
-            _ if shown.0 == 0 => (0, 0),
+            _ if self.shown.0 == 0 => (0, 0),
             Some(AlState::SafeOp | AlState::Op) if self.mapped != Mapped::None => match self.step {
-                Step::LetGo => (full, all),
+                Step::Release => (full, all),
                 _ => (full, full),
             },
             // Its earlier share: a slave that comes back may still take part, and one that comes up not yet.
@@ -54,43 +47,47 @@ impl Member {
     /// It is in OP with all of its process data, and its image shows it.
     #[inline]
     pub fn is_steady(&self) -> bool {
-        self.wants_nothing() && self.was_operational && self.al == Some(AlState::Op)
+        const OP: Option<AlState> = Some(AlState::Op);
+        self.wants_nothing() && self.was_operational && (self.al, self.reported) == (OP, OP)
     }
 
     /// What it adds to the working counter when it is steady.
     #[inline]
     pub fn full(&self) -> u16 {
-        let written = if self.lrw { 2 } else { 1 };
-        1 + if self.plan.outputs.length > 0 { written } else { 0 }
+        1 + self.written()
+    }
+
+    /// A write counts twice, if it is one datagram with the read.
+    #[inline]
+    fn written(&self) -> u16 {
+        match self.plan.outputs.length > 0 {
+            true if self.lrw => 2,
+            written => written.into(),
+        }
     }
 
     /// Another master has taken it out of OP, by the state that its image shows: a slave that falls by itself reports
     /// an error (ETG.1000.6). It was in OP for a while: no older frame shows this.
-    pub fn is_lowered(&self, now: Time, status: AlStatus) -> bool {
+    pub fn is_lowered(&self, now: Time) -> bool {
         let was_up = matches!(self.step, Step::Up) && !self.joined && self.al == Some(AlState::Op);
-        was_up && now.since(self.since) > UP_FOR_NS && status == AlStatus::request(AlState::SafeOp)
+        was_up && now.since(self.since) > UP_FOR_NS && self.shown == AlStatus::request(AlState::SafeOp)
     }
 
     /// Its image shows another state than before, or an error.
-    pub fn show(&mut self, now: Time, status: AlStatus) {
+    pub fn show(&mut self, now: Time) {
         if !self.was_operational && !self.is_settled() {
             return;
         }
-        self.al = status.state();
-        if !self.is_settled() || !status.error() && self.al == Some(AlState::Op) {
+        self.al = self.shown.state();
+        if !self.is_settled() || !self.shown.error() && self.al == Some(AlState::Op) {
             return;
         }
         // In SAFEOP it waits for the lock.
-        let waits = matches!(self.step, Step::Lock) && status == AlStatus::request(AlState::SafeOp);
+        let waits = matches!(self.step, Step::Lock) && self.shown == AlStatus::request(AlState::SafeOp);
         match self.al {
             _ if waits => {}
             Some(AlState::SafeOp | AlState::Op) => self.enter(now, Step::Code),
             _ => self.start_over(now, 0, Note::Starting),
         }
-    }
-
-    /// The state that its image showed last.
-    pub fn al(&self) -> Option<AlState> {
-        self.al
     }
 }

@@ -1,0 +1,189 @@
+//! The drives and devices behind the slaves of a segment: the stations of drives, and the ports of devices.
+
+use crate::axis::acyclic::AcyclicEnds;
+use crate::axis::cell::Writer;
+use crate::axis::{Emergency, Feedback, Link, Observer};
+use crate::bus::ethercat::counters::Own;
+use crate::bus::ethercat::image::Offsets;
+use crate::bus::ethercat::native::{Native, TerminalPort, Terminals};
+use crate::bus::ethercat::plan::Owner;
+use crate::bus::ethercat::segment::{Handler, SlaveState, Taken};
+use crate::bus::ethercat::service::Service;
+use crate::bus::ethercat::slot::Answers;
+use crate::bus::ethercat::station::Station;
+use crate::bus::ethercat::wire::registers::AlState;
+use crate::bus::{Counters, Exchange, Slot};
+use crate::time::Time;
+
+/// The master's side of a drive.
+pub(super) struct DriveEnd {
+    pub(super) station: Station,
+    /// Outputs are built that have not been sent.
+    pub(super) built: bool,
+    pub(super) offsets: Offsets,
+    /// Its slave.
+    pub(super) slave: usize,
+    /// The application's ends, until they are fetched.
+    pub(super) native: Option<Native>,
+    pub(super) acyclic: Option<AcyclicEnds>,
+}
+
+/// The master's side of a device.
+pub(super) struct DeviceEnd {
+    pub(super) service: Service,
+    /// Whether its objects can be accessed.
+    pub(super) reached: Writer<Feedback>,
+    pub(super) port: TerminalPort,
+    pub(super) offsets: Offsets,
+    pub(super) operational: bool,
+    /// The application's ends, until they are fetched.
+    pub(super) terminals: Option<Terminals>,
+    pub(super) acyclic: Option<(AcyclicEnds, Observer)>,
+}
+
+/// All of them, with the slots of the drives.
+pub(super) struct Endpoints<'a> {
+    pub(super) drives: &'a mut [DriveEnd],
+    pub(super) devices: &'a mut [DeviceEnd],
+    pub(super) slots: &'a mut [Slot],
+}
+
+enum End<'a> {
+    Drive(&'a mut Station, &'a mut Slot),
+    Device(&'a mut DeviceEnd),
+}
+
+impl Endpoints<'_> {
+    #[inline]
+    fn of(&mut self, owner: Owner) -> Option<End<'_>> {
+        match owner {
+            Owner::Drive(index) => {
+                Some(End::Drive(&mut self.drives.get_mut(index)?.station, self.slots.get_mut(index)?))
+            }
+            Owner::Device(index) => self.devices.get_mut(index).map(End::Device),
+        }
+    }
+}
+
+impl DeviceEnd {
+    /// Its mailbox was read: reports the next emergency to the application, if there is room for it.
+    fn mailbox_received(&mut self) {
+        if self.port.may_tell()
+            && let Some(emergency) = self.service.take_emergency()
+        {
+            self.port.tell(Emergency { code: emergency.code, register: emergency.register });
+        }
+    }
+
+    /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
+    fn state(&mut self, al: Option<AlState>) {
+        let was_operational = std::mem::replace(&mut self.operational, al == Some(AlState::Op));
+        if was_operational && !self.operational {
+            // Its outputs do not come back by themselves.
+            self.port.forget();
+        }
+        if al.is_none() {
+            self.port.publish(Time(0), false, &[]);
+        }
+        let link = if al.is_some() { Link::Online } else { Link::Lost };
+        self.reached.write(&Feedback { link, ..Feedback::default() });
+    }
+}
+
+impl Handler for Endpoints<'_> {
+    fn service(&mut self, owner: Owner) -> Option<&mut Service> {
+        Some(match self.of(owner)? {
+            End::Drive(station, _) => &mut station.service,
+            End::Device(device) => &mut device.service,
+        })
+    }
+
+    fn advance(&mut self, owner: Owner, now: Time) {
+        match self.of(owner) {
+            Some(End::Drive(station, slot)) => {
+                station.service.advance(now, slot.link, slot.guarded);
+                slot.commanded = station.service.commands();
+            }
+            Some(End::Device(device)) => device.service.advance(now, Link::Online, false),
+            None => {}
+        }
+    }
+
+    fn state(&mut self, owner: Owner, state: SlaveState) {
+        match self.of(owner) {
+            Some(End::Drive(station, slot)) => {
+                station.profile.found_otherwise = !state.is_watched;
+                station.operational(state.al, slot);
+                if let Some(mode) = state.found_mode {
+                    station.requests.found_in(mode);
+                }
+                slot.reachable |= state.al.is_some();
+                slot.expected_silence &= state.al.is_none();
+            }
+            Some(End::Device(device)) => device.state(state.al),
+            None => {}
+        }
+    }
+
+    fn mailbox_received(&mut self, owner: Owner, now: Time, answers: &Answers<'_>) {
+        match self.of(owner) {
+            Some(End::Drive(station, slot)) => {
+                station.service.receive(now, answers, &mut slot.counters);
+                station.mailbox_received(slot);
+            }
+            Some(End::Device(device)) => {
+                device.service.receive(now, answers, &mut Counters::default());
+                device.mailbox_received();
+            }
+            None => {}
+        }
+    }
+
+    fn restarted(&mut self, owner: Owner) {
+        if let Some(End::Drive(station, _)) = self.of(owner) {
+            station.restarted();
+        }
+    }
+
+    fn wants_outputs(&self, owner: Owner) -> bool {
+        match owner {
+            Owner::Drive(index) => self.drives.get(index).is_some_and(|drive| drive.station.profile.writes()),
+            Owner::Device(index) => self.devices.get(index).is_some_and(|device| device.port.is_written()),
+        }
+    }
+
+    fn powered(&self, owner: Owner) -> Option<(bool, Time)> {
+        let Owner::Drive(index) = owner else { return None };
+        let report = &self.slots.get(index)?.status;
+        Some((report.state.is_powered(), report.at))
+    }
+
+    fn expect_silence(&mut self, owner: Owner) {
+        if let Some(End::Drive(_, slot)) = self.of(owner) {
+            slot.expected_silence = true;
+        }
+    }
+
+    #[inline]
+    fn take(&mut self, owner: Owner, Taken { at, al, inputs, in_window }: Taken<'_>) {
+        match self.of(owner) {
+            Some(End::Drive(station, slot)) if in_window => station.take(at, inputs, al, slot),
+            Some(End::Device(device)) => device.port.publish(at, device.operational, inputs),
+            _ => {}
+        }
+    }
+
+    fn passed_by(&mut self, owner: Owner) {
+        let Some(End::Drive(_, slot)) = self.of(owner) else { return };
+        Own::PassedBy.count(&mut slot.counters);
+        if let Exchange::Owed { sent_at, .. } = slot.exchange {
+            slot.exchange = Exchange::Absent { sent_at };
+        }
+    }
+
+    fn count(&mut self, owner: Owner, counter: Own) {
+        if let Some(End::Drive(_, slot)) = self.of(owner) {
+            counter.count(&mut slot.counters);
+        }
+    }
+}

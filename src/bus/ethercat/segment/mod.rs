@@ -1,0 +1,522 @@
+//! Brings the slaves of a segment to OP, and evaluates its frames for each.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | who owns the slot of the next frame |
+//! | `judge` | the slaves, and which of them took part in a frame that has come back |
+//! | `slave` | one slave, step by step |
+//! | `unconfigured` | unconfigured slaves |
+//! | `running` | a slave that runs on a clock set by another master |
+//! | `sii` | the content of its EEPROM |
+//! | `clock` | the time of the segment |
+//! | `note` | why a slave is not in operation |
+
+pub mod clock;
+mod judge;
+pub mod note;
+mod running;
+mod sii;
+pub mod slave;
+mod unconfigured;
+
+use self::clock::SegmentClock;
+use self::judge::{FrameState, Slaves};
+use self::note::Notes;
+use self::slave::{Context, Happened, Mapped, Slave, TimeSource};
+use self::unconfigured::Unconfigured;
+use super::cia402::Mode;
+use super::counters::Own;
+use super::image::{Frame, Offsets};
+use super::plan::{EthercatPlan, Owner};
+use super::service::Service;
+use super::slot::{Answers, Ask};
+use super::wire::registers::AlState;
+use crate::axis::FoundRunning;
+use crate::bus::{BusClock, Cycle};
+use crate::rt::Regions;
+use crate::time::Time;
+
+/// The slaves that are checked for a request for the slot of one frame; and while all of them are in operation,
+/// and only their mailboxes may have one.
+const LOOKS_A_FRAME: usize = 8;
+const LOOKS_STEADY: usize = 2;
+
+/// The drives and devices behind the slaves, with their mailboxes.
+pub trait Handler {
+    /// The mailbox of a slave.
+    fn service(&mut self, owner: Owner) -> Option<&mut Service>;
+
+    /// Its turn has come: its mailbox takes the requests that were posted meanwhile.
+    fn advance(&mut self, owner: Owner, now: Time);
+
+    /// Its replies count from now on, in this state, or not any more.
+    fn state(&mut self, owner: Owner, state: SlaveState);
+
+    /// The answers to the request of its mailbox.
+    fn mailbox_received(&mut self, owner: Owner, now: Time, answers: &Answers<'_>);
+
+    /// It was switched off and on.
+    fn restarted(&mut self, owner: Owner);
+
+    /// It will be silent for a while, caused by the master.
+    fn expect_silence(&mut self, owner: Owner);
+
+    /// Its outputs shall go out.
+    fn wants_outputs(&self, owner: Owner) -> bool;
+
+    /// Whether a drive has power, and since which report.
+    fn powered(&self, owner: Owner) -> Option<(bool, Time)>;
+
+    /// The inputs of a slave, as a frame brought them; `in_window`: in time for the exchange of a drive.
+    fn take(&mut self, owner: Owner, taken: Taken<'_>);
+
+    /// The frame of this window came back without it, or contains nothing of it.
+    fn passed_by(&mut self, owner: Owner);
+
+    /// Counts for a drive.
+    fn count(&mut self, owner: Owner, counter: Own);
+}
+
+/// The state of a slave whose replies count, or no longer.
+#[derive(Clone, Copy, Debug)]
+pub struct SlaveState {
+    /// `None`: below SAFEOP, or not on the segment.
+    pub al: Option<AlState>,
+    /// Its watchdog is set as configured; otherwise it was found with another one, and left so.
+    pub is_watched: bool,
+    /// It was found in this mode of operation, and left so.
+    pub found_mode: Option<Mode>,
+}
+
+/// The inputs of a slave.
+#[derive(Clone, Copy, Debug)]
+pub struct Taken<'a> {
+    /// When the frame was taken in.
+    pub at: Time,
+    /// The state that it is in.
+    pub al: AlState,
+    /// The inputs.
+    pub inputs: &'a [u8],
+    /// In time for the exchange of a drive.
+    pub in_window: bool,
+}
+
+/// The slaves of one segment.
+#[derive(Debug, Default)]
+pub struct Segment {
+    slaves: Slaves,
+    frames: Box<[FrameState]>,
+    /// The time of the segment.
+    pub clock: SegmentClock,
+    /// The slave whose clock is the segment's, or is to be.
+    reference: Option<usize>,
+    /// Its clock leads the grid; otherwise it receives the grid's time.
+    pub leads: bool,
+    /// The reference's time goes to all.
+    timed: bool,
+    /// Before that: the position of the slave that ran already, and whose time the segment has.
+    time_source: Option<u16>,
+    /// The slave whose SYNC0 sets the segment's phase, until it is joined.
+    phase_source: Option<usize>,
+    count: u16,
+    /// Whose turn it is; and among the slaves on their way up, whether this slot is for them.
+    turn: usize,
+    climb: usize,
+    climbs: bool,
+    requester: Option<Requester>,
+    unconfigured: Unconfigured,
+    /// Frames in a row that did not come back.
+    dark: u32,
+    /// Another master is on the segment: no slave is brought up, and none of its registers is written.
+    pub left: bool,
+    /// A slave was taken out of OP, and not by this master nor by itself.
+    pub lowered: bool,
+    /// Why its slaves are not in operation.
+    pub notes: Notes,
+    ask: Ask,
+}
+
+/// Who owns the slot of the frame that is under way.
+#[derive(Clone, Copy, Debug)]
+enum Requester {
+    Slave(usize),
+    Mailbox(usize),
+    Unconfigured,
+}
+
+/// A frame that was sent.
+#[derive(Clone, Copy, Debug)]
+pub struct Sent {
+    /// Its cycle.
+    pub cycle: Cycle,
+    /// The instant.
+    pub at: Time,
+}
+
+/// A frame that has come back.
+#[derive(Clone, Copy, Debug)]
+pub struct Back<'a> {
+    /// As it was sent.
+    pub sent: Sent,
+    /// The same, with its places.
+    pub frame: &'a Frame,
+    /// When it was taken in.
+    pub at: Time,
+    /// Its bytes.
+    pub received: &'a [u8],
+    /// The working counter of its process data.
+    pub counter: u16,
+    /// It came in the window of its cycle.
+    pub in_window: bool,
+}
+
+impl Segment {
+    /// The segment of `plan`, with the process data offsets of its slaves.
+    pub fn new(plan: &EthercatPlan, offsets: Vec<Offsets>, period_ns: u64) -> Segment {
+        let slaves = plan.slaves();
+        let places: Vec<u16> = slaves.iter().map(|(_, slave)| slave.place).collect();
+        let slave = |((owner, slave), offsets): ((Owner, &_), Offsets)| {
+            let found_running = match owner {
+                Owner::Drive(index) => plan.drives[index].axis.on_found_running,
+                Owner::Device(_) => FoundRunning::Stop,
+            };
+            Slave::new(owner, slave, offsets, plan.lrw, found_running)
+        };
+        let count = offsets.iter().map(|offsets| offsets.frame).max().map_or(1, |last| last + 1);
+        let frame = |frame| {
+            let first = offsets.partition_point(|offsets| offsets.frame < frame);
+            first..offsets.partition_point(|offsets| offsets.frame <= frame)
+        };
+        let ranges: Vec<_> = (0..count).map(frame).collect();
+        let notes = Notes::new(slaves.len());
+        let slaves = Slaves::new(slaves.into_iter().zip(offsets).map(slave));
+        let frames = ranges.into_iter().map(|range| FrameState::new(range, &slaves)).collect();
+        Segment {
+            slaves,
+            frames,
+            clock: SegmentClock::new(period_ns, plan.ahead_of_sync_ns.unwrap_or(period_ns / 2)),
+            unconfigured: Unconfigured::new(&places),
+            notes,
+            ..Segment::default()
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        self.slaves.memory(regions);
+        regions.add(&*self.frames);
+        self.unconfigured.memory(regions);
+        self.notes.memory(regions);
+    }
+
+    /// All slaves are in operation, and their outputs reach them.
+    #[inline]
+    pub fn is_settled(&self) -> bool {
+        self.slaves.are_settled
+    }
+
+    /// Slave `index` is part of the exchange.
+    pub fn is_operational(&self, index: usize) -> bool {
+        let is_so = |slave: &Slave| slave.reported.is_some() && slave.state_of_replies().is_some();
+        self.slaves.get(index).is_some_and(is_so)
+    }
+
+    /// The outputs of slave `index` reach it.
+    pub fn outputs_count(&self, index: usize) -> bool {
+        self.slaves.get(index).is_some_and(|slave| slave.mapped == Mapped::All)
+    }
+
+    /// The relation of the clock of the segment and the grid; `None`: there is none.
+    pub fn clock_status(&self) -> Option<BusClock> {
+        self.slaves.iter().any(|slave| slave.plan.sync).then(|| self.clock.status())
+    }
+
+    /// The slave with this owner, and its position.
+    pub fn slave_of(&self, owner: Owner) -> Option<(usize, u16)> {
+        let slave = self.slaves.iter().position(|slave| slave.owner == owner)?;
+        Some((slave, self.slaves[slave].plan.place))
+    }
+
+    /// Prepares the first frame for `cycle`: clock and slot.
+    pub fn prepare(&mut self, cycle: &Cycle, first: &mut Frame, handler: &mut impl Handler) {
+        self.refer();
+        self.begin_time();
+        let set = self.set_clock().map(Slave::station);
+        if set.is_none() {
+            self.clock.forget();
+        }
+        // It receives our time once it has shown that its own is near.
+        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.is_seen());
+        self.choose(cycle, handler);
+        first.request(&self.ask);
+    }
+
+    /// The slave whose clock is the segment's: the nearest one that is set, since all others are behind it; without
+    /// any, the nearest that is to be set.
+    fn refer(&mut self) {
+        let first = |has: fn(&Slave) -> bool| self.slaves.iter().position(has);
+        self.reference = first(|slave| slave.clock_set).or_else(|| first(Slave::waits_for_clock));
+    }
+
+    /// Its time goes to all, once it is known that no slave runs on another one.
+    fn begin_time(&mut self) {
+        let is_set = self.set_clock().is_some();
+        self.timed = is_set && (self.timed || self.may_have_time());
+        if self.timed {
+            self.time_source = None;
+        }
+    }
+
+    /// All slaves were read, and none runs on a time other than the segment's.
+    fn may_have_time(&self) -> bool {
+        self.unconfigured.are_read
+            && self.slaves.iter().all(|slave| slave.looked_at)
+            && self.other_time().is_none()
+    }
+
+    /// The position of a slave that runs on a time other than the segment's.
+    fn other_time(&self) -> Option<u16> {
+        let slave = self.slaves.iter().find(|slave| slave.other_time);
+        slave.map(|slave| slave.plan.place).or_else(|| self.unconfigured.other_time())
+    }
+
+    /// The slave whose clock is the segment's, if it is set.
+    fn set_clock(&self) -> Option<&Slave> {
+        Some(&self.slaves[self.reference?]).filter(|slave| slave.clock_set)
+    }
+
+    /// The segment has a time that is not that of the slave at `place` alone.
+    fn has_time(&self, place: u16) -> bool {
+        self.timed || self.clock.is_seen() || self.time_source.is_some_and(|source| source != place)
+    }
+
+    /// A slave other than `index` gave the segment its phase, and is being joined.
+    fn has_phase_from_other(&self, index: usize) -> bool {
+        let source = self.phase_source.filter(|source| *source != index);
+        source.is_some_and(|source| self.slaves[source].is_being_joined())
+    }
+
+    /// The slave at `place` runs, and gives the segment its time.
+    fn take_time(&mut self, place: u16, sent: &Sent, source: TimeSource) {
+        self.clock.take_over(&sent.cycle, sent.at, source.time, source.phase_ns);
+        self.time_source = Some(place);
+    }
+
+    /// The time of a running clock of an unconfigured slave.
+    fn unconfigured_runs(&mut self, place: u16, sent: &Sent, time: u32) {
+        if !self.has_time(place) {
+            self.take_time(place, sent, TimeSource { time, phase_ns: None });
+        } else if !self.clock.is_time_of(&sent.cycle, sent.at, time) {
+            self.unconfigured.found = Some(place);
+        }
+    }
+
+    /// Who owns the slot.
+    fn choose(&mut self, cycle: &Cycle, handler: &mut impl Handler) {
+        self.ask.clear();
+        self.requester = None;
+        if self.left {
+            return;
+        }
+        if self.unconfigured.request(cycle.grid, self.count, self.timed, cycle.period_ns, &mut self.ask) {
+            self.requester = Some(Requester::Unconfigured);
+            return;
+        }
+        let settled = self.is_settled();
+        // On a long segment some mailbox always has to be read: every other slot is for the slaves on their way
+        // up.
+        self.climbs = !settled && !self.climbs;
+        if self.climbs {
+            let wants = |slave: &Slave| !slave.wants_nothing();
+            self.climb = self.choose_from(self.climb, LOOKS_A_FRAME, wants, cycle, handler);
+        }
+        if self.requester.is_none() {
+            let looks = if settled { LOOKS_STEADY } else { LOOKS_A_FRAME };
+            self.turn = self.choose_from(self.turn, looks, |_| true, cycle, handler);
+        }
+    }
+
+    /// The first of so many slaves that has a request, in turns; and the next one to be checked.
+    #[inline]
+    fn choose_from(
+        &mut self,
+        from: usize,
+        looks: usize,
+        is_checked: impl Fn(&Slave) -> bool,
+        cycle: &Cycle,
+        handler: &mut impl Handler,
+    ) -> usize {
+        let (count, mut left) = (self.slaves.len(), looks);
+        for step in 0..count {
+            let index = (from + step) % count;
+            if !is_checked(&self.slaves[index]) {
+                continue;
+            }
+            if left == 0 {
+                return index;
+            }
+            left -= 1;
+            self.requester = self.request_of(index, cycle, handler);
+            if self.requester.is_some() {
+                return index + 1;
+            }
+        }
+        from
+    }
+
+    /// The request of slave `index`.
+    fn request_of(&mut self, index: usize, cycle: &Cycle, handler: &mut impl Handler) -> Option<Requester> {
+        let slave = &self.slaves[index];
+        let owner = slave.owner;
+        handler.advance(owner, cycle.grid);
+        if slave.wants_nothing() && slave.is_open == slave.mailbox_open {
+            // Usually only its mailbox may have a request.
+            return self.request_of_mailbox(index, cycle, handler);
+        }
+        let slave = &mut self.slaves[index];
+        let mut service = handler.service(owner);
+        if let Some(service) = &mut service
+            && slave.is_open != slave.mailbox_open
+        {
+            slave.is_open = slave.mailbox_open;
+            service.open(slave.is_open);
+        }
+        slave.objects(cycle.grid, service);
+        let sent = Sent { cycle: *cycle, at: cycle.grid };
+        let context = self.context(index, &sent, handler);
+        let slave = &mut self.slaves[index];
+        slave.request(&context, &mut self.ask);
+        self.notes.set(index, slave.note());
+        if slave.reported.is_some() && slave.state_of_replies().is_none() {
+            handler.expect_silence(owner);
+        }
+        self.report(index, handler);
+        if !self.ask.is_empty() {
+            return Some(Requester::Slave(index));
+        }
+        self.request_of_mailbox(index, cycle, handler)
+    }
+
+    fn request_of_mailbox(
+        &mut self,
+        index: usize,
+        cycle: &Cycle,
+        handler: &mut impl Handler,
+    ) -> Option<Requester> {
+        let slave = Some(&self.slaves[index]).filter(|slave| slave.mailbox_open)?;
+        handler.service(slave.owner)?.request(cycle.grid, &mut self.ask);
+        (!self.ask.is_empty()).then_some(Requester::Mailbox(index))
+    }
+
+    fn context<'a>(&self, index: usize, sent: &'a Sent, handler: &impl Handler) -> Context<'a> {
+        let Slave { owner, plan, .. } = &self.slaves[index];
+        Context {
+            cycle: &sent.cycle,
+            sent_at: sent.at,
+            clock: self.clock,
+            reference: self.reference.map(|index| self.slaves[index].station()),
+            timed: self.timed,
+            phased: self.set_clock().is_some() || self.has_phase_from_other(index),
+            may_begin: self.timed || self.may_have_time(),
+            other_time: if self.timed { None } else { self.other_time() },
+            has_time: self.has_time(plan.place),
+            timing_taken: self.slaves.iter().any(Slave::is_timing),
+            turn_ns: sent.cycle.period_ns.saturating_mul(self.slaves.len() as u64),
+            wants_outputs: handler.wants_outputs(*owner),
+            powered: handler.powered(*owner),
+        }
+    }
+
+    /// A frame has come back.
+    pub fn receive(&mut self, back: &Back<'_>, number: usize, handler: &mut impl Handler) {
+        if number == 0 {
+            self.dark = 0;
+            if let Some((count, _)) = back.frame.states_of(back.received) {
+                self.count = count;
+            }
+        }
+        self.judge(back, number, handler);
+        if number == 0 {
+            let is_there = |slave: &Slave| {
+                !slave.has_al || slave.offsets.frame != 0 || slave.shown_in(back.received).0 != 0
+            };
+            let is_there = self.set_clock().is_some_and(is_there);
+            if let Some(time) = back.frame.time_of(back.received).filter(|_| is_there) {
+                self.clock.sample(&back.sent.cycle, back.sent.at, time);
+            }
+            self.answer(back, handler);
+        }
+    }
+
+    /// Reports the state of slave `index`, if it has changed.
+    fn report(&mut self, index: usize, handler: &mut impl Handler) {
+        let slave = &mut self.slaves[index];
+        let al = slave.state_of_replies();
+        if al != slave.reported {
+            let before = std::mem::replace(&mut slave.reported, al);
+            let found_mode = slave.found_mode.filter(|_| slave.joined && before.is_none());
+            let state = SlaveState { al, is_watched: slave.watched, found_mode };
+            handler.state(slave.owner, state);
+            self.notes.set(index, slave.note());
+        }
+    }
+
+    /// Passes the answers of the slot to its owner.
+    fn answer(&mut self, back: &Back<'_>, handler: &mut impl Handler) {
+        let answers = back.frame.answers_of(back.received);
+        match self.requester.take() {
+            Some(Requester::Slave(index)) => self.slave_received(back, index, &answers, handler),
+            Some(Requester::Mailbox(index)) => {
+                handler.mailbox_received(self.slaves[index].owner, back.sent.cycle.grid, &answers);
+            }
+            Some(Requester::Unconfigured) => {
+                let place = self.unconfigured.place();
+                if let Some(running) = self.unconfigured.receive(&answers) {
+                    self.unconfigured_runs(place, &back.sent, running.time);
+                }
+            }
+            None => {}
+        }
+    }
+
+    fn slave_received(
+        &mut self,
+        back: &Back<'_>,
+        index: usize,
+        answers: &Answers<'_>,
+        handler: &mut impl Handler,
+    ) {
+        let context = self.context(index, &back.sent, handler);
+        let slave = &mut self.slaves[index];
+        let (owner, place) = (slave.owner, slave.plan.place);
+        let (happened, source) = slave.receive(&context, answers);
+        self.notes.set(index, slave.note());
+        if let Some(source) = source {
+            self.phase_source = source.phase_ns.map(|_| index).or(self.phase_source);
+            self.take_time(place, &back.sent, source);
+        }
+        match happened {
+            Happened::Nothing => {}
+            Happened::Restarted => handler.restarted(owner),
+            Happened::Operational => handler.count(owner, Own::BroughtUp),
+            Happened::Error => handler.count(owner, Own::AlErrors),
+        }
+        self.report(index, handler);
+    }
+
+    /// Takes all slaves out of operation that this master has put there; true: done.
+    pub fn shut_down(&mut self, now: Time) -> bool {
+        if !std::mem::replace(&mut self.unconfigured.ended, true) {
+            // Earlier answers no longer match the state of the slaves.
+            self.requester = None;
+        }
+        let mut done = true;
+        for slave in self.slaves.iter_mut() {
+            done &= slave.shut_down(now);
+        }
+        done
+    }
+}
+
+#[cfg(test)]
+mod tests;
