@@ -11,7 +11,6 @@
 //! | `drives` | the drives and their sockets |
 //! | `datagrams` | datagrams from carrier to drive and back |
 //! | `streams` | connections |
-//! | `sessions` | connections that stay outside the loop |
 //! | `lines` | segments, and their frames |
 //! | `wires` | serial wires, and their bytes |
 
@@ -19,7 +18,6 @@ mod clock;
 mod datagrams;
 mod drives;
 mod lines;
-mod sessions;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -41,8 +39,8 @@ use self::wires::Wires;
 use super::fault::{Blow, Datagram, Injected, Parcel, Queue, Signal};
 use super::{Carrier, FaultPlan, Simulated};
 use crate::net::{
-    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, SessionPeer,
-    Sessions, StreamPeer, Streams, UdpOptions,
+    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, StreamPeer,
+    Streams, UdpOptions,
 };
 use crate::rt::{Clock, PollSet, Regions};
 use crate::time::Time;
@@ -228,10 +226,6 @@ impl Carriers for World {
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         Ok(Box::new(self.open_streams(peers)))
-    }
-
-    fn sessions(&self, peers: Vec<SessionPeer>) -> io::Result<Sessions> {
-        Ok(self.open_sessions(peers))
     }
 
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
