@@ -22,7 +22,7 @@
 
 use std::io;
 use std::net::SocketAddrV4;
-use std::os::fd::RawFd;
+use std::os::fd::{AsRawFd, RawFd};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 #[cfg(any(feature = "control", feature = "metrics"))]
@@ -136,7 +136,7 @@ pub struct UdpOptions {
     pub send: SendMode,
     /// Its requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
     pub dscp: u8,
-    /// The most multicast groups that it receives from at a time.
+    /// The most multicast groups that it ever receives from: a group that was left keeps its socket.
     pub groups: usize,
 }
 
@@ -214,4 +214,17 @@ pub struct Received<'a> {
     pub bytes: &'a [u8],
     /// The datagram was longer than the room for it.
     pub truncated: bool,
+}
+
+/// Sets an option of a socket that `nix` does not have.
+pub(crate) fn set_option<T: Copy>(
+    socket: &impl AsRawFd,
+    level: libc::c_int,
+    name: libc::c_int,
+    value: T,
+) -> io::Result<()> {
+    let (fd, length) = (socket.as_raw_fd(), size_of::<T>() as libc::socklen_t);
+    // SAFETY: the kernel reads at most the bytes of a live value.
+    let refused = unsafe { libc::setsockopt(fd, level, name, (&raw const value).cast(), length) };
+    if refused < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }

@@ -236,7 +236,6 @@ impl Drop for Tcp {
 mod tests {
     use super::*;
     use std::io::{Read, Write};
-    use std::mem::size_of_val;
     use std::net::{SocketAddrV4, TcpListener, TcpStream};
 
     use nix::sys::socket::{getsockopt, sockopt};
@@ -442,17 +441,7 @@ mod tests {
         let mut nothing =
             libc::sock_filter { code: (libc::BPF_RET | libc::BPF_K) as u16, jt: 0, jf: 0, k: 0 };
         let program = libc::sock_fprog { len: 1, filter: &raw mut nothing };
-        // SAFETY: the kernel reads a program of one instruction, which outlives the call.
-        let refused = unsafe {
-            libc::setsockopt(
-                drive.as_raw_fd(),
-                libc::SOL_SOCKET,
-                libc::SO_ATTACH_FILTER,
-                (&raw const program).cast(),
-                size_of_val(&program) as libc::socklen_t,
-            )
-        };
-        assert_eq!(refused, 0, "{}", io::Error::last_os_error());
+        crate::net::set_option(drive, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, program).unwrap();
     }
 
     #[test]

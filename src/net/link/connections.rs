@@ -20,7 +20,7 @@ use super::connection::{Action, Connection};
 use super::thread::{Bell, Duty, Hand, LinkThread};
 use crate::net::serial::SerialLine;
 use crate::net::stream::{Broken, LinkNotes, StreamPeer};
-use crate::net::{local, tty};
+use crate::net::{local, set_option, tty};
 use crate::rt::{self, MonotonicClock, Regions};
 use crate::time::{MS, Time};
 
@@ -284,18 +284,8 @@ fn open(peer: &StreamPeer) -> nix::Result<OwnedFd> {
     // mean exactly that.
     let unacknowledged_ms = u32::try_from(peer.unacknowledged_ns / MS).unwrap_or(u32::MAX).max(1);
     setsockopt(&socket, sockopt::TcpUserTimeout, &unacknowledged_ms)?;
-    let repeated_us = REPEATED_US;
-    // SAFETY: the kernel reads one integer, which outlives the call. An older kernel refuses the option: it is none the
-    // worse for that.
-    unsafe {
-        libc::setsockopt(
-            socket.as_raw_fd(),
-            libc::IPPROTO_TCP,
-            TCP_RTO_MIN_US,
-            (&raw const repeated_us).cast(),
-            size_of_val(&repeated_us) as libc::socklen_t,
-        );
-    }
+    // An older kernel refuses the option: it is none the worse for that.
+    let _ = set_option(&socket, libc::IPPROTO_TCP, TCP_RTO_MIN_US, REPEATED_US);
     if let Some(own) = peer.bind {
         // The port is chosen when the peer is known: many connections share the host's ports (ip(7)).
         setsockopt(&socket, sockopt::IpBindAddressNoPort, &true)?;

@@ -18,7 +18,7 @@ use crate::net::link::{Action, Connection};
 use crate::net::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::Carrier;
-use crate::sim::fault::{Blow, Datagram, Parcel, Signal, Way};
+use crate::sim::fault::{DriveFault, Parcel, Signal, Way};
 use crate::time::Time;
 
 /// Received bytes on a connection that were not taken. A drive that sends more to a master that does not read loses
@@ -264,11 +264,10 @@ impl Inner {
     fn greet(&mut self, place: Place) -> usize {
         let link = &self.links.sets[place.0].links[place.1];
         let (Some(station), Some(from)) = (link.station, link.local) else { return 0 };
-        let to = self.drives.stations[station].address;
-        let request = Datagram { from, to, bytes: link.machine.to_send() };
-        let (count, due) = (request.bytes.len(), self.now + self.options.latency_ns);
-        let blow = self.drives.pass_request(station, self.now, due, request, &mut self.under_way);
-        self.strike(self.drives.stations[station].unit, blow);
+        let (bytes, due) = (link.machine.to_send(), self.now + self.options.latency_ns);
+        let fault = self.drives.request(station, self.now, due, (from, bytes), &mut self.under_way);
+        let count = bytes.len();
+        self.inject(self.drives.stations[station].unit, fault);
         count
     }
 
@@ -315,7 +314,9 @@ impl Inner {
             Signal::End => {
                 self.take_in(place, &parcel.bytes);
                 self.break_off(place, Broken::Closed);
-                self.forget(parcel.from, parcel.to);
+                if let Some(index) = self.drives.station(Carrier::Stream, parcel.from) {
+                    self.drives.disconnected(index, self.now, parcel.to);
+                }
             }
             Signal::Open => {}
         }
@@ -368,9 +369,10 @@ impl Inner {
 
 /// The drives' ends.
 impl Inner {
-    /// A parcel of a stream comes to a drive. Returns a used buffer.
-    pub(super) fn hear(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
-        let (now, of) = (self.now, self.links.by_local(parcel.from));
+    /// A parcel comes to a drive's socket. Returns a used buffer.
+    pub(super) fn receive(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
+        let is_stream = parcel.carrier == Carrier::Stream;
+        let of = if is_stream { self.links.by_local(parcel.from) } else { None };
         let (station, unit) = self.drives.both(index);
         if !unit.plugged {
             return match of {
@@ -378,74 +380,33 @@ impl Inner {
                 None => Some(parcel),
             };
         }
-        record(&mut self.digest, now, &parcel);
+        record(&mut self.digest, self.now, &parcel);
         self.delivered += 1;
         match parcel.signal {
             // Given up while it was under way: as if it had been closed at once.
             Signal::Open if of.is_some() => {
-                let welcome = station.carrier == Carrier::Stream && unit.drive.connect(now, parcel.from);
-                if welcome {
-                    station.peers.push(parcel.from);
-                }
-                let unit = station.unit;
-                self.drives.called(unit);
-                self.signal_master(index, parcel.from, if welcome { Signal::Accept } else { Signal::Reset });
+                let accepts = self.drives.connect(index, self.now, parcel.from);
+                self.signal_master(index, parcel.from, if accepts { Signal::Accept } else { Signal::Reset });
             }
-            Signal::Bytes if station.peers.contains(&parcel.from) => self.serve_stream(index, &parcel),
+            Signal::Bytes if station.reaches(parcel.from) => self.serve(index, &parcel),
             Signal::Bytes => self.signal_master(index, parcel.from, Signal::Reset),
-            Signal::End | Signal::Reset => self.forget(parcel.to, parcel.from),
+            Signal::End | Signal::Reset => self.drives.disconnected(index, self.now, parcel.from),
             Signal::Open | Signal::Accept => {}
         }
         Some(parcel)
     }
 
-    fn serve_stream(&mut self, index: usize, parcel: &Parcel) {
-        let (now, due) = (self.now, self.now + self.options.latency_ns);
-        let (station, unit) = self.drives.both(index);
-        self.reply.clear();
-        let to = unit.drive.receive_at(station.socket, now, parcel.from, &parcel.bytes, &mut self.reply);
-        let (hangs_up, unit) = (unit.drive.hangs_up(parcel.from), station.unit);
-        self.drives.called(unit);
-        if let Some(to) = to {
-            self.drives.pass_reply(index, now, due, to, &self.reply, &mut self.under_way);
-        }
-        if hangs_up {
-            self.signal_master(index, parcel.from, Signal::End);
-        }
-    }
-
-    pub(super) fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
-        let (due, station) = (self.now + self.options.latency_ns, &mut self.drives.stations[index]);
-        let parcel = self.under_way.signal(station.address, to, signal);
-        station.injector.signal(Way::Reply, due, parcel, &mut self.under_way);
-    }
-
-    /// The drive at `address` learns that its connection with `peer` has ended, if it had one.
-    fn forget(&mut self, address: SocketAddrV4, peer: SocketAddrV4) {
-        let Some(index) = self.drives.station(Carrier::Stream, address) else { return };
-        let (station, unit) = self.drives.both(index);
-        if let Some(place) = station.peers.iter().position(|other| *other == peer) {
-            station.peers.remove(place);
-            unit.drive.disconnected(self.now, peer);
-            let unit = station.unit;
-            self.drives.called(unit);
-        }
+    fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
+        let due = self.now + self.options.latency_ns;
+        self.drives.signal(index, due, to, signal, &mut self.under_way);
     }
 
     /// Injects a fault into drive `index`. A restart resets its connections.
-    pub(super) fn strike(&mut self, index: usize, blow: Option<Blow>) {
-        let (Some(blow), now) = (blow, self.now) else { return };
-        for k in 0..self.drives.units[index].sockets.len() {
-            let station = self.drives.units[index].sockets[k];
-            while blow == Blow::Restart
-                && let Some(peer) = self.drives.stations[station].peers.pop()
-            {
-                self.drives.units[index].drive.disconnected(now, peer);
-                self.signal_master(station, peer, Signal::Reset);
-            }
+    pub(super) fn inject(&mut self, index: usize, fault: Option<DriveFault>) {
+        let Some(fault) = fault else { return };
+        for (station, peer) in self.drives.inject(index, self.now, fault) {
+            self.signal_master(station, peer, Signal::Reset);
         }
-        blow.strike(now, &mut *self.drives.units[index].drive);
-        self.drives.called(index);
     }
 
     /// Plugs the cable of drive `index` in again: waiting parcels arrive, and the drive learns which connections
@@ -549,8 +510,7 @@ impl Streams for StreamCarrier {
             return Ok((at, 0));
         }
         let (Some(from), Some(station)) = (link.local, link.station) else { return Err(Broken::Absent) };
-        let request = Datagram { from, to: inner.drives.stations[station].address, bytes };
-        inner.depart_to(station, request);
+        inner.depart_to(station, from, bytes);
         Ok((at, bytes.len()))
     }
 
@@ -585,7 +545,7 @@ mod tests {
     use super::*;
     use crate::net::{Carriers, Greeted, Greeting};
     use crate::rt::{Clock, PollSet};
-    use crate::sim::fault::{Injector, Queue, RETRANSMISSION_NS};
+    use crate::sim::fault::{Datagram, Injector, Queue, RETRANSMISSION_NS};
     use crate::sim::testing::Peers;
     use crate::sim::world::WorldOptions;
     use crate::sim::{FaultPlan, SimDrive};

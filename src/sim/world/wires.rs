@@ -101,7 +101,7 @@ impl Inner {
         let Inner { wires, digest, delivered, now, .. } = self;
         let is_due = |rail: &&mut Rail| rail.next_due().is_some_and(|at| at <= due);
         let Some(rail) = wires.0.iter_mut().find(is_due) else { return false };
-        let mut passed = |at, parcel: &_| {
+        let mut passed = |at, _, parcel: &_| {
             record(digest, at, parcel);
             *delivered += 1;
         };

@@ -1,16 +1,8 @@
 //! A drive with three sockets and a clock of its own, its session and its packets.
 
-use std::collections::VecDeque;
-use std::net::Ipv4Addr;
-use std::sync::{Arc, Mutex};
-
 use super::*;
-use crate::net::{Carriers, Datagrams, Greeted, Greeting, Outbox, SendMode, StreamPeer, Streams, UdpOptions};
-use crate::rt::{Clock, PollSet};
-use crate::sim::FaultPlan;
+use crate::net::{Greeted, Greeting};
 use crate::sim::testing::Producer;
-use crate::sim::world::{World, WorldOptions};
-use crate::time::{MS, S, US};
 
 const LATENCY: u64 = 20 * US;
 const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 1);
@@ -79,6 +71,7 @@ impl Rig {
         let session = Requests::default();
         let peer = StreamPeer {
             bind: Some(MASTER),
+            most_pause_ns: 100 * MS,
             ..StreamPeer::new(Producer::stream(DRIVE), Box::new(session.clone()))
         };
         let sessions = world.streams(vec![peer]).unwrap();
