@@ -2,24 +2,20 @@
 //! and read by the loop.
 //!
 //! A socket that is bound to a group's address receives nothing else, and the carrier's own socket receives nothing of
-//! the group. Sockets change owners by two wait-free rings, and the loop closes none.
+//! the group. It stays open until the carrier is dropped, also when the group is left.
 
 use std::fmt::Debug;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddrV4};
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::os::fd::{AsFd, AsRawFd, RawFd};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
-use nix::sys::socket::{
-    AddressFamily, IpMembershipRequest, SockFlag, SockType, SockaddrIn, bind, setsockopt, socket, sockopt,
-};
+use nix::sys::socket::{AddressFamily, SockFlag, SockType, SockaddrIn, bind, setsockopt, socket, sockopt};
 use rtrb::{Consumer, Producer};
 
+use super::set_option;
 use crate::rt::{self, Regions};
-
-/// Changes that may wait for the loop, for each group. Room for its leave is reserved with each join.
-const CHANGES: usize = 4;
 
 /// Joins and leaves multicast groups for a carrier: for normal threads, a session's for example.
 pub trait Groups: Debug + Send + Sync {
@@ -27,16 +23,15 @@ pub trait Groups: Debug + Send + Sync {
     ///
     /// # Errors
     ///
-    /// [`InvalidInput`](io::ErrorKind::InvalidInput): it is no group, or one too many.
-    /// [`WouldBlock`](io::ErrorKind::WouldBlock): the loop has not taken earlier changes yet. Others of the operating
-    /// system.
+    /// [`InvalidInput`](io::ErrorKind::InvalidInput): it is no group, or one too many of all that were ever joined.
+    /// Others of the operating system.
     fn join(&self, group: SocketAddrV4) -> io::Result<()>;
 
     /// One of those who joined `group` needs it no longer. Whoever never joined it leaves nothing.
     fn leave(&self, group: SocketAddrV4);
 }
 
-/// Who has joined which group, how often.
+/// All groups that were ever joined: how often each is now, and what belongs to it.
 #[derive(Debug)]
 pub(crate) struct Members<T> {
     most: usize,
@@ -45,108 +40,82 @@ pub(crate) struct Members<T> {
 
 impl<T> Members<T> {
     pub(crate) fn new(most: usize) -> Members<T> {
-        Members { most, groups: Vec::with_capacity(most) }
+        Members { most, groups: Vec::new() }
     }
 
-    /// One more; the first of a group makes what belongs to it.
+    /// One more. The first one ever makes what belongs to the group; the first one at present gets it.
     pub(crate) fn join(
         &mut self,
         group: SocketAddrV4,
         make: impl FnOnce() -> io::Result<T>,
-    ) -> io::Result<()> {
-        if let Some((_, count, _)) = self.groups.iter_mut().find(|(other, ..)| *other == group) {
-            *count += 1;
-            return Ok(());
+    ) -> io::Result<Option<&T>> {
+        let known = self.groups.iter().position(|(other, ..)| *other == group);
+        let place = known.unwrap_or(self.groups.len());
+        if known.is_none() {
+            let most = self.most;
+            let refused = if !group.ip().is_multicast() {
+                Some(format!("{group} is no multicast group (224.0.0.0 ... 239.255.255.255)"))
+            } else if place >= most {
+                Some(format!("{group} is one group more than the {most} that this bus has room for"))
+            } else {
+                None
+            };
+            if let Some(message) = refused {
+                return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+            }
+            self.groups.push((group, 0, make()?));
         }
-        if !group.ip().is_multicast() {
-            let message = format!("{group} is no multicast group (224.0.0.0 ... 239.255.255.255)");
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
-        }
-        if self.groups.len() >= self.most {
-            let message =
-                format!("{group} is one group more than the {} that this bus has room for", self.most);
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
-        }
-        self.groups.push((group, 1, make()?));
-        Ok(())
+        let (_, count, what) = &mut self.groups[place];
+        *count += 1;
+        Ok((*count == 1).then_some(what))
     }
 
-    /// One fewer; returns what belonged to the group with the last.
-    pub(crate) fn leave(&mut self, group: SocketAddrV4) -> Option<T> {
-        let place = self.groups.iter().position(|(other, ..)| *other == group)?;
-        let (_, count, _) = &mut self.groups[place];
+    /// One fewer; the last one gets what belongs to the group.
+    pub(crate) fn leave(&mut self, group: SocketAddrV4) -> Option<&T> {
+        let joined = |(other, count, _): &&mut (_, usize, _)| *other == group && *count > 0;
+        let (_, count, what) = self.groups.iter_mut().find(joined)?;
         *count -= 1;
-        if *count > 0 {
-            return None;
-        }
-        Some(self.groups.swap_remove(place).2)
+        (*count == 0).then_some(what)
     }
 
     pub(crate) fn has(&self, group: SocketAddrV4) -> bool {
-        self.groups.iter().any(|(other, ..)| *other == group)
+        self.groups.iter().any(|(other, count, _)| *other == group && *count > 0)
     }
 }
 
-/// What the loop has to do with a socket.
+/// A socket on the loop's side.
 #[derive(Debug)]
-enum Change {
-    Take(Arc<OwnedFd>),
-    Drop(RawFd),
-}
-
-/// One socket on the loop's side.
-#[derive(Debug)]
-pub(super) struct GroupSocket {
-    socket: Arc<OwnedFd>,
-    /// The kernel's count of dropped datagrams, as last reported.
+pub(super) struct Source {
+    pub socket: Arc<UdpSocket>,
+    /// The kernel's count of dropped datagrams, which wraps around, as last reported.
     pub reported: u32,
 }
 
-impl AsFd for GroupSocket {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
-    }
-}
-
-/// The loop's side: the carrier's own socket and those of its groups.
+/// The loop's side: which of the carrier's sockets have something to receive.
 #[derive(Debug)]
 pub(super) struct GroupSockets {
     epoll: Epoll,
-    sockets: Box<[Option<GroupSocket>]>,
     events: Box<[EpollEvent]>,
     found: usize,
     /// Where the next look begins, so that a busy socket holds up no other.
     turn: usize,
-    changes: Consumer<Change>,
-    left: Producer<Arc<OwnedFd>>,
+    opened: Consumer<Arc<UdpSocket>>,
     joiner: Arc<Joiner>,
     regions: Regions,
 }
-
-/// The token of the carrier's own socket; those of the groups follow.
-const OWN: u64 = 0;
 
 impl GroupSockets {
     /// Room for `most` groups of a carrier whose own socket is `own`, bound to `ip`.
     pub fn new(own: impl AsFd, ip: Ipv4Addr, most: usize, buffer: usize) -> io::Result<GroupSockets> {
         let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
-        epoll.add(own, EpollEvent::new(EpollFlags::EPOLLIN, OWN))?;
+        epoll.add(own, EpollEvent::new(EpollFlags::EPOLLIN, 0))?;
         let mut regions = Regions::new();
-        let (changes_in, changes) = rt::memory::ring(CHANGES * most, &mut regions);
-        // A socket that leaves comes with a change: there is always room.
-        let (left, left_out) = rt::memory::ring(CHANGES * most, &mut regions);
-        let state = State { members: Members::new(most), changes: changes_in, left: left_out };
-        Ok(GroupSockets {
-            epoll,
-            sockets: (0..most).map(|_| None).collect(),
-            events: vec![EpollEvent::empty(); most + 1].into(),
-            found: 0,
-            turn: 0,
-            changes,
-            left,
-            joiner: Arc::new(Joiner { ip, buffer, state: Mutex::new(state) }),
-            regions,
-        })
+        // Each group has one socket: there is always room.
+        let (producer, opened) = rt::memory::ring(most, &mut regions);
+        let members = Mutex::new((Members::new(most), producer));
+        let joiner = Arc::new(Joiner { ip, buffer, members });
+        let events = vec![EpollEvent::empty(); most + 1].into();
+        Ok(GroupSockets { epoll, events, found: 0, turn: 0, opened, joiner, regions })
     }
 
     /// The normal threads' side.
@@ -159,15 +128,12 @@ impl GroupSockets {
         self.epoll.0.as_raw_fd()
     }
 
-    /// Takes over new sockets, returns those of groups that were left, and looks which have something to receive.
-    pub fn look(&mut self) -> usize {
-        // No more turns than the ring has places: a normal thread may go on meanwhile.
-        for _ in 0..self.changes.slots() {
-            let Ok(change) = self.changes.pop() else { break };
-            match change {
-                Change::Take(socket) => self.take(socket),
-                Change::Drop(fd) => self.drop(fd),
-            }
+    /// Takes new sockets over to `sources`, which has room for all, and looks which have something to receive.
+    pub fn look(&mut self, sources: &mut Vec<Source>) -> usize {
+        while let Ok(socket) = self.opened.pop() {
+            // If the kernel cannot watch one more, what comes there is missing, and its drives are lost.
+            let _ = self.epoll.add(&*socket, EpollEvent::new(EpollFlags::EPOLLIN, sources.len() as u64));
+            sources.push(Source { socket, reported: 0 });
         }
         // The only possible error is EINTR: next time.
         self.found = self.epoll.wait(&mut self.events, EpollTimeout::ZERO).unwrap_or(0);
@@ -175,41 +141,13 @@ impl GroupSockets {
         self.found
     }
 
-    /// The `k`th socket that the last look found; `None`: the carrier's own one.
-    pub fn ready(&mut self, k: usize) -> Option<&mut GroupSocket> {
-        let event = self.events.get((k + self.turn) % self.found.max(1))?;
-        let place = usize::try_from(event.data().checked_sub(OWN + 1)?).ok()?;
-        self.sockets.get_mut(place)?.as_mut()
-    }
-
-    fn take(&mut self, socket: Arc<OwnedFd>) {
-        let Some(place) = self.sockets.iter().position(Option::is_none) else {
-            // Never: the normal threads' side counts them.
-            let _ = self.left.push(socket);
-            return;
-        };
-        let event = EpollEvent::new(EpollFlags::EPOLLIN, OWN + 1 + place as u64);
-        match self.epoll.add(&*socket, event) {
-            Ok(()) => self.sockets[place] = Some(GroupSocket { socket, reported: 0 }),
-            // The kernel cannot watch one more: what comes there is missing, and its drives are lost.
-            Err(_) => drop(self.left.push(socket)),
-        }
-    }
-
-    fn drop(&mut self, fd: RawFd) {
-        let is_it = |place: &&mut Option<GroupSocket>| {
-            place.as_ref().is_some_and(|socket| socket.socket.as_raw_fd() == fd)
-        };
-        let Some(socket) = self.sockets.iter_mut().find(is_it).and_then(Option::take) else { return };
-        // It was added: this cannot fail.
-        let _ = self.epoll.delete(&*socket.socket);
-        // There is room: see `new`.
-        let _ = self.left.push(socket.socket);
+    /// The `k`th source that the last look found.
+    pub fn ready(&self, k: usize) -> usize {
+        self.events.get((k + self.turn) % self.found.max(1)).map_or(0, |event| event.data() as usize)
     }
 
     /// Adds the memory that it touches.
     pub fn memory(&self, regions: &mut Regions) {
-        regions.add(&*self.sockets);
         regions.add(&*self.events);
         regions.extend(&self.regions);
     }
@@ -222,90 +160,46 @@ struct Joiner {
     ip: Ipv4Addr,
     /// The requested size of a receive buffer, bytes.
     buffer: usize,
-    state: Mutex<State>,
-}
-
-#[derive(Debug)]
-struct State {
-    members: Members<Arc<OwnedFd>>,
-    changes: Producer<Change>,
-    left: Consumer<Arc<OwnedFd>>,
-}
-
-impl State {
-    /// Closes what the loop returned.
-    fn close_left(&mut self) {
-        while self.left.pop().is_ok() {}
-    }
-
-    /// Whether one more group can be joined now, and left later, like all others.
-    fn room(&self) -> io::Result<()> {
-        if self.changes.is_abandoned() {
-            return Err(io::Error::new(io::ErrorKind::BrokenPipe, "its bus is closed"));
-        }
-        if self.changes.slots() < self.members.groups.len() + 2 {
-            let message = "the loop has not taken earlier changes of groups yet: try again";
-            return Err(io::Error::new(io::ErrorKind::WouldBlock, message));
-        }
-        Ok(())
-    }
+    /// And the ring by which new sockets go to the loop.
+    members: Mutex<(Members<Arc<UdpSocket>>, Producer<Arc<UdpSocket>>)>,
 }
 
 impl Joiner {
-    fn open(&self, group: SocketAddrV4) -> io::Result<OwnedFd> {
+    fn open(&self, group: SocketAddrV4) -> io::Result<UdpSocket> {
         let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
         let socket = socket(AddressFamily::Inet, SockType::Datagram, flags, None)?;
         // Every member of a group on this host gets a copy, whoever else has joined it.
         setsockopt(&socket, sockopt::ReuseAddr, &true)?;
         setsockopt(&socket, sockopt::RcvBuf, &self.buffer)?;
         setsockopt(&socket, sockopt::RxqOvfl, &1)?;
-        let (off, fd) = (0 as libc::c_int, socket.as_raw_fd());
         // Only of our own interface, not what others of this host have joined elsewhere (ip(7)).
-        // SAFETY: the kernel reads one int.
-        let refused = unsafe {
-            let length = size_of_val(&off) as libc::socklen_t;
-            libc::setsockopt(fd, libc::IPPROTO_IP, libc::IP_MULTICAST_ALL, (&raw const off).cast(), length)
-        };
-        if refused < 0 {
-            return Err(io::Error::last_os_error());
-        }
-        bind(fd, &SockaddrIn::from(group))?;
-        let membership = IpMembershipRequest::new(*group.ip(), Some(self.ip));
-        setsockopt(&socket, sockopt::IpAddMembership, &membership)?;
-        Ok(socket)
+        set_option(&socket, libc::IPPROTO_IP, libc::IP_MULTICAST_ALL, 0_i32)?;
+        bind(socket.as_raw_fd(), &SockaddrIn::from(group))?;
+        Ok(socket.into())
     }
 }
 
 impl Groups for Joiner {
     fn join(&self, group: SocketAddrV4) -> io::Result<()> {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.close_left();
-        let room = state.room();
-        let mut opened = None;
-        state.members.join(group, || {
-            room?;
+        let (members, opened) = &mut *self.members.lock().unwrap_or_else(PoisonError::into_inner);
+        let first = members.join(group, || {
             let socket = Arc::new(self.open(group)?);
-            opened = Some(Arc::clone(&socket));
+            // There is room, unless the carrier is gone.
+            let _ = opened.push(Arc::clone(&socket));
             Ok(socket)
         })?;
-        if let Some(socket) = opened {
-            // There is room.
-            let _ = state.changes.push(Change::Take(socket));
+        let joined = first.map_or(Ok(()), |socket| socket.join_multicast_v4(group.ip(), &self.ip));
+        if joined.is_err() {
+            members.leave(group);
         }
-        Ok(())
+        joined
     }
 
     fn leave(&self, group: SocketAddrV4) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(socket) = state.members.leave(group) else { return };
-        // The network learns it now, whenever the loop returns the socket.
-        let _ = setsockopt(
-            &*socket,
-            sockopt::IpDropMembership,
-            &IpMembershipRequest::new(*group.ip(), Some(self.ip)),
-        );
-        // Room for it was reserved with the join.
-        let _ = state.changes.push(Change::Drop(socket.as_raw_fd()));
-        state.close_left();
+        let (members, _) = &mut *self.members.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(socket) = members.leave(group) {
+            // It was joined: this cannot fail.
+            let _ = socket.leave_multicast_v4(group.ip(), &self.ip);
+        }
     }
 }

@@ -5,10 +5,12 @@
 //! file system. A segment that does not exist yet, or no longer, is like an interface that is down.
 
 use std::io;
-use std::mem::{offset_of, zeroed};
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 
 use nix::errno::Errno;
+use nix::sys::socket::{
+    AddressFamily, MsgFlags, SockFlag, SockType, UnixAddr, bind, recv, sendto, setsockopt, socket, sockopt,
+};
 
 use super::frames::{Frames, MAC, Unsent};
 use super::stamp;
@@ -19,6 +21,8 @@ use crate::time::Time;
 pub const PREFIX: &str = "local:";
 /// Prefix of the addresses of all segments, after the zero that makes them abstract.
 const SPACE: &str = "fieldbeat-local/";
+/// The longest abstract address: the path of a `sockaddr_un` without its first zero.
+const LONGEST: usize = 107;
 
 /// The name of the segment that an interface stands for; `None`: it is a real one.
 pub fn name(interface: &str) -> Option<&str> {
@@ -29,8 +33,8 @@ pub fn name(interface: &str) -> Option<&str> {
 #[derive(Debug)]
 pub struct Local {
     socket: OwnedFd,
-    /// The destination of its frames.
-    peer: Address,
+    /// The destination of its frames; `None`: nothing was received yet.
+    peer: Option<UnixAddr>,
     /// It is the segment's end: it answers the sender it received from last, and reports send times, however late
     /// it reads.
     answers: bool,
@@ -43,11 +47,9 @@ impl Local {
     ///
     /// A name that is too long; no descriptors left.
     pub fn open(name: &str) -> io::Result<Local> {
-        let peer = Address::of(name)?;
-        let socket = socket()?;
+        let peer = Some(address(name)?);
         // An address of its own, for the returning frames.
-        bind(&socket, &Address::UNNAMED)?;
-        Ok(Local { socket, peer, answers: false })
+        Ok(Local { socket: bound(&UnixAddr::new_unnamed())?, peer, answers: false })
     }
 
     /// The segment's end: its frames go to the sender that it received from last.
@@ -56,79 +58,25 @@ impl Local {
     ///
     /// As above, and [`AddrInUse`](io::ErrorKind::AddrInUse) if the segment is served already.
     pub fn serve(name: &str) -> io::Result<Local> {
-        let own = Address::of(name)?;
-        let socket = socket()?;
-        bind(&socket, &own)?;
-        stamp::switch_on(&socket)?;
-        Ok(Local { socket, peer: Address::UNNAMED, answers: true })
-    }
-
-    /// The segment's end: a frame, when it was sent, and by whom.
-    fn hear(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
-        let mut from = Address::UNNAMED;
-        let heard = stamp::receive(&self.socket, room, Some((&mut from.whole, &mut from.length)))?;
-        self.peer = from;
-        Some(heard)
+        let socket = bound(&address(name)?)?;
+        setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
+        Ok(Local { socket, peer: None, answers: true })
     }
 }
 
-fn socket() -> io::Result<OwnedFd> {
-    let flags = libc::SOCK_DGRAM | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
-    // SAFETY: plain numbers.
-    let fd = unsafe { libc::socket(libc::AF_UNIX, flags, 0) };
-    if fd < 0 {
-        return Err(io::Error::last_os_error());
+fn bound(address: &UnixAddr) -> io::Result<OwnedFd> {
+    let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
+    let socket = socket(AddressFamily::Unix, SockType::Datagram, flags, None)?;
+    bind(socket.as_raw_fd(), address)?;
+    Ok(socket)
+}
+
+fn address(name: &str) -> io::Result<UnixAddr> {
+    if name.is_empty() || SPACE.len() + name.len() > LONGEST {
+        let message = format!("{PREFIX}{name}: a name has 1 to {} bytes", LONGEST - SPACE.len());
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
     }
-    // SAFETY: it was just opened, and belongs to nobody else.
-    Ok(unsafe { OwnedFd::from_raw_fd(fd) })
-}
-
-fn bind(socket: &OwnedFd, address: &Address) -> io::Result<()> {
-    // SAFETY: the address and its length are those of a live value.
-    let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address.whole).cast(), address.length) };
-    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
-}
-
-/// An address, and its used length.
-#[derive(Clone, Copy)]
-struct Address {
-    whole: libc::sockaddr_un,
-    length: libc::socklen_t,
-}
-
-const PATH: usize = offset_of!(libc::sockaddr_un, sun_path);
-
-impl Address {
-    /// No address: binding to it assigns one.
-    const UNNAMED: Address = Address {
-        // SAFETY: all bytes zero but the family are a valid address.
-        whole: libc::sockaddr_un { sun_family: libc::AF_UNIX as u16, ..unsafe { zeroed() } },
-        length: PATH as libc::socklen_t,
-    };
-
-    fn of(name: &str) -> io::Result<Address> {
-        let mut address = Address::UNNAMED;
-        let bytes = SPACE.bytes().chain(name.bytes());
-        let room = address.whole.sun_path.len() - 1;
-        if name.is_empty() || SPACE.len() + name.len() > room {
-            let message = format!("{PREFIX}{name}: a name has 1 to {} bytes", room - SPACE.len());
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
-        }
-        // The zero in front makes it abstract.
-        for (place, byte) in address.whole.sun_path[1..].iter_mut().zip(bytes) {
-            *place = byte as libc::c_char;
-        }
-        address.length = (PATH + 1 + SPACE.len() + name.len()) as libc::socklen_t;
-        Ok(address)
-    }
-}
-
-impl std::fmt::Debug for Address {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let path = &self.whole.sun_path[..(self.length as usize).saturating_sub(PATH)];
-        let bytes: Vec<u8> = path.iter().map(|byte| *byte as u8).collect();
-        write!(f, "\"{}\"", bytes.escape_ascii())
-    }
+    Ok(UnixAddr::new_abstract(format!("{SPACE}{name}").as_bytes())?)
 }
 
 impl Frames for Local {
@@ -138,41 +86,24 @@ impl Frames for Local {
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
         let begin = MonotonicClock::read();
-        let Address { whole, length } = &self.peer;
-        if *length as usize <= PATH {
-            // Nothing was received yet.
-            return Err(Unsent::Down);
+        let peer = self.peer.as_ref().ok_or(Unsent::Down)?;
+        let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
+        match sendto(self.socket.as_raw_fd(), frame, peer, flags) {
+            Ok(_) => Ok(begin),
+            Err(Errno::ECONNREFUSED | Errno::ENOENT) => Err(Unsent::Down),
+            Err(Errno::EAGAIN | Errno::ENOBUFS) => Err(Unsent::Full),
+            Err(errno) => Err(Unsent::Failed(errno as i32)),
         }
-        // SAFETY: the kernel reads the bytes of a live slice and of a live address.
-        let sent = unsafe {
-            libc::sendto(
-                self.socket.as_raw_fd(),
-                frame.as_ptr().cast(),
-                frame.len(),
-                libc::MSG_DONTWAIT | libc::MSG_NOSIGNAL,
-                (&raw const *whole).cast(),
-                *length,
-            )
-        };
-        if sent >= 0 {
-            return Ok(begin);
-        }
-        Err(match Errno::last() {
-            Errno::ECONNREFUSED | Errno::ENOENT => Unsent::Down,
-            Errno::EAGAIN | Errno::ENOBUFS => Unsent::Full,
-            errno => Unsent::Failed(errno as i32),
-        })
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         if self.answers {
-            return self.hear(room);
+            let (sent_at, length, from) = stamp::receive(&self.socket, room)?;
+            self.peer = from;
+            return Some((sent_at, length));
         }
-        let flags = libc::MSG_DONTWAIT | libc::MSG_TRUNC;
-        // SAFETY: the kernel writes into a live slice, at most its length.
-        let count =
-            unsafe { libc::recv(self.socket.as_raw_fd(), room.as_mut_ptr().cast(), room.len(), flags) };
-        usize::try_from(count).ok().map(|count| (MonotonicClock::read(), count))
+        let count = recv(self.socket.as_raw_fd(), room, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC).ok()?;
+        Some((MonotonicClock::read(), count))
     }
 
     fn now(&mut self) -> Time {
@@ -288,7 +219,7 @@ mod tests {
         for wrong in ["", &"x".repeat(200)] {
             assert_eq!(Local::open(wrong).unwrap_err().kind(), io::ErrorKind::InvalidInput);
         }
-        let most = "y".repeat(std::mem::size_of::<libc::sockaddr_un>() - PATH - 1 - SPACE.len());
+        let most = "y".repeat(LONGEST - SPACE.len());
         assert!(Local::open(&most).is_ok() && Local::open(&format!("{most}y")).is_err());
         assert_eq!((super::name("local:x"), super::name("eth0")), (Some("x"), None));
     }

@@ -1,7 +1,7 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
 //! A bus uses a carrier through [`Datagrams`], [`Streams`], [`Frames`] or [`Serial`]; the carrier stamps what it sends
-//! and takes in, so that the same bus runs over real sockets and in virtual time. [`Sessions`] stay outside the loop.
+//! and takes in, so that the same bus runs over real sockets and in virtual time.
 //!
 //! | file | what |
 //! |---|---|
@@ -9,13 +9,12 @@
 //! | `udp` | batched UDP: `sendmmsg`, `recvmmsg` |
 //! | `groups` | multicast groups of a UDP carrier, joined and left outside the loop |
 //! | `stream` | connections as the loop and a protocol see them |
-//! | `session` | connections that stay outside the loop |
 //! | `link` | opens, initialises and re-opens connections and ports, outside the loop |
-//! | `tcp` | TCP connections on the real-time thread |
+//! | `tcp` | TCP connections and serial ports on the real-time thread |
 //! | `frames` | Ethernet frames as a protocol sees them |
 //! | `packet` | frames of a network interface |
 //! | `local` | frames of a segment on this host, without an interface |
-//! | `serial` | a serial port |
+//! | `serial` | a serial port as a protocol sees it |
 //! | `tty` | a serial port of the operating system: its settings |
 //! | `clients` | clients of a small server: bounded in number, bytes and time |
 //! | `stamp` | when a frame arrived at the end of a segment |
@@ -23,7 +22,7 @@
 
 use std::io;
 use std::net::SocketAddrV4;
-use std::os::fd::RawFd;
+use std::os::fd::{AsRawFd, RawFd};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 #[cfg(any(feature = "control", feature = "metrics"))]
@@ -36,7 +35,6 @@ pub mod lock;
 mod outbox;
 pub(crate) mod packet;
 pub mod serial;
-pub mod session;
 mod stamp;
 pub mod stream;
 mod tcp;
@@ -48,12 +46,11 @@ pub use groups::Groups;
 pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
 pub use serial::{Parity, Serial, SerialLine};
-pub use session::{Next, Session, SessionPeer, Sessions};
 pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;
 use crate::time::Time;
-use link::{LinkThread, Peer};
+use link::LinkThread;
 use local::Local;
 use packet::Packet;
 use tcp::Tcp;
@@ -97,14 +94,8 @@ pub trait Carriers {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>>;
 
     /// A carrier of connections to `peers`, in this order. Their opening begins at once and goes on outside the
-    /// loop. The default implementation has none.
+    /// loop, where sessions stay. The default implementation has none.
     fn streams(&self, _peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
-        Err(io::ErrorKind::Unsupported.into())
-    }
-
-    /// Sessions with `peers`, in this order, on the thread that opens connections. They begin at once. The default
-    /// implementation has none.
-    fn sessions(&self, _peers: Vec<SessionPeer>) -> io::Result<Sessions> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
@@ -145,7 +136,7 @@ pub struct UdpOptions {
     pub send: SendMode,
     /// Its requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
     pub dscp: u8,
-    /// The most multicast groups that it receives from at a time.
+    /// The most multicast groups that it ever receives from: a group that was left keeps its socket.
     pub groups: usize,
 }
 
@@ -196,12 +187,8 @@ impl Carriers for Os {
         Ok(Box::new(Tcp::open(&self.link_thread()?, peers)?))
     }
 
-    fn sessions(&self, peers: Vec<SessionPeer>) -> io::Result<Sessions> {
-        Ok(self.link_thread()?.carry(peers.into_iter().map(Peer::from).collect()).sessions())
-    }
-
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        Ok(Box::new(serial::Port::open(&self.link_thread()?, port, line)))
+        Ok(Box::new(Tcp::of_port(&self.link_thread()?, port, line)?))
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
@@ -227,4 +214,17 @@ pub struct Received<'a> {
     pub bytes: &'a [u8],
     /// The datagram was longer than the room for it.
     pub truncated: bool,
+}
+
+/// Sets an option of a socket that `nix` does not have.
+pub(crate) fn set_option<T: Copy>(
+    socket: &impl AsRawFd,
+    level: libc::c_int,
+    name: libc::c_int,
+    value: T,
+) -> io::Result<()> {
+    let (fd, length) = (socket.as_raw_fd(), size_of::<T>() as libc::socklen_t);
+    // SAFETY: the kernel reads at most the bytes of a live value.
+    let refused = unsafe { libc::setsockopt(fd, level, name, (&raw const value).cast(), length) };
+    if refused < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }

@@ -6,17 +6,20 @@
 //! only normal threads read that count. When the interface goes down the socket stays bound, and works again when
 //! the interface is back; not so if the interface is removed.
 
-use std::ffi::CString;
 use std::io;
 use std::mem::{size_of, zeroed};
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 
 use nix::errno::Errno;
+use nix::net::if_::if_nametoindex;
+use nix::sys::socket::{
+    AddressFamily, MsgFlags, SockFlag, SockType, recv, send, setsockopt, socket, sockopt,
+};
 
 use super::frames::{Dropped, Frames, Unsent};
-use super::stamp;
+use super::{set_option, stamp};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
 
@@ -40,7 +43,7 @@ pub struct Packet {
 struct Drops {
     /// A later reader must not keep it open.
     socket: Weak<OwnedFd>,
-    told: AtomicU64,
+    reported: AtomicU64,
 }
 
 impl Drop for Packet {
@@ -52,12 +55,12 @@ impl Drop for Packet {
 
 impl Dropped for Drops {
     fn count(&self) -> u64 {
-        let Some(socket) = self.socket.upgrade() else { return self.told.load(Ordering::Relaxed) };
+        let Some(socket) = self.socket.upgrade() else { return self.reported.load(Ordering::Relaxed) };
         // SAFETY: all bytes zero are valid counts.
         let mut counts: libc::tpacket_stats = unsafe { zeroed() };
         let mut length = size_of::<libc::tpacket_stats>() as libc::socklen_t;
         // SAFETY: the kernel writes at most `length` bytes into a live value.
-        let asked = unsafe {
+        let refused = unsafe {
             libc::getsockopt(
                 socket.as_raw_fd(),
                 libc::SOL_PACKET,
@@ -66,8 +69,8 @@ impl Dropped for Drops {
                 &raw mut length,
             )
         };
-        let new = if asked < 0 { 0 } else { u64::from(counts.tp_drops) };
-        self.told.fetch_add(new, Ordering::Relaxed) + new
+        let new = if refused < 0 { 0 } else { u64::from(counts.tp_drops) };
+        self.reported.fetch_add(new, Ordering::Relaxed) + new
     }
 }
 
@@ -80,32 +83,30 @@ impl Packet {
     /// [`PermissionDenied`](io::ErrorKind::PermissionDenied): no CAP_NET_RAW; others of the operating system.
     pub fn open(interface: &str, ethertype: u16) -> io::Result<Packet> {
         let (index, name) = find(interface)?;
-        let flags = libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
-        // Protocol 0: it receives nothing until it is bound. SAFETY: plain numbers.
-        let fd = unsafe { libc::socket(libc::AF_PACKET, flags, 0) };
-        if fd < 0 {
-            return Err(refused(interface, io::Error::last_os_error()));
+        let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
+        // Protocol 0: it receives nothing until it is bound.
+        let socket = socket(AddressFamily::Packet, SockType::Raw, flags, None);
+        let socket = Arc::new(socket.map_err(|errno| refused(interface, errno.into()))?);
+        for option in [libc::PACKET_IGNORE_OUTGOING, libc::PACKET_QDISC_BYPASS] {
+            set_option(&socket, libc::SOL_PACKET, option, 1_i32)?;
         }
-        // SAFETY: it was just opened, and belongs to nobody else.
-        let socket = Arc::new(unsafe { OwnedFd::from_raw_fd(fd) });
-        option(&socket, libc::PACKET_IGNORE_OUTGOING)?;
-        option(&socket, libc::PACKET_QDISC_BYPASS)?;
         // SAFETY: all bytes zero are a valid address of nobody.
         let mut address: libc::sockaddr_ll = unsafe { zeroed() };
         address.sll_family = libc::AF_PACKET as u16;
         address.sll_protocol = ethertype.to_be();
         address.sll_ifindex = index;
         let mut length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
-        // SAFETY: the address and its length are those of a live value.
-        if unsafe { libc::bind(fd, (&raw const address).cast(), length) } < 0 {
-            return Err(io::Error::last_os_error());
-        }
-        // SAFETY: as above; the kernel writes at most `length` bytes.
-        if unsafe { libc::getsockname(fd, (&raw mut address).cast(), &raw mut length) } < 0 {
+        let fd = socket.as_raw_fd();
+        // SAFETY: the kernel reads and writes at most `length` bytes of a live address; its own address is shorter.
+        let refused = unsafe {
+            libc::bind(fd, (&raw const address).cast(), length) < 0
+                || libc::getsockname(fd, (&raw mut address).cast(), &raw mut length) < 0
+        };
+        if refused {
             return Err(io::Error::last_os_error());
         }
         let [a, b, c, d, e, f, ..] = address.sll_addr;
-        let drops = Arc::new(Drops { socket: Arc::downgrade(&socket), told: AtomicU64::new(0) });
+        let drops = Arc::new(Drops { socket: Arc::downgrade(&socket), reported: AtomicU64::new(0) });
         Ok(Packet { socket, mac: [a, b, c, d, e, f], name, answers: false, errors: 0, drops })
     }
 
@@ -116,7 +117,7 @@ impl Packet {
     /// As above.
     pub fn serve(interface: &str, ethertype: u16) -> io::Result<Packet> {
         let mut packet = Packet::open(interface, ethertype)?;
-        stamp::switch_on(&packet.socket)?;
+        setsockopt(&packet.socket, sockopt::ReceiveTimestampns, &true)?;
         packet.answers = true;
         Ok(packet)
     }
@@ -126,9 +127,9 @@ impl Packet {
         // SAFETY: all bytes zero are a valid request.
         let mut request = libc::ifreq { ifr_name: self.name, ..unsafe { zeroed() } };
         // SAFETY: the kernel reads the name and writes the flags of a live value.
-        let asked = unsafe { libc::ioctl(self.socket.as_raw_fd(), libc::SIOCGIFFLAGS, &raw mut request) };
+        let result = unsafe { libc::ioctl(self.socket.as_raw_fd(), libc::SIOCGIFFLAGS, &raw mut request) };
         // SAFETY: the kernel has written the flags, or they are zero from the beginning.
-        asked >= 0 && i32::from(unsafe { request.ifr_ifru.ifru_flags }) & libc::IFF_RUNNING != 0
+        result >= 0 && i32::from(unsafe { request.ifr_ifru.ifru_flags }) & libc::IFF_RUNNING != 0
     }
 }
 
@@ -138,16 +139,12 @@ fn find(interface: &str) -> io::Result<(libc::c_int, Name)> {
         let message = format!("there is no network interface {interface} (ip link shows which there are)");
         io::Error::new(io::ErrorKind::NotFound, message)
     };
-    let text = CString::new(interface).map_err(|_| missing())?;
+    let index = if_nametoindex(interface).map_err(|_| missing())?;
     let mut name: Name = [0; libc::IFNAMSIZ];
-    for (place, byte) in name.iter_mut().zip(text.as_bytes()) {
-        *place = *byte as libc::c_char;
+    for (place, byte) in name.iter_mut().zip(interface.bytes()) {
+        *place = byte as libc::c_char;
     }
-    // SAFETY: a C string that ends with a zero.
-    match unsafe { libc::if_nametoindex(text.as_ptr()) } {
-        0 => Err(missing()),
-        index => Ok((index as libc::c_int, name)),
-    }
+    Ok((index as libc::c_int, name))
 }
 
 /// Why there is no socket.
@@ -161,22 +158,6 @@ fn refused(interface: &str, error: io::Error) -> io::Error {
     }
 }
 
-/// Switches an option of the socket on.
-fn option(socket: &OwnedFd, name: libc::c_int) -> io::Result<()> {
-    let on: libc::c_int = 1;
-    // SAFETY: the kernel reads one int.
-    let result = unsafe {
-        libc::setsockopt(
-            socket.as_raw_fd(),
-            libc::SOL_PACKET,
-            name,
-            (&raw const on).cast(),
-            size_of::<libc::c_int>() as libc::socklen_t,
-        )
-    };
-    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
-}
-
 impl Frames for Packet {
     fn fd(&self) -> Option<RawFd> {
         Some(self.socket.as_raw_fd())
@@ -184,35 +165,28 @@ impl Frames for Packet {
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
         let begin = MonotonicClock::read();
-        let flags = libc::MSG_DONTWAIT;
-        // SAFETY: the kernel reads the bytes of a live slice.
-        let sent = unsafe { libc::send(self.socket.as_raw_fd(), frame.as_ptr().cast(), frame.len(), flags) };
-        if sent >= 0 {
-            return Ok(begin);
-        }
-        Err(match Errno::last() {
-            Errno::ENETDOWN | Errno::ENXIO | Errno::ENODEV => Unsent::Down,
+        match send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT) {
+            Ok(_) => Ok(begin),
+            Err(Errno::ENETDOWN | Errno::ENXIO | Errno::ENODEV) => Err(Unsent::Down),
             // Without a cable the kernel says the same.
-            Errno::ENOBUFS if !self.is_running() => Unsent::Down,
-            Errno::ENOBUFS | Errno::EAGAIN => Unsent::Full,
-            errno => Unsent::Failed(errno as i32),
-        })
+            Err(Errno::ENOBUFS) if !self.is_running() => Err(Unsent::Down),
+            Err(Errno::ENOBUFS | Errno::EAGAIN) => Err(Unsent::Full),
+            Err(errno) => Err(Unsent::Failed(errno as i32)),
+        }
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         if self.answers {
-            return stamp::receive::<()>(&self.socket, room, None);
+            return stamp::receive::<()>(&self.socket, room).map(|(at, length, _)| (at, length));
         }
-        let flags = libc::MSG_DONTWAIT | libc::MSG_TRUNC;
-        // SAFETY: the kernel writes into a live slice, at most its length.
-        let count =
-            unsafe { libc::recv(self.socket.as_raw_fd(), room.as_mut_ptr().cast(), room.len(), flags) };
-        let Ok(count) = usize::try_from(count) else {
-            // An error is that of the interface, reported once; there is no frame.
-            self.errors += u64::from(Errno::last() != Errno::EAGAIN);
-            return None;
-        };
-        Some((MonotonicClock::read(), count))
+        match recv(self.socket.as_raw_fd(), room, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC) {
+            Ok(count) => Some((MonotonicClock::read(), count)),
+            Err(errno) => {
+                // An error is that of the interface, reported once; there is no frame.
+                self.errors += u64::from(errno != Errno::EAGAIN);
+                None
+            }
+        }
     }
 
     fn now(&mut self) -> Time {

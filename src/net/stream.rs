@@ -2,12 +2,14 @@
 //!
 //! The loop owns the connections that are ready and does bounded work on them. Blocking work (opening, handshake
 //! and closing) is done outside the loop by [`link`](super::link). Each connection has one owner at any time, and
-//! changes owners by wait-free queues.
+//! changes owners by wait-free queues. A session is a connection that stays outside the loop: what it exchanges with the
+//! loop goes through wait-free queues of its own.
 
 use std::fmt::Debug;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::task::Waker;
 
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
@@ -47,6 +49,13 @@ pub trait Streams: Send {
     /// Notes on the opening of connections, for normal threads.
     fn notes(&self) -> LinkNotes;
 
+    /// Makes the sessions run, from any thread and after their queues were written to. Several wake-ups before they run
+    /// are one. It writes an eventfd: on the loop's thread for what is rare only, since a session that looks at its
+    /// queues by its own clock needs none. `None`: a carrier without sessions.
+    fn waker(&self) -> Option<Waker> {
+        None
+    }
+
     /// Adds the memory that it touches, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 }
@@ -80,7 +89,7 @@ pub struct StreamPeer {
     pub most_pause_ns: u64,
     /// Sent bytes that the peer's host does not acknowledge for so long break the connection, ns.
     pub unacknowledged_ns: u64,
-    /// The handshake on a new connection before the loop gets it.
+    /// The handshake on a new connection before the loop gets it, or its session.
     pub greeting: Box<dyn Greeting>,
 }
 
@@ -100,24 +109,42 @@ impl StreamPeer {
     }
 }
 
-/// A protocol's handshake on a new connection before the loop gets it: on a normal thread, without sockets or
-/// waits. It shares its findings with its station; handing the connection over orders both.
+/// A protocol's handshake on a new connection before the loop gets it, or its session on one that stays: a machine of
+/// state and time on a normal thread, without sockets or waits. It shares its findings with its station; handing the
+/// connection over orders both.
 pub trait Greeting: Debug + Send {
-    /// A connection was opened at `now`. Appends the bytes to send to `out`.
+    /// A connection was opened at `now`: nothing of an earlier one is left. Appends the bytes to send to `out`.
     fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted;
 
     /// Takes in what arrived, split anywhere, and appends the bytes to send to `out`.
     fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted;
+
+    /// When it wants to run by itself: a timeout, a request that is due. It runs once a millisecond at most.
+    fn next_due(&self) -> Option<Time> {
+        None
+    }
+
+    /// It is due, or was [woken](Streams::waker). Without a connection nothing that it appends to `out` is sent, and
+    /// what it returns has no effect.
+    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+        Greeted::More
+    }
+
+    /// The connection has ended before the loop got it, for this reason: once for each that began. When the carrier is
+    /// dropped, this is dropped instead.
+    fn closed(&mut self, _now: Time, _why: &str) {}
 }
 
 /// The state of a handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Greeted {
-    /// It waits for an answer.
+    /// It waits for an answer; a session goes on.
     More,
     /// It is complete: nothing is owed on the connection.
     Done,
-    /// The connection cannot be used, for this reason; it is closed.
+    /// It is complete, and the connection stays here: a session.
+    Kept,
+    /// The connection cannot be used, for this reason; it is reset, and unsent bytes never arrive.
     Failed(String),
 }
 

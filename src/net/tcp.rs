@@ -8,20 +8,30 @@
 //! The epoll belongs to this side alone. The kernel guards it with a lock that may sleep: if the link thread added
 //! a socket to it, a normal thread that is preempted just then would delay the loop. So the loop adds a socket when
 //! it takes it over and removes it before it returns it, one `epoll_ctl` per connection each.
+//!
+//! A serial port is a single connection, with `write` and `read` on its descriptor.
 
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::sync::Arc;
+use std::task::Waker;
 
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::socket::{MsgFlags, recv, send};
+use nix::unistd::{read, write};
 
-use super::link::{Ends, GivenBack, LinkThread, Opened, Peer};
+use super::link::{Ends, GivenBack, LinkThread, Opened};
+use super::serial::{Serial, SerialLine};
 use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
+use super::{local, tty};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
 
-/// Connections to fixed peers. When dropped at the loop's end it closes its open connections in order, so that the
+/// The most reads of a discard: each takes one room.
+const DISCARDS: usize = 64;
+
+/// Connections to fixed peers, or a serial port. When dropped at the loop's end it closes its open connections in order, so that the
 /// last outputs arrive.
 #[derive(Debug)]
 pub struct Tcp {
@@ -34,13 +44,23 @@ pub struct Tcp {
     events: Box<[EpollEvent]>,
     found: usize,
     next: usize,
+    /// Its only descriptor is a terminal device's.
+    is_tty: bool,
     link: Ends,
 }
 
 impl Tcp {
     /// Connections to `peers`, opened by `thread`.
-    pub(super) fn open(thread: &std::sync::Arc<LinkThread>, peers: Vec<StreamPeer>) -> io::Result<Tcp> {
-        let count = peers.len();
+    pub(super) fn open(thread: &Arc<LinkThread>, peers: Vec<StreamPeer>) -> io::Result<Tcp> {
+        Tcp::over(peers.len(), false, thread.carry(peers))
+    }
+
+    /// Port `path` of the operating system, or a simulated wire of this host (`local:NAME`), opened by `thread`.
+    pub(super) fn of_port(thread: &Arc<LinkThread>, path: &str, line: &SerialLine) -> io::Result<Tcp> {
+        Tcp::over(1, local::name(path).is_none(), thread.carry_port(path, *line))
+    }
+
+    fn over(count: usize, is_tty: bool, link: Ends) -> io::Result<Tcp> {
         let several = (count > 1).then(|| Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC));
         Ok(Tcp {
             epoll: several.transpose()?,
@@ -48,12 +68,13 @@ impl Tcp {
             events: vec![EpollEvent::empty(); count].into(),
             found: 0,
             next: 0,
-            link: thread.carry(peers.into_iter().map(Peer::from).collect()),
+            is_tty,
+            link,
         })
     }
 
-    fn socket(&self, index: usize) -> Result<RawFd, Broken> {
-        self.sockets.get(index).and_then(Option::as_ref).map(AsRawFd::as_raw_fd).ok_or(Broken::Absent)
+    fn socket(&self, index: usize) -> Result<&OwnedFd, Broken> {
+        self.sockets.get(index).and_then(Option::as_ref).ok_or(Broken::Absent)
     }
 
     /// Adds it to the epoll, if there is one.
@@ -74,7 +95,7 @@ impl Streams for Tcp {
     fn fd(&self) -> Option<RawFd> {
         match &self.epoll {
             Some(epoll) => Some(epoll.0.as_raw_fd()),
-            None => self.socket(0).ok(),
+            None => self.socket(0).ok().map(AsRawFd::as_raw_fd),
         }
     }
 
@@ -118,7 +139,11 @@ impl Streams for Tcp {
         if room.is_empty() {
             return Ok(None);
         }
-        match recv(socket, room, MsgFlags::MSG_DONTWAIT) {
+        let count = match self.is_tty {
+            true => read(socket, room),
+            false => recv(socket.as_raw_fd(), room, MsgFlags::MSG_DONTWAIT),
+        };
+        match count {
             Ok(0) => Err(Broken::Closed),
             Ok(count) => Ok(Some((MonotonicClock::read(), count))),
             Err(Errno::EAGAIN | Errno::EINTR) => Ok(None),
@@ -129,7 +154,11 @@ impl Streams for Tcp {
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
         let socket = self.socket(index)?;
         let begin = MonotonicClock::read();
-        match send(socket, bytes, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL) {
+        let taken = match self.is_tty {
+            true => write(socket, bytes),
+            false => send(socket.as_raw_fd(), bytes, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL),
+        };
+        match taken {
             Ok(count) => Ok((begin, count)),
             Err(Errno::EAGAIN | Errno::EINTR) => Ok((begin, 0)),
             Err(errno) => Err(Broken::Failed(errno as i32)),
@@ -155,6 +184,10 @@ impl Streams for Tcp {
         self.link.notes.clone()
     }
 
+    fn waker(&self) -> Option<Waker> {
+        Some(self.link.bell.waker())
+    }
+
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         regions.add(&*self.sockets);
@@ -163,11 +196,46 @@ impl Streams for Tcp {
     }
 }
 
+impl Serial for Tcp {
+    fn unsent(&mut self) -> Result<usize, Broken> {
+        let mut count: libc::c_int = 0;
+        // SAFETY: the kernel writes one int. Sockets have the same request by the name SIOCOUTQ.
+        let refused = unsafe { libc::ioctl(self.socket(0)?.as_raw_fd(), libc::TIOCOUTQ, &raw mut count) } < 0;
+        if refused { Err(last_error()) } else { Ok(usize::try_from(count).unwrap_or(0)) }
+    }
+
+    fn discard(&mut self) -> Result<(), Broken> {
+        if self.is_tty && !tty::flush(self.socket(0)?) {
+            return Err(last_error());
+        }
+        // A socket has no such request; a terminal has nothing left.
+        for _ in 0..DISCARDS {
+            if self.receive(0, &mut [0; 256])?.is_none() {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn last_error() -> Broken {
+    Broken::Failed(Errno::last_raw())
+}
+
+/// Others may use a port again, one on its way included.
+impl Drop for Tcp {
+    fn drop(&mut self) {
+        if self.is_tty {
+            self.opened();
+            self.sockets.iter().flatten().for_each(tty::release);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::io::{Read, Write};
-    use std::mem::size_of_val;
     use std::net::{SocketAddrV4, TcpListener, TcpStream};
 
     use nix::sys::socket::{getsockopt, sockopt};
@@ -221,7 +289,7 @@ mod tests {
         let wanted = libc::O_NONBLOCK | libc::O_CLOEXEC;
         assert_eq!(flags(socket.as_raw_fd()) & wanted, wanted);
         let (tcp, _drives, _listeners) = open(14, 2);
-        assert_eq!(flags(tcp.epoll.unwrap().0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
+        assert_eq!(flags(tcp.epoll.as_ref().unwrap().0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
     }
 
     /// An option of TCP that is a number; `None`: the kernel does not know it.
@@ -373,17 +441,7 @@ mod tests {
         let mut nothing =
             libc::sock_filter { code: (libc::BPF_RET | libc::BPF_K) as u16, jt: 0, jf: 0, k: 0 };
         let program = libc::sock_fprog { len: 1, filter: &raw mut nothing };
-        // SAFETY: the kernel reads a program of one instruction, which outlives the call.
-        let refused = unsafe {
-            libc::setsockopt(
-                drive.as_raw_fd(),
-                libc::SOL_SOCKET,
-                libc::SO_ATTACH_FILTER,
-                (&raw const program).cast(),
-                size_of_val(&program) as libc::socklen_t,
-            )
-        };
-        assert_eq!(refused, 0, "{}", io::Error::last_os_error());
+        crate::net::set_option(drive, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, program).unwrap();
     }
 
     #[test]

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use nix::sys::socket::{setsockopt, sockopt};
 
-use super::groups::GroupSockets;
+use super::groups::{GroupSockets, Source};
 use super::{Datagrams, Groups, Outbox, Received, SendMode, Sent, UdpOptions};
 use crate::rt::{MonotonicClock, Regions};
 
@@ -59,11 +59,10 @@ impl UdpOptions {
 /// fails with EADDRINUSE instead of taking half of the replies.
 #[derive(Debug)]
 pub struct Udp {
-    socket: UdpSocket,
+    /// Its own socket, then those of its groups.
+    sources: Vec<Source>,
     mode: SendMode,
     inbox: Inbox,
-    /// The kernel's count of dropped datagrams, which wraps around, as last reported.
-    told: u32,
     groups: Option<GroupSockets>,
 }
 
@@ -112,7 +111,14 @@ impl Udp {
         let groups = (options.groups > 0)
             .then(|| GroupSockets::new(socket.as_fd(), *bind.ip(), options.groups, options.receive_buffer()));
         let inbox = Inbox { batch, room: options.room, bytes, dropped: 0 };
-        Ok(Udp { groups: groups.transpose()?, socket, mode: options.send, inbox, told: 0 })
+        let groups = groups.transpose()?;
+        let mut sources = Vec::with_capacity(1 + options.groups);
+        sources.push(Source { socket: Arc::new(socket), reported: 0 });
+        Ok(Udp { sources, mode: options.send, inbox, groups })
+    }
+
+    fn socket(&self) -> &UdpSocket {
+        &self.sources[0].socket
     }
 
     /// One `sendmmsg` per [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their
@@ -156,7 +162,7 @@ impl Udp {
             // returns; `note` below writes other memory than those bytes.
             let sent = unsafe {
                 libc::sendmmsg(
-                    self.socket.as_raw_fd(),
+                    self.socket().as_raw_fd(),
                     headers[done..].as_mut_ptr().cast(),
                     (indices.len() - done) as libc::c_uint,
                     libc::MSG_DONTWAIT | libc::MSG_NOSIGNAL,
@@ -182,7 +188,7 @@ impl Udp {
         for index in 0..outbox.len() {
             if outbox.sent(index) == Sent::Posted {
                 let begin = MonotonicClock::read();
-                let sent = match self.socket.send_to(outbox.bytes(index), outbox.peer(index)) {
+                let sent = match self.socket().send_to(outbox.bytes(index), outbox.peer(index)) {
                     Ok(_) => Sent::At(begin),
                     Err(error) => Sent::Failed(error.raw_os_error().unwrap_or(libc::EIO)),
                 };
@@ -193,11 +199,10 @@ impl Udp {
 }
 
 impl Inbox {
-    /// Takes in what has arrived at `socket`, at most `most` datagrams.
+    /// Takes in what has arrived at `source`, at most `most` datagrams.
     fn receive(
         &mut self,
-        socket: impl AsFd,
-        told: &mut u32,
+        source: &mut Source,
         most: usize,
         take: &mut dyn FnMut(Received<'_>),
     ) -> io::Result<usize> {
@@ -221,7 +226,7 @@ impl Inbox {
         // frame, and each slice to a room of its own in `bytes`, which nothing else touches during the call.
         let count = unsafe {
             libc::recvmmsg(
-                socket.as_fd().as_raw_fd(),
+                source.socket.as_raw_fd(),
                 headers.as_mut_ptr().cast(),
                 most as libc::c_uint,
                 libc::MSG_DONTWAIT,
@@ -239,7 +244,7 @@ impl Inbox {
         let count = most.min(count as usize);
         if let Some(newest) = headers[..count].last() {
             // SAFETY: the headers of every k < most were written above, and by the kernel since.
-            self.count_dropped(unsafe { &newest.assume_init_ref().msg_hdr }, told);
+            self.count_dropped(unsafe { &newest.assume_init_ref().msg_hdr }, &mut source.reported);
         }
         for k in 0..count {
             // SAFETY: header and address of every k < most were written above, and by the kernel since.
@@ -260,9 +265,9 @@ impl Inbox {
         Ok(count)
     }
 
-    /// Takes over the kernel's count of dropped datagrams, if the newest datagram carries it; `told` is that of the
+    /// Takes over the kernel's count of dropped datagrams, if the newest datagram carries it; `reported` is that of the
     /// socket as last reported.
-    fn count_dropped(&mut self, newest: &libc::msghdr, told: &mut u32) {
+    fn count_dropped(&mut self, newest: &libc::msghdr, reported: &mut u32) {
         // SAFETY: the header is one that the kernel filled in: it points to `Control`, of which so many bytes are
         // filled. CMSG_FIRSTHDR is null if there is no whole message in them.
         let message = unsafe { libc::CMSG_FIRSTHDR(newest).as_ref() };
@@ -271,15 +276,15 @@ impl Inbox {
         {
             // SAFETY: the kernel's message of this type is a u32; it lies in `Control`, maybe unaligned.
             let count = unsafe { libc::CMSG_DATA(message).cast::<u32>().read_unaligned() };
-            self.dropped += u64::from(count.wrapping_sub(*told));
-            *told = count;
+            self.dropped += u64::from(count.wrapping_sub(*reported));
+            *reported = count;
         }
     }
 }
 
 impl Datagrams for Udp {
     fn fd(&self) -> Option<RawFd> {
-        Some(self.groups.as_ref().map_or(self.socket.as_raw_fd(), GroupSockets::fd))
+        Some(self.groups.as_ref().map_or(self.socket().as_raw_fd(), GroupSockets::fd))
     }
 
     fn send(&mut self, outbox: &mut Outbox) {
@@ -290,23 +295,15 @@ impl Datagrams for Udp {
     }
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
-        let Udp { socket, inbox, told, groups, .. } = self;
-        let Some(groups) = groups else { return inbox.receive(socket, told, inbox.batch, take) };
+        let Udp { sources, inbox, groups, .. } = self;
+        let Some(groups) = groups else { return inbox.receive(&mut sources[0], inbox.batch, take) };
         let mut count = 0;
-        for k in 0..groups.look() {
+        for k in 0..groups.look(sources) {
             let most = inbox.batch - count;
             if most == 0 {
                 break;
             }
-            count += match groups.ready(k) {
-                Some(group) => {
-                    let mut told = group.reported;
-                    let received = inbox.receive(&*group, &mut told, most, take);
-                    group.reported = told;
-                    received?
-                }
-                None => inbox.receive(&*socket, told, most, take)?,
-            };
+            count += inbox.receive(&mut sources[groups.ready(k)], most, take)?;
         }
         Ok(count)
     }
@@ -325,6 +322,7 @@ impl Datagrams for Udp {
 
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
+        regions.add(&*self.sources);
         regions.add(&*self.inbox.bytes);
         if let Some(groups) = &self.groups {
             groups.memory(regions);

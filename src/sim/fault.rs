@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::net::SocketAddrV4;
 
-use super::{Carrier, FaultPlan, SimDrive, SimLine};
+use super::{Carrier, FaultPlan};
 use crate::time::{MS, Time};
 
 /// Time between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
@@ -92,29 +92,22 @@ pub struct Injected {
 
 /// A fault of the drive itself, injected when a datagram passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Blow {
+pub enum DriveFault {
     /// It is switched off and on again; the request is lost.
     Restart,
     /// Its hardware enable is open until then.
     Inhibit(Time),
 }
 
-impl Blow {
-    /// Injects it into `drive`.
-    pub(super) fn strike(self, now: Time, drive: &mut dyn SimDrive) {
-        match self {
-            Blow::Restart => drive.restart(now),
-            Blow::Inhibit(until) => drive.inhibit(until),
-        }
-    }
-
-    /// Injects it into `line`, where `injected` counts the faults of its wire: each time into the next slave.
-    pub(super) fn strike_line(self, now: Time, line: &mut dyn SimLine, injected: Injected) {
-        let nth = |count: u64| count.saturating_sub(1) as usize % line.slaves().max(1);
-        match self {
-            Blow::Restart => line.restart(now, nth(injected.restarts)),
-            Blow::Inhibit(until) => line.inhibit(nth(injected.inhibits), until),
-        }
+impl DriveFault {
+    /// The index of the drive that it hits, of `count` at one wire whose faults so far are `injected`: each time the
+    /// next one.
+    pub(super) fn place(self, injected: Injected, count: usize) -> usize {
+        let number = match self {
+            DriveFault::Restart => injected.restarts,
+            DriveFault::Inhibit(_) => injected.inhibits,
+        };
+        number.saturating_sub(1) as usize % count.max(1)
     }
 }
 
@@ -173,7 +166,7 @@ impl Lane {
 
     /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's
     /// decisions.
-    fn strikes(&mut self, rate: f64) -> bool {
+    fn happens(&mut self, rate: f64) -> bool {
         self.random.f64() < rate
     }
 
@@ -215,18 +208,18 @@ impl Lane {
         let (request, stream) = (way == Way::Request, carrier == Carrier::Stream);
         // This order is fixed: a seed shall make the same faults in every version.
         Lot {
-            drop: self.strikes(plan.drop),
-            duplicate: self.strikes(plan.duplicate),
-            corrupt: self.strikes(plan.corrupt),
+            drop: self.happens(plan.drop),
+            duplicate: self.happens(plan.duplicate),
+            corrupt: self.happens(plan.corrupt),
             bit: self.random.u64(..),
-            delay: self.strikes(plan.delay),
-            reorder: self.strikes(plan.reorder),
-            stall: request && self.strikes(plan.stall),
-            restart: request && self.strikes(plan.restart),
-            inhibit: request && self.strikes(plan.inhibit),
-            wrong_id: !request && self.strikes(plan.wrong_id),
-            split: stream && self.strikes(plan.split),
-            cut: stream && !request && self.strikes(plan.cut),
+            delay: self.happens(plan.delay),
+            reorder: self.happens(plan.reorder),
+            stall: request && self.happens(plan.stall),
+            restart: request && self.happens(plan.restart),
+            inhibit: request && self.happens(plan.inhibit),
+            wrong_id: !request && self.happens(plan.wrong_id),
+            split: stream && self.happens(plan.split),
+            cut: stream && !request && self.happens(plan.cut),
         }
     }
 }
@@ -234,11 +227,11 @@ impl Lane {
 /// The state of the drive when a request arrives.
 enum Met {
     /// A drive that receives.
-    Listening,
+    Receiving,
     /// A drive that receives nothing for a while.
     Deaf,
     /// A drive with this fault.
-    Struck(Blow),
+    Faulty(DriveFault),
 }
 
 impl Injector {
@@ -269,6 +262,11 @@ impl Injector {
         }
     }
 
+    /// Replies may have a wrong identity.
+    pub(super) fn mislabels(&self) -> bool {
+        self.plan.wrong_id > 0.0
+    }
+
     /// The counts so far.
     pub fn injected(&self) -> Injected {
         self.injected
@@ -288,23 +286,23 @@ impl Injector {
         mut datagram: Datagram<'_>,
         mislabel: impl FnOnce(&mut [u8]),
         queue: &mut Queue,
-    ) -> Option<Blow> {
+    ) -> Option<DriveFault> {
         let stream = self.carrier == Carrier::Stream;
         let lot = self.lanes[way as usize].draw(&self.plan, way, self.carrier);
-        let met = if way == Way::Request { self.meets(now, &lot) } else { Met::Listening };
-        let blow = match met {
-            Met::Listening => None,
+        let met = if way == Way::Request { self.meets(now, &lot) } else { Met::Receiving };
+        let fault = match met {
+            Met::Receiving => None,
             Met::Deaf if stream => {
                 due = due.max(self.stalled_until);
                 None
             }
             Met::Deaf => return None,
-            Met::Struck(Blow::Restart) => return Some(Blow::Restart),
-            Met::Struck(blow) => Some(blow),
+            Met::Faulty(DriveFault::Restart) => return Some(DriveFault::Restart),
+            Met::Faulty(fault) => Some(fault),
         };
         if lot.drop {
             self.injected.dropped += 1;
-            return blow;
+            return fault;
         }
         if lot.wrong_id && !stream {
             datagram.from = wrong_port(datagram.from);
@@ -330,7 +328,7 @@ impl Injector {
             }
         }
         self.enqueue(way, due, parcel, &lot, queue);
-        blow
+        fault
     }
 
     /// Sends a signal of a stream, to arrive at `due`, or after the parcels under way in its direction.
@@ -351,7 +349,7 @@ impl Injector {
         }
         if lot.restart {
             injected.restarts += 1;
-            return Met::Struck(Blow::Restart);
+            return Met::Faulty(DriveFault::Restart);
         }
         if lot.stall {
             injected.stalls += 1;
@@ -361,9 +359,9 @@ impl Injector {
         }
         if lot.inhibit {
             injected.inhibits += 1;
-            return Met::Struck(Blow::Inhibit(now + self.plan.inhibit_ns));
+            return Met::Faulty(DriveFault::Inhibit(now + self.plan.inhibit_ns));
         }
-        Met::Listening
+        Met::Receiving
     }
 
     /// Puts `parcel` into `queue`, with the faults drawn for it, or holds it back.
@@ -607,9 +605,9 @@ mod tests {
             if n < u64::from(count) {
                 let (from, to) = if way == Way::Request { (MASTER, DRIVE) } else { (DRIVE, MASTER) };
                 let bytes = &n.to_le_bytes();
-                let blow =
+                let fault =
                     injector.pass(way, now, now, Datagram { from, to, bytes }, <[u8]>::reverse, &mut queue);
-                restarts += u64::from(blow == Some(Blow::Restart));
+                restarts += u64::from(fault == Some(DriveFault::Restart));
             }
             while let Some((due, parcel)) = queue.pop(now) {
                 arrived.push((due.0, parcel.from, parcel.bytes.clone()));

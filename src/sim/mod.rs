@@ -6,13 +6,13 @@
 //! | `fault` | seeded fault injection |
 //! | `wire` | a segment and the faults of its wire |
 //! | `serial` | drives on one serial wire, and the faults of that |
-//! | `said` | what a drive sends unasked |
+//! | `drives` | drives with an address of their own, their sockets and clocks |
 //! | `server` | the threads that serve simulated drives and segments on real sockets |
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
+mod drives;
 pub mod fault;
 pub mod physics;
-mod said;
 pub mod serial;
 pub mod server;
 #[cfg(test)]
@@ -111,23 +111,6 @@ pub trait SimDrive: Send {
 
     /// Its hardware enable (STO) is open until then: power goes off, and does not come on.
     fn inhibit(&mut self, until: Time);
-}
-
-/// All sockets of a drive, by their numbers.
-fn sockets(drive: &dyn SimDrive) -> std::io::Result<Vec<(Carrier, SocketAddrV4)>> {
-    let mut sockets = vec![(drive.carrier(), drive.address())];
-    sockets.extend(drive.more_sockets());
-    if sockets.iter().filter(|(carrier, _)| *carrier == Carrier::Stream).count() > 1 {
-        let message = format!("the simulated drive at {} has more than one stream", drive.address());
-        return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, message));
-    }
-    Ok(sockets)
-}
-
-/// The faults of a socket: those of each have a seed of their own.
-fn faults(drive: &dyn SimDrive, socket: usize) -> FaultPlan {
-    let faults = drive.faults();
-    FaultPlan { seed: faults.seed.wrapping_add(socket as u64), ..faults }
 }
 
 /// The true state of a simulated drive, whatever it reports and whatever its master knows.

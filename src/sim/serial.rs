@@ -8,8 +8,8 @@ use std::any::Any;
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::fault::{Blow, Datagram, Injected, Injector, Parcel, Queue, Way};
-use super::said::SHORTEST_RUN_NS;
+use super::drives::SHORTEST_RUN_NS;
+use super::fault::{Datagram, DriveFault, Injected, Injector, Parcel, Queue, Way};
 use super::{Carrier, FaultPlan};
 use crate::net::SerialLine;
 use crate::time::Time;
@@ -231,14 +231,14 @@ impl Medium {
 
     /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there
     /// is nothing.
-    pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, &Parcel)) -> bool {
+    pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, Way, &Parcel)) -> bool {
         let Some(due) = self.next_due().filter(|due| *due <= now) else { return false };
         if let Some(k) = self.sending.iter().position(|sending| self.end(sending) <= due) {
             self.deliver(due);
             let sending = self.sending.swap_remove(k);
             self.ended(due, &sending);
         } else if let Some((_, parcel)) = self.under_way[Way::Request as usize].pop(due) {
-            passed(due, &parcel);
+            passed(due, Way::Request, &parcel);
             self.wire.drives.iter_mut().for_each(|drive| drive.receive(due, &parcel.bytes));
             self.under_way[Way::Request as usize].recycle(parcel);
         } else if let Some((_, mut parcel)) = self.under_way[Way::Reply as usize].pop(due) {
@@ -248,7 +248,7 @@ impl Medium {
             {
                 drive.mislabel(&mut parcel.bytes);
             }
-            passed(due, &parcel);
+            passed(due, Way::Reply, &parcel);
             self.begin(due, by, parcel.bytes.clone());
             self.under_way[Way::Reply as usize].recycle(parcel);
         } else if let Some((_, k)) = self.drive_due() {
@@ -284,14 +284,12 @@ impl Medium {
     fn pass(&mut self, way: Way, now: Time, by: usize, bytes: &[u8]) {
         let telegram = Datagram { from: address(by), to: address(MASTER), bytes };
         let queue = &mut self.under_way[way as usize];
-        let blow = self.injector.pass(way, now, now, telegram, |_| {}, queue);
-        let injected = self.injector.injected();
-        let count = self.wire.drives.len().max(1);
-        let nth = |number: u64| number.saturating_sub(1) as usize % count;
-        match blow {
-            Some(Blow::Restart) => self.restart(now, nth(injected.restarts)),
-            Some(Blow::Inhibit(until)) => self.inhibit(nth(injected.inhibits), until),
-            None => {}
+        let fault = self.injector.pass(way, now, now, telegram, |_| {}, queue);
+        let Some(fault) = fault else { return };
+        let place = fault.place(self.injector.injected(), self.wire.drives.len());
+        match fault {
+            DriveFault::Restart => self.restart(now, place),
+            DriveFault::Inhibit(until) => self.inhibit(place, until),
         }
     }
 

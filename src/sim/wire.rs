@@ -2,7 +2,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::fault::{Datagram, Injected, Injector, Parcel, Queue, Way};
+use super::fault::{Datagram, DriveFault, Injected, Injector, Parcel, Queue, Way};
 use super::{FaultPlan, SimLine};
 use crate::time::Time;
 
@@ -54,9 +54,12 @@ impl Wire {
             Way::Reply => (LINE, MASTER),
         };
         let frame = Datagram { from, to, bytes };
-        let blow = self.injector.pass(way, now, due, frame, |_| {}, &mut self.under_way[way as usize]);
-        if let Some(blow) = blow {
-            blow.strike_line(now, &mut *self.line, self.injector.injected());
+        let fault = self.injector.pass(way, now, due, frame, |_| {}, &mut self.under_way[way as usize]);
+        let Some(fault) = fault else { return };
+        let place = fault.place(self.injector.injected(), self.line.slaves());
+        match fault {
+            DriveFault::Restart => self.line.restart(now, place),
+            DriveFault::Inhibit(until) => self.line.inhibit(place, until),
         }
     }
 

@@ -8,18 +8,14 @@
 //! | file | what |
 //! |---|---|
 //! | `clock` | its clock |
-//! | `drives` | the drives and their sockets |
 //! | `datagrams` | datagrams from carrier to drive and back |
 //! | `streams` | connections |
-//! | `sessions` | connections that stay outside the loop |
 //! | `lines` | segments, and their frames |
 //! | `wires` | serial wires, and their bytes |
 
 mod clock;
 mod datagrams;
-mod drives;
 mod lines;
-mod sessions;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -34,15 +30,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub use self::clock::WorldClock;
 
 use self::datagrams::{Port, Socket};
-use self::drives::Drives;
 use self::lines::Lines;
 use self::streams::Links;
 use self::wires::Wires;
-use super::fault::{Blow, Datagram, Injected, Parcel, Queue, Signal};
+use super::drives::Drives;
+use super::fault::{Datagram, DriveFault, Injected, Parcel, Queue};
 use super::{Carrier, FaultPlan, Simulated};
 use crate::net::{
-    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, SessionPeer,
-    Sessions, StreamPeer, Streams, UdpOptions,
+    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, StreamPeer,
+    Streams, UdpOptions,
 };
 use crate::rt::{Clock, PollSet, Regions};
 use crate::time::Time;
@@ -101,13 +97,12 @@ impl World {
             hold_up_ns: 0,
             suspended_ns: 0,
             options,
-            drives: Drives::new(drives)?,
+            drives: Drives::new(drives, |address, _| taken(address))?,
             ports: Vec::new(),
             links: Links::default(),
             lines: Lines::new(lines)?,
             wires: Wires::new(wires)?,
             under_way: Queue::new(UNDER_WAY),
-            reply: Vec::new(),
             digest: 0,
             delivered: 0,
         }))))
@@ -153,7 +148,9 @@ impl World {
     /// sent on a connection wait until the cable is back or the connection is given up. False if there is no such
     /// drive.
     pub fn unplug(&self, address: SocketAddrV4) -> bool {
-        self.lock().drives.unplug(address)
+        let mut inner = self.lock();
+        let drive = inner.drives.at(address);
+        drive.map(|drive| inner.drives.units[drive].plugged = false).is_some()
     }
 
     /// Plugs the network cable in again. False if there is no such drive.
@@ -168,14 +165,14 @@ impl World {
     pub fn restart(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
         let drive = inner.drives.at(address);
-        drive.map(|drive| inner.strike(drive, Some(Blow::Restart))).is_some()
+        drive.map(|drive| inner.inject(drive, Some(DriveFault::Restart))).is_some()
     }
 
     /// Opens the hardware enable (STO) of the drive at `address` for `ns`. False if there is no such drive.
     pub fn inhibit(&self, address: SocketAddrV4, ns: u64) -> bool {
         let mut inner = self.lock();
         let (until, drive) = (inner.now + ns, inner.drives.at(address));
-        drive.map(|drive| inner.strike(drive, Some(Blow::Inhibit(until)))).is_some()
+        drive.map(|drive| inner.inject(drive, Some(DriveFault::Inhibit(until)))).is_some()
     }
 
     /// What passes the drive's socket at `address` has the faults of `plan` from now on; its counters restart. False if
@@ -230,10 +227,6 @@ impl Carriers for World {
         Ok(Box::new(self.open_streams(peers)))
     }
 
-    fn sessions(&self, peers: Vec<SessionPeer>) -> io::Result<Sessions> {
-        Ok(self.open_sessions(peers))
-    }
-
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
         Ok(Box::new(self.open_serial(port, line)?))
     }
@@ -260,7 +253,6 @@ struct Inner {
     lines: Lines,
     wires: Wires,
     under_way: Queue,
-    reply: Vec<u8>,
     digest: u64,
     delivered: u64,
 }
@@ -269,7 +261,7 @@ impl std::fmt::Debug for Inner {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Inner")
             .field("now", &self.now)
-            .field("drives", &self.drives.count())
+            .field("drives", &self.drives.units.len())
             .field("delivered", &self.delivered)
             .field("digest", &self.digest)
             .finish_non_exhaustive()
@@ -298,7 +290,7 @@ impl Inner {
             self.now = self.now.max(due);
             if let Some((_, parcel)) = self.under_way.pop(due) {
                 self.deliver(parcel);
-            } else if !self.deliver_frame(due) && !self.pass_wires(due) && !self.run_drives() {
+            } else if !self.deliver_frame(due) && !self.pass_wires(due) && !self.run_drive() {
                 self.ring();
             }
         }
@@ -318,12 +310,7 @@ impl Inner {
         } else if parcel.to.ip().is_multicast() {
             self.take_in_group(parcel)
         } else if let Some(index) = self.drives.station(parcel.carrier, parcel.to) {
-            if self.drives.stations[index].carrier == Carrier::Datagrams && parcel.signal == Signal::Bytes {
-                self.serve(index, &parcel);
-                Some(parcel)
-            } else {
-                self.hear(index, parcel)
-            }
+            self.receive(index, parcel)
         } else {
             self.arrive(parcel)
         };

@@ -1,14 +1,12 @@
-//! What holds in every interleaving: of two writes and readers of a cell, of an application that posts, cancels and
-//! polls calls while the loop takes and ends them, and of threads that wake the link thread.
+//! What holds in every interleaving: of two writes and readers of a cell, and of an application that posts, cancels and
+//! polls calls while the loop takes and ends them.
 
 use std::time::Duration;
 
 use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
 use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
 use fieldbeat_loom::calls;
-use fieldbeat_loom::pending::Pending;
-use loom::sync::atomic::{AtomicU64, Ordering};
-use loom::sync::{Arc, Notify};
+use loom::sync::Arc;
 use loom::thread;
 
 /// As many words as it takes to be torn.
@@ -177,32 +175,5 @@ fn what_ended_before_the_master_did_is_not_lost() {
         assert_eq!(end(&mut ticket), Ok(7));
         executor.join().unwrap();
         assert!(acyclic.post(Call::default(), Duration::ZERO).is_err());
-    });
-}
-
-#[test]
-fn the_link_thread_sees_everything_that_was_posted_however_few_wake_ups_there_were() {
-    bounded(3, || {
-        // A post synchronises nothing by itself. The notification stands for the eventfd.
-        let posts = Arc::new([AtomicU64::new(0), AtomicU64::new(0)]);
-        let (pending, event) = (Arc::new(Pending::new()), Arc::new(Notify::new()));
-        let poster = |k: usize| {
-            let (posts, pending, event) = (Arc::clone(&posts), Arc::clone(&pending), Arc::clone(&event));
-            thread::spawn(move || {
-                posts[k].store(1, Ordering::Relaxed);
-                if pending.set() {
-                    event.notify();
-                }
-            })
-        };
-        let posters = [poster(0), poster(1)];
-        let mut seen = 0;
-        while seen < 2 {
-            event.wait();
-            if pending.clear() {
-                seen = posts.iter().map(|post| post.load(Ordering::Relaxed)).sum();
-            }
-        }
-        posters.into_iter().for_each(|poster| poster.join().unwrap());
     });
 }

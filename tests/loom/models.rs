@@ -1,5 +1,4 @@
-//! The feedback cell, the acyclic queue and the wake-up of the link thread, built with the primitives of a model
-//! checker.
+//! The feedback cell and the acyclic queue, built with the primitives of a model checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
 //! access is a point at which another thread may run, and there is no memory to be locked.
@@ -42,8 +41,6 @@ pub mod axis {
 }
 #[path = "../../src/errors.rs"]
 mod errors;
-#[path = "../../src/net/link/pending.rs"]
-pub mod pending;
 #[path = "../../src/time.rs"]
 pub mod time;
 

@@ -1,11 +1,12 @@
 //! The connections of one carrier on the link thread: their sockets, each opened, initialised, handed to the loop,
-//! taken back and closed; or kept, for a session. [`Connection`] says when to do what.
+//! taken back and closed; or kept, for a session. So is a serial port. [`Connection`] says when to do what.
 
-use std::mem::take;
+use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixStream};
 use std::sync::Arc;
-use std::task::{Wake, Waker};
 
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
@@ -16,11 +17,10 @@ use nix::sys::socket::{
 use rtrb::{Consumer, Producer};
 
 use super::connection::{Action, Connection};
-use super::peer::{Peer, Target};
-use super::pending::Pending;
-use super::thread::{Bell, Duty, Hand, LinkThread, Shared};
-use crate::net::session::Sessions;
-use crate::net::stream::{Broken, LinkNotes};
+use super::thread::{Bell, Duty, Hand, LinkThread};
+use crate::net::serial::SerialLine;
+use crate::net::stream::{Broken, LinkNotes, StreamPeer};
+use crate::net::{local, set_option, tty};
 use crate::rt::{self, MonotonicClock, Regions};
 use crate::time::{MS, Time};
 
@@ -61,8 +61,6 @@ pub(in crate::net) struct Ends {
     pub opened: Consumer<Opened>,
     pub given_back: Producer<GivenBack>,
     pub notes: LinkNotes,
-    /// Wake the sessions.
-    pub wakers: Vec<Waker>,
     /// The memory of the rings.
     pub regions: Regions,
     pub bell: Bell,
@@ -70,60 +68,30 @@ pub(in crate::net) struct Ends {
 
 impl LinkThread {
     /// Begins to open connections to `peers`, and keeps them open until the ends are dropped.
-    pub fn carry(self: &Arc<Self>, peers: Vec<Peer>) -> Ends {
+    pub fn carry(self: &Arc<Self>, peers: Vec<StreamPeer>) -> Ends {
+        let (now, notes) = (MonotonicClock::read(), LinkNotes::new(peers.len()));
+        let new = |(index, peer)| Line::new(Connection::new(now, peer, notes.clone(), index), None);
+        let lines = peers.into_iter().enumerate().map(new).collect();
+        self.carry_lines(lines, notes)
+    }
+
+    /// The same for serial port `path`.
+    pub fn carry_port(self: &Arc<Self>, path: &str, line: SerialLine) -> Ends {
+        let notes = LinkNotes::new(1);
+        let connection = Connection::of_port(MonotonicClock::read(), path, notes.clone());
+        self.carry_lines(vec![Line::new(connection, Some((path.to_owned(), line)))], notes)
+    }
+
+    fn carry_lines(self: &Arc<Self>, lines: Vec<Line>, notes: LinkNotes) -> Ends {
+        let mut regions = Regions::new();
         // Each connection is in one place at a time, so that neither ring is ever full.
-        let (count, mut regions) = (peers.len(), Regions::new());
-        let (opened, ready) = rt::memory::ring(count, &mut regions);
-        let (given_back, back) = rt::memory::ring(count, &mut regions);
+        let (opened, ready) = rt::memory::ring(lines.len(), &mut regions);
+        let (given_back, back) = rt::memory::ring(lines.len(), &mut regions);
         // What the loop touches to wake the thread.
         regions.add(&**self);
         regions.add(&**self.shared());
-        let (now, notes) = (MonotonicClock::read(), LinkNotes::new(count));
-        let posts: Vec<_> = peers.iter().map(|_| Arc::new(Post::new(self.shared()))).collect();
-        posts.iter().for_each(|post| regions.add(&**post));
-        let lines = peers.into_iter().zip(&posts).enumerate().map(|(index, (peer, post))| Line {
-            connection: Connection::new(now, peer, notes.clone(), index),
-            post: Arc::clone(post),
-            socket: None,
-            interest: EpollFlags::empty(),
-        });
-        self.add(Box::new(Connections { lines: lines.collect(), opened, back }));
-        let wakers = posts.into_iter().map(Waker::from).collect();
-        Ends { opened: ready, given_back, notes, wakers, regions, bell: Bell::new(self) }
-    }
-}
-
-impl Ends {
-    /// The loop's side of a carrier with sessions only.
-    pub fn sessions(mut self) -> Sessions {
-        let (wakers, regions) = (take(&mut self.wakers), take(&mut self.regions));
-        Sessions::new(wakers, self.notes.clone(), self.bell.ended(), regions, Box::new(self))
-    }
-}
-
-/// The post of one session: wakes the thread for it.
-#[derive(Debug)]
-struct Post {
-    pending: Pending,
-    /// Not the thread itself: who may post something does not keep it alive.
-    shared: Arc<Shared>,
-}
-
-impl Post {
-    fn new(shared: &Arc<Shared>) -> Post {
-        Post { pending: Pending::new(), shared: Arc::clone(shared) }
-    }
-}
-
-impl Wake for Post {
-    fn wake(self: Arc<Self>) {
-        self.wake_by_ref();
-    }
-
-    fn wake_by_ref(self: &Arc<Self>) {
-        if self.pending.set() {
-            self.shared.wake_up();
-        }
+        self.add(Box::new(Connections { lines, opened, back }));
+        Ends { opened: ready, given_back, notes, regions, bell: Bell::new(self) }
     }
 }
 
@@ -147,8 +115,8 @@ impl Duty for Connections {
         self.follow(index, action, now, hand);
     }
 
-    /// Handles returned connections, sessions that were woken, and what is due. False if the carrier is gone.
-    fn turn(&mut self, hand: &mut Hand<'_>) -> bool {
+    /// Handles returned connections, sessions if they were woken, and what is due. False if the carrier is gone.
+    fn turn(&mut self, woken: bool, hand: &mut Hand<'_>) -> bool {
         let now = MonotonicClock::read();
         // Read first: connections returned before it disappeared are still closed in order.
         let gone = self.back.is_abandoned();
@@ -160,8 +128,8 @@ impl Duty for Connections {
         }
         if !gone {
             for index in 0..self.lines.len() {
-                if self.lines[index].post.pending.clear() {
-                    let action = self.lines[index].connection.woken(now);
+                if woken {
+                    let action = self.lines[index].connection.run(now);
                     self.follow(index, action, now, hand);
                 }
                 let action = self.lines[index].connection.poll(now);
@@ -183,11 +151,9 @@ impl Connections {
                 Action::Connect => line.connect(now, epoll, token),
                 Action::Send => line.send(now, epoll, token),
                 Action::Close => return line.close(),
-                // What was sent before arrives, or TCP_USER_TIMEOUT ends it.
-                Action::End => return line.socket = None,
                 Action::HandOver => {
                     if let Some(socket) = line.socket.take() {
-                        // Only the loop watches it from now on. It was watched here, so that this cannot fail.
+                        // Only the loop watches it from now on. A port was not watched here.
                         let _ = epoll.delete(&socket);
                         // Never full: see `carry`.
                         let _ = self.opened.push(Opened { index, socket });
@@ -203,8 +169,8 @@ impl Connections {
 #[derive(Debug)]
 struct Line {
     connection: Connection,
-    /// Wakes its session.
-    post: Arc<Post>,
+    /// A serial port with its settings.
+    port: Option<(String, SerialLine)>,
     /// While it is this thread's.
     socket: Option<OwnedFd>,
     /// The events waited for on it.
@@ -212,7 +178,21 @@ struct Line {
 }
 
 impl Line {
+    fn new(connection: Connection, port: Option<(String, SerialLine)>) -> Line {
+        Line { connection, port, socket: None, interest: EpollFlags::empty() }
+    }
+
     fn connect(&mut self, now: Time, epoll: &Epoll, token: u64) -> Action {
+        if let Some((path, line)) = &self.port {
+            return match open_port(path, line) {
+                Ok(port) => {
+                    self.socket = Some(port);
+                    self.connection.connected(now)
+                }
+                // By now: a driver may have taken its time.
+                Err(error) => self.connection.refused(MonotonicClock::read(), error.to_string()),
+            };
+        }
         match self.begin(epoll, token) {
             Ok(true) => self.connection.connected(now),
             Ok(false) => Action::Wait,
@@ -222,9 +202,9 @@ impl Line {
 
     /// Opens a socket that begins to connect; true if it is connected already.
     fn begin(&mut self, epoll: &Epoll, token: u64) -> nix::Result<bool> {
-        let target = self.connection.target();
-        let socket = self.socket.insert(open(target)?);
-        let connected = match connect(socket.as_raw_fd(), &SockaddrIn::from(target.address)) {
+        let peer = self.connection.peer();
+        let socket = self.socket.insert(open(peer)?);
+        let connected = match connect(socket.as_raw_fd(), &SockaddrIn::from(peer.address)) {
             Ok(()) => true,
             Err(Errno::EINPROGRESS) => false,
             Err(errno) => return Err(errno),
@@ -276,7 +256,14 @@ impl Line {
     /// Closes the socket with a reset. An orderly end would go on delivering earlier bytes: an outdated setpoint,
     /// once the cable is back.
     fn close(&mut self) {
-        if let Some(socket) = self.socket.take() {
+        let Some(socket) = self.socket.take() else { return };
+        if let Some((path, _)) = &self.port {
+            if local::name(path).is_none() {
+                // Otherwise the driver's close waits for what is not sent, up to 30 s.
+                tty::flush(&socket);
+                tty::release(&socket);
+            }
+        } else {
             // Without it the end is an orderly one, and TCP_USER_TIMEOUT bounds it.
             let _ = setsockopt(&socket, sockopt::Linger, &libc::linger { l_onoff: 1, l_linger: 0 });
         }
@@ -284,7 +271,7 @@ impl Line {
 }
 
 /// A socket that never waits, with what a cyclic exchange needs.
-fn open(target: &Target) -> nix::Result<OwnedFd> {
+fn open(peer: &StreamPeer) -> nix::Result<OwnedFd> {
     let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
     let socket = socket(AddressFamily::Inet, SockType::Stream, flags, None)?;
     // A request leaves at once, not when the one before it is acknowledged (Nagle).
@@ -295,24 +282,40 @@ fn open(target: &Target) -> nix::Result<OwnedFd> {
     setsockopt(&socket, sockopt::TcpKeepCount, &KEEPALIVE_COUNT)?;
     // A cable that is out for longer breaks the connection, instead of a quarter of an hour later (tcp(7)). 0 would
     // mean exactly that.
-    let unacknowledged_ms = u32::try_from(target.unacknowledged_ns / MS).unwrap_or(u32::MAX).max(1);
+    let unacknowledged_ms = u32::try_from(peer.unacknowledged_ns / MS).unwrap_or(u32::MAX).max(1);
     setsockopt(&socket, sockopt::TcpUserTimeout, &unacknowledged_ms)?;
-    let repeated_us = REPEATED_US;
-    // SAFETY: the kernel reads one integer, which outlives the call. An older kernel refuses the option: it is none the
-    // worse for that.
-    unsafe {
-        libc::setsockopt(
-            socket.as_raw_fd(),
-            libc::IPPROTO_TCP,
-            TCP_RTO_MIN_US,
-            (&raw const repeated_us).cast(),
-            size_of_val(&repeated_us) as libc::socklen_t,
-        );
-    }
-    if let Some(own) = target.bind {
+    // An older kernel refuses the option: it is none the worse for that.
+    let _ = set_option(&socket, libc::IPPROTO_TCP, TCP_RTO_MIN_US, REPEATED_US);
+    if let Some(own) = peer.bind {
         // The port is chosen when the peer is known: many connections share the host's ports (ip(7)).
         setsockopt(&socket, sockopt::IpBindAddressNoPort, &true)?;
         bind(socket.as_raw_fd(), &SockaddrIn::from(SocketAddrV4::new(own, 0)))?;
     }
     Ok(socket)
+}
+
+fn open_port(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
+    match local::name(path) {
+        Some(name) => local_wire(name),
+        None => tty::open(path, line),
+    }
+}
+
+/// The address of a simulated wire of this host: no rights, nothing in the file system.
+pub(crate) fn local_address(name: &str) -> io::Result<SocketAddr> {
+    SocketAddr::from_abstract_name(format!("fieldbeat-serial/{name}"))
+}
+
+/// A connection to a simulated wire.
+fn local_wire(name: &str) -> io::Result<OwnedFd> {
+    let connected = local_address(name).and_then(|address| UnixStream::connect_addr(&address));
+    let stream = connected.map_err(|error| match error.raw_os_error() {
+        Some(libc::ECONNREFUSED) => {
+            let message = format!("nobody simulates the wire {}{name}: start `fieldbeat sim`", local::PREFIX);
+            io::Error::new(error.kind(), message)
+        }
+        _ => error,
+    })?;
+    stream.set_nonblocking(true)?;
+    Ok(stream.into())
 }

@@ -9,6 +9,7 @@ use std::fmt;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Wake, Waker};
 use std::thread::{Builder, JoinHandle};
 
 use nix::errno::Errno;
@@ -45,9 +46,9 @@ impl Bell {
         self.0.shared.gone.load(Ordering::Relaxed)
     }
 
-    /// That flag.
-    pub fn ended(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.0.shared.gone)
+    /// Makes the sessions run. It does not keep the thread alive.
+    pub fn waker(&self) -> Waker {
+        Arc::clone(&self.0.shared).into()
     }
 }
 
@@ -69,7 +70,9 @@ pub(super) struct Shared {
     /// The thread is to end.
     ended: AtomicBool,
     /// It has ended, requested or not.
-    gone: Arc<AtomicBool>,
+    gone: AtomicBool,
+    /// The sessions are to run: something was posted to one.
+    woken: AtomicBool,
     arrivals: Mutex<Vec<Box<dyn Duty>>>,
 }
 
@@ -86,6 +89,13 @@ impl Shared {
     }
 }
 
+impl Wake for Shared {
+    fn wake(self: Arc<Self>) {
+        self.woken.store(true, Ordering::Release);
+        self.wake_up();
+    }
+}
+
 /// The work of the thread for one carrier.
 pub(super) trait Duty: Send {
     /// When time alone makes something happen next.
@@ -94,8 +104,8 @@ pub(super) trait Duty: Send {
     /// Descriptor `index` of this carrier is ready.
     fn happened(&mut self, index: usize, events: EpollFlags, hand: &mut Hand<'_>);
 
-    /// Looks at its queues and at the time, after each wait. False: the loop's side is gone, and with it this.
-    fn turn(&mut self, hand: &mut Hand<'_>) -> bool;
+    /// Looks at its queues and at the time, after each wait; `woken`: and at those of its sessions. False: the loop's side is gone, and with it this.
+    fn turn(&mut self, woken: bool, hand: &mut Hand<'_>) -> bool;
 }
 
 /// The thread's tools, in the hand of one carrier.
@@ -123,7 +133,8 @@ impl LinkThread {
         let shared = Arc::new(Shared {
             bell,
             ended: AtomicBool::new(false),
-            gone: Arc::default(),
+            gone: AtomicBool::new(false),
+            woken: AtomicBool::new(false),
             arrivals: Mutex::default(),
         });
         let end = Gone(Arc::clone(&shared));
@@ -204,8 +215,12 @@ impl Worker {
                 return;
             }
             self.take_in();
+            // Behind the read, too. Whoever sets it has written to his queue before, so that the sessions see that.
+            let woken = self.shared.woken.swap(false, Ordering::AcqRel);
             let Worker { epoll, bytes, duties, .. } = self;
-            duties.retain_mut(|(id, duty)| duty.turn(&mut Hand { epoll, bytes: &mut bytes[..], id: *id }));
+            duties.retain_mut(|(id, duty)| {
+                duty.turn(woken, &mut Hand { epoll, bytes: &mut bytes[..], id: *id })
+            });
         }
     }
 

@@ -2,8 +2,7 @@
 
 use std::net::SocketAddrV4;
 
-use super::peer::Target;
-use crate::net::stream::Broken;
+use crate::net::stream::{Broken, StreamPeer};
 use crate::time::Ns;
 
 /// When a connection broke.
@@ -28,11 +27,7 @@ pub(super) fn no_greeting(peer: SocketAddrV4, waited_ns: u64) -> String {
     )
 }
 
-pub(super) fn no_end(peer: SocketAddrV4, waited_ns: u64) -> String {
-    format!("{peer} did not take the end of its session within {}: look at the cable", Ns(waited_ns))
-}
-
-pub(super) fn broken(target: &Target, why: Broken, when: During) -> String {
+pub(super) fn broken(target: &StreamPeer, why: Broken, when: During) -> String {
     let peer = target.address;
     match why {
         Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE) | Broken::Absent

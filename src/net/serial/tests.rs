@@ -5,10 +5,12 @@ use std::path::PathBuf;
 
 use super::testing::Pty;
 use super::*;
+use crate::net::link::LinkThread;
 use crate::net::link::tests::{descriptors, until};
+use crate::net::tcp::Tcp;
 use crate::net::{Carriers, Os};
 use crate::rt::testing::in_own_process;
-use crate::rt::{Clock, PollSet};
+use crate::rt::{Clock, MonotonicClock, PollSet, Regions};
 
 const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even };
 
@@ -19,7 +21,7 @@ fn open(path: &str) -> Box<dyn Serial> {
 }
 
 fn opened(port: &mut dyn Serial) {
-    until("opened", || port.opened());
+    until("opened", || port.opened() == Some(0));
     assert!(port.fd().is_some());
 }
 
@@ -28,7 +30,7 @@ fn receive(port: &mut dyn Serial, count: usize) -> Vec<u8> {
     let mut got = Vec::new();
     until("received", || {
         let mut room = [0; 7];
-        while let Some((_, length)) = port.receive(&mut room).unwrap() {
+        while let Some((_, length)) = port.receive(0, &mut room).unwrap() {
             got.extend_from_slice(&room[..length]);
         }
         got.len() >= count
@@ -39,7 +41,7 @@ fn receive(port: &mut dyn Serial, count: usize) -> Vec<u8> {
 fn broken(port: &mut dyn Serial) -> Broken {
     let mut broken = None;
     until("broken", || {
-        broken = port.receive(&mut [0; 8]).err();
+        broken = port.receive(0, &mut [0; 8]).err();
         broken.is_some()
     });
     broken.unwrap()
@@ -63,16 +65,16 @@ fn every_byte_passes_as_it_is_and_wakes_the_waiting() {
     let mut port = open(&pty.path);
     let all: Vec<u8> = (0..=255).collect();
     let before = MonotonicClock::read();
-    let (at, count) = port.send(&all).unwrap();
+    let (at, count) = port.send(0, &all).unwrap();
     assert!(before <= at && at <= MonotonicClock::read() && count == 256);
     pty.expect(&all);
-    assert_eq!(port.receive(&mut [0; 8]), Ok(None));
+    assert_eq!(port.receive(0, &mut [0; 8]), Ok(None));
     pty.end.write_all(&all).unwrap();
     let mut set = PollSet::default();
     set.fill(port.fd());
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
     assert_eq!(receive(&mut *port, 256), all);
-    assert_eq!(port.receive(&mut []), Ok(None));
+    assert_eq!(port.receive(0, &mut []), Ok(None));
     until("all sent", || port.unsent() == Ok(0));
 }
 
@@ -108,7 +110,7 @@ fn what_the_driver_does_not_take_is_counted_and_continued_in_order() {
     let mut got = vec![0; bytes.len()];
     let mut place = 0;
     while sent < bytes.len() {
-        match port.send(&bytes[sent..]).unwrap() {
+        match port.send(0, &bytes[sent..]).unwrap() {
             (_, 0) => {
                 refused += 1;
                 place += pty.end.read(&mut got[place..]).unwrap();
@@ -145,11 +147,14 @@ fn a_port_in_use_is_said_to_be_and_is_opened_once_it_is_free() {
         format!("{0} is in use by another program: end it (fuser -v {0} shows which)", pty.path)
     );
     assert_eq!(
-        (second.opened(), second.send(b"x"), second.unsent()),
-        (false, Err(Broken::Absent), Err(Broken::Absent))
+        (second.opened(), second.send(0, b"x"), second.unsent()),
+        (None, Err(Broken::Absent), Err(Broken::Absent))
     );
-    assert_eq!((second.receive(&mut [0; 4]), second.discard()), (Err(Broken::Absent), Err(Broken::Absent)));
-    second.abandon("it was never there");
+    assert_eq!(
+        (second.receive(0, &mut [0; 4]), second.discard()),
+        (Err(Broken::Absent), Err(Broken::Absent))
+    );
+    second.abandon(0, "it was never there");
     drop(first);
     opened(&mut *second);
     assert_eq!(notes.get(0), None);
@@ -171,8 +176,8 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
     for round in 0..5 {
         let mut pty = Pty::new().at(&link);
         opened(&mut *port);
-        assert_eq!(port.receive(&mut [0; 8]), Ok(None), "round {round}: nothing of the old one is left");
-        port.send(b"request").unwrap();
+        assert_eq!(port.receive(0, &mut [0; 8]), Ok(None), "round {round}: nothing of the old one is left");
+        port.send(0, b"request").unwrap();
         pty.expect(b"request");
         pty.end.write_all(b"old").unwrap();
         // Unplugged before the answer is taken in, or after.
@@ -185,9 +190,9 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
         assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S), "a hang-up wakes");
         let why = broken(&mut *port);
         assert!(matches!(why, Broken::Closed | Broken::Failed(libc::EIO)), "{why:?}");
-        assert!(matches!(port.send(b"x"), Err(Broken::Failed(libc::EIO))));
-        port.abandon("it is unplugged");
-        assert_eq!((port.fd(), port.receive(&mut [0; 8])), (None, Err(Broken::Absent)));
+        assert!(matches!(port.send(0, b"x"), Err(Broken::Failed(libc::EIO))));
+        port.abandon(0, "it is unplugged");
+        assert_eq!((port.fd(), port.receive(0, &mut [0; 8])), (None, Err(Broken::Absent)));
     }
 }
 
@@ -202,7 +207,7 @@ fn a_port_that_is_dropped_at_any_moment_leaves_nothing_behind() {
                 0 => opened(&mut *port),
                 1 => {
                     opened(&mut *port);
-                    port.abandon("again");
+                    port.abandon(0, "again");
                 }
                 _ => {}
             }
@@ -219,7 +224,7 @@ fn a_port_that_is_dropped_at_any_moment_leaves_nothing_behind() {
 fn its_memory_is_named() {
     let pty = Pty::new();
     let thread = LinkThread::start(None).unwrap();
-    let port = Port::open(&thread, &pty.path, &LINE);
+    let port = Tcp::of_port(&thread, &pty.path, &LINE).unwrap();
     let mut regions = Regions::new();
     port.memory(&mut regions);
     assert!(regions.covers(std::slice::from_ref(&port)));

@@ -212,7 +212,7 @@ fn a_peer_may_change_from_one_send_to_the_next() {
 fn requests_carry_their_mark() {
     for (x, dscp, tos) in [(13, 0, 0), (14, 47, 0xBC), (15, 63, 0xFC)] {
         let udp = Udp::bind(address(x, 1), &UdpOptions { dscp, ..options(1, SendMode::Batch) }).unwrap();
-        assert_eq!(nix::sys::socket::getsockopt(&udp.socket, sockopt::Ipv4Tos).unwrap(), tos);
+        assert_eq!(nix::sys::socket::getsockopt(udp.socket(), sockopt::Ipv4Tos).unwrap(), tos);
     }
 }
 

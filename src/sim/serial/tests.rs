@@ -23,7 +23,7 @@ fn wire(numbers: &[u8]) -> SerialWire {
 /// Everything that is due by `now`.
 fn run(medium: &mut Medium, now: Time) -> usize {
     let mut passed = 0;
-    while medium.step(now, &mut |_, _| passed += 1) {}
+    while medium.step(now, &mut |_, _, _| passed += 1) {}
     passed
 }
 

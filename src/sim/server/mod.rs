@@ -6,7 +6,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `sockets` | a drive, its sockets and connections |
+//! | `sockets` | the sockets of a drive, and its connections |
 //! | `lines` | a segment and its socket |
 //! | `wires` | a serial wire and its port |
 //! | `service` | the work of the thread |
@@ -67,36 +67,29 @@ pub struct ConnectionStats {
     pub open: u64,
 }
 
-/// Exact counts of one segment behind a real socket.
+/// Exact counts of one segment behind a real socket, or of one serial wire behind a real port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LineStats {
-    /// The master's interface.
+    /// The master's interface or port.
     pub interface: String,
-    /// Frames that came to its socket, before any fault.
+    /// Frames that came to its socket, before any fault; on a serial wire, reads from the port.
     pub received: u64,
-    /// Frames handed to the kernel, after all faults.
+    /// Frames handed to the kernel, after all faults; on a serial wire, telegrams of its drives.
     pub answered: u64,
     /// Frames that no slave sent back: its cable is cut, or it does not forward them.
     pub lost: u64,
-    /// Frames that the kernel refused.
+    /// Frames that the kernel refused; on a serial wire, bytes at a time that it did not take, or that no master was
+    /// there for.
     pub unsent: u64,
     /// The faults that were injected.
     pub injected: Injected,
 }
 
-/// Exact counts of one serial wire behind a real port.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WireStats {
-    /// The master's port.
-    pub port: String,
-    /// Reads from it, before any fault.
-    pub received: u64,
-    /// Bytes handed to the kernel.
-    pub sent: u64,
-    /// Bytes that the kernel did not take, or that no master was there for.
-    pub unsent: u64,
-    /// The faults that were injected.
-    pub injected: Injected,
+impl LineStats {
+    fn new(interface: &str) -> LineStats {
+        let (interface, injected) = (interface.to_owned(), Injected::default());
+        LineStats { interface, received: 0, answered: 0, lost: 0, unsent: 0, injected }
+    }
 }
 
 /// Simulated drives, served until this is stopped or dropped.
@@ -104,7 +97,6 @@ pub struct WireStats {
 pub struct SimServer {
     stats: Arc<[Mutex<DriveStats>]>,
     lines: Arc<[Mutex<LineStats>]>,
-    wires: Arc<[Mutex<WireStats>]>,
     stop: Arc<EventFd>,
     thread: Option<JoinHandle<()>>,
     realtime: bool,
@@ -122,7 +114,7 @@ impl SimServer {
     pub fn start(simulated: impl Into<Simulated>, options: ServerOptions) -> io::Result<SimServer> {
         let stop = Arc::new(EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?);
         let mut service = Service::open(simulated.into(), &stop)?;
-        let Stats { drives: stats, lines, wires } = service.stats();
+        let Stats { drives: stats, lines } = service.stats();
         let (granted, answer) = crossbeam_channel::bounded(1);
         let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
             // Nobody receives the answer only if the start itself was given up.
@@ -130,7 +122,7 @@ impl SimServer {
             service.run();
         })?;
         let realtime = answer.recv().unwrap_or(false);
-        Ok(SimServer { stats, lines, wires, stop, thread: Some(thread), realtime })
+        Ok(SimServer { stats, lines, stop, thread: Some(thread), realtime })
     }
 
     /// Whether the thread runs under SCHED_FIFO on the core, as requested. Also false if no priority was requested.
@@ -143,14 +135,9 @@ impl SimServer {
         self.stats.iter().map(|stats| *lock(stats)).collect()
     }
 
-    /// The counts of each segment so far.
+    /// The counts of each segment so far, then those of each serial wire.
     pub fn lines(&self) -> Vec<LineStats> {
         self.lines.iter().map(|stats| lock(stats).clone()).collect()
-    }
-
-    /// The counts of each serial wire so far.
-    pub fn wires(&self) -> Vec<WireStats> {
-        self.wires.iter().map(|stats| lock(stats).clone()).collect()
     }
 
     /// Ends the thread, waits for it and closes the sockets. Returns the final counts of the drives.

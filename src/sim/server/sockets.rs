@@ -2,16 +2,15 @@
 
 use std::io::{self, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
-use std::os::fd::AsRawFd;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 use nix::sys::socket::{setsockopt, sockopt};
 
-use super::{ConnectionStats, DriveStats};
 use crate::errors::no_descriptor;
-use crate::rt::MonotonicClock;
-use crate::sim::fault::{Injector, wrong_port};
-use crate::sim::{Carrier, SimDrive, faults, sockets};
+use crate::net::set_option;
+use crate::sim::Carrier;
+use crate::sim::drives::Station;
+use crate::sim::fault::wrong_port;
 
 /// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
 pub(super) const UNREAD: usize = 65_536;
@@ -24,18 +23,7 @@ const KEEP_IDLE: u32 = 10;
 const KEEP_PROBES: u32 = 3;
 
 /// One socket of a drive.
-pub(super) struct Station {
-    pub(super) address: SocketAddrV4,
-    /// The index of the drive.
-    pub(super) drive: usize,
-    /// The number of this socket at its drive.
-    pub(super) socket: usize,
-    pub(super) injector: Injector,
-    pub(super) door: Door,
-}
-
-/// The socket of a drive.
-pub(super) enum Door {
+pub(super) enum Socket {
     Datagrams {
         socket: UdpSocket,
         /// The source of replies with a wrong identity, if there are any.
@@ -59,32 +47,35 @@ pub(super) struct Connection {
 }
 
 /// The number of no connection: the source of new ones.
-pub(super) const DOOR: u32 = 0;
+pub(super) const LISTENER: u32 = 0;
 
 /// The event token of connection `number` of station `index`.
 pub(super) fn token(index: usize, number: u32) -> u64 {
     u64::from(number) << 32 | index as u64
 }
 
-impl Door {
-    pub(super) fn open(address: SocketAddrV4, carrier: Carrier, wrong: bool) -> io::Result<Door> {
-        match carrier {
-            Carrier::Datagrams => Ok(Door::Datagrams {
-                wrong: if wrong { Some(bind(wrong_port(address))?) } else { None },
+impl Socket {
+    pub(super) fn open(station: &Station) -> io::Result<Socket> {
+        let address = station.address;
+        Ok(match station.carrier {
+            Carrier::Datagrams => Socket::Datagrams {
+                wrong: station.injector.mislabels().then(|| bind(wrong_port(address))).transpose()?,
                 socket: bind(address)?,
-            }),
+            },
             Carrier::Stream => {
-                Ok(Door::Stream { listener: listen(address)?, connections: Vec::new(), newest: DOOR })
+                Socket::Stream { listener: listen(address)?, connections: Vec::new(), newest: LISTENER }
             }
-        }
+        })
     }
 
     pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
         match self {
-            Door::Datagrams { socket, .. } => epoll.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, token)),
+            Socket::Datagrams { socket, .. } => {
+                epoll.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, token))
+            }
             // Edge-triggered: a connection that cannot be accepted for lack of descriptors would wake up the thread
             // for ever.
-            Door::Stream { listener, .. } => {
+            Socket::Stream { listener, .. } => {
                 epoll.add(listener, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, token))
             }
         }
@@ -93,15 +84,15 @@ impl Door {
     /// The most descriptors that it has.
     pub(super) fn descriptors(&self) -> usize {
         match self {
-            Door::Datagrams { .. } => 1,
-            Door::Stream { .. } => 1 + CONNECTIONS,
+            Socket::Datagrams { .. } => 1,
+            Socket::Stream { .. } => 1 + CONNECTIONS,
         }
     }
 
     pub(super) fn connections(&mut self) -> &mut [Connection] {
         match self {
-            Door::Datagrams { .. } => &mut [],
-            Door::Stream { connections, .. } => connections,
+            Socket::Datagrams { .. } => &mut [],
+            Socket::Stream { connections, .. } => connections,
         }
     }
 
@@ -113,10 +104,40 @@ impl Door {
         self.connections().iter_mut().find(|connection| connection.peer == peer)
     }
 
-    fn take(&mut self, number: u32) -> Option<Connection> {
-        let Door::Stream { connections, .. } = self else { return None };
+    /// Accepts a connection, if there is room and it is `wanted`.
+    pub(super) fn accept(
+        &mut self,
+        index: usize,
+        epoll: &Epoll,
+        socket: TcpStream,
+        peer: SocketAddrV4,
+        wanted: impl FnOnce() -> bool,
+    ) -> bool {
+        let Socket::Stream { connections, newest, .. } = self else { return false };
+        let number = newest.wrapping_add(1).max(1);
+        let event = EpollEvent::new(EpollFlags::EPOLLIN, token(index, number));
+        let accepted = connections.len() < CONNECTIONS
+            && prepare(&socket).is_ok()
+            && epoll.add(&socket, event).is_ok()
+            && wanted();
+        if accepted {
+            *newest = number;
+            connections.push(Connection { number, peer, socket, unsent: Vec::new() });
+        } else {
+            reset(socket);
+        }
+        accepted
+    }
+
+    /// Ends a connection, if there is one of that number; returns its peer.
+    pub(super) fn end(&mut self, number: u32, farewell: Farewell) -> Option<SocketAddrV4> {
+        let Socket::Stream { connections, .. } = self else { return None };
         let place = connections.iter().position(|connection| connection.number == number)?;
-        Some(connections.swap_remove(place))
+        let Connection { peer, socket, .. } = connections.swap_remove(place);
+        if farewell == Farewell::Reset {
+            reset(socket);
+        }
+        Some(peer)
     }
 }
 
@@ -160,12 +181,6 @@ impl Connection {
     fn watch(&self, epoll: &Epoll, index: usize, flags: EpollFlags) -> nix::Result<()> {
         epoll.modify(&self.socket, &mut EpollEvent::new(flags, token(index, self.number)))
     }
-
-    fn end(self, farewell: Farewell) {
-        if farewell == Farewell::Reset {
-            reset(self.socket);
-        }
-    }
 }
 
 /// How much of it the kernel took.
@@ -197,85 +212,6 @@ pub(super) fn prepare(socket: &TcpStream) -> io::Result<()> {
     Ok(())
 }
 
-impl Station {
-    /// All sockets of a drive, by their numbers.
-    pub(super) fn open(index: usize, drive: &dyn SimDrive) -> io::Result<Vec<Station>> {
-        let open = |(socket, (carrier, address)): (usize, (Carrier, SocketAddrV4))| {
-            let faults = faults(drive, socket);
-            let door = Door::open(address, carrier, faults.wrong_id > 0.0)?;
-            Ok(Station { address, drive: index, socket, injector: Injector::new(faults, carrier), door })
-        };
-        sockets(drive)?.into_iter().enumerate().map(open).collect()
-    }
-
-    pub(super) fn carrier(&self) -> Carrier {
-        match self.door {
-            Door::Datagrams { .. } => Carrier::Datagrams,
-            Door::Stream { .. } => Carrier::Stream,
-        }
-    }
-
-    pub(super) fn stats(&self) -> DriveStats {
-        DriveStats {
-            address: self.address,
-            received: 0,
-            answered: 0,
-            unsent: 0,
-            connections: ConnectionStats::default(),
-            injected: self.injector.injected(),
-        }
-    }
-
-    /// Whether data from `peer` reaches the drive: a connection may have ended meanwhile.
-    pub(super) fn hears(&mut self, peer: SocketAddrV4) -> bool {
-        matches!(self.door, Door::Datagrams { .. }) || self.door.by_peer(peer).is_some()
-    }
-
-    pub(super) fn end(&mut self, drive: &mut dyn SimDrive, number: u32, farewell: Farewell) {
-        if let Some(connection) = self.door.take(number) {
-            let peer = connection.peer;
-            connection.end(farewell);
-            drive.disconnected(MonotonicClock::read(), peer);
-        }
-    }
-
-    /// Its drive restarts: its connections end.
-    pub(super) fn end_all(&mut self, drive: &mut dyn SimDrive) {
-        while let Some(number) = self.door.connections().first().map(|connection| connection.number) {
-            self.end(drive, number, Farewell::Reset);
-        }
-    }
-
-    /// Accepts one connection, if the drive accepts it.
-    pub(super) fn welcome(
-        &mut self,
-        drive: &mut dyn SimDrive,
-        index: usize,
-        epoll: &Epoll,
-        socket: TcpStream,
-        peer: SocketAddrV4,
-    ) -> bool {
-        // The kernel has dropped it, and its event has not come yet.
-        while let Some(number) = self.door.by_peer(peer).map(|old| old.number) {
-            self.end(drive, number, Farewell::Close);
-        }
-        let Door::Stream { connections, newest, .. } = &mut self.door else { return false };
-        let number = newest.wrapping_add(1).max(1);
-        let event = EpollEvent::new(EpollFlags::EPOLLIN, token(index, number));
-        let welcome = connections.len() < CONNECTIONS
-            && prepare(&socket).is_ok()
-            && epoll.add(&socket, event).is_ok()
-            && drive.connect(MonotonicClock::read(), peer);
-        if welcome {
-            *newest = number;
-            connections.push(Connection { number, peer, socket, unsent: Vec::new() });
-        } else {
-            reset(socket);
-        }
-        welcome
-    }
-}
-
 fn bind(address: SocketAddrV4) -> io::Result<UdpSocket> {
     UdpSocket::bind(address)
         .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
@@ -286,17 +222,7 @@ fn bind(address: SocketAddrV4) -> io::Result<UdpSocket> {
 /// What it sends to a multicast group leaves by the interface of its own address (ip(7)).
 fn leaves_from(socket: &UdpSocket, address: SocketAddrV4) -> io::Result<()> {
     let interface = libc::in_addr { s_addr: address.ip().to_bits().to_be() };
-    // SAFETY: the kernel reads one address.
-    let refused = unsafe {
-        libc::setsockopt(
-            socket.as_raw_fd(),
-            libc::IPPROTO_IP,
-            libc::IP_MULTICAST_IF,
-            (&raw const interface).cast(),
-            size_of_val(&interface) as libc::socklen_t,
-        )
-    };
-    if refused < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+    set_option(socket, libc::IPPROTO_IP, libc::IP_MULTICAST_IF, interface)
 }
 
 fn listen(address: SocketAddrV4) -> io::Result<TcpListener> {

@@ -8,13 +8,14 @@ use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 
-use super::sockets::not_now;
-use super::{WireStats, lock};
+use super::service::Line;
+use super::sockets::{LISTENER, not_now};
+use super::{LineStats, lock};
 use crate::net::link::local_address;
 use crate::net::{local, tty};
 use crate::rt::MonotonicClock;
 use crate::sim::SerialWire;
-use crate::sim::fault::Injected;
+use crate::sim::fault::Way;
 use crate::sim::serial::Medium;
 use crate::time::Time;
 
@@ -53,18 +54,14 @@ impl Wire {
         };
         Ok(Wire { medium: Medium::new(wire), port })
     }
+}
 
-    pub(super) fn stats(&self) -> WireStats {
-        WireStats {
-            port: self.medium.wire.port.clone(),
-            received: 0,
-            sent: 0,
-            unsent: 0,
-            injected: Injected::default(),
-        }
+impl Line for Wire {
+    fn stats(&self) -> LineStats {
+        LineStats::new(&self.medium.wire.port)
     }
 
-    pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
+    fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
         let event = EpollEvent::new(EpollFlags::EPOLLIN, token);
         match &self.port {
             Port::Local { listener, .. } => epoll.add(listener, event),
@@ -72,22 +69,14 @@ impl Wire {
         }
     }
 
-    /// When the next thing happens.
-    pub(super) fn next_due(&self) -> Option<Time> {
+    fn next_due(&self) -> Option<Time> {
         self.medium.next_due()
     }
 
     /// A master connects, or something can be read.
-    pub(super) fn ready(
-        &mut self,
-        first: bool,
-        bytes: &mut [u8],
-        epoll: &Epoll,
-        token: u64,
-        stats: &Mutex<WireStats>,
-    ) {
-        let read = match &mut self.port {
-            Port::Local { listener, master } if first => {
+    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<LineStats>) {
+        let port: &mut dyn Read = match &mut self.port {
+            Port::Local { listener, master } if number == LISTENER => {
                 let Ok((stream, _)) = listener.accept() else { return };
                 // A second master is refused: its connection is closed.
                 let watched = master.is_none()
@@ -98,53 +87,42 @@ impl Wire {
                 }
                 return;
             }
-            Port::Local { master, .. } => {
-                let Some(stream) = master else { return };
-                let read = stream.read(bytes);
-                if !matches!(&read, Ok(1..)) && !read.as_ref().is_err_and(not_now) {
-                    *master = None;
-                }
-                read
-            }
-            Port::Cable(port) => {
-                let read = port.read(bytes);
-                if !matches!(&read, Ok(1..)) && !read.as_ref().is_err_and(not_now) {
-                    // It is gone: level-triggered, it would be reported for ever.
-                    let _ = epoll.delete(&*port);
-                }
-                read
-            }
+            Port::Local { master: None, .. } => return,
+            Port::Local { master: Some(stream), .. } => stream,
+            Port::Cable(port) => port,
         };
+        let read = port.read(room);
+        if !matches!(&read, Ok(1..)) && !read.as_ref().is_err_and(not_now) {
+            match &mut self.port {
+                Port::Local { master, .. } => *master = None,
+                // It is gone: level-triggered, it would be reported for ever.
+                Port::Cable(port) => drop(epoll.delete(&*port)),
+            }
+        }
         if let Ok(count @ 1..) = read {
-            self.medium.write(MonotonicClock::read(), &bytes[..count]);
+            self.medium.write(MonotonicClock::read(), &room[..count]);
             lock(stats).received += 1;
         }
     }
 
-    /// Everything that is due by now.
-    pub(super) fn run_due(&mut self, stats: &Mutex<WireStats>) {
+    fn run_due(&mut self, stats: &Mutex<LineStats>) {
         if self.medium.next_due().is_none() {
             return;
         }
-        let now = MonotonicClock::read();
-        while self.medium.step(now, &mut |_, _| {}) {}
-        let mut room = [0; 512];
-        loop {
-            let count = self.medium.read(now, &mut room);
-            if count == 0 {
-                break;
-            }
+        let (now, mut answered) = (MonotonicClock::read(), 0);
+        while self.medium.step(now, &mut |_, way, _| answered += u64::from(way == Way::Reply)) {}
+        let (mut room, mut unsent) = ([0; 512], 0);
+        while let count @ 1.. = self.medium.read(now, &mut room) {
             let sent = match &mut self.port {
                 Port::Local { master: Some(stream), .. } => stream.write(&room[..count]),
                 Port::Local { master: None, .. } => Ok(0),
                 Port::Cable(port) => port.write(&room[..count]),
             };
-            let sent = sent.unwrap_or(0);
-            let mut stats = lock(stats);
-            stats.sent += sent as u64;
-            stats.unsent += (count - sent) as u64;
+            unsent += u64::from(sent.unwrap_or(0) < count);
         }
-        lock(stats).injected = self.medium.injected();
+        let mut stats = lock(stats);
+        (stats.answered, stats.unsent) = (stats.answered + answered, stats.unsent + unsent);
+        stats.injected = self.medium.injected();
     }
 }
 

@@ -20,7 +20,7 @@ pub(super) struct PortGroups(Mutex<Members<()>>);
 
 impl Groups for PortGroups {
     fn join(&self, group: SocketAddrV4) -> io::Result<()> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).join(group, || Ok(()))
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).join(group, || Ok(())).map(|_| ())
     }
 
     fn leave(&self, group: SocketAddrV4) {
@@ -73,31 +73,23 @@ impl Inner {
         Some(parcel)
     }
 
-    /// A datagram comes to a drive.
+    /// A datagram comes to a drive, or bytes on a connection that it has.
     pub(super) fn serve(&mut self, index: usize, parcel: &Parcel) {
-        let now = self.now;
-        let (station, unit) = self.drives.both(index);
-        if !unit.plugged {
-            return;
-        }
-        record(&mut self.digest, now, parcel);
-        self.delivered += 1;
-        self.reply.clear();
-        let to = unit.drive.receive_at(station.socket, now, parcel.from, &parcel.bytes, &mut self.reply);
-        let unit = station.unit;
-        self.drives.called(unit);
-        // No drive answers a drive: with a forged source two of them would go on for ever.
-        if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.drives.at(*to).is_none()) {
-            let due = now + self.options.latency_ns;
-            self.drives.pass_reply(index, now, due, to, &self.reply, &mut self.under_way);
-        }
+        let (now, due) = (self.now, self.now + self.options.latency_ns);
+        self.drives.serve(index, now, due, parcel, &mut self.under_way);
+    }
+
+    /// The next drive whose own clock has come to it runs; false: there is none.
+    pub(super) fn run_drive(&mut self) -> bool {
+        let due = self.now + self.options.latency_ns;
+        self.drives.run(self.now, due, &mut self.under_way).is_some()
     }
 
     /// A carrier's datagram leaves now.
     pub(super) fn depart(&mut self, datagram: Datagram<'_>) {
         if let Some(index) = self.drives.station(Carrier::Datagrams, datagram.to) {
             if self.drives.both(index).1.plugged {
-                self.depart_to(index, datagram);
+                self.depart_to(index, datagram.from, datagram.bytes);
             }
         } else {
             let parcel = self.under_way.parcel(datagram);
@@ -106,10 +98,10 @@ impl Inner {
     }
 
     /// A request leaves for the drive's socket `index` now.
-    pub(super) fn depart_to(&mut self, index: usize, request: Datagram<'_>) {
+    pub(super) fn depart_to(&mut self, index: usize, from: SocketAddrV4, bytes: &[u8]) {
         let due = self.now + self.options.latency_ns;
-        let blow = self.drives.pass_request(index, self.now, due, request, &mut self.under_way);
-        self.strike(self.drives.stations[index].unit, blow);
+        let fault = self.drives.request(index, self.now, due, (from, bytes), &mut self.under_way);
+        self.inject(self.drives.stations[index].unit, fault);
     }
 }
 

@@ -9,17 +9,16 @@ use std::collections::VecDeque;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Wake, Waker};
 
-use super::sessions::Post;
 use super::{Inner, World, record};
-use crate::net::link::{Action, Connection, Peer};
+use crate::net::link::{Action, Connection};
 use crate::net::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::Carrier;
-use crate::sim::fault::{Blow, Datagram, Parcel, Signal, Way};
+use crate::sim::fault::{DriveFault, Parcel, Signal, Way};
 use crate::time::Time;
 
 /// Received bytes on a connection that were not taken. A drive that sends more to a master that does not read loses
@@ -34,6 +33,7 @@ const FIRST_LOCAL: (Ipv4Addr, u16) = (Ipv4Addr::new(198, 18, 0, 0), 49_152);
 const PORTS: u32 = 16_384;
 
 /// All connections of a world, open or not.
+#[derive(Default)]
 pub(super) struct Links {
     sets: Vec<Set>,
     sets_made: u64,
@@ -41,10 +41,17 @@ pub(super) struct Links {
     opened: u32,
     /// When time alone makes something happen next.
     alarm: Option<Time>,
-    /// Something was posted to a session.
-    pub(super) posted: Arc<AtomicBool>,
-    /// Called around the work of a normal thread.
-    beside: fn(&mut dyn FnMut()),
+    posted: Arc<Posted>,
+}
+
+/// Something was posted to a session. It locks nothing: whoever posts something may be called by the world.
+#[derive(Debug, Default)]
+struct Posted(AtomicBool);
+
+impl Wake for Posted {
+    fn wake(self: Arc<Self>) {
+        self.0.store(true, Ordering::Release);
+    }
 }
 
 /// The connections of one carrier.
@@ -70,16 +77,14 @@ struct Link {
     /// Parcels that wait for the cable of the drive, both ways.
     stalled: VecDeque<Parcel>,
     /// Since when bytes to the drive wait there.
-    unheard: Option<Time>,
-    /// Wakes its session.
-    post: Option<Arc<Post>>,
+    unacknowledged: Option<Time>,
 }
 
 /// The owner of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Hold {
-    /// It is closed, or being opened outside the loop.
-    Beside,
+    /// It is closed, being opened outside the loop, or a session's.
+    Outside,
     /// It is ready for the loop.
     Offered,
     /// The loop has it.
@@ -91,17 +96,16 @@ enum Hold {
 struct Place(usize, usize);
 
 impl Link {
-    fn new(machine: Connection, station: Option<usize>, post: Option<Arc<Post>>) -> Link {
+    fn new(machine: Connection, station: Option<usize>) -> Link {
         Link {
             machine,
-            post,
             station,
             local: None,
-            hold: Hold::Beside,
+            hold: Hold::Outside,
             inbox: VecDeque::with_capacity(INBOX),
             broken: None,
             stalled: VecDeque::with_capacity(4),
-            unheard: None,
+            unacknowledged: None,
         }
     }
 
@@ -111,7 +115,7 @@ impl Link {
 
     /// When its peer's host has not acknowledged for too long.
     fn given_up_at(&self) -> Option<Time> {
-        self.unheard.map(|since| since + self.machine.target().unacknowledged_ns)
+        self.unacknowledged.map(|since| since + self.machine.peer().unacknowledged_ns)
     }
 
     /// When time alone makes something happen next.
@@ -124,23 +128,10 @@ impl Link {
     }
 }
 
-impl Default for Links {
-    fn default() -> Links {
-        Links {
-            sets: Vec::new(),
-            sets_made: 0,
-            opened: 0,
-            alarm: None,
-            posted: Arc::default(),
-            beside: |work| work(),
-        }
-    }
-}
-
 impl Links {
     /// When time alone makes something happen next.
     pub(super) fn alarm(&self) -> Option<Time> {
-        if self.posted.load(Ordering::Relaxed) { Some(Time::default()) } else { self.alarm }
+        if self.posted.0.load(Ordering::Relaxed) { Some(Time::default()) } else { self.alarm }
     }
 
     /// Whether something waits that the loop can take.
@@ -181,28 +172,23 @@ impl Links {
 }
 
 impl World {
-    /// From now on the work of a normal thread on a real machine (opening, handshake and closing of connections) is
-    /// done within `around`, so that a watcher of the loop's thread can exclude it.
-    pub fn set_beside(&self, around: fn(&mut dyn FnMut())) {
-        self.lock().links.beside = around;
-    }
-
     pub(super) fn open_streams(&self, peers: Vec<StreamPeer>) -> StreamCarrier {
         let notes = LinkNotes::new(peers.len());
-        let peers: Vec<_> = peers.into_iter().map(|peer| (Peer::from(peer), None)).collect();
         let ready = VecDeque::with_capacity(peers.len());
-        StreamCarrier { id: self.lock().open(peers, &notes), world: self.clone(), notes, ready }
+        let mut inner = self.lock();
+        let posted = Arc::clone(&inner.links.posted);
+        StreamCarrier { id: inner.open(peers, &notes), world: self.clone(), notes, posted, ready }
     }
 }
 
 /// The master's ends.
 impl Inner {
-    /// Begins to open connections to `peers`, each with the post of its session; the id of the set.
-    pub(super) fn open(&mut self, peers: Vec<(Peer, Option<Arc<Post>>)>, notes: &LinkNotes) -> u64 {
+    /// Begins to open connections to `peers`; the id of the set.
+    fn open(&mut self, peers: Vec<StreamPeer>, notes: &LinkNotes) -> u64 {
         let (now, id, opened) = (self.now, self.links.sets_made, VecDeque::with_capacity(peers.len()));
-        let links = peers.into_iter().enumerate().map(|(index, (peer, post))| {
-            let station = self.drives.station(Carrier::Stream, peer.target().address);
-            Link::new(Connection::new(now, peer, notes.clone(), index), station, post)
+        let links = peers.into_iter().enumerate().map(|(index, peer)| {
+            let station = self.drives.station(Carrier::Stream, peer.address);
+            Link::new(Connection::new(now, peer, notes.clone(), index), station)
         });
         let set = Set { id, links: links.collect(), opened };
         self.links.sets_made += 1;
@@ -212,7 +198,7 @@ impl Inner {
     }
 
     /// Closes the connections of a set, as when their sockets are.
-    pub(super) fn close(&mut self, id: u64) {
+    fn close(&mut self, id: u64) {
         let Some(set) = self.links.sets.iter().position(|set| set.id == id) else { return };
         for link in 0..self.links.sets[set].links.len() {
             self.hang_up(Place(set, link));
@@ -223,16 +209,16 @@ impl Inner {
 
     /// Everything that time alone makes happen now, and what was posted to sessions.
     pub(super) fn ring(&mut self) {
-        let posted = self.links.posted.swap(false, Ordering::AcqRel);
+        let posted = self.links.posted.0.swap(false, Ordering::AcqRel);
         for set in 0..self.links.sets.len() {
             for link in 0..self.links.sets[set].links.len() {
                 let place = Place(set, link);
                 if self.links.at(place).given_up_at().is_some_and(|due| due <= self.now) {
-                    self.links.at(place).unheard = None;
+                    self.links.at(place).unacknowledged = None;
                     self.break_off(place, Broken::Failed(libc::ETIMEDOUT));
                 }
-                if posted && self.links.at(place).post.as_ref().is_some_and(|post| post.take()) {
-                    self.work(place, Connection::woken);
+                if posted {
+                    self.work(place, Connection::run);
                 }
                 if self.links.at(place).machine.next_due().is_some_and(|due| due <= self.now) {
                     self.work(place, Connection::poll);
@@ -244,12 +230,13 @@ impl Inner {
 
     /// Passes an event to the machine of a link, and carries out the resulting actions.
     fn work(&mut self, place: Place, happens: impl FnOnce(&mut Connection, Time) -> Action) {
-        let mut action = self.ask(place, happens);
+        let now = self.now;
+        let mut action = happens(&mut self.links.at(place).machine, now);
         loop {
             match action {
                 Action::Wait => break,
                 Action::Connect => {
-                    let bind = self.links.at(place).machine.target().bind;
+                    let bind = self.links.at(place).machine.peer().bind;
                     let local = self.links.next_local(bind);
                     self.links.at(place).local = Some(local);
                     self.signal_drive(place, local, Signal::Open);
@@ -257,14 +244,14 @@ impl Inner {
                 }
                 Action::Send => {
                     let count = self.greet(place);
-                    action = self.ask(place, |machine, now| machine.sent(now, count));
+                    action = self.links.at(place).machine.sent(now, count);
                 }
                 Action::HandOver => {
                     self.links.at(place).hold = Hold::Offered;
                     self.links.sets[place.0].opened.push_back(place.1);
                     break;
                 }
-                Action::Close | Action::End => {
+                Action::Close => {
                     self.hang_up(place);
                     break;
                 }
@@ -273,27 +260,14 @@ impl Inner {
         self.links.set_alarm();
     }
 
-    fn ask(&mut self, place: Place, happens: impl FnOnce(&mut Connection, Time) -> Action) -> Action {
-        let (now, beside) = (self.now, self.links.beside);
-        let machine = &mut self.links.at(place).machine;
-        let (mut happens, mut action) = (Some(happens), Action::Wait);
-        beside(&mut || {
-            if let Some(happens) = happens.take() {
-                action = happens(machine, now);
-            }
-        });
-        action
-    }
-
     /// Sends the bytes of the handshake or session.
     fn greet(&mut self, place: Place) -> usize {
         let link = &self.links.sets[place.0].links[place.1];
         let (Some(station), Some(from)) = (link.station, link.local) else { return 0 };
-        let to = self.drives.stations[station].address;
-        let request = Datagram { from, to, bytes: link.machine.to_send() };
-        let (count, due) = (request.bytes.len(), self.now + self.options.latency_ns);
-        let blow = self.drives.pass_request(station, self.now, due, request, &mut self.under_way);
-        self.strike(self.drives.stations[station].unit, blow);
+        let (bytes, due) = (link.machine.to_send(), self.now + self.options.latency_ns);
+        let fault = self.drives.request(station, self.now, due, (from, bytes), &mut self.under_way);
+        let count = bytes.len();
+        self.inject(self.drives.stations[station].unit, fault);
         count
     }
 
@@ -301,7 +275,7 @@ impl Inner {
     fn hang_up(&mut self, place: Place) {
         let link = self.links.at(place);
         let Some(local) = link.local.take() else { return };
-        (link.hold, link.broken, link.unheard) = (Hold::Beside, None, None);
+        (link.hold, link.broken, link.unacknowledged) = (Hold::Outside, None, None);
         link.inbox.clear();
         while let Some(parcel) = self.links.at(place).stalled.pop_front() {
             self.under_way.recycle(parcel);
@@ -316,7 +290,7 @@ impl Inner {
     fn break_off(&mut self, place: Place, why: Broken) {
         let link = self.links.at(place);
         match link.hold {
-            Hold::Beside => self.work(place, |machine, now| machine.failed(now, why)),
+            Hold::Outside => self.work(place, |machine, now| machine.failed(now, why)),
             Hold::Offered | Hold::Loop => link.broken = link.broken.or(Some(why)),
         }
     }
@@ -332,7 +306,7 @@ impl Inner {
         match parcel.signal {
             Signal::Accept => self.work(place, Connection::connected),
             Signal::Reset => {
-                let opening = self.links.at(place).hold == Hold::Beside;
+                let opening = self.links.at(place).hold == Hold::Outside;
                 let errno = if opening { libc::ECONNREFUSED } else { libc::ECONNRESET };
                 self.break_off(place, Broken::Failed(errno));
             }
@@ -340,7 +314,9 @@ impl Inner {
             Signal::End => {
                 self.take_in(place, &parcel.bytes);
                 self.break_off(place, Broken::Closed);
-                self.forget(parcel.from, parcel.to);
+                if let Some(index) = self.drives.station(Carrier::Stream, parcel.from) {
+                    self.drives.disconnected(index, self.now, parcel.to);
+                }
             }
             Signal::Open => {}
         }
@@ -350,7 +326,7 @@ impl Inner {
     fn take_in(&mut self, place: Place, bytes: &[u8]) {
         let link = self.links.at(place);
         match link.hold {
-            Hold::Beside => self.work(place, |machine, now| machine.received(now, bytes)),
+            Hold::Outside => self.work(place, |machine, now| machine.received(now, bytes)),
             _ if link.broken.is_some() => {}
             _ if link.inbox.len() + bytes.len() > INBOX => {
                 self.break_off(place, Broken::Failed(libc::ECONNRESET));
@@ -364,7 +340,7 @@ impl Inner {
         let now = self.now;
         let link = self.links.at(place);
         if parcel.signal == Signal::Bytes && Some(parcel.from) == link.local {
-            link.unheard = link.unheard.or(Some(now));
+            link.unacknowledged = link.unacknowledged.or(Some(now));
             self.links.set_alarm();
         }
         let link = self.links.at(place);
@@ -393,9 +369,10 @@ impl Inner {
 
 /// The drives' ends.
 impl Inner {
-    /// A parcel of a stream comes to a drive. Returns a used buffer.
-    pub(super) fn hear(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
-        let (now, of) = (self.now, self.links.by_local(parcel.from));
+    /// A parcel comes to a drive's socket. Returns a used buffer.
+    pub(super) fn receive(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
+        let is_stream = parcel.carrier == Carrier::Stream;
+        let of = if is_stream { self.links.by_local(parcel.from) } else { None };
         let (station, unit) = self.drives.both(index);
         if !unit.plugged {
             return match of {
@@ -403,74 +380,33 @@ impl Inner {
                 None => Some(parcel),
             };
         }
-        record(&mut self.digest, now, &parcel);
+        record(&mut self.digest, self.now, &parcel);
         self.delivered += 1;
         match parcel.signal {
             // Given up while it was under way: as if it had been closed at once.
             Signal::Open if of.is_some() => {
-                let welcome = station.carrier == Carrier::Stream && unit.drive.connect(now, parcel.from);
-                if welcome {
-                    station.peers.push(parcel.from);
-                }
-                let unit = station.unit;
-                self.drives.called(unit);
-                self.signal_master(index, parcel.from, if welcome { Signal::Accept } else { Signal::Reset });
+                let accepts = self.drives.connect(index, self.now, parcel.from);
+                self.signal_master(index, parcel.from, if accepts { Signal::Accept } else { Signal::Reset });
             }
-            Signal::Bytes if station.peers.contains(&parcel.from) => self.serve_stream(index, &parcel),
+            Signal::Bytes if station.reaches(parcel.from) => self.serve(index, &parcel),
             Signal::Bytes => self.signal_master(index, parcel.from, Signal::Reset),
-            Signal::End | Signal::Reset => self.forget(parcel.to, parcel.from),
+            Signal::End | Signal::Reset => self.drives.disconnected(index, self.now, parcel.from),
             Signal::Open | Signal::Accept => {}
         }
         Some(parcel)
     }
 
-    fn serve_stream(&mut self, index: usize, parcel: &Parcel) {
-        let (now, due) = (self.now, self.now + self.options.latency_ns);
-        let (station, unit) = self.drives.both(index);
-        self.reply.clear();
-        let to = unit.drive.receive_at(station.socket, now, parcel.from, &parcel.bytes, &mut self.reply);
-        let (hangs_up, unit) = (unit.drive.hangs_up(parcel.from), station.unit);
-        self.drives.called(unit);
-        if let Some(to) = to {
-            self.drives.pass_reply(index, now, due, to, &self.reply, &mut self.under_way);
-        }
-        if hangs_up {
-            self.signal_master(index, parcel.from, Signal::End);
-        }
-    }
-
-    pub(super) fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
-        let (due, station) = (self.now + self.options.latency_ns, &mut self.drives.stations[index]);
-        let parcel = self.under_way.signal(station.address, to, signal);
-        station.injector.signal(Way::Reply, due, parcel, &mut self.under_way);
-    }
-
-    /// The drive at `address` learns that its connection with `peer` has ended, if it had one.
-    fn forget(&mut self, address: SocketAddrV4, peer: SocketAddrV4) {
-        let Some(index) = self.drives.station(Carrier::Stream, address) else { return };
-        let (station, unit) = self.drives.both(index);
-        if let Some(place) = station.peers.iter().position(|other| *other == peer) {
-            station.peers.remove(place);
-            unit.drive.disconnected(self.now, peer);
-            let unit = station.unit;
-            self.drives.called(unit);
-        }
+    fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
+        let due = self.now + self.options.latency_ns;
+        self.drives.signal(index, due, to, signal, &mut self.under_way);
     }
 
     /// Injects a fault into drive `index`. A restart resets its connections.
-    pub(super) fn strike(&mut self, index: usize, blow: Option<Blow>) {
-        let (Some(blow), now) = (blow, self.now) else { return };
-        for k in 0..self.drives.units[index].sockets.len() {
-            let station = self.drives.units[index].sockets[k];
-            while blow == Blow::Restart
-                && let Some(peer) = self.drives.stations[station].peers.pop()
-            {
-                self.drives.units[index].drive.disconnected(now, peer);
-                self.signal_master(station, peer, Signal::Reset);
-            }
+    pub(super) fn inject(&mut self, index: usize, fault: Option<DriveFault>) {
+        let Some(fault) = fault else { return };
+        for (station, peer) in self.drives.inject(index, self.now, fault) {
+            self.signal_master(station, peer, Signal::Reset);
         }
-        blow.strike(now, &mut *self.drives.units[index].drive);
-        self.drives.called(index);
     }
 
     /// Plugs the cable of drive `index` in again: waiting parcels arrive, and the drive learns which connections
@@ -491,7 +427,7 @@ impl Inner {
         }
         for link in links.sets.iter_mut().flat_map(|set| &mut set.links) {
             if link.station.is_some_and(|station| drives.stations[station].unit == index) {
-                link.unheard = None;
+                link.unacknowledged = None;
                 link.stalled.drain(..).for_each(|parcel| self.under_way.push(now, parcel));
             }
         }
@@ -506,6 +442,7 @@ pub(super) struct StreamCarrier {
     world: World,
     id: u64,
     notes: LinkNotes,
+    posted: Arc<Posted>,
     /// The connections that the last look found.
     ready: VecDeque<usize>,
 }
@@ -573,8 +510,7 @@ impl Streams for StreamCarrier {
             return Ok((at, 0));
         }
         let (Some(from), Some(station)) = (link.local, link.station) else { return Err(Broken::Absent) };
-        let request = Datagram { from, to: inner.drives.stations[station].address, bytes };
-        inner.depart_to(station, request);
+        inner.depart_to(station, from, bytes);
         Ok((at, bytes.len()))
     }
 
@@ -587,6 +523,10 @@ impl Streams for StreamCarrier {
 
     fn notes(&self) -> LinkNotes {
         self.notes.clone()
+    }
+
+    fn waker(&self) -> Option<Waker> {
+        Some(Arc::clone(&self.posted).into())
     }
 
     /// Virtual time is never real time: nothing to lock.
@@ -605,7 +545,7 @@ mod tests {
     use super::*;
     use crate::net::{Carriers, Greeted, Greeting};
     use crate::rt::{Clock, PollSet};
-    use crate::sim::fault::{Injector, Queue, RETRANSMISSION_NS};
+    use crate::sim::fault::{Datagram, Injector, Queue, RETRANSMISSION_NS};
     use crate::sim::testing::Peers;
     use crate::sim::world::WorldOptions;
     use crate::sim::{FaultPlan, SimDrive};
@@ -1194,45 +1134,5 @@ mod tests {
         assert!(first.2.len() > 15, "{first:?}");
         assert_ne!(first.0, run(&stormy, 2).0);
         assert_ne!(first.0, run(&FaultPlan { seed: 4, ..stormy }, 1).0);
-    }
-
-    #[test]
-    fn what_a_normal_thread_does_is_done_beside() {
-        use std::cell::Cell;
-        thread_local! {
-            static BESIDE: Cell<(bool, u32)> = const { Cell::new((false, 0)) };
-        }
-
-        /// A handshake that looks where it runs.
-        #[derive(Debug)]
-        struct Look(Ask);
-
-        impl Greeting for Look {
-            fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted {
-                assert!(BESIDE.get().0);
-                self.0.begin(now, out)
-            }
-
-            fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
-                assert!(BESIDE.get().0);
-                self.0.take(now, bytes, out)
-            }
-        }
-
-        let mut rig = Rig::new(1, FaultPlan::default());
-        rig.world.set_beside(|work| {
-            BESIDE.set((true, BESIDE.get().1 + 1));
-            work();
-            BESIDE.set((false, BESIDE.get().1));
-        });
-        let look = StreamPeer::new(drive(0), Box::new(Look(Ask(Vec::new()))));
-        rig.carrier = rig.world.streams(vec![look]).unwrap();
-        rig.opened(0);
-        let before = BESIDE.get().1;
-        rig.ask(0, 1).unwrap();
-        rig.pass(MS);
-        assert_eq!((rig.heard[0].len(), BESIDE.get().1), (2, before));
-        rig.carrier.abandon(0, "enough");
-        assert_eq!(BESIDE.get(), (false, before + 1));
     }
 }

@@ -262,3 +262,5 @@ fn an_address_has_one_owner_until_it_is_dropped() {
     drop(first);
     assert!(world.datagrams(MASTER, &options).is_ok());
 }
+
+mod producers;

@@ -5,8 +5,8 @@ use std::io;
 use std::os::fd::RawFd;
 
 use super::{Inner, World, record, taken};
-use crate::net::link::PortLife;
-use crate::net::{Broken, LinkNotes, Serial, SerialLine};
+use crate::net::link::{Action, Connection};
+use crate::net::{Broken, LinkNotes, Serial, SerialLine, Streams};
 use crate::rt::Regions;
 use crate::sim::fault::Injected;
 use crate::sim::serial::Medium;
@@ -23,7 +23,7 @@ struct Rail {
 
 /// The master's port, open or not.
 struct Carrier {
-    life: PortLife,
+    machine: Connection,
     hold: Hold,
 }
 
@@ -39,7 +39,7 @@ enum Hold {
 
 impl Rail {
     fn next_due(&self) -> Option<Time> {
-        let life = self.carrier.as_ref().and_then(|carrier| carrier.life.next_due());
+        let life = self.carrier.as_ref().and_then(|carrier| carrier.machine.next_due());
         [self.medium.next_due(), life].into_iter().flatten().min()
     }
 
@@ -51,16 +51,19 @@ impl Rail {
         })
     }
 
-    /// The port is opened, if its adapter is there.
+    /// The port is opened if that is due, and its adapter is there.
     fn open(&mut self, now: Time) {
-        let Some(carrier) = self.carrier.as_mut().filter(|carrier| carrier.life.is_due(now)) else { return };
+        let Some(carrier) = &mut self.carrier else { return };
+        if carrier.machine.poll(now) != Action::Connect {
+            return;
+        }
         if self.plugged {
             self.medium.discard(now);
             carrier.hold = Hold::Offered;
-            carrier.life.opened(now);
+            carrier.machine.connected(now);
         } else {
             let port = &self.medium.wire.port;
-            carrier.life.failed(now, format!("there is no serial port {port}: plug in its adapter"));
+            carrier.machine.refused(now, format!("there is no serial port {port}: plug in its adapter"));
         }
     }
 }
@@ -98,7 +101,7 @@ impl Inner {
         let Inner { wires, digest, delivered, now, .. } = self;
         let is_due = |rail: &&mut Rail| rail.next_due().is_some_and(|at| at <= due);
         let Some(rail) = wires.0.iter_mut().find(is_due) else { return false };
-        let mut passed = |at, parcel: &_| {
+        let mut passed = |at, _, parcel: &_| {
             record(digest, at, parcel);
             *delivered += 1;
         };
@@ -182,9 +185,10 @@ impl World {
         }
         let notes = LinkNotes::new(1);
         rail.medium.set_master(line);
-        rail.carrier = Some(Carrier { life: PortLife::new(now, port, notes.clone()), hold: Hold::Closed });
+        rail.carrier =
+            Some(Carrier { machine: Connection::of_port(now, port, notes.clone()), hold: Hold::Closed });
         drop(inner);
-        Ok(SerialCarrier { world: self.clone(), index, notes })
+        Ok(SerialCarrier { world: self.clone(), index, notes, looked: false })
     }
 }
 
@@ -194,6 +198,7 @@ pub(super) struct SerialCarrier {
     world: World,
     index: usize,
     notes: LinkNotes,
+    looked: bool,
 }
 
 impl SerialCarrier {
@@ -210,41 +215,41 @@ impl SerialCarrier {
     }
 }
 
-impl Serial for SerialCarrier {
+impl Streams for SerialCarrier {
     fn fd(&self) -> Option<RawFd> {
         None
     }
 
-    fn opened(&mut self) -> bool {
+    fn opened(&mut self) -> Option<usize> {
         let mut inner = self.world.lock();
-        let Some(carrier) = &mut inner.wires.0[self.index].carrier else { return false };
-        let offered = carrier.hold == Hold::Offered;
-        if offered {
-            carrier.hold = Hold::Loop;
+        let carrier = inner.wires.0[self.index].carrier.as_mut()?;
+        if carrier.hold != Hold::Offered {
+            return None;
         }
-        offered
+        carrier.hold = Hold::Loop;
+        Some(0)
     }
 
-    fn send(&mut self, bytes: &[u8]) -> Result<(Time, usize), Broken> {
-        self.with(|medium, at| (at, medium.write(at, bytes)))
+    fn look(&mut self) {
+        self.looked = true;
     }
 
-    fn receive(&mut self, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
+    fn ready(&mut self) -> Option<usize> {
+        std::mem::take(&mut self.looked).then_some(0)
+    }
+
+    fn receive(&mut self, _index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
         self.with(|medium, at| match medium.read(at, room) {
             0 => None,
             count => Some((at, count)),
         })
     }
 
-    fn unsent(&mut self) -> Result<usize, Broken> {
-        self.with(|medium, at| medium.unsent(at))
+    fn send(&mut self, _index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
+        self.with(|medium, at| (at, medium.write(at, bytes)))
     }
 
-    fn discard(&mut self) -> Result<(), Broken> {
-        self.with(|medium, at| medium.discard(at))
-    }
-
-    fn abandon(&mut self, why: &'static str) {
+    fn abandon(&mut self, _index: usize, why: &'static str) {
         let mut inner = self.world.lock();
         let now = inner.now;
         let rail = &mut inner.wires.0[self.index];
@@ -252,7 +257,7 @@ impl Serial for SerialCarrier {
             rail.carrier.as_mut().filter(|carrier| matches!(carrier.hold, Hold::Loop | Hold::Broken))
         {
             carrier.hold = Hold::Closed;
-            carrier.life.given_back(now, why);
+            carrier.machine.given_back(now, why);
             rail.medium.discard(now);
         }
     }
@@ -263,6 +268,16 @@ impl Serial for SerialCarrier {
 
     /// Virtual time is never real time: nothing to lock.
     fn memory(&self, _regions: &mut Regions) {}
+}
+
+impl Serial for SerialCarrier {
+    fn unsent(&mut self) -> Result<usize, Broken> {
+        self.with(|medium, at| medium.unsent(at))
+    }
+
+    fn discard(&mut self) -> Result<(), Broken> {
+        self.with(|medium, at| medium.discard(at))
+    }
 }
 
 /// The port is free again. What was sent last still leaves.

@@ -7,10 +7,8 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Commanding, Port, Posted, queue};
 use crate::axis::{Feedback, Observer, cell};
 use crate::bus::linudp::upid::Upids;
-use crate::net::{Next, Session, SessionPeer, Sessions};
 
-/// Registers with one byte, and answers calls: the low byte of a value out, and the peer's one back. It ends in order
-/// at the value 255.
+/// Registers with one byte, and answers calls: the low byte of a value out, and the peer's one back.
 #[derive(Debug)]
 struct Toy {
     calls: Port,
@@ -27,38 +25,31 @@ struct Log {
     dropped: AtomicU64,
 }
 
-const BYE: u64 = 255;
-
 impl Toy {
-    fn serve(&mut self, out: &mut Vec<u8>) -> Next {
+    fn serve(&mut self, out: &mut Vec<u8>) -> Greeted {
         while self.under_way.is_none()
             && let Some(posted) = self.calls.take()
         {
             match posted.call.value {
                 _ if !self.registered => self.calls.end(&posted, Err(CallError::NotOnline)),
-                BYE => {
-                    self.calls.end(&posted, Ok(Answer::default()));
-                    out.push(b'.');
-                    return Next::Over;
-                }
                 value => {
                     out.extend([b'?', value as u8]);
                     self.under_way = Some(posted);
                 }
             }
         }
-        Next::On
+        if self.registered { Greeted::Kept } else { Greeted::More }
     }
 }
 
-impl Session for Toy {
-    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
+impl Greeting for Toy {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
         self.log.opened.fetch_add(1, Ordering::Relaxed);
         out.push(b'R');
-        Next::On
+        Greeted::More
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Next {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
         for byte in bytes {
             match (self.registered, self.under_way.take()) {
                 (false, _) if *byte == b'r' => self.registered = true,
@@ -66,17 +57,13 @@ impl Session for Toy {
                     let answer = Answer { value: u64::from(*byte), ..Answer::default() };
                     self.calls.end(&posted, Ok(answer));
                 }
-                _ => return Next::Failed(format!("sends {byte}")),
+                _ => return Greeted::Failed(format!("sends {byte}")),
             }
         }
         self.serve(out)
     }
 
-    fn next_due(&self) -> Option<Time> {
-        None
-    }
-
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
         self.serve(out)
     }
 
@@ -101,20 +88,11 @@ fn toy() -> (Toy, crate::axis::acyclic::AcyclicEnds, Arc<Log>) {
     (Toy { calls, under_way: None, registered: false, log: Arc::clone(&log) }, ends, log)
 }
 
-fn peer(address: SocketAddrV4, session: impl Session + 'static) -> SessionPeer {
-    SessionPeer {
-        connect_ns: 600 * S,
-        least_pause_ns: MS,
-        most_pause_ns: 5 * MS,
-        ..SessionPeer::new(address, Box::new(session))
-    }
-}
-
 /// A session with `address`, and the application's end of its calls.
-fn session(os: &Os, address: SocketAddrV4) -> (Sessions, Acyclic, Arc<Log>) {
+fn session(os: &Os, address: SocketAddrV4) -> (Box<dyn Streams>, Acyclic, Arc<Log>) {
     let (toy, ends, log) = toy();
-    let sessions = os.sessions(vec![peer(address, toy)]).unwrap();
-    let ends = ends.waking(sessions.waker(0).unwrap().clone());
+    let sessions = os.streams(vec![patient(address, toy)]).unwrap();
+    let ends = ends.waking(sessions.waker().unwrap());
     let (_, reader) = cell::cell(Feedback::default());
     (sessions, Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::ZERO), log)
 }
@@ -124,12 +102,11 @@ fn call(value: u64) -> Call {
 }
 
 /// Answers each request with its value and one more, until the peer ends the connection.
-fn serve(mut drive: TcpStream) -> Vec<u8> {
-    let (mut said, mut begun) = (Vec::new(), false);
+fn serve(mut drive: TcpStream) {
+    let mut begun = false;
     let mut room = [0; 64];
     while let Ok(count @ 1..) = drive.read(&mut room) {
         for byte in &room[..count] {
-            said.push(*byte);
             match (begun, byte) {
                 (true, value) => drive.write_all(&[value + 1]).unwrap(),
                 (false, b'R') => drive.write_all(b"r").unwrap(),
@@ -138,7 +115,6 @@ fn serve(mut drive: TcpStream) -> Vec<u8> {
             begun = !begun && *byte == b'?';
         }
     }
-    said
 }
 
 /// Runs a call until its session is registered.
@@ -163,16 +139,7 @@ fn calls_are_served_on_the_thread_and_a_post_wakes_it() {
         assert_eq!((answers, series.failed), (vec![value % 200 + 1, 8], None));
     }
     assert!(begun.elapsed() < LONG);
-    assert_eq!(acyclic.run(&[call(BYE)], LONG).failed, None);
-    let said = served.join().unwrap();
-    assert_eq!(said.last(), Some(&b'.'), "an orderly end loses nothing");
-    // And it comes again.
-    let served = std::thread::spawn({
-        let drive = accept(&listener);
-        || serve(drive)
-    });
-    until_online(&acyclic);
-    assert_eq!((log.opened.load(Ordering::Relaxed), log.closed.load(Ordering::Relaxed)), (2, 1));
+    assert_eq!((log.opened.load(Ordering::Relaxed), log.closed.load(Ordering::Relaxed)), (1, 0));
     drop(sessions);
     served.join().unwrap();
     assert_eq!(acyclic.run(&[call(1)], LONG).failed, Some(CallError::Gone));
@@ -245,7 +212,7 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
             let listener = listener(address(22, 10));
             for round in 0..3_000 {
                 let (sessions, acyclic, log) = session(&Os::default(), address(22, 10));
-                let waker = sessions.waker(0).unwrap().clone();
+                let waker = sessions.waker().unwrap();
                 match round % 5 {
                     0 => drop(acyclic.post(call(1), LONG)),
                     1 => waker.wake_by_ref(),
@@ -269,36 +236,29 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
 #[derive(Debug)]
 struct Panicking;
 
-impl Session for Panicking {
-    fn opened(&mut self, _now: Time, _out: &mut Vec<u8>) -> Next {
-        Next::On
+impl Greeting for Panicking {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+        Greeted::Kept
     }
 
-    fn received(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Next {
-        Next::On
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
+        Greeted::Kept
     }
 
-    fn next_due(&self) -> Option<Time> {
-        None
-    }
-
-    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Next {
+    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
         panic!("a session that panics, on purpose");
     }
-
-    fn closed(&mut self, _now: Time, _why: &str) {}
 }
 
 #[test]
 fn the_loop_sees_that_the_thread_of_its_sessions_has_ended() {
     let os = Os::default();
     let (healthy, acyclic, _) = session(&os, address(23, 10));
-    let sick = os.sessions(vec![peer(address(23, 11), Panicking)]).unwrap();
+    let sick = os.streams(vec![patient(address(23, 11), Panicking)]).unwrap();
     assert!(!healthy.has_ended() && !sick.has_ended());
-    sick.waker(0).unwrap().wake_by_ref();
+    sick.waker().unwrap().wake();
     until("the end of the thread", || healthy.has_ended() && sick.has_ended());
     until("its calls end", || acyclic.run(&[call(1)], LONG).failed == Some(CallError::Gone));
-    assert!(sick.waker(1).is_none());
 }
 
 #[test]
@@ -330,11 +290,6 @@ fn a_connection_leaves_from_the_address_that_it_is_bound_to() {
     let mut from: Vec<_> = (0..2).map(|_| accept(&listener).peer_addr().unwrap().ip()).collect();
     from.sort();
     assert_eq!(from, [own(1), own(2)]);
-    let (toy, ..) = toy();
-    let _sessions = Os::default()
-        .sessions(vec![SessionPeer { bind: Some(own(3)), ..peer(address(25, 10), toy) }])
-        .unwrap();
-    assert_eq!(accept(&listener).peer_addr().unwrap().ip(), own(3));
     // TEST-NET-1 (RFC 5737): no host has it.
     let nowhere = StreamPeer { bind: Some([192, 0, 2, 1].into()), ..patient(address(25, 10), Silent) };
     let streams_of_none = Os::default().streams(vec![nowhere]).unwrap();

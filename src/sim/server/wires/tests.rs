@@ -40,7 +40,7 @@ fn until(what: &str, mut done: impl FnMut() -> bool) {
 
 fn open(port: &str) -> Box<dyn Serial> {
     let mut master = Os::default().serial(port, &Slave::LINE).unwrap();
-    until("opened", || master.opened());
+    until("opened", || master.opened().is_some());
     master
 }
 
@@ -49,7 +49,7 @@ fn answer(master: &mut dyn Serial) -> Result<Vec<u8>, Broken> {
     let (mut got, mut end) = (Vec::new(), None);
     until("answered", || {
         let mut room = [0; 3];
-        match master.receive(&mut room) {
+        match master.receive(0, &mut room) {
             Ok(count) => got.extend_from_slice(&room[..count.map_or(0, |(_, count)| count)]),
             Err(why) => end = Some(why),
         }
@@ -59,7 +59,7 @@ fn answer(master: &mut dyn Serial) -> Result<Vec<u8>, Broken> {
 }
 
 fn exchange(master: &mut dyn Serial, number: u8, value: u8) -> Result<Vec<u8>, Broken> {
-    assert_eq!(master.send(&Slave::request(number, value))?.1, 3);
+    assert_eq!(master.send(0, &Slave::request(number, value))?.1, 3);
     answer(master)
 }
 
@@ -74,10 +74,11 @@ fn a_local_wire_answers_and_counts() {
     assert_eq!((exchange(&mut *master, 9, 1).unwrap(), master.unsent()), (vec![137, 1, 1], Ok(0)));
     server.end();
     assert_eq!(answer(&mut *master), Err(Broken::Closed));
-    assert_eq!(master.send(b"x"), Err(Broken::Failed(libc::EPIPE)));
-    let [stats] = &server.wires()[..] else { panic!() };
-    assert_eq!((stats.port.as_str(), stats.received, stats.sent, stats.unsent), (port.as_str(), 51, 153, 0));
-    assert!(server.stats().is_empty() && server.lines().is_empty());
+    assert_eq!(master.send(0, b"x"), Err(Broken::Failed(libc::EPIPE)));
+    let [stats] = &server.lines()[..] else { panic!() };
+    let counts = (stats.received, stats.answered, stats.unsent);
+    assert_eq!((stats.interface.as_str(), counts), (port.as_str(), (51, 51, 0)));
+    assert!(server.stats().is_empty());
 }
 
 #[test]
@@ -90,7 +91,7 @@ fn a_local_wire_comes_and_goes_and_has_one_master() {
     for _ in 0..3 {
         let server = start(&port, None, FaultPlan::default()).unwrap();
         assert!(start(&port, None, FaultPlan::default()).unwrap_err().to_string().contains("is taken"));
-        until("opened", || master.opened());
+        until("opened", || master.opened().is_some());
         assert_eq!(exchange(&mut *master, 7, 3).unwrap(), [135, 3, 1]);
         // A second master is sent away, and the first one goes on.
         let mut second = open(&port);
@@ -102,7 +103,7 @@ fn a_local_wire_comes_and_goes_and_has_one_master() {
         assert_eq!(exchange(&mut *master, 7, 4).unwrap(), [135, 4, 2]);
         drop(server);
         assert!(answer(&mut *master).is_err());
-        master.abandon("it ended");
+        master.abandon(0, "it ended");
     }
 }
 
@@ -122,8 +123,8 @@ fn a_master_that_leaves_makes_room_for_the_next_one() {
     until("served", || match exchange(&mut *master, 9, 5) {
         Ok(answer) => answer[..2] == [137, 5],
         Err(_) => {
-            master.abandon("sent away");
-            until("opened", || master.opened());
+            master.abandon(0, "sent away");
+            until("opened", || master.opened().is_some());
             false
         }
     });
@@ -143,7 +144,7 @@ fn faults_on_a_wire_are_injected_counted_and_accounted_for() {
         assert_eq!(answer[1], value);
     }
     server.end();
-    assert_eq!(server.wires()[0].injected.wrong_id, wrong);
+    assert_eq!(server.lines()[0].injected.wrong_id, wrong);
     assert!((15..50).contains(&wrong), "{wrong}");
 }
 

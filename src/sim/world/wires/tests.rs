@@ -36,7 +36,7 @@ fn open(world: &World) -> Box<dyn Serial> {
 
 fn until_open(world: &World, port: &mut dyn Serial) {
     for _ in 0..100 {
-        if port.opened() {
+        if port.opened().is_some() {
             return;
         }
         world.advance(100 * MS);
@@ -46,7 +46,7 @@ fn until_open(world: &World, port: &mut dyn Serial) {
 
 fn read(port: &mut dyn Serial) -> Vec<u8> {
     let mut room = [0; 64];
-    port.receive(&mut room).unwrap().map_or(Vec::new(), |(_, count)| room[..count].to_vec())
+    port.receive(0, &mut room).unwrap().map_or(Vec::new(), |(_, count)| room[..count].to_vec())
 }
 
 #[test]
@@ -54,8 +54,8 @@ fn an_exchange_takes_its_bits_and_wakes_the_waiting_at_its_end() {
     let world = world(&FaultPlan::default());
     let mut port = open(&world);
     let begin = world.now();
-    assert_eq!(port.send(&Slave::request(7, 5)), Ok((begin, 3)));
-    assert_eq!((port.unsent(), port.receive(&mut [0; 4])), (Ok(2), Ok(None)));
+    assert_eq!(port.send(0, &Slave::request(7, 5)), Ok((begin, 3)));
+    assert_eq!((port.unsent(), port.receive(0, &mut [0; 4])), (Ok(2), Ok(None)));
     let mut set = PollSet::default();
     let end = begin + (6 * BYTE + 22 * US);
     assert!(!world.clock().wait(&mut set, end - 3 * BYTE));
@@ -92,23 +92,23 @@ fn an_adapter_that_is_unplugged_breaks_the_port_and_is_opened_again_with_pauses(
     let notes = port.notes();
     for round in 0..3 {
         assert_eq!(notes.get(0), None);
-        port.send(&Slave::request(7, 5)).unwrap();
+        port.send(0, &Slave::request(7, 5)).unwrap();
         world.advance(4 * BYTE);
         assert!(world.unplug_port(PORT));
         assert!(world.clock().wait(&mut PollSet::default(), world.now() + S), "round {round}");
         let broken = Err(Broken::Failed(libc::EIO));
-        assert_eq!((port.receive(&mut [0; 4]), port.send(b"x").map(|_| None)), (broken, broken));
+        assert_eq!((port.receive(0, &mut [0; 4]), port.send(0, b"x").map(|_| None)), (broken, broken));
         assert_eq!(port.discard(), Err(Broken::Failed(libc::EIO)));
-        port.abandon("it is unplugged");
-        assert_eq!(port.receive(&mut [0; 4]), Err(Broken::Absent));
+        port.abandon(0, "it is unplugged");
+        assert_eq!(port.receive(0, &mut [0; 4]), Err(Broken::Absent));
         assert_eq!(notes.get(0).unwrap(), "serial port /dev/ttyUSB0 given up: it is unplugged");
         world.advance(10 * S);
-        assert!(!port.opened());
+        assert!(port.opened().is_none());
         assert!(notes.get(0).unwrap().contains("plug in its adapter"), "{:?}", notes.get(0));
         assert!(world.plug_port(PORT));
         until_open(&world, &mut *port);
-        assert_eq!(port.receive(&mut [0; 4]), Ok(None), "nothing of the old one is left");
-        port.send(&Slave::request(9, round)).unwrap();
+        assert_eq!(port.receive(0, &mut [0; 4]), Ok(None), "nothing of the old one is left");
+        port.send(0, &Slave::request(9, round)).unwrap();
         world.advance(MS);
         assert_eq!(read(&mut *port)[..2], [137, round]);
     }
@@ -119,7 +119,7 @@ fn faults_and_settings_of_a_wire_can_be_changed_in_between() {
     let world = world(&FaultPlan::default());
     let mut port = open(&world);
     let mut exchange = |value| {
-        port.send(&Slave::request(7, value)).unwrap();
+        port.send(0, &Slave::request(7, value)).unwrap();
         world.advance(MS);
         read(&mut *port)
     };
@@ -135,7 +135,7 @@ fn faults_and_settings_of_a_wire_can_be_changed_in_between() {
     let other = SerialLine { parity: Parity::None, ..Slave::LINE };
     let mut port = world.serial(PORT, &other).unwrap();
     until_open(&world, &mut *port);
-    port.send(&Slave::request(7, 4)).unwrap();
+    port.send(0, &Slave::request(7, 4)).unwrap();
     world.advance(MS);
     assert_eq!(read(&mut *port), [0; 0]);
 }
@@ -146,18 +146,18 @@ fn thousands_of_ends_leave_a_wire_that_works_and_no_alarm() {
     for round in 0..3_000_u64 {
         let mut port = world.serial(PORT, &Slave::LINE).unwrap();
         world.advance(round % 7 * 10 * US);
-        if port.opened() {
-            port.send(&Slave::request(7, round as u8)).unwrap();
+        if port.opened().is_some() {
+            port.send(0, &Slave::request(7, round as u8)).unwrap();
             world.advance(round % 11 * 13 * US);
             if round % 3 == 0 {
-                port.abandon("again");
+                port.abandon(0, "again");
             }
         }
     }
     world.advance(S);
     assert_eq!(world.lock().next_due(), None);
     let mut port = open(&world);
-    port.send(&Slave::request(9, 1)).unwrap();
+    port.send(0, &Slave::request(9, 1)).unwrap();
     world.advance(MS);
     assert_eq!(read(&mut *port), [137, 1, 1]);
 }
@@ -180,7 +180,7 @@ fn the_same_seed_makes_the_same_bytes() {
         let mut port = open(&world);
         let mut got = Vec::new();
         for number in 0..250 {
-            port.send(&Slave::request(7 + number % 2 * 2, number)).unwrap();
+            port.send(0, &Slave::request(7 + number % 2 * 2, number)).unwrap();
             world.advance(400 * US);
             got.extend(read(&mut *port));
         }

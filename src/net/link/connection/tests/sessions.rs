@@ -3,7 +3,6 @@
 use std::sync::{Arc, Mutex};
 
 use super::*;
-use crate::net::session::{Session, SessionPeer};
 
 /// What happened to a session.
 #[derive(Debug, Default)]
@@ -13,9 +12,8 @@ struct Log {
     got: Vec<u8>,
     runs: Vec<Time>,
     /// What it does next.
-    wants: bool,
     due: Option<Time>,
-    next: Option<Next>,
+    next: Option<Greeted>,
     say: Vec<u8>,
 }
 
@@ -27,25 +25,22 @@ impl Toy {
         f(&mut self.0.lock().unwrap())
     }
 
-    fn next(&self, out: &mut Vec<u8>) -> Next {
+    /// A session from the beginning, where nothing else is to come.
+    fn next(&self, out: &mut Vec<u8>) -> Greeted {
         self.with(|log| {
             out.append(&mut log.say);
-            log.next.take().unwrap_or(Next::On)
+            log.next.take().unwrap_or(Greeted::Kept)
         })
     }
 }
 
-impl Session for Toy {
-    fn wants(&self) -> bool {
-        self.with(|log| log.wants)
-    }
-
-    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
+impl Greeting for Toy {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
         self.with(|log| log.opened += 1);
         self.next(out)
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Next {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
         self.with(|log| log.got.extend_from_slice(bytes));
         self.next(out)
     }
@@ -54,7 +49,7 @@ impl Session for Toy {
         self.with(|log| log.due)
     }
 
-    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Next {
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted {
         self.with(|log| log.runs.push(now));
         self.next(out)
     }
@@ -66,8 +61,7 @@ impl Session for Toy {
 
 fn session() -> (Connection, Toy, LinkNotes) {
     let (toy, notes) = (Toy::default(), LinkNotes::new(1));
-    toy.with(|log| log.wants = true);
-    let peer = SessionPeer::new(address(20), Box::new(toy.clone()));
+    let peer = StreamPeer::new(address(20), Box::new(toy.clone()));
     (Connection::new(START, peer, notes.clone(), 0), toy, notes)
 }
 
@@ -105,28 +99,14 @@ fn a_session_runs_when_it_is_due_or_woken_with_a_connection_or_without() {
     assert_eq!(toy.with(|log| log.runs.clone()), [START + MS]);
     // A clock that stands still keeps nobody busy.
     assert_eq!(connection.next_due(), Some(START + 2 * MS));
-    assert_eq!(connection.woken(START + MS), Action::Wait);
+    assert_eq!(connection.run(START + MS), Action::Wait);
     toy.with(|log| log.due = None);
     let now = open(&mut connection);
     assert!(connection.to_send().is_empty());
     toy.with(|log| log.say = b"call".to_vec());
-    assert_eq!(connection.woken(now), Action::Send);
+    assert_eq!(connection.run(now), Action::Send);
     assert_eq!(connection.to_send(), b"call");
     assert_eq!(toy.with(|log| log.runs.len()), 3);
-}
-
-#[test]
-fn a_session_that_wants_no_connection_has_none_until_it_is_woken_and_wants_one() {
-    let (mut connection, toy, _) = session();
-    toy.with(|log| log.wants = false);
-    assert_eq!(connection.poll(START + S), Action::Wait);
-    assert_eq!(connection.next_due(), None);
-    assert_eq!(connection.woken(START + S), Action::Wait);
-    toy.with(|log| log.wants = true);
-    assert_eq!(connection.woken(START + 2 * S), Action::Connect);
-    assert_eq!(connection.woken(START + 2 * S), Action::Wait);
-    connection.connected(START + 2 * S);
-    assert_eq!(toy.with(|log| log.opened), 1);
 }
 
 #[test]
@@ -140,10 +120,10 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
             "192.168.1.20:502 was lost: look at the cable and the drive's power",
         ),
         (&|one, now| one.received(now, b"bad"), "192.168.1.20:502: session refused"),
-        (&|one, now| one.woken(now), "192.168.1.20:502: session refused"),
+        (&|one, now| one.run(now), "192.168.1.20:502: session refused"),
         (
             &|one, now| {
-                one.woken(now);
+                one.run(now);
                 one.failed(now, Broken::Failed(libc::EPIPE))
             },
             "192.168.1.20:502 has ended the connection",
@@ -152,7 +132,7 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
     for (round, (end, why)) in ends.into_iter().enumerate() {
         let now = open(&mut connection);
         if (2..4).contains(&round) {
-            toy.with(|log| log.next = Some(Next::Failed("session refused".into())));
+            toy.with(|log| log.next = Some(Greeted::Failed("session refused".into())));
         }
         assert_eq!(end(&mut connection, now), Action::Close);
         assert_about(pause(&connection, now), [100, 200, 400, 800, 1_600][round] * MS);
@@ -170,44 +150,14 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
 }
 
 #[test]
-fn an_orderly_end_sends_everything_first_and_takes_its_time_at_most() {
-    let (mut connection, toy, _) = session();
-    let now = open(&mut connection);
-    toy.with(|log| (log.say, log.next) = (b"unregister".to_vec(), Some(Next::Over)));
-    assert_eq!(connection.woken(now), Action::Send);
-    toy.with(|log| log.due = Some(now));
-    // It receives nothing more.
-    assert_eq!((connection.received(now, b"late"), connection.woken(now)), (Action::Wait, Action::Wait));
-    assert_eq!(send(&mut connection, now, 4), (b"unregister".to_vec(), Action::End));
-    assert_eq!(toy.with(|log| (log.got.len(), log.closed.len(), log.runs.len())), (0, 1, 1));
-    toy.with(|log| log.due = None);
-    assert_about(pause(&connection, now), 100 * MS);
-    // A peer that takes nothing does not keep it.
-    let now = loop {
-        let now = connection.next_due().unwrap();
-        if connection.poll(now) == Action::Connect {
-            break now;
-        }
-    };
-    connection.connected(now);
-    toy.with(|log| (log.due, log.say, log.next) = (None, b"unregister".to_vec(), Some(Next::Over)));
-    assert_eq!(connection.woken(now), Action::Send);
-    assert_eq!(connection.next_due(), Some(now + S));
-    assert_eq!(connection.poll(now + S), Action::Close);
-    assert_eq!(toy.with(|log| log.closed.len()), 2);
-}
-
-#[test]
-fn a_peer_that_takes_nothing_is_given_up_before_its_bytes_fill_the_memory() {
+fn a_session_that_is_not_established_in_time_is_closed() {
     let (mut connection, toy, notes) = session();
+    toy.with(|log| log.next = Some(Greeted::More));
     let now = open(&mut connection);
-    for _ in 0..64 {
-        toy.with(|log| log.say = vec![0; 1_024]);
-        assert_eq!(connection.woken(now), Action::Send);
-    }
-    toy.with(|log| log.say = vec![0; 1]);
-    assert_eq!(connection.woken(now), Action::Close);
-    assert!(notes.get(0).unwrap().contains("takes nothing"), "{:?}", notes.get(0));
+    assert_eq!(connection.next_due(), Some(now + 2 * S));
+    assert_eq!(connection.poll(now + 2 * S), Action::Close);
+    assert!(notes.get(0).unwrap().contains("does not answer within 2 s"), "{:?}", notes.get(0));
+    assert_eq!(toy.with(|log| (log.opened, log.closed.len())), (1, 1));
 }
 
 proptest! {
@@ -220,10 +170,9 @@ proptest! {
         for (step, will, pass) in steps {
             now = now + pass;
             toy.with(|log| {
-                log.wants = will != 1 || step % 2 == 0;
                 log.due = (will == 2).then_some(now);
                 log.say = vec![7; usize::from(step)];
-                log.next = [None, Some(Next::Over), Some(Next::Failed("no".into()))][usize::from(will)].clone();
+                log.next = [None, Some(Greeted::More), Some(Greeted::Failed("no".into()))][usize::from(will)].clone();
             });
             let action = match step {
                 0 | 1 => connection.poll(now),
@@ -231,7 +180,7 @@ proptest! {
                 4 => connection.failed(now, Broken::Closed),
                 5 => connection.received(now, b"reply"),
                 6 | 7 => connection.sent(now, usize::from(will) * 9),
-                _ => connection.woken(now),
+                _ => connection.run(now),
             };
             match action {
                 Action::Wait => {}
@@ -241,7 +190,7 @@ proptest! {
                 }
                 Action::Send => prop_assert!(socket && !connection.to_send().is_empty()),
                 Action::HandOver => prop_assert!(false, "a session stays"),
-                Action::Close | Action::End => {
+                Action::Close => {
                     prop_assert!(socket);
                     socket = false;
                 }

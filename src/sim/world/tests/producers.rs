@@ -1,16 +1,8 @@
 //! A drive with three sockets and a clock of its own, its session and its packets.
 
-use std::collections::VecDeque;
-use std::net::Ipv4Addr;
-use std::sync::{Arc, Mutex};
-
 use super::*;
-use crate::net::{Carriers, Datagrams, Next, Outbox, SendMode, Session, SessionPeer, Sessions, UdpOptions};
-use crate::rt::{Clock, PollSet};
-use crate::sim::FaultPlan;
+use crate::net::{Greeted, Greeting};
 use crate::sim::testing::Producer;
-use crate::sim::world::{World, WorldOptions};
-use crate::time::{MS, S, US};
 
 const LATENCY: u64 = 20 * US;
 const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 1);
@@ -35,29 +27,24 @@ impl Requests {
     }
 }
 
-impl Session for Requests {
-    fn opened(&mut self, now: Time, out: &mut Vec<u8>) -> Next {
+impl Greeting for Requests {
+    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted {
         self.with(|log| log.opened += 1);
         self.run(now, out)
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Next {
+    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
         self.with(|log| log.got.extend_from_slice(bytes));
-        Next::On
+        Greeted::Kept
     }
 
-    fn next_due(&self) -> Option<Time> {
-        None
-    }
-
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
         match self.with(|log| log.say.pop_front()) {
-            Some(b'.') => Next::Over,
-            Some(byte) => {
-                out.push(byte);
-                Next::On
+            Some(b'.') => Greeted::Failed("that is all".into()),
+            request => {
+                out.extend(request);
+                Greeted::Kept
             }
-            None => Next::On,
         }
     }
 
@@ -71,7 +58,7 @@ struct Rig {
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     session: Requests,
-    sessions: Sessions,
+    sessions: Box<dyn Streams>,
 }
 
 impl Rig {
@@ -82,11 +69,12 @@ impl Rig {
             UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 1 };
         let net = world.datagrams(Producer::packets(MASTER), &options).unwrap();
         let session = Requests::default();
-        let peer = SessionPeer {
+        let peer = StreamPeer {
             bind: Some(MASTER),
-            ..SessionPeer::new(Producer::stream(DRIVE), Box::new(session.clone()))
+            most_pause_ns: 100 * MS,
+            ..StreamPeer::new(Producer::stream(DRIVE), Box::new(session.clone()))
         };
-        let sessions = world.sessions(vec![peer]).unwrap();
+        let sessions = world.streams(vec![peer]).unwrap();
         let outbox = Outbox::new(&[Producer::stream(DRIVE)], 16);
         world.advance(200 * MS);
         assert_eq!(session.with(|log| log.opened), 1);
@@ -96,7 +84,7 @@ impl Rig {
     /// Posts a request to the session.
     fn post(&self, byte: u8) {
         self.session.with(|log| log.say.push_back(byte));
-        self.sessions.waker(0).unwrap().wake_by_ref();
+        self.sessions.waker().unwrap().wake();
     }
 
     fn feed(&mut self) {
@@ -240,7 +228,7 @@ fn thousands_of_requests_and_ends_leave_neither_alarm_nor_hang() {
     let (opened, closed) = rig.session.with(|log| (log.opened, log.closed.len()));
     assert!(opened == closed + 1 && opened > 500, "{opened} {closed}");
     let Rig { world, sessions, session, .. } = rig;
-    let waker = sessions.waker(0).unwrap().clone();
+    let waker = sessions.waker().unwrap();
     drop(sessions);
     waker.wake();
     world.advance(S);
