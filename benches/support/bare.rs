@@ -582,7 +582,7 @@ fn greet(mut peer: StreamPeer) -> io::Result<TcpStream> {
         stream.write_all(&out)?;
         out.clear();
         match said {
-            Greeted::Done => return Ok(stream),
+            Greeted::Done | Greeted::Kept => return Ok(stream),
             Greeted::Failed(why) => return Err(io::Error::other(why)),
             Greeted::More => {}
         }
