@@ -30,3 +30,40 @@ pub fn as_found(state: State) -> Power {
         State::Unknown | State::NotReadyToSwitchOn | State::SwitchOnDisabled | State::Fault => Power::Off,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::desired::Generator;
+    use State::{
+        Fault, FaultReactionActive, NotReadyToSwitchOn, OperationEnabled, QuickStopActive, ReadyToSwitchOn,
+        SwitchOnDisabled, SwitchedOn, Unknown,
+    };
+
+    #[test]
+    fn each_state_has_one_next_transition_and_none_is_requested_twice() {
+        let all = Capabilities::of(Generator::Drive { leash: None });
+        let steps = Capabilities { switches_on_at_once: false, ..all };
+        let stays = Capabilities { leaves_quick_stop: false, ..all };
+        let (operate, shutdown) = (Some(Power::EnableOperation), Some(Power::Shutdown));
+        for (can, state, wanted, next) in [
+            (&all, SwitchOnDisabled, Power::Off, shutdown),
+            (&all, SwitchOnDisabled, Power::Shutdown, None),
+            (&all, ReadyToSwitchOn, Power::Shutdown, operate),
+            (&steps, ReadyToSwitchOn, Power::Shutdown, Some(Power::SwitchOn)),
+            (&steps, ReadyToSwitchOn, Power::SwitchOn, None),
+            (&steps, SwitchedOn, Power::SwitchOn, operate),
+            (&all, QuickStopActive, Power::SwitchOn, operate),
+            (&stays, QuickStopActive, Power::SwitchOn, None),
+            // The master's own ends with its request.
+            (&stays, QuickStopActive, Power::QuickStop, operate),
+            (&all, OperationEnabled, Power::Off, None),
+            (&all, Fault, Power::Off, None),
+            (&all, FaultReactionActive, Power::Off, None),
+            (&all, NotReadyToSwitchOn, Power::Off, None),
+            (&all, Unknown, Power::Off, None),
+        ] {
+            assert_eq!(towards_operation(state, wanted, can), next, "{state} {wanted:?} {can:?}");
+        }
+    }
+}

@@ -149,3 +149,31 @@ pub fn short(ns: u64) -> u32 {
 pub fn measured(ns: u64) -> Option<NonZeroU32> {
     NonZeroU32::new(short(ns.max(1)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_shows_the_status_of_its_cycle() {
+        let status = DriveStatus {
+            state: State::Fault,
+            moving: true,
+            inhibited: true,
+            fault: 1,
+            warning: 2,
+            current: 0.25,
+            velocity: 0.5,
+            position: 3.0,
+            demand: 4.0,
+            ..DriveStatus::default()
+        };
+        let before = DriveRecord { index: 7, rtt_ns: measured(0), ..DriveRecord::default() };
+        let shown = before.showing(&status);
+        assert_eq!((shown.index, shown.rtt_ns), (7, NonZeroU32::new(1)));
+        assert_eq!((shown.state, shown.moving, shown.inhibited), (State::Fault, true, true));
+        assert_eq!((shown.fault, shown.warning), (1, 2));
+        assert_eq!((shown.current, shown.velocity, shown.position, shown.demand), (0.25, 0.5, 3.0, 4.0));
+        assert_eq!(measured(u64::MAX), NonZeroU32::new(u32::MAX));
+    }
+}

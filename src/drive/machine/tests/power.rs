@@ -61,6 +61,19 @@ fn enable_leads_into_operation_from_every_state_and_moves_nothing() {
 }
 
 #[test]
+fn a_quick_stop_of_the_drives_own_is_left_where_it_can_be_and_refused_at_once_where_it_cannot() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.drive.state = Cia402::QuickStopActive;
+        rig.turns(3);
+        rig.start(Command::Enable);
+        rig.turns(10);
+        let refused = Err(Failure::WrongState(Cia402::QuickStopActive));
+        assert_eq!(rig.end(), Some(if can.leaves_quick_stop { Ok(()) } else { refused }), "{can:?}");
+    }
+}
+
+#[test]
 fn an_enable_in_operation_is_done_by_a_report_from_after_it() {
     for can in kinds() {
         let mut rig = Rig::enabled(can);
