@@ -1,4 +1,4 @@
-//! User units <-> wire counts. Every conversion to the wire rounds to nearest and checks its range.
+//! User units, and the wire counts of reports in them.
 
 use std::fmt;
 
@@ -82,11 +82,6 @@ impl Units {
             None => to - from,
         }
     }
-
-    /// A user position to wire counts, rounded to nearest, not yet range-checked.
-    pub fn counts(&self, position: f64) -> f64 {
-        ((position - self.offset) * self.counts_per_unit).round()
-    }
 }
 
 /// Follows a 32-bit wire count over its wrap-around.
@@ -117,13 +112,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_instead_of_truncating() {
-        // LinUDP sheet 7.2: peers truncate, 0.57 mm became 5699.
-        let mm = Units::millimetres(10_000.0);
-        assert_eq!(mm.counts(0.57), 5_700.0);
-    }
-
-    #[test]
     fn unwraps_in_both_directions() {
         let mut count = Unwrap::default();
         assert_eq!(count.next(i32::MAX), i64::from(i32::MAX));
@@ -138,6 +126,5 @@ mod tests {
         let rotary =
             Units { unit: Unit::Revolution, counts_per_unit: 1_000.0, offset: 0.25, modulo: Some(1.0) };
         assert_eq!(rotary.position(-500), 0.75);
-        assert_eq!(rotary.counts(0.75), 500.0);
     }
 }

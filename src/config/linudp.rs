@@ -211,7 +211,8 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
 
 /// A simulated position in counts, at the end of the wire's range where it does not fit.
 fn counts(units: &Units, position: f64) -> i32 {
-    units.counts(position).clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
+    let counts = ((position - units.offset) * units.counts_per_unit).round();
+    counts.clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
 }
 
 fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {

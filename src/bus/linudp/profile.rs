@@ -330,7 +330,8 @@ impl Profile {
     /// The count of a rotary axis wraps around, in the drive as here.
     fn position(&self, position: f64, inputs: &Inputs) -> Position {
         let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
-        let way = (self.units.counts(position) - from as f64) as i32;
+        let counts = ((position - self.units.offset) * self.units.counts_per_unit).round();
+        let way = (counts - from as f64) as i32;
         Position((from + i64::from(way)) as i32)
     }
 

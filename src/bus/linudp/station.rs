@@ -602,6 +602,20 @@ mod tests {
         }
     }
 
+    /// Other masters truncate: 0.57 mm became 5699 (LinUDP sheet, 7.2).
+    #[test]
+    fn a_position_is_rounded_to_the_nearest_count() {
+        let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+        for _ in 0..4 {
+            let request = b.send();
+            b.reply(&request, StateVar::MOTION_ACTIVE | 5);
+            b.start(Command::Reset);
+        }
+        b.start(Command::Follow);
+        b.machine.input.row = Some(NumberedRow { number: 1, row: Row { position: 0.57, ..Row::default() } });
+        assert_eq!(b.send().motion.unwrap().parameters[..4], 5_700_i32.to_le_bytes());
+    }
+
     #[test]
     fn a_stop_in_place_of_a_stream_that_never_left_is_a_stop() {
         let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
