@@ -153,22 +153,6 @@ fn reset_fault_acknowledges_with_an_edge_and_ends_powered_off() {
     b.done(0, to(5.0));
 }
 
-#[test]
-fn enable_names_the_fault_and_a_fatal_one_is_not_acknowledged() {
-    let mut b = Rig::new(1).online();
-    b.tape(0).provoke = Some(ErrorCode(0x0003));
-    b.run(3);
-    assert_eq!(b.failed(0, Command::Enable), Failure::DriveFault(3));
-    assert_eq!(b.feedback(0).stopped, None, "it was not in operation");
-    b.done(0, Command::ResetFault);
-    b.tape(0).provoke = Some(ErrorCode(0x000D));
-    b.run(3);
-    assert_eq!(b.failed(0, Command::ResetFault), Failure::DriveFault(0x0D));
-    b.world().restart(address(0));
-    b.run(300);
-    b.done(0, Command::Enable);
-}
-
 fn go_to(position: i32) -> MotionCommand {
     let ramp = Acceleration(500_000);
     MotionCommand::vai_go_to(Position(position), Velocity(200_000), ramp, ramp)
