@@ -96,9 +96,10 @@ fn motions_need_operation_and_an_enable() {
 
 #[test]
 fn commands_that_are_queued_together_wait_or_replace_what_is_before_them() {
-    // From power off. Each command is Done, or replaced by the one of that place; then the demand.
+    /// From power off. Each command is Done, or replaced by the one of that place; then the demand.
+    type Case<'a> = (&'a [Command], &'a [Option<usize>], f64);
     let (enable, home) = (Command::Enable, Command::Home);
-    let cases: [(&[Command], &[Option<usize>], f64); 5] = [
+    let cases: [Case<'_>; 5] = [
         (&[enable, home, to(20.0)], &[None, None, None], 20.0),
         // What is urgent aborts all that stand before it.
         (&[enable, home, to(2.0), Command::Disable], &[Some(3), Some(3), Some(3), None], 10.0),
