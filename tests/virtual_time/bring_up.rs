@@ -80,7 +80,9 @@ fn a_drive_found_running_is_stopped_even_if_its_axis_was_latched_before() {
 #[test]
 fn orders_wait_at_the_door_until_the_link_is_up() {
     let mut b = Rig::new(1).start();
-    b.run(5);
+    b.step();
+    assert_eq!(b.feedback(0).link, Link::Qualifying, "the first cycle has an exchange");
+    b.run(4);
     assert_eq!(b.failed(0, Command::Enable), Failure::NotOnline);
     b.online();
     b.done(0, Command::Enable);
