@@ -18,14 +18,13 @@ use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::Carriers;
-use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
-use support::adventures::{Adventures, Calls, DRIVES, Ends, VICTIM, drives, drives_and_errors, row, to};
+use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
 use support::counting::{Counting, allocations, count, watch};
-use support::{LONG, Machine, until};
+use support::{LONG, Machine};
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -238,44 +237,25 @@ fn unwatched<T>(body: impl FnOnce() -> T) -> T {
 }
 
 impl SimLine for UnwatchedLine {
+    crate::forward_sim_line!(line => *line.0);
+
     fn interface(&self) -> &str {
         self.0.interface()
     }
     fn own_interface(&self) -> Option<&str> {
         self.0.own_interface()
     }
-    fn ethertype(&self) -> u16 {
-        self.0.ethertype()
-    }
-    fn faults(&self) -> FaultPlan {
-        self.0.faults()
-    }
     fn slaves(&self) -> usize {
         self.0.slaves()
-    }
-    fn delay_ns(&self) -> u64 {
-        self.0.delay_ns()
     }
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
         unwatched(|| self.0.pass(now, frame))
     }
-    fn mislabel(&self, frame: &mut [u8]) {
-        self.0.mislabel(frame);
-    }
     fn live(&mut self, now: Time) {
         unwatched(|| self.0.live(now));
     }
-    fn cut(&mut self, place: Option<usize>) {
-        self.0.cut(place);
-    }
-    fn deafen(&mut self, place: usize, deaf: bool) {
-        self.0.deafen(place, deaf);
-    }
     fn restart(&mut self, now: Time, place: usize) {
         unwatched(|| self.0.restart(now, place));
-    }
-    fn inhibit(&mut self, place: usize, until: Time) {
-        self.0.inhibit(place, until);
     }
 }
 
@@ -413,39 +393,4 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let counters = end.drives[0].counters;
     assert!(counters.missed > 0 && counters.late > 0 && counters.duplicate > 0, "{counters:?}");
     assert!(end.drives.iter().all(|drive| !drive.feedback.status.state.is_powered()), "{:?}", end.drives);
-}
-
-/// The loop on real sockets, watched from inside: its task runs on its thread.
-#[test]
-fn twenty_thousand_cycles_on_real_sockets_allocate_nothing() {
-    let _alone = alone();
-    let machine = Machine::new(2);
-    let config = drives_and_errors(&machine, "250us", 10_000, 400);
-    let setup = Master::from_plan(support::plan(&config)).with_task(|_, _| {
-        watch(true);
-    });
-    let before = count();
-    let master = setup.start().unwrap();
-    let axes = master.plan().axes().into_iter().map(|axis| master.axis(&axis.name).unwrap()).collect();
-    let mut adventures = Adventures::begin(&machine, &config, axes, ServerOptions::default());
-    let goal = master.status().executed + 20_000;
-    while master.status().executed < goal || !adventures.have_done(5) {
-        adventures.round();
-    }
-    // The way down: a ramp of seconds, left half way.
-    adventures.set_out();
-    master.stop_handle().stop();
-    let moving = || adventures.axes()[1].feedback();
-    assert!(until(LONG, || moving().stopped.is_some() && moving().status.velocity.abs() < 250.0));
-    // The end of the thread itself may free what it likes.
-    assert!(master.is_running());
-    let count = count() - before;
-    let run = master.finish();
-    let status = run.end.status;
-    assert_eq!(count, 0, "in {} cycles", status.executed);
-    assert_eq!(status.planned, status.executed + status.skipped);
-    let victim = &run.end.drives[VICTIM];
-    assert!(victim.losses > 0, "{victim:?}");
-    assert!(run.end.drives.iter().any(|drive| drive.counters.unsent > 0));
-    assert!(run.end.buses[0].1.datagrams > 0);
 }

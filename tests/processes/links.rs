@@ -6,31 +6,6 @@ use super::support::{Machine, assert_sums, drive, most_probes};
 use super::{await_online, await_status, master, serve, simulation};
 
 #[test]
-fn drives_that_die_are_lost_and_come_back() {
-    let machine = Machine::new(3);
-    let config = machine.config("m.toml", 2, "", Machine::LOST_SOON);
-    let sim = simulation(&config);
-    let mut master = master(&config, &["--json"]);
-    master.await_text("all drives online: 2");
-    sim.kill();
-    master.await_text("drive d0: lost");
-    master.await_text("drive d1: lost");
-    let sim = simulation(&config);
-    master.await_text("drive d0: back online");
-    master.await_text("drive d1: back online");
-    drop(sim);
-    master.signal(SIGTERM);
-    let ended = master.end();
-    // Asked to end or not: drives were lost.
-    ended.expect(1);
-    let last = ended.err.lines().last().unwrap();
-    assert!(last.starts_with("fieldbeat: lost on the way: d0, d1;"), "{}", ended.err);
-    let summary = ended.json();
-    assert_sums(&summary);
-    assert!(["d0", "d1"].iter().all(|name| drive(&summary, name)["losses"].as_u64() >= Some(1)), "{summary}");
-}
-
-#[test]
 fn a_run_with_a_lost_drive_has_failed_and_names_it() {
     let machine = Machine::new(4);
     // A second of silence for d0, ten seconds for d1.

@@ -75,40 +75,81 @@ macro_rules! forward_bus_plan {
     };
 }
 
-/// All of `SimDrive` but `receive` and `restart`, by the drive in this field.
+/// All of `SimDrive` but `receive` and `restart`, by the drive in this field, or what is reached like one.
 #[macro_export]
 macro_rules! forward_sim_drive {
-    ($field:tt) => {
+    ($($drive:tt)+) => {
         fn address(&self) -> std::net::SocketAddrV4 {
-            self.$field.address()
+            self.$($drive)+.address()
         }
 
         fn faults(&self) -> fieldbeat::sim::FaultPlan {
-            self.$field.faults()
+            self.$($drive)+.faults()
         }
 
         fn carrier(&self) -> fieldbeat::sim::Carrier {
-            self.$field.carrier()
+            self.$($drive)+.carrier()
         }
 
         fn connect(&mut self, now: fieldbeat::Time, from: std::net::SocketAddrV4) -> bool {
-            self.$field.connect(now, from)
+            self.$($drive)+.connect(now, from)
         }
 
         fn hangs_up(&mut self, from: std::net::SocketAddrV4) -> bool {
-            self.$field.hangs_up(from)
+            self.$($drive)+.hangs_up(from)
         }
 
         fn disconnected(&mut self, now: fieldbeat::Time, from: std::net::SocketAddrV4) {
-            self.$field.disconnected(now, from);
+            self.$($drive)+.disconnected(now, from);
         }
 
         fn mislabel(&self, reply: &mut [u8]) {
-            self.$field.mislabel(reply);
+            self.$($drive)+.mislabel(reply);
         }
 
         fn inhibit(&mut self, until: fieldbeat::Time) {
-            self.$field.inhibit(until);
+            self.$($drive)+.inhibit(until);
+        }
+    };
+}
+
+/// All of `SimLine` but its names, `slaves`, `pass`, `live` and `restart`, by the segment that is reached from `this`.
+#[macro_export]
+macro_rules! forward_sim_line {
+    ($this:ident => $line:expr) => {
+        fn ethertype(&self) -> u16 {
+            let $this = self;
+            fieldbeat::sim::SimLine::ethertype(&$line)
+        }
+
+        fn faults(&self) -> fieldbeat::sim::FaultPlan {
+            let $this = self;
+            fieldbeat::sim::SimLine::faults(&$line)
+        }
+
+        fn delay_ns(&self) -> u64 {
+            let $this = self;
+            fieldbeat::sim::SimLine::delay_ns(&$line)
+        }
+
+        fn mislabel(&self, frame: &mut [u8]) {
+            let $this = self;
+            fieldbeat::sim::SimLine::mislabel(&$line, frame);
+        }
+
+        fn cut(&mut self, place: Option<usize>) {
+            let $this = self;
+            fieldbeat::sim::SimLine::cut(&mut $line, place);
+        }
+
+        fn deafen(&mut self, place: usize, deaf: bool) {
+            let $this = self;
+            fieldbeat::sim::SimLine::deafen(&mut $line, place, deaf);
+        }
+
+        fn inhibit(&mut self, place: usize, until: fieldbeat::Time) {
+            let $this = self;
+            fieldbeat::sim::SimLine::inhibit(&mut $line, place, until);
         }
     };
 }

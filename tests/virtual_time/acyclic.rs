@@ -10,9 +10,8 @@ use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::time::{MS, S};
+use fieldbeat::time::MS;
 
-use crate::virtual_time::carrier::LIMIT;
 use crate::virtual_time::support::*;
 
 /// Variables 1 and 2 of the command table, which nobody uses here, and two parameters.
@@ -61,21 +60,6 @@ fn keep_busy(
         }
         b.step();
     }
-}
-
-#[test]
-fn reads_run_back_to_back_one_a_cycle_and_their_counts_wrap() {
-    let mut b = Rig::new(1).online();
-    b.write(0, "variable-1", 1234).unwrap();
-    b.tape(0).wire = Some(Vec::new());
-    let mut ends = 0;
-    keep_busy(&mut b, 500, |_| read(0x1E72), |_, _, end| ends += usize::from(end == Ok(1234)));
-    // The first one has to wait for the channel to be learned; it was.
-    assert!((498..=508).contains(&ends), "{ends} reads in 500 cycles");
-    let spoken = b.tape(0).wire.take().unwrap();
-    let counts: Vec<u8> = spoken.iter().filter_map(|spoken| Some(spoken.request.config?.count())).collect();
-    assert!(counts.windows(2).all(|pair| pair[1] == pair[0] % 14 + 1), "{counts:?}");
-    assert!((1..=14).all(|count| counts.contains(&count)));
 }
 
 #[test]
@@ -143,32 +127,6 @@ fn what_was_written_and_answered_stands_in_the_drive() {
             assert_eq!(b.read(index, "variable-1"), Ok(last), "seed {seed}");
         }
     }
-}
-
-#[test]
-fn a_busy_drive_is_waited_for_and_no_longer_than_its_time() {
-    let busy = |ns: u64| Rig::new(1).each(move |_, drive| drive.simulate.config_time_ns = ns).start();
-    let mut b = busy(30 * MS);
-    b.online();
-    for _ in 0..5 {
-        assert_eq!(b.read(0, "0x20A8"), Ok(0x1E0F));
-    }
-    let mut b = busy(3 * S);
-    b.online();
-    assert_eq!(b.read(0, "0x20A8"), Err(CallError::TimedOut));
-    // The next one is not answered by what was left behind.
-    let mut patient = b.sim.axis(0).acyclic().post(read(0x20A9), 10 * LIMIT).unwrap();
-    assert_eq!(b.call_ended(&mut patient).map(|answer| (answer.address, answer.value)), Ok((0x20A9, 0x1E10)));
-}
-
-#[test]
-fn a_refusal_comes_with_the_drives_own_status() {
-    let mut b = Rig::new(1).online();
-    let refused = |refusal: Refusal| Err(CallError::Refused(refusal.code().into()));
-    assert_eq!(b.read(0, "0x9999"), refused(Refusal::NoSuchUpid));
-    assert_eq!(b.write(0, "status-word", 1).map(|()| 0), refused(Refusal::AddressUsage));
-    assert_eq!(b.write(0, "p-gain-a", 0x1_0000).map(|()| 0), refused(Refusal::WrongType));
-    assert_eq!(b.read(0, "0x20A8"), Ok(0x1E0F));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! From silence to online: reads before it writes, asks the dead rarely, and knows a drive that is found running.
+//! From silence to online: reads before it writes, whatever is found.
 
 use fieldbeat::axis::Failure;
 use fieldbeat::axis::{Command, Link, Outcome, State, StopCause, StopThen};
@@ -80,22 +80,12 @@ fn a_drive_found_running_is_stopped_even_if_its_axis_was_latched_before() {
 #[test]
 fn orders_wait_at_the_door_until_the_link_is_up() {
     let mut b = Rig::new(1).start();
-    b.run(5);
+    b.step();
+    assert_eq!(b.feedback(0).link, Link::Qualifying, "the first cycle has an exchange");
+    b.run(4);
     assert_eq!(b.failed(0, Command::Enable), Failure::NotOnline);
     b.online();
     b.done(0, Command::Enable);
-}
-
-#[test]
-fn sixty_four_drives_are_online_within_a_hundred_cycles_of_the_first() {
-    let mut b = Rig::new(64).start();
-    let first = b.until("the first", 100, |b| (0..64).any(|i| b.feedback(i).link == Link::Online));
-    let rest = b.until("all", 100, |b| (0..64).all(|i| b.feedback(i).link == Link::Online));
-    assert!(first + rest < 100, "{first} + {rest}");
-    let end = b.finish();
-    for drive in &end.drives {
-        assert_eq!((drive.counters.sent, drive.counters.missed), (drive.counters.answered, 0));
-    }
 }
 
 #[test]

@@ -8,17 +8,16 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, Call, CallError, CallTicket, ParameterError, PostError};
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, CommandId, EventKind, Failure, Link, Outcome, State, StopCause, StopThen};
+use fieldbeat::axis::{Command, CommandId, EventKind, Failure, Link, Outcome};
 use fieldbeat::bus::ethercat::cia402::Mode;
 use fieldbeat::bus::linudp::LinUdpDrive;
-use fieldbeat::bus::linudp::upid::call;
 use fieldbeat::bus::linudp::wire::{MainState, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, S};
 
 use crate::virtual_time::carrier::LIMIT;
-use crate::virtual_time::kollmorgen::{self, Machine, jog};
+use crate::virtual_time::kollmorgen::{self, Machine};
 use crate::virtual_time::support::{Bench, Rig};
 
 /// A machine of one drive.
@@ -337,40 +336,6 @@ fn a_linmot_is_not_commanded_by_parameters_while_its_power_is_on() {
 }
 
 #[test]
-fn what_a_linmot_runs_by_is_not_changed_under_it() {
-    let mut run = Run::new(linmot(FaultPlan::default()));
-    run.done(Command::Enable);
-    for (command, why) in [
-        (RtcCommand::DELETE_CURVES, CallError::Commands),
-        (RtcCommand::MODIFY_CURVE, CallError::Commands),
-        (RtcCommand::DELETE_TABLE, CallError::Commands),
-        (RtcCommand::DELETE_ENTRY, CallError::Commands),
-        (RtcCommand::WRITE_ENTRY, CallError::Commands),
-        (RtcCommand::START_SOFTWARE, CallError::Commands),
-        (RtcCommand(0x75), CallError::Commands),
-        (RtcCommand::STOP_SOFTWARE, CallError::Powered),
-        (RtcCommand::RESTART, CallError::Powered),
-        (RtcCommand::DEFAULT_MC, CallError::Powered),
-        (RtcCommand::SAVE_TABLE, CallError::Powered),
-        (RtcCommand::WRITE_BOTH, CallError::Powered),
-    ] {
-        let refused = run.acyclic().post(call(command, 0x14BE, 4), LIMIT).unwrap_err();
-        assert!(matches!(refused, PostError::Refused { why: is, .. } if is == why), "{command}: {refused}");
-    }
-    // A new curve is run by nothing yet.
-    let added = run.acyclic().post(call(RtcCommand::ADD_CURVE, 7, 70 | 8 << 16), LIMIT).unwrap();
-    assert!(run.call_ended(added).is_ok());
-    // The drive's software must not stop under an enable.
-    run.done(Command::Disable);
-    let stop = run.acyclic().post(call(RtcCommand::STOP_SOFTWARE, 0, 0), LIMIT).unwrap();
-    run.steps(1);
-    let enable = run.post(Command::Enable);
-    assert!(run.call_ended(stop).is_ok());
-    assert_ne!(run.ended(enable), Outcome::Done);
-    assert!(!run.subject.is_on());
-}
-
-#[test]
 fn an_enable_waits_for_a_write_no_longer_than_its_own_time() {
     let rig = Rig::new(1).each(|_, drive| {
         drive.simulate.config_time_ns = 300 * MS;
@@ -483,31 +448,4 @@ fn a_kollmorgen_is_not_commanded_by_objects_while_its_power_is_on() {
     for seed in 0..3 {
         never_in_any_sequence(kollmorgen_drive(), seed, 150);
     }
-}
-
-#[test]
-fn a_latched_axis_that_holds_is_not_moved_by_its_objects() {
-    let mut plan = kollmorgen::plan(1);
-    let axis = &mut plan.drives[0].axis;
-    (axis.limits.velocity, axis.stop.then) = (Some(50.0), StopThen::Hold);
-    let mut machine = Machine::enabled(plan);
-    machine.post(0, jog(5.0));
-    machine.run(300);
-    machine.assert_turns(0, 5.0);
-    // It stops, and stays powered.
-    let mut setpoint = machine.sim.axis(0);
-    setpoint.post(Command::Velocity { acceleration: 100.0 }).unwrap();
-    machine.until("a stop", 2_000, |machine| machine.feedback(0).stopped == Some(StopCause::StaleSetpoint));
-    machine.run(2_000);
-    setpoint = machine.sim.axis(0);
-    let parameters = setpoint.parameter();
-    for (address, value) in [("0x6060:0", 3_i32), ("0x60FF:0", 1_000_000)] {
-        let refused = parameters.post_write(address, value).unwrap_err();
-        assert!(matches!(refused, ParameterError::Failed { why: CallError::Commands, .. }), "{refused}");
-    }
-    for _ in 0..2_000 {
-        machine.run(1);
-        assert!(machine.drive(0, |drive| drive.rpm()).abs() < 1.0);
-    }
-    assert_eq!(machine.feedback(0).status.state, State::OperationEnabled);
 }

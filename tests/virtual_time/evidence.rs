@@ -2,7 +2,7 @@
 //! that comes once more, many cycles late and without a missed exchange, may look like the newest one in every way.
 
 use fieldbeat::axis::{Command, EventKind, Failure, Outcome};
-use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Response, ResponseDef};
+use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Response};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::time::{MS, US};
 
@@ -128,13 +128,4 @@ fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() 
     let held = ControlWord::ON;
     assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(held));
     b.done(0, to(10.0));
-}
-
-#[test]
-fn monitoring_channels_that_are_shown_come_with_every_reply() {
-    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).ready();
-    b.tape(0).heard.clear();
-    b.run(20);
-    assert!(b.tape(0).heard.iter().all(|heard| heard.request.response_def.contains(ResponseDef::MONITOR)));
-    assert!(b.feedback(0).status.monitor.iter().all(Option::is_some));
 }

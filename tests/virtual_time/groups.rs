@@ -570,28 +570,6 @@ fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
 }
 
 #[test]
-fn a_stop_is_refused_to_no_member_because_of_another() {
-    // Member 1 is lost and latched; member 0 was brought back by the task, alone, and moves.
-    let mut b = rig(2)
-        .task(|cycle, axes| match cycle.index {
-            9_000 => drop(axes.command(0, Command::Reset)),
-            9_010 => drop(axes.command(0, Command::Enable)),
-            9_600 => drop(axes.command(0, slowly_to(150.0))),
-            _ => {}
-        })
-        .ready();
-    b.join(&[0, 1]);
-    b.world().unplug(address(1));
-    b.stopped(1, 50);
-    b.until("the task moves member 0", 9_700, |b| b.status().planned > 9_650);
-    assert!(b.feedback(0).status.moving);
-    let stop = b.group().post_all(Command::QuickStop).unwrap();
-    assert_eq!(b.ended(0, stop.ids()[0]), Outcome::Done);
-    assert_eq!(b.ended(1, stop.ids()[1]), Outcome::Failed(Failure::NotOnline));
-    assert!(!b.feedback(0).status.moving);
-}
-
-#[test]
 fn velocities_of_all_members_are_set_together_and_refused_together() {
     let mut b = joined(2, &[0, 1]);
     b.group_done(&[to(50.0), to(50.0)]);

@@ -1,4 +1,4 @@
-//! How far and how fast: limits at the door and in the loop, jogs on their leash, turning and inverted axes.
+//! How far and how fast: limits on submission and in the loop, jogs on their leash, axes that turn on and on.
 
 use fieldbeat::axis::{Abort, Command, Failure, Jog, Move, Outcome, Profile, Row, Target, Unit, Units};
 use fieldbeat::bus::linudp::SimPlan;

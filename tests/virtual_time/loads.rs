@@ -105,22 +105,6 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
 }
 
 #[test]
-fn an_enable_without_the_hardware_enable_fails_at_once_and_powers_nothing_on_later() {
-    let mut b = Rig::new(1).start();
-    b.world().inhibit(address(0), 2_000 * MS);
-    b.online();
-    b.run(50);
-    // The drive shows the control word of whoever wrote last: before anything is written, its bit says nothing.
-    assert!(!b.feedback(0).status.inhibited);
-    let id = b.post(0, Command::Enable);
-    b.until("the end of the enable", 20, |b| b.outcome(0, id).is_some());
-    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Inhibited)));
-    b.run(3_000);
-    assert!(!b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered());
-    b.done(0, Command::Enable);
-}
-
-#[test]
 fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
     for (lag_ms, inhibit_after_ms, enabled) in
         [(1, 10, true), (2, 10, true), (8, 10, true), (2, 0, false), (20, 10, false)]

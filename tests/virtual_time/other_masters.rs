@@ -75,24 +75,6 @@ fn frames_of_another_master_stop_all_axes_of_the_segment_and_no_slave_is_brought
 }
 
 #[test]
-fn a_frame_now_and_then_and_a_burst_are_no_other_master() {
-    let mut machine = Machine::enabled(kollmorgen::plan(1));
-    machine.post(0, jog(5.0));
-    machine.run(300);
-    for _ in 0..20 {
-        pass(&machine, cyclic([0x30; 6]));
-        machine.run(120);
-    }
-    for _ in 0..4 {
-        pass(&machine, cyclic([0x30; 6]));
-        machine.run(1);
-    }
-    machine.run(500);
-    machine.assert_turns(0, 5.0);
-    assert_eq!(machine.feedback(0).stopped, None);
-}
-
-#[test]
 fn a_slave_that_another_master_takes_out_of_op_is_named_and_one_that_falls_by_itself_is_not() {
     let mut machine = Machine::enabled(kollmorgen::plan(1));
     machine.post(0, jog(5.0));

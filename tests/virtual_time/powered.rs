@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, StateVar};
+use fieldbeat::cycle::Overrun;
 use fieldbeat::time::MS;
 
 use super::support::*;
@@ -112,6 +113,25 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
         b.run(400);
         assert_eq!(b.feedback(0).status.state.is_powered(), powered);
     }
+}
+
+/// The link carries good replies now and then, and the loop executes a slot now and then: nothing is certain any more.
+#[test]
+fn a_link_is_lost_by_time_however_few_slots_were_executed() {
+    let mut b = Rig::new(1)
+        .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 10 }, 1.0))
+        .ready();
+    b.post(0, slowly_to(100.0));
+    b.run(100);
+    b.tape(0).mute = true;
+    // Three misses do not fill the bucket of five.
+    for _ in 0..3 {
+        b.world().delay_next_wake(8 * MS + MS / 2);
+        b.step();
+        assert_eq!(b.feedback(0).stopped, None);
+        b.step();
+    }
+    assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What the loop hands out: samples, events, observers; and that nothing is lost without being counted.
 
-use fieldbeat::axis::{Command, EventKind, Outcome};
+use fieldbeat::axis::{Command, EventKind};
 
 use crate::virtual_time::support::*;
 
@@ -38,52 +38,6 @@ fn samples_that_find_no_room_are_counted() {
     assert_eq!(b.status().lost_events, 1_000 - 64);
     let kept: Vec<u64> = std::iter::from_fn(|| samples.pop().ok()).map(|feedback| feedback.cycle).collect();
     assert_eq!(kept, (0..64).collect::<Vec<_>>(), "the oldest stay");
-}
-
-/// The newest always wins, and none is refused: neither loop nor application waits for the other.
-#[test]
-fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
-    let mut b = Rig::new(1).ready();
-    b.post(0, Command::Velocity { acceleration: 10_000.0 });
-    for last in [10.0, 0.0, -5.0, 0.0] {
-        for _ in 0..100 {
-            (0..1_000).for_each(|n| b.sim.axis(0).set_velocity(f64::from(n)).unwrap());
-            b.sim.axis(0).set_velocity(last).unwrap();
-            b.step();
-        }
-        assert_near(b.feedback(0).status.velocity, last, 0.5);
-    }
-}
-
-/// An application that posts and takes nothing for long, and then everything.
-#[test]
-fn each_accepted_command_ends_exactly_once_however_late_its_end_is_taken() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 8).ready();
-    let mut posted = Vec::new();
-    for round in 0..300 {
-        let verb = if round % 3 == 2 { Command::Stop { deceleration: None } } else { by(0.01) };
-        while let Ok(id) = b.sim.axis(0).post(verb) {
-            posted.push(id);
-            if verb.is_urgent() {
-                break;
-            }
-        }
-        for _ in 0..40 {
-            b.sim.step();
-        }
-    }
-    for _ in 0..20_000 {
-        b.sim.step();
-    }
-    assert!(posted.len() > 10_000, "{}", posted.len());
-    let mut ended = Vec::new();
-    while let Some(event) = b.sim.axis(0).event() {
-        if let EventKind::Ended { id, .. } = event.kind {
-            ended.push(id);
-        }
-    }
-    ended.sort_unstable();
-    assert_eq!(ended, posted);
 }
 
 #[test]
@@ -127,18 +81,6 @@ fn observers_read_what_the_axis_reads() {
         assert_eq!(other.feedback(), b.feedback(0));
         assert_eq!(observer.feedback().cycle + 1, b.status().executed);
     }
-}
-
-#[test]
-fn each_end_is_told_in_the_cycle_in_which_it_happened() {
-    let mut b = Rig::new(1).ready();
-    let id = b.post(0, to(5.0));
-    assert_eq!(b.ended(0, id), Outcome::Done);
-    let now = b.feedback(0);
-    let (_, event) = b.events.last().unwrap();
-    assert!(matches!(event.kind, EventKind::Ended { .. }));
-    assert_eq!(event.cycle, now.cycle);
-    assert!(event.at >= b.grid() && event.at.since(b.grid()) < b.period_ns);
 }
 
 #[test]

@@ -149,6 +149,8 @@ fn padding_and_what_stands_in_it_mean_nothing() {
         for _ in 0..50 {
             b.step();
             b.assert_honest(0);
+            // Twice the latency, and a few readings of the clock.
+            assert_near(f64::from(b.feedback(0).rtt_ns.unwrap()), 40e3, 500.0);
         }
         let c = counters(b);
         assert_eq!(c, Counters { sent: c.sent, answered: c.sent, ..Counters::default() });

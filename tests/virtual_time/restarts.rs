@@ -70,14 +70,7 @@ const CASES: [Case; 23] = [
         },
         ..CALM
     },
-    Case {
-        name: "online, only read",
-        lead: |b| {
-            b.online();
-            None
-        },
-        ..CALM
-    },
+    Case { name: "online, only read", lead: online, ..CALM },
     Case {
         name: "enabling",
         lead: |b| {
@@ -107,22 +100,8 @@ const CASES: [Case; 23] = [
         },
         ..MOVING
     },
-    Case {
-        name: "moving",
-        lead: |b| {
-            b.ready();
-            Some(b.post(0, slowly_to(100.0)))
-        },
-        ..MOVING
-    },
-    Case {
-        name: "jogging",
-        lead: |b| {
-            b.ready();
-            Some(b.post(0, jog(20.0)))
-        },
-        ..MOVING
-    },
+    Case { name: "moving", lead: |b| runs(b, slowly_to(100.0)), ..MOVING },
+    Case { name: "jogging", lead: |b| runs(b, jog(20.0)), ..MOVING },
     Case {
         name: "streaming",
         lead: |b| {
@@ -144,18 +123,12 @@ const CASES: [Case; 23] = [
     },
     Case {
         name: "native, the master keeps the control word",
-        lead: |b| {
-            b.ready();
-            Some(b.post(0, Command::Native(NativeOwner::Master)))
-        },
+        lead: |b| runs(b, Command::Native(NativeOwner::Master)),
         ..MOVING
     },
     Case {
         name: "native, the application owns the control word",
-        lead: |b| {
-            b.ready();
-            Some(b.post(0, Command::Native(NativeOwner::Application)))
-        },
+        lead: |b| runs(b, Command::Native(NativeOwner::Application)),
         ..MOVING
     },
     Case {
@@ -233,10 +206,7 @@ const CASES: [Case; 23] = [
             drive.simulate.start_running = true;
             weak_ramp(drive, 100.0);
         },
-        lead: |b| {
-            b.online();
-            None
-        },
+        lead: online,
         ends: None,
         stopped: Some(StopCause::FoundRunning),
         ..MOVING
@@ -246,44 +216,47 @@ const CASES: [Case; 23] = [
         plan: |drive| {
             (drive.simulate.start_running, drive.axis.on_found_running) = (true, FoundRunning::Refuse);
         },
-        lead: |b| {
-            b.online();
-            None
-        },
+        lead: online,
         ends: None,
         stopped: Some(StopCause::FoundRunning),
         ..MOVING
     },
     Case {
         name: "lost, hearing nothing",
-        lead: |b| {
-            b.ready();
-            let id = b.post(0, slowly_to(100.0));
-            b.run(100);
-            b.world().unplug(address(0));
-            b.stopped(0, 40);
-            Some(id)
-        },
+        lead: |b| lost(b, |b| assert!(b.world().unplug(address(0)))),
         ends: Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))),
         stopped: Some(StopCause::LinkLost),
         ..MOVING
     },
     Case {
         name: "lost, hearing the probes",
-        lead: |b| {
-            b.ready();
-            let id = b.post(0, slowly_to(100.0));
-            b.run(100);
-            b.tape(0).mute = true;
-            b.stopped(0, 40);
-            Some(id)
-        },
+        lead: |b| lost(b, |b| b.tape(0).mute = true),
         lasts: 500,
         ends: Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))),
         stopped: Some(StopCause::LinkLost),
         ..MOVING
     },
 ];
+
+fn online(b: &mut Bench) -> Option<CommandId> {
+    b.online();
+    None
+}
+
+/// Ready, and with this command under way.
+fn runs(b: &mut Bench, command: Command) -> Option<CommandId> {
+    b.ready();
+    Some(b.post(0, command))
+}
+
+/// Its link is lost in motion.
+fn lost(b: &mut Bench, silence: fn(&mut Bench)) -> Option<CommandId> {
+    let id = runs(b, slowly_to(100.0));
+    b.run(100);
+    silence(b);
+    b.stopped(0, 40);
+    id
+}
 
 /// Follows so many rows.
 fn stream(b: &mut Bench, rows: u32) -> Option<CommandId> {

@@ -10,7 +10,7 @@ use fieldbeat::axis::{Command, Health, Link, State, StopCause};
 use fieldbeat::bus::linudp::FlashMode;
 use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
-use fieldbeat::bus::linudp::service::{CurvePut, Part, Progress, Saved, ServiceError, Services};
+use fieldbeat::bus::linudp::service::{CurvePut, Progress, Saved, ServiceError, Services};
 use fieldbeat::bus::linudp::table::{Entry, Table};
 use fieldbeat::bus::linudp::upid::{Upid, Usage};
 use fieldbeat::bus::linudp::wire::{ErrorCode, Refusal, RtcCommand};
@@ -109,67 +109,6 @@ fn the_error_log_comes_with_times_and_texts() {
     assert!(entry.ms > 0 && entry.text.to_lowercase().contains("min"), "{entry:?}");
     let unknown = services(&turning).error_text(0x7777).unwrap_err();
     assert_eq!(unknown.refusal(), Some(Refusal::OutOfRange), "{unknown}");
-}
-
-#[test]
-fn a_restart_forgets_what_was_in_ram_only() {
-    let mut b = Rig::new(1).online();
-    b.write(0, "predefined-velocity", 777).unwrap();
-    b.write(0, "predefined-acceleration.both", 888).unwrap();
-    let turning = Turning::new(&mut b, 0);
-    services(&turning).restart().unwrap();
-    drop(turning);
-    b.run(20);
-    b.until("it has booted", 2_000, |b| {
-        b.feedback(0).link == Link::Online && b.feedback(0).status.state == State::SwitchOnDisabled
-    });
-    assert_ne!(b.read(0, "predefined-velocity"), Ok(777));
-    assert_eq!(b.read(0, "predefined-acceleration"), Ok(888));
-}
-
-#[test]
-fn a_part_is_reset_to_its_defaults_with_the_software_stopped() {
-    let mut b = Rig::new(1).online();
-    b.write(0, "predefined-velocity.rom", 777).unwrap();
-    b.write(0, "monitor-source-1.rom", 0x1E0E).unwrap();
-    let turning = Turning::new(&mut b, 0);
-    services(&turning).reset_to_default(Part::MotionControl).unwrap();
-    drop(turning);
-    let default = b.read(0, "predefined-velocity.default");
-    assert_eq!(b.read(0, "predefined-velocity.rom"), default);
-    assert_eq!(b.read(0, "monitor-source-1.rom"), Ok(0x1E0E), "another part");
-    b.run(100);
-    assert_eq!(b.feedback(0).status.state, State::SwitchOnDisabled, "the software runs again");
-}
-
-#[test]
-fn what_needs_a_drive_that_is_off_is_refused_while_it_is_on() {
-    let mut b = Rig::new(1).ready();
-    let turning = Turning::new(&mut b, 0);
-    let services = services(&turning);
-    for refused in [
-        services.restart(),
-        services.stop_software(),
-        services.save_curves().map(drop),
-        services.save_table().map(drop),
-        services.reset_to_default(Part::Os),
-    ] {
-        assert!(matches!(refused, Err(ServiceError::Powered { .. })), "{refused:?}");
-    }
-    drop(services);
-    drop(turning);
-    assert!(b.feedback(0).is_operational());
-}
-
-#[test]
-fn a_drive_has_one_transfer_at_a_time() {
-    let mut b = Rig::new(1).online();
-    let turning = Turning::new(&mut b, 0);
-    let first = services(&turning);
-    let second = Services::over("x0", &turning).unwrap_err();
-    assert!(matches!(second, ServiceError::Claimed { error: CallError::Claimed, .. }), "{second}");
-    drop(first);
-    assert!(Services::over("x0", &turning).is_ok());
 }
 
 #[test]

@@ -107,20 +107,6 @@ fn an_empty_stream_holds() {
 }
 
 #[test]
-fn an_empty_stream_is_extrapolated_for_a_while_and_then_stops() {
-    let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
-    b.run(15);
-    assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).status.velocity, 50.0, 3.0);
-    assert_eq!(b.stopped(0, 20), StopCause::Underrun);
-    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
-    b.until("off", 200, |b| !b.feedback(0).status.state.is_powered());
-    // 20 rows of 0.05 mm further, and the ramp.
-    let (_, high) = b.tape(0).demand.unwrap();
-    assert!((25.9..=26.4).contains(&high), "{high}");
-}
-
-#[test]
 fn an_extrapolation_ends_at_the_limit() {
     let mut b = Rig::new(1)
         .each(|_, drive| {

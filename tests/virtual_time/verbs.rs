@@ -96,9 +96,10 @@ fn motions_need_operation_and_an_enable() {
 
 #[test]
 fn commands_that_are_queued_together_wait_or_replace_what_is_before_them() {
-    // From power off. Each command is Done, or replaced by the one of that place; then the demand.
+    /// From power off. Each command is Done, or replaced by the one of that place; then the demand.
+    type Case<'a> = (&'a [Command], &'a [Option<usize>], f64);
     let (enable, home) = (Command::Enable, Command::Home);
-    let cases: [(&[Command], &[Option<usize>], f64); 5] = [
+    let cases: [Case<'_>; 5] = [
         (&[enable, home, to(20.0)], &[None, None, None], 20.0),
         // What is urgent aborts all that stand before it.
         (&[enable, home, to(2.0), Command::Disable], &[Some(3), Some(3), Some(3), None], 10.0),
@@ -151,22 +152,6 @@ fn reset_fault_acknowledges_with_an_edge_and_ends_powered_off() {
     b.done(0, Command::Enable);
     assert!(b.feedback(0).status.homed);
     b.done(0, to(5.0));
-}
-
-#[test]
-fn enable_names_the_fault_and_a_fatal_one_is_not_acknowledged() {
-    let mut b = Rig::new(1).online();
-    b.tape(0).provoke = Some(ErrorCode(0x0003));
-    b.run(3);
-    assert_eq!(b.failed(0, Command::Enable), Failure::DriveFault(3));
-    assert_eq!(b.feedback(0).stopped, None, "it was not in operation");
-    b.done(0, Command::ResetFault);
-    b.tape(0).provoke = Some(ErrorCode(0x000D));
-    b.run(3);
-    assert_eq!(b.failed(0, Command::ResetFault), Failure::DriveFault(0x0D));
-    b.world().restart(address(0));
-    b.run(300);
-    b.done(0, Command::Enable);
 }
 
 fn go_to(position: i32) -> MotionCommand {

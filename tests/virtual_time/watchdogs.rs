@@ -1,7 +1,7 @@
 //! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive
 //! does behind everybody's back.
 
-use fieldbeat::axis::{Abort, Axis, Command, Failure, Outcome, StopCause};
+use fieldbeat::axis::{Abort, Axis, Command, Failure, NativeOwner, Outcome, StopCause};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::time::MS;
@@ -32,24 +32,6 @@ fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         b.run(200);
         assert!(!b.feedback(0).status.state.is_powered());
     }
-}
-
-#[test]
-fn a_velocity_mode_without_a_first_setpoint_stands_and_is_stopped() {
-    let mut b = Rig::new(1).ready();
-    b.post(0, VELOCITY);
-    b.run(11);
-    assert!(!b.feedback(0).status.moving && b.feedback(0).stopped.is_none());
-    assert_eq!(b.stopped(0, 2), StopCause::StaleSetpoint);
-    // One that was left from long before is none.
-    b.run(300);
-    b.recover(0);
-    set(&mut b, 100.0);
-    b.run(50);
-    let demand = b.feedback(0).status.demand;
-    b.post(0, VELOCITY);
-    b.run(10);
-    assert_eq!(b.feedback(0).status.demand, demand);
 }
 
 #[test]
@@ -96,25 +78,6 @@ fn a_jog_that_nobody_holds_stops() {
     b.done(0, Command::Stop { deceleration: None });
     b.run(200);
     assert_eq!(b.feedback(0).stopped, None);
-}
-
-#[test]
-fn the_task_may_set_velocities_and_is_watched_like_anybody() {
-    let mut b = Rig::new(1)
-        .task(|cycle, axes| {
-            let set = if cycle.index < 3_000 { axes.set_velocity(0, 25.0) } else { Ok(()) };
-            assert_eq!(set, Ok(()));
-            assert!(axes.set_velocity(7, 1.0).is_err());
-            if cycle.index == 1 {
-                assert!(axes.set_velocity(0, 5_000.0).is_err());
-            }
-        })
-        .ready();
-    b.done(0, to(50.0));
-    b.post(0, VELOCITY);
-    b.until("cycle 3000", 3_000, |b| b.status().planned >= 3_000);
-    assert_near(b.feedback(0).status.velocity, 25.0, 1.0);
-    assert_eq!(b.stopped(0, 15), StopCause::StaleSetpoint);
 }
 
 #[test]
@@ -166,34 +129,23 @@ fn go(native: &mut Native, position_mm: f64, velocity_mm_s: f64) {
 
 #[test]
 fn limits_hold_for_native_process_data_too() {
-    use fieldbeat::axis::NativeOwner;
-    // Too fast.
-    let mut b = Rig::new(1).ready();
-    let mut raw = native(&mut b);
-    b.post(0, Command::Native(NativeOwner::Master));
-    b.run(10);
-    go(&mut raw, 190.0, 1_500.0);
-    assert_eq!(b.stopped(0, 400), StopCause::Limit);
-    assert!(b.feedback(0).status.velocity < 1_200.0, "{}", b.feedback(0).status.velocity);
-    // Beyond the range, with room to brake.
-    let mut b = Rig::new(1).ready();
-    let mut raw = native(&mut b);
-    b.post(0, Command::Native(NativeOwner::Master));
-    b.run(10);
-    go(&mut raw, 204.0, 400.0);
-    assert_eq!(b.stopped(0, 2_000), StopCause::Limit);
-    b.run(500);
-    let (_, high) = b.tape(0).demand.unwrap();
-    assert!((185.0..=RANGE.1).contains(&high), "it braked at {high}");
-    // Within the limits it is let alone, up to the very end where it brakes early enough.
-    let mut b = Rig::new(1).ready();
-    let mut raw = native(&mut b);
-    b.post(0, Command::Native(NativeOwner::Master));
-    b.run(10);
-    go(&mut raw, 150.0, 400.0);
-    b.run(2_000);
-    assert_eq!(b.feedback(0).stopped, None);
-    assert_near(b.feedback(0).status.demand, 150.0, 0.01);
+    // Too fast; beyond the range, with room to brake; within the limits, up to the very end where it brakes early.
+    for (target, velocity, cause) in [
+        (190.0, 1_500.0, Some(StopCause::Limit)),
+        (204.0, 400.0, Some(StopCause::Limit)),
+        (150.0, 400.0, None),
+    ] {
+        let mut b = Rig::new(1).ready();
+        let mut raw = native(&mut b);
+        b.post(0, Command::Native(NativeOwner::Master));
+        b.run(10);
+        go(&mut raw, target, velocity);
+        b.run(2_000);
+        assert_eq!(b.feedback(0).stopped, cause, "{target} at {velocity}");
+        let (_, high) = b.tape(0).demand.unwrap();
+        assert!(high <= RANGE.1 && (target > 200.0 || high <= target), "it braked at {high}");
+        assert!(velocity > 1_000.0 || high >= target.min(185.0), "it braked at {high}");
+    }
 }
 
 #[test]
@@ -243,24 +195,6 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
     assert!(b.tape(0).heard.iter().all(|heard| {
         heard.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
     }));
-}
-
-#[test]
-fn limits_hold_where_the_application_owns_the_control_word() {
-    use fieldbeat::axis::NativeOwner;
-    use fieldbeat::bus::linudp::wire::ControlWord;
-    let mut b = Rig::new(1).ready();
-    b.done(0, Command::Disable);
-    let mut raw = native(&mut b);
-    b.post(0, Command::Native(NativeOwner::Application));
-    b.run(10);
-    let word = |control| NativeOutput { control: Some(control), ..NativeOutput::default() };
-    raw.write(word(ControlWord::BASE)).unwrap();
-    raw.write(word(ControlWord::ON)).unwrap();
-    b.until("in operation", 1_000, |b| b.feedback(0).is_operational());
-    assert_eq!(b.feedback(0).stopped, None, "its state is the application's affair");
-    go(&mut raw, 190.0, 1_500.0);
-    assert_eq!(b.stopped(0, 400), StopCause::Limit);
 }
 
 #[test]

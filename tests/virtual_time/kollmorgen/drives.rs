@@ -23,7 +23,7 @@ use fieldbeat::cycle::CyclePlan;
 use fieldbeat::net::Carriers;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
-use fieldbeat::time::{MS, S};
+use fieldbeat::time::MS;
 
 use super::{LINE, Machine, STOP, drive, jog, plan, with};
 
@@ -81,10 +81,6 @@ fn positions_are_moved_to_and_streams_followed() {
             assert!((feedback.status.position - place).abs() < 1e-3, "{index}: not at {place}: {feedback:?}");
             assert!(feedback.status.in_target && !feedback.status.moving, "{feedback:?}");
         }
-        machine.post(index, jog(-3.0));
-        machine.run(300);
-        assert!((machine.feedback(index).status.velocity + 3.0).abs() < 0.1);
-        machine.done(index, STOP);
         let from = machine.feedback(index).status.demand;
         let id = machine.sim.axis(index).follow().unwrap();
         for n in 1..=400_u32 {
@@ -150,36 +146,6 @@ fn pdos_are_mapped_freely_and_an_akd_takes_torques_by_one() {
     machine.drive(1, |drive| drive.provoke(Fault::AMBIENT));
     machine.run(20);
     assert_eq!(machine.feedback(1).status.fault, 0x4110, "by 603Fh");
-}
-
-#[test]
-fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
-    let mut drives = positions();
-    drives.truncate(2);
-    drives[1].home_method = Some(35);
-    let mut machine = Machine::enabled(line(drives));
-    for index in 0..2 {
-        assert!(!machine.feedback(index).status.homed);
-        machine.done(index, Command::Home);
-        machine.run(50);
-        let feedback = machine.feedback(index);
-        assert!(feedback.status.homed && feedback.status.position.abs() < 1e-3, "{index}: {feedback:?}");
-        assert_eq!((feedback.status.state, feedback.stopped), (State::OperationEnabled, None));
-        machine.done(index, go(Target::Absolute(1.0)));
-    }
-    machine.sim.world().restart_slave(LINE, 0);
-    machine.until("lost", 100, |machine| machine.feedback(0).link == Link::Lost);
-    machine.online();
-    machine.run(500);
-    assert!(!machine.feedback(0).status.homed && machine.feedback(1).status.homed);
-    let mut restarts = 0;
-    while let Some(event) = machine.sim.axis(0).event() {
-        restarts += u32::from(matches!(event.kind, EventKind::Restarted));
-    }
-    assert_eq!(restarts, 1, "told once");
-    machine.recover(0);
-    machine.done(0, Command::Home);
-    assert!(machine.feedback(0).status.homed);
 }
 
 #[test]
@@ -291,31 +257,6 @@ fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
     machine.until("it stands", 500, |machine| machine.drive(0, |drive| drive.rpm()).abs() < 1.0);
 }
 
-#[test]
-fn a_missing_hardware_enable_is_named_and_power_comes_back_only_when_asked() {
-    let mut machine = Machine::enabled(plan(2));
-    machine.post(0, jog(5.0));
-    machine.post(1, jog(5.0));
-    machine.run(300);
-    machine.sim.world().inhibit_slave(LINE, 0, 3 * S);
-    machine.until("stopped", 50, |machine| machine.feedback(0).stopped.is_some());
-    assert_eq!(machine.feedback(0).stopped, Some(StopCause::HardwareEnable));
-    assert!(machine.feedback(0).status.inhibited);
-    machine.run(100);
-    machine.assert_turns(1, 5.0);
-    machine.done(0, Command::Reset);
-    assert_eq!(machine.ended(0, Command::Enable), Outcome::Failed(Failure::Inhibited));
-    machine.run(3_500);
-    assert_eq!(machine.drive(0, |drive| drive.axis_state()), State::SwitchOnDisabled);
-    if machine.feedback(0).stopped.is_some() {
-        machine.done(0, Command::Reset);
-    }
-    machine.done(0, Command::Enable);
-    machine.post(0, jog(1.0));
-    machine.run(300);
-    machine.assert_turns(0, 1.0);
-}
-
 /// A line that another master has left as it is.
 #[derive(Debug)]
 pub struct Left {
@@ -403,14 +344,6 @@ fn drives_found_running_without_a_watchdog_are_stopped_along_a_ramp_or_left_alon
         machine.run(500);
         machine.assert_turns(index, 2.0);
     }
-    let mut machine = running(&plan, FoundRunning::Refuse);
-    machine.online();
-    machine.run(3_000);
-    assert!((rpm::<3>(&machine)[0] - 60.0).abs() < 3.0, "{:?}", rpm::<3>(&machine));
-    assert_eq!(machine.feedback(0).stopped, Some(StopCause::FoundRunning));
-    let refused = machine.ended(0, jog(-1.0));
-    assert_eq!(refused, Outcome::Failed(Failure::Latched(StopCause::FoundRunning)));
-    assert!((rpm::<3>(&machine)[0] - 60.0).abs() < 3.0);
 }
 
 #[test]

@@ -32,11 +32,6 @@ fn up(plan: EthercatPlan) -> Machine {
 }
 
 #[test]
-fn a_line_of_56_drives_comes_up_whole() {
-    up(plan(56));
-}
-
-#[test]
 fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
     let mut machine = up(plan(64));
     machine.done(63, Command::Enable);

@@ -220,6 +220,8 @@ impl std::fmt::Debug for TapLine {
 }
 
 impl SimLine for TapLine {
+    crate::forward_sim_line!(line => line.0.lock().unwrap().0);
+
     fn interface(&self) -> &str {
         LINE
     }
@@ -228,20 +230,8 @@ impl SimLine for TapLine {
         None
     }
 
-    fn ethertype(&self) -> u16 {
-        self.with(|line| line.ethertype())
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.with(|line| SimLine::faults(line))
-    }
-
     fn slaves(&self) -> usize {
         AXES
-    }
-
-    fn delay_ns(&self) -> u64 {
-        self.with(|line| line.delay_ns())
     }
 
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
@@ -251,28 +241,12 @@ impl SimLine for TapLine {
         returns
     }
 
-    fn mislabel(&self, frame: &mut [u8]) {
-        self.with(|line| line.mislabel(frame));
-    }
-
     fn live(&mut self, now: Time) {
         self.with(|line| line.live(now));
     }
 
-    fn cut(&mut self, place: Option<usize>) {
-        self.with(|line| line.cut(place));
-    }
-
-    fn deafen(&mut self, place: usize, deaf: bool) {
-        self.with(|line| line.deafen(place, deaf));
-    }
-
     fn restart(&mut self, now: Time, place: usize) {
         self.with(|line| line.restart(now, place));
-    }
-
-    fn inhibit(&mut self, place: usize, until: Time) {
-        self.with(|line| SimLine::inhibit(line, place, until));
     }
 }
 

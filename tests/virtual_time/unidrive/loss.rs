@@ -5,10 +5,9 @@ use super::*;
 
 /// A drive with an exchange every 8 ms whose replies count for so long, in the usual settings otherwise.
 fn bench(reply_within_ns: u64) -> Bench {
-    let b = Bench::enabled(1, VIAS[1], |_, drive| {
+    Bench::enabled(1, VIAS[1], |_, drive| {
         (drive.axis.divisor, drive.reply_within_ns) = (8, reply_within_ns);
-    });
-    b
+    })
 }
 
 fn losing(b: &Bench, seed: u64, segment_loss: f64) {

@@ -88,17 +88,7 @@ impl std::fmt::Debug for Tap {
 }
 
 impl SimDrive for Tap {
-    fn address(&self) -> SocketAddrV4 {
-        self.lock().drive.address()
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.lock().drive.faults()
-    }
-
-    fn carrier(&self) -> fieldbeat::sim::Carrier {
-        self.lock().drive.carrier()
-    }
+    crate::forward_sim_drive!(lock().drive);
 
     fn receive(
         &mut self,
@@ -120,28 +110,8 @@ impl SimDrive for Tap {
         to.filter(|_| !reply.is_empty())
     }
 
-    fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
-        self.lock().drive.connect(now, from)
-    }
-
-    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
-        self.lock().drive.hangs_up(from)
-    }
-
-    fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
-        self.lock().drive.disconnected(now, from);
-    }
-
-    fn mislabel(&self, reply: &mut [u8]) {
-        self.lock().drive.mislabel(reply);
-    }
-
     fn restart(&mut self, now: Time) {
         self.lock().drive.restart(now);
-    }
-
-    fn inhibit(&mut self, until: Time) {
-        self.lock().drive.inhibit(until);
     }
 }
 
@@ -541,6 +511,8 @@ const PLAIN: Mischief = Mischief {
     lost: 0,
 };
 
+const MALFORMED: Mischief = Mischief { malformed: 1, lost: 1, ..PLAIN };
+
 fn mischief() -> Vec<Mischief> {
     vec![
         PLAIN,
@@ -566,25 +538,19 @@ fn mischief() -> Vec<Mischief> {
             name: "garbage",
             reply: |reply| *reply = vec![0xA5; 40],
             own: &[Own::Garbage],
-            malformed: 1,
-            lost: 1,
-            ..PLAIN
+            ..MALFORMED
         },
         Mischief {
             name: "another unit",
             reply: |reply| reply[6] = 7,
             own: &[Own::WrongUnit, Own::GivenUp],
-            malformed: 1,
-            lost: 1,
-            ..PLAIN
+            ..MALFORMED
         },
         Mischief {
             name: "another function",
             reply: |reply| reply[7] = function::READ,
             own: &[Own::WrongFunction, Own::GivenUp],
-            malformed: 1,
-            lost: 1,
-            ..PLAIN
+            ..MALFORMED
         },
         Mischief {
             name: "fewer registers than were asked for",
@@ -593,17 +559,13 @@ fn mischief() -> Vec<Mischief> {
                 (reply[5], reply[8]) = (reply[5] - 2, reply[8] - 2);
             },
             own: &[Own::WrongLength, Own::GivenUp],
-            malformed: 1,
-            lost: 1,
-            ..PLAIN
+            ..MALFORMED
         },
         Mischief {
             name: "a count that lies",
             reply: |reply| reply[8] ^= 2,
             own: &[Own::WrongLength, Own::GivenUp],
-            malformed: 1,
-            lost: 1,
-            ..PLAIN
+            ..MALFORMED
         },
         Mischief {
             name: "another transaction",

@@ -42,27 +42,6 @@ fn a_group_refuses_positions_to_all_its_members() {
     }
 }
 
-#[test]
-fn the_limit_of_the_velocity_holds_by_the_reported_speed() {
-    for (percent, stops) in [(100, false), (140, false), (160, true)] {
-        let mut b = bench(1);
-        b.ready();
-        b.turning(0, 8.5);
-        // It reports another speed than the commanded one: 8.5, 11.9 and 13.6 rev/s where 10 are allowed, and 12 pass.
-        b.tap(0).reply = Some(Box::new(move |reply| {
-            // The fourth value of its block.
-            if reply[7] == function::READ_WRITE {
-                let speed = i32::from_be_bytes(reply[21..25].try_into().unwrap()) * percent / 100;
-                reply[21..25].copy_from_slice(&speed.to_be_bytes());
-            }
-        }));
-        b.run(2);
-        assert_eq!(b.feedback(0).stopped, None, "one report or two make no speed");
-        b.run(100);
-        assert_eq!(b.feedback(0).stopped, stops.then_some(StopCause::Limit), "{percent} %");
-    }
-}
-
 /// Each fifth reply is a refusal, once the drive is connected; how many there were.
 fn refuse_some(tap: &Tap) -> Arc<AtomicU64> {
     let refusals = Arc::new(AtomicU64::new(0));
