@@ -112,8 +112,8 @@ impl GroupSockets {
         let mut regions = Regions::new();
         // Each group has one socket: there is always room.
         let (producer, opened) = rt::memory::ring(most, &mut regions);
-        let members = Mutex::new((Members::new(most), producer));
-        let joiner = Arc::new(Joiner { ip, buffer, members });
+        let (members, producer) = (Mutex::new(Members::new(most)), Mutex::new(producer));
+        let joiner = Arc::new(Joiner { ip, buffer, members, opened: producer });
         let events = vec![EpollEvent::empty(); most + 1].into();
         Ok(GroupSockets { epoll, events, found: 0, turn: 0, opened, joiner, regions })
     }
@@ -160,8 +160,9 @@ struct Joiner {
     ip: Ipv4Addr,
     /// The requested size of a receive buffer, bytes.
     buffer: usize,
-    /// And the ring by which new sockets go to the loop.
-    members: Mutex<(Members<Arc<UdpSocket>>, Producer<Arc<UdpSocket>>)>,
+    members: Mutex<Members<Arc<UdpSocket>>>,
+    /// By which new sockets go to the loop.
+    opened: Mutex<Producer<Arc<UdpSocket>>>,
 }
 
 impl Joiner {
@@ -181,10 +182,11 @@ impl Joiner {
 
 impl Groups for Joiner {
     fn join(&self, group: SocketAddrV4) -> io::Result<()> {
-        let (members, opened) = &mut *self.members.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut members = self.members.lock().unwrap_or_else(PoisonError::into_inner);
         let first = members.join(group, || {
             let socket = Arc::new(self.open(group)?);
             // There is room, unless the carrier is gone.
+            let mut opened = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
             let _ = opened.push(Arc::clone(&socket));
             Ok(socket)
         })?;
@@ -196,7 +198,7 @@ impl Groups for Joiner {
     }
 
     fn leave(&self, group: SocketAddrV4) {
-        let (members, _) = &mut *self.members.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut members = self.members.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(socket) = members.leave(group) {
             // It was joined: this cannot fail.
             let _ = socket.leave_multicast_v4(group.ip(), &self.ip);

@@ -318,19 +318,19 @@ mod tests {
                 expect(&mut drives[index], &[index as u8, round as u8]);
                 drives[index].write_all(&[index as u8, round as u8]).unwrap();
             }
-            let mut heard = Vec::new();
+            let mut received = Vec::new();
             until("all received", || {
                 tcp.look();
                 while let Some(index) = tcp.ready() {
                     let mut room = [0; 8];
                     let (_, length) = tcp.receive(index, &mut room).unwrap().unwrap();
                     assert_eq!(room[..length], [index as u8, round as u8]);
-                    heard.push(index);
+                    received.push(index);
                 }
-                heard.len() >= speaking.len()
+                received.len() >= speaking.len()
             });
-            heard.sort();
-            assert_eq!(heard, speaking);
+            received.sort();
+            assert_eq!(received, speaking);
             tcp.look();
             assert_eq!(tcp.ready(), None);
         }
@@ -500,12 +500,12 @@ mod tests {
             tcp.found == 2
         });
         tcp.abandon(0, "its bus says so");
-        let mut told: Vec<_> =
+        let mut results: Vec<_> =
             std::iter::from_fn(|| tcp.ready().map(|index| (index, tcp.receive(index, &mut [0; 8]))))
                 .collect();
-        told.sort_by_key(|(index, _)| *index);
-        assert_eq!(told[0], (0, Err(Broken::Absent)));
-        assert!(matches!(told[1], (1, Ok(Some((_, 1))))), "{told:?}");
+        results.sort_by_key(|(index, _)| *index);
+        assert_eq!(results[0], (0, Err(Broken::Absent)));
+        assert!(matches!(results[1], (1, Ok(Some((_, 1))))), "{results:?}");
     }
 
     #[test]

@@ -73,7 +73,7 @@ pub trait SimDrive: Send {
         None
     }
 
-    /// Its own clock has come to that. What it sends unasked goes out by `send`: from the socket of this number, to
+    /// Its own clock has come to that. What it sends then goes out by `send`: from the socket of this number, to
     /// this destination. On a stream that is the peer of a connection.
     fn run(&mut self, _now: Time, _send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {}
 

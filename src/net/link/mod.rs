@@ -20,4 +20,4 @@ pub(super) use connections::{REPEATED_US, TCP_RTO_MIN_US};
 pub(super) use thread::LinkThread;
 
 #[cfg(test)]
-pub(super) mod tests;
+pub(crate) mod tests;

@@ -3,12 +3,14 @@
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use std::os::fd::{AsRawFd, OwnedFd};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use nix::sched::{CpuSet, sched_getaffinity};
 use nix::sys::socket::{
     AddressFamily, Backlog, SockFlag, SockType, SockaddrIn, bind, listen, setsockopt, socket, sockopt,
 };
+use nix::unistd::Pid;
 
 use crate::net::{Broken, Carriers, Greeted, Greeting, Os, StreamPeer, Streams};
 use crate::rt::testing::in_own_process;
@@ -86,7 +88,7 @@ pub(in crate::net) fn patient(address: SocketAddrV4, greeting: impl Greeting + '
     }
 }
 
-pub(in crate::net) fn until(what: &str, mut done: impl FnMut() -> bool) {
+pub(crate) fn until(what: &str, mut done: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !done() {
         assert!(begun.elapsed() < LONG, "still not: {what}");
@@ -95,7 +97,7 @@ pub(in crate::net) fn until(what: &str, mut done: impl FnMut() -> bool) {
 }
 
 /// The next connection that is handed over.
-pub(in crate::net) fn opened(streams: &mut dyn Streams) -> usize {
+pub(crate) fn opened(streams: &mut dyn Streams) -> usize {
     let mut index = None;
     until("handed over", || {
         index = streams.opened();
@@ -131,7 +133,7 @@ pub(in crate::net) fn expect(stream: &mut TcpStream, bytes: &[u8]) {
 }
 
 /// Takes in so many bytes from the connection `index`, by looks.
-pub(in crate::net) fn receive(streams: &mut dyn Streams, index: usize, count: usize) -> Vec<u8> {
+pub(crate) fn receive(streams: &mut dyn Streams, index: usize, count: usize) -> Vec<u8> {
     let mut got = Vec::new();
     until("received", || {
         streams.look();
@@ -148,7 +150,7 @@ pub(in crate::net) fn receive(streams: &mut dyn Streams, index: usize, count: us
 }
 
 /// Looks until the connection `index` has something to tell, and it is that it broke.
-pub(in crate::net) fn breaks(streams: &mut dyn Streams, index: usize) -> Broken {
+pub(crate) fn breaks(streams: &mut dyn Streams, index: usize) -> Broken {
     let mut broken = None;
     until("broken", || {
         streams.look();
@@ -281,15 +283,6 @@ fn a_peer_that_resets_its_connections_is_asked_until_it_keeps_one() {
     assert_eq!((opened(&mut *streams), notes.get(0)), (0, None));
 }
 
-#[test]
-fn a_greeting_that_fails_is_told_in_the_words_of_the_protocol() {
-    let listener = listener(address(6, 10));
-    let streams = Os::default().streams(vec![patient(address(6, 10), Hello::default())]).unwrap();
-    accept(&listener).write_all(b"HTTP/1.1 400").unwrap();
-    let notes = streams.notes();
-    until("told", || notes.get(0).as_deref() == Some("127.74.6.10:1502: says HTTP/1.1 400"));
-}
-
 /// Waits for a line of the peer.
 #[derive(Debug)]
 struct Listens;
@@ -381,23 +374,14 @@ fn threads() -> usize {
     thread_directories().len()
 }
 
-/// The cores of a list like `0-2,5`.
-fn cores(list: &str) -> Vec<usize> {
-    let range = |part: &str| {
-        let (first, last) = part.split_once('-').unwrap_or((part, part));
-        first.parse().unwrap()..=last.parse::<usize>().unwrap()
-    };
-    list.split(',').flat_map(range).collect()
-}
-
 #[test]
 fn the_thread_keeps_off_the_core_of_the_loop() {
     in_own_process("net::link::tests::the_thread_keeps_off_the_core_of_the_loop", || {
-        let allowed = |directory: &Path| {
-            let status = std::fs::read_to_string(directory.join("status")).unwrap();
-            cores(status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:")).unwrap().trim())
+        let allowed = |thread: i32| -> Vec<usize> {
+            let set = sched_getaffinity(Pid::from_raw(thread)).unwrap();
+            (0..CpuSet::count()).filter(|core| set.is_set(*core).unwrap()).collect()
         };
-        let ours = allowed(Path::new("/proc/thread-self"));
+        let ours = allowed(0);
         let Some(core) = default_core().filter(|_| ours.len() > 1) else {
             return println!("skipped: there is one core only");
         };
@@ -405,7 +389,8 @@ fn the_thread_keeps_off_the_core_of_the_loop() {
         let others: Vec<_> = ours.into_iter().filter(|other| *other != core).collect();
         until("moved", || {
             let threads = thread_directories();
-            threads.len() == 1 && allowed(&threads[0]) == others
+            threads.len() == 1
+                && allowed(threads[0].file_name().unwrap().to_str().unwrap().parse().unwrap()) == others
         });
         drop(streams);
     });

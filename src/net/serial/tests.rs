@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::testing::Pty;
 use super::*;
 use crate::net::link::LinkThread;
-use crate::net::link::tests::{descriptors, until};
+use crate::net::link::tests::{breaks, descriptors, opened, receive, until};
 use crate::net::tcp::Tcp;
 use crate::net::{Carriers, Os};
 use crate::rt::testing::in_own_process;
@@ -18,33 +18,6 @@ fn open(path: &str) -> Box<dyn Serial> {
     let mut port = Os::default().serial(path, &LINE).unwrap();
     opened(&mut *port);
     port
-}
-
-fn opened(port: &mut dyn Serial) {
-    until("opened", || port.opened() == Some(0));
-    assert!(port.fd().is_some());
-}
-
-/// Takes in so many bytes.
-fn receive(port: &mut dyn Serial, count: usize) -> Vec<u8> {
-    let mut got = Vec::new();
-    until("received", || {
-        let mut room = [0; 7];
-        while let Some((_, length)) = port.receive(0, &mut room).unwrap() {
-            got.extend_from_slice(&room[..length]);
-        }
-        got.len() >= count
-    });
-    got
-}
-
-fn broken(port: &mut dyn Serial) -> Broken {
-    let mut broken = None;
-    until("broken", || {
-        broken = port.receive(0, &mut [0; 8]).err();
-        broken.is_some()
-    });
-    broken.unwrap()
 }
 
 #[test]
@@ -73,7 +46,7 @@ fn every_byte_passes_as_it_is_and_wakes_the_waiting() {
     let mut set = PollSet::default();
     set.fill(port.fd());
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
-    assert_eq!(receive(&mut *port, 256), all);
+    assert_eq!(receive(&mut *port, 0, 256), all);
     assert_eq!(port.receive(0, &mut []), Ok(None));
     until("all sent", || port.unsent() == Ok(0));
 }
@@ -132,7 +105,7 @@ fn what_is_discarded_is_never_received() {
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
     port.discard().unwrap();
     pty.end.write_all(b"new").unwrap();
-    assert_eq!(receive(&mut *port, 3), b"new");
+    assert_eq!(receive(&mut *port, 0, 3), b"new");
 }
 
 #[test]
@@ -182,13 +155,13 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
         pty.end.write_all(b"old").unwrap();
         // Unplugged before the answer is taken in, or after.
         if round % 2 == 0 {
-            assert_eq!(receive(&mut *port, 3), b"old");
+            assert_eq!(receive(&mut *port, 0, 3), b"old");
         }
         drop(pty);
         let mut set = PollSet::default();
         set.fill(port.fd());
         assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S), "a hang-up wakes");
-        let why = broken(&mut *port);
+        let why = breaks(&mut *port, 0);
         assert!(matches!(why, Broken::Closed | Broken::Failed(libc::EIO)), "{why:?}");
         assert!(matches!(port.send(0, b"x"), Err(Broken::Failed(libc::EIO))));
         port.abandon(0, "it is unplugged");
@@ -204,7 +177,7 @@ fn a_port_that_is_dropped_at_any_moment_leaves_nothing_behind() {
         for round in 0..600 {
             let mut port = Os::default().serial(&pty.path, &LINE).unwrap();
             match round % 3 {
-                0 => opened(&mut *port),
+                0 => assert_eq!(opened(&mut *port), 0),
                 1 => {
                     opened(&mut *port);
                     port.abandon(0, "again");

@@ -126,12 +126,12 @@ fn a_dead_peer_on_a_living_host_is_no_error() {
 }
 
 #[test]
-fn too_long_is_cut_and_marked_and_strangers_are_named() {
+fn too_long_is_cut_and_marked_and_unknown_senders_are_named() {
     let mut udp = Udp::bind(address(7, 1), &options(1, SendMode::Batch)).unwrap();
-    let stranger = peer(7, 200);
-    stranger.send_to(&[7; 64], address(7, 1)).unwrap();
-    stranger.send_to(&[8; 65], address(7, 1)).unwrap();
-    stranger.send_to(&[], address(7, 1)).unwrap();
+    let unknown = peer(7, 200);
+    unknown.send_to(&[7; 64], address(7, 1)).unwrap();
+    unknown.send_to(&[8; 65], address(7, 1)).unwrap();
+    unknown.send_to(&[], address(7, 1)).unwrap();
     let from = address(7, 200);
     assert_eq!(
         receive(&mut udp, 3),
@@ -142,12 +142,12 @@ fn too_long_is_cut_and_marked_and_strangers_are_named() {
 #[test]
 fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
     let mut udp = Udp::bind(address(10, 1), &options(1, SendMode::Batch)).unwrap();
-    let stranger = peer(10, 200);
+    let unknown = peer(10, 200);
     let (mut sent, mut taken) = (0, 0);
     let mut burst = |udp: &mut Udp, count: usize, taken: &mut u64| {
         // On loopback each is in the buffer, or dropped, before the next one is sent.
         for _ in 0..count {
-            stranger.send_to(&[9; 40], address(10, 1)).unwrap();
+            unknown.send_to(&[9; 40], address(10, 1)).unwrap();
         }
         while let Ok(more @ 1..) = udp.receive(&mut |_| *taken += 1) {
             assert!(more <= udp.batch());

@@ -8,6 +8,7 @@ use nix::sys::socket::{setsockopt, sockopt};
 
 use super::sockets::{CONNECTIONS, Connection, UNREAD, prepare, token, unbound};
 use super::*;
+use crate::net::link::tests::until;
 use crate::sim::FaultPlan;
 use crate::sim::testing::Peers;
 use crate::sim::{Carrier, SimDrive};
@@ -255,14 +256,6 @@ fn ask(socket: &mut TcpStream, number: u8) -> io::Result<[u8; 2]> {
     socket.write_all(&[number, 0])?;
     let mut answer = [0; 2];
     socket.read_exact(&mut answer).map(|()| answer)
-}
-
-fn until(what: &str, mut done: impl FnMut() -> bool) {
-    let begin = Instant::now();
-    while !done() {
-        assert!(begin.elapsed() < LONG, "{what}");
-        thread::sleep(Duration::from_millis(1));
-    }
 }
 
 #[test]

@@ -243,7 +243,7 @@ impl Inner {
                     break;
                 }
                 Action::Send => {
-                    let count = self.greet(place);
+                    let count = self.send_handshake(place);
                     action = self.links.at(place).machine.sent(now, count);
                 }
                 Action::HandOver => {
@@ -261,7 +261,7 @@ impl Inner {
     }
 
     /// Sends the bytes of the handshake or session.
-    fn greet(&mut self, place: Place) -> usize {
+    fn send_handshake(&mut self, place: Place) -> usize {
         let link = &self.links.sets[place.0].links[place.1];
         let (Some(station), Some(from)) = (link.station, link.local) else { return 0 };
         let (bytes, due) = (link.machine.to_send(), self.now + self.options.latency_ns);
@@ -565,7 +565,7 @@ mod tests {
         carrier: Carrier,
         faults: FaultPlan,
         most: usize,
-        asked: u8,
+        answered: u8,
         lost: bool,
         peers: Peers,
     }
@@ -592,8 +592,8 @@ mod tests {
         ) -> Option<SocketAddrV4> {
             for [number, complement] in self.peers.requests(from, bytes) {
                 self.lost |= number != !complement;
-                self.asked = self.asked.wrapping_add(1);
-                reply.extend([number, self.asked]);
+                self.answered = self.answered.wrapping_add(1);
+                reply.extend([number, self.answered]);
             }
             (!reply.is_empty() && !self.lost).then_some(from)
         }
@@ -618,7 +618,7 @@ mod tests {
 
         fn restart(&mut self, _now: Time) {
             assert_eq!(self.peers.count(), 0, "a restart ends all connections");
-            self.asked = 0;
+            self.answered = 0;
         }
     }
 
@@ -650,7 +650,7 @@ mod tests {
         /// The peers of each drive.
         peers: Vec<Peers>,
         /// The received bytes.
-        heard: Vec<Vec<u8>>,
+        received: Vec<Vec<u8>>,
         open: Vec<bool>,
         broken: Vec<(usize, Broken)>,
     }
@@ -661,7 +661,7 @@ mod tests {
             carrier: Carrier::Stream,
             faults: FaultPlan { seed: faults.seed + u64::from(n), ..faults.clone() },
             most: 2,
-            asked: 0,
+            answered: 0,
             lost: false,
             peers: Peers::default(),
         };
@@ -682,21 +682,21 @@ mod tests {
             let ask = |address: &SocketAddrV4| StreamPeer::new(*address, Box::new(Ask(Vec::new())));
             let carrier = world.streams(addresses.iter().map(ask).collect()).unwrap();
             let count = peers.len();
-            let (heard, open) = (vec![Vec::new(); count], vec![false; count]);
-            Rig { world, carrier, peers, heard, open, broken: Vec::new() }
+            let (received, open) = (vec![Vec::new(); count], vec![false; count]);
+            Rig { world, carrier, peers, received, open, broken: Vec::new() }
         }
 
         /// Takes in what has arrived, as a bus does.
         fn take(&mut self) {
             while let Some(index) = self.carrier.opened() {
                 assert!(!std::mem::replace(&mut self.open[index], true));
-                self.heard[index].clear();
+                self.received[index].clear();
             }
             self.carrier.look();
             while let Some(index) = self.carrier.ready() {
                 let mut room = [0; 3];
                 match self.carrier.receive(index, &mut room) {
-                    Ok(got) => self.heard[index].extend(&room[..got.map_or(0, |(_, count)| count)]),
+                    Ok(got) => self.received[index].extend(&room[..got.map_or(0, |(_, count)| count)]),
                     Err(why) => self.lose(index, why),
                 }
             }
@@ -708,7 +708,7 @@ mod tests {
             self.open[index] = false;
         }
 
-        fn ask(&mut self, index: usize, number: u8) -> Result<(Time, usize), Broken> {
+        fn request(&mut self, index: usize, number: u8) -> Result<(Time, usize), Broken> {
             self.carrier.send(index, &[number, !number])
         }
 
@@ -741,7 +741,7 @@ mod tests {
     fn a_connection_is_opened_greeted_and_handed_over_and_takes_its_latencies() {
         let faults = FaultPlan { answer_ns: 100 * US, ..FaultPlan::default() };
         let mut rig = Rig::new(1, faults);
-        assert_eq!(rig.ask(0, 1), Err(Broken::Absent));
+        assert_eq!(rig.request(0, 1), Err(Broken::Absent));
         let knock = rig.world.lock().next_due().unwrap();
         rig.world.advance(knock.since(rig.world.now()) + 4 * LATENCY + 100 * US - 1);
         rig.take();
@@ -751,14 +751,14 @@ mod tests {
         assert!(rig.open[0] && rig.carrier.notes().get(0).is_none());
 
         let begin = rig.world.now();
-        assert_eq!(rig.ask(0, 5), Ok((begin, 2)));
+        assert_eq!(rig.request(0, 5), Ok((begin, 2)));
         let mut set = PollSet::default();
         assert!(!rig.world.clock().wait(&mut set, begin + 140 * US - 1));
         assert!(rig.world.clock().wait(&mut set, begin + MS));
         assert_eq!(rig.world.now(), begin + 140 * US);
         rig.take();
         // The first request was the handshake.
-        assert_eq!(rig.heard[0], [5, 2]);
+        assert_eq!(rig.received[0], [5, 2]);
         assert!(!rig.world.clock().wait(&mut set, begin + MS));
     }
 
@@ -800,14 +800,14 @@ mod tests {
         rig.opened(0);
         let (mut set, mut came) = (PollSet::default(), Vec::new());
         for number in 0..3 {
-            rig.ask(0, number).unwrap();
+            rig.request(0, number).unwrap();
         }
         let end = rig.world.now() + MS;
         while rig.world.clock().wait(&mut set, end) {
             rig.take();
-            came.push((rig.world.now(), rig.heard[0].len()));
+            came.push((rig.world.now(), rig.received[0].len()));
         }
-        assert_eq!(rig.heard[0], [0, 2, 1, 3, 2, 4]);
+        assert_eq!(rig.received[0], [0, 2, 1, 3, 2, 4]);
         assert!(came.iter().map(|(_, count)| *count).eq(1..=6), "{came:?}");
         assert!(came.windows(2).all(|pair| pair[0].0 < pair[1].0), "{came:?}");
         assert_eq!(rig.world.injected(drive(0)).unwrap().split, 8);
@@ -820,12 +820,12 @@ mod tests {
         let mut rig = Rig::new(1, faults);
         rig.opened(0);
         for number in 0..100 {
-            rig.ask(0, number).unwrap();
+            rig.request(0, number).unwrap();
             rig.pass(30 * US);
         }
         rig.pass(MS);
         let expected: Vec<_> = (0..100).flat_map(|number| [number, number + 2]).collect();
-        assert_eq!(rig.heard[0], expected);
+        assert_eq!(rig.received[0], expected);
         assert!(rig.broken.is_empty());
         let injected = rig.world.injected(drive(0)).unwrap();
         assert!(injected.delayed > 40 && injected.split > 40, "{injected:?}");
@@ -838,12 +838,12 @@ mod tests {
         let plan = FaultPlan { stall: 1.0, stall_ns: 5 * MS, ..FaultPlan::default() };
         assert!(rig.world.set_faults(drive(0), plan));
         let begin = rig.world.now();
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         rig.pass(MS);
-        rig.ask(0, 2).unwrap();
+        rig.request(0, 2).unwrap();
         assert!(!rig.world.clock().wait(&mut PollSet::default(), begin + 5 * MS));
         rig.pass(MS);
-        assert_eq!(rig.heard[0], [1, 2, 2, 3]);
+        assert_eq!(rig.received[0], [1, 2, 2, 3]);
         let injected = rig.world.injected(drive(0)).unwrap();
         assert_eq!((injected.stalls, injected.stalled), (1, 2));
     }
@@ -864,19 +864,19 @@ mod tests {
         let plan = FaultPlan { seed: seed.unwrap(), ..lossy(0.5) };
         assert!(rig.world.set_faults(drive(0), plan));
         let begin = rig.world.now();
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         rig.world.set_faults(drive(0), FaultPlan::default());
         rig.pass(MS);
-        rig.ask(0, 2).unwrap();
+        rig.request(0, 2).unwrap();
         let mut set = PollSet::default();
         assert!(!rig.world.clock().wait(&mut set, begin + RETRANSMISSION_NS + 2 * LATENCY - 1));
         assert!(rig.world.clock().wait(&mut set, begin + S));
         assert_eq!(rig.world.now(), begin + RETRANSMISSION_NS + 2 * LATENCY);
         rig.pass(0);
-        assert_eq!(rig.heard[0], [1, 2, 2, 3]);
+        assert_eq!(rig.received[0], [1, 2, 2, 3]);
         // From now on nothing waits.
         let begin = rig.world.now();
-        rig.ask(0, 3).unwrap();
+        rig.request(0, 3).unwrap();
         assert!(rig.world.clock().wait(&mut set, begin + S));
         assert_eq!(rig.world.now(), begin + 2 * LATENCY);
     }
@@ -887,7 +887,7 @@ mod tests {
         rig.opened(0);
         let all = FaultPlan { segment_loss: 1.0, ..FaultPlan::default() };
         assert!(rig.world.set_faults(drive(0), all));
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         assert_eq!(rig.world.injected(drive(0)).unwrap().segments, 10);
         rig.world.set_faults(drive(0), FaultPlan::default());
         let begin = rig.world.now();
@@ -896,10 +896,10 @@ mod tests {
         rig.carrier.abandon(0, "it takes too long");
         rig.open[0] = false;
         rig.opened(0);
-        rig.ask(0, 2).unwrap();
+        rig.request(0, 2).unwrap();
         rig.pass(S);
         // The handshake is the second request that the drive gets.
-        assert_eq!((&rig.heard[0][..], rig.connected(0)), (&[2, 3][..], 1));
+        assert_eq!((&rig.received[0][..], rig.connected(0)), (&[2, 3][..], 1));
     }
 
     #[test]
@@ -907,17 +907,17 @@ mod tests {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
         assert!(rig.world.set_faults(drive(0), FaultPlan { cut: 1.0, ..FaultPlan::default() }));
-        rig.ask(0, 9).unwrap();
+        rig.request(0, 9).unwrap();
         rig.pass(MS);
-        assert_eq!((&rig.heard[0][..], &rig.broken[..]), (&[9][..], &[(0, Broken::Closed)][..]));
+        assert_eq!((&rig.received[0][..], &rig.broken[..]), (&[9][..], &[(0, Broken::Closed)][..]));
         assert_eq!((rig.connected(0), rig.world.injected(drive(0)).unwrap().cut), (0, 1));
         let note = rig.carrier.notes().get(0).unwrap();
         assert!(note.contains("it broke"), "{note}");
         assert!(rig.world.set_faults(drive(0), FaultPlan::default()));
         rig.opened(0);
-        rig.ask(0, 3).unwrap();
+        rig.request(0, 3).unwrap();
         rig.pass(MS);
-        assert_eq!(rig.heard[0], [3, 4]);
+        assert_eq!(rig.received[0], [3, 4]);
     }
 
     #[test]
@@ -934,20 +934,20 @@ mod tests {
         let mut rig = Rig::new(2, FaultPlan::default());
         rig.opened(0);
         rig.opened(1);
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         assert!(rig.world.restart(drive(0)));
         rig.pass(MS);
         assert_eq!(rig.broken, [(0, Broken::Failed(libc::ECONNRESET))]);
         // The requests to the old one reached nobody.
-        assert_eq!((&rig.heard[0][..], rig.open[1]), (&[][..], true));
+        assert_eq!((&rig.received[0][..], rig.open[1]), (&[][..], true));
         rig.opened(0);
-        rig.ask(0, 2).unwrap();
-        rig.ask(1, 3).unwrap();
+        rig.request(0, 2).unwrap();
+        rig.request(1, 3).unwrap();
         rig.pass(MS);
-        assert_eq!((&rig.heard[0][..], &rig.heard[1][..]), (&[2, 2][..], &[3, 2][..]));
-        let struck = FaultPlan { restart: 1.0, ..FaultPlan::default() };
-        assert!(rig.world.set_faults(drive(1), struck));
-        rig.ask(1, 4).unwrap();
+        assert_eq!((&rig.received[0][..], &rig.received[1][..]), (&[2, 2][..], &[3, 2][..]));
+        let restarts = FaultPlan { restart: 1.0, ..FaultPlan::default() };
+        assert!(rig.world.set_faults(drive(1), restarts));
+        rig.request(1, 4).unwrap();
         rig.pass(MS);
         assert_eq!(rig.broken[1..], [(1, Broken::Failed(libc::ECONNRESET))]);
     }
@@ -956,16 +956,16 @@ mod tests {
     fn a_short_loss_of_the_plug_loses_nothing() {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         assert!(rig.world.unplug(drive(0)));
         rig.pass(100 * MS);
-        rig.ask(0, 2).unwrap();
+        rig.request(0, 2).unwrap();
         rig.pass(100 * MS);
-        assert!(rig.heard[0].is_empty() && rig.broken.is_empty());
+        assert!(rig.received[0].is_empty() && rig.broken.is_empty());
         assert!(rig.world.plug(drive(0)));
-        rig.ask(0, 3).unwrap();
+        rig.request(0, 3).unwrap();
         rig.pass(MS);
-        assert_eq!(rig.heard[0], [1, 2, 2, 3, 3, 4]);
+        assert_eq!(rig.received[0], [1, 2, 2, 3, 3, 4]);
         // It is no longer counted as silent.
         rig.pass(2 * S);
         assert!(rig.broken.is_empty());
@@ -975,15 +975,15 @@ mod tests {
     fn a_reply_waits_for_the_plug_too() {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         rig.world.advance(LATENCY);
         assert!(rig.world.unplug(drive(0)));
         rig.pass(3 * S);
         // Its host has acknowledged all that was sent.
-        assert!(rig.heard[0].is_empty() && rig.broken.is_empty());
+        assert!(rig.received[0].is_empty() && rig.broken.is_empty());
         assert!(rig.world.plug(drive(0)));
         rig.pass(MS);
-        assert_eq!(rig.heard[0], [1, 2]);
+        assert_eq!(rig.received[0], [1, 2]);
     }
 
     #[test]
@@ -991,7 +991,7 @@ mod tests {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
         assert!(rig.world.unplug(drive(0)));
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         let begin = rig.world.now();
         // As long as the peer's host may not acknowledge, from when it should have.
         assert!(!rig.world.clock().wait(&mut PollSet::default(), begin + S + LATENCY - 1));
@@ -1006,10 +1006,10 @@ mod tests {
         assert_eq!(rig.connected(0), 0);
         let back = rig.world.now();
         assert!(rig.opened(0).since(back) < 4 * S);
-        rig.ask(0, 2).unwrap();
+        rig.request(0, 2).unwrap();
         rig.pass(MS);
         // ... and never gets what was sent on the old one.
-        assert_eq!(rig.heard[0], [2, 3]);
+        assert_eq!(rig.received[0], [2, 3]);
     }
 
     #[test]
@@ -1018,15 +1018,15 @@ mod tests {
         rig.opened(0);
         assert!(rig.world.unplug(drive(0)));
         let taken = (0..2 * WINDOW).filter(|_| {
-            let taken = rig.ask(0, 1).unwrap().1;
+            let taken = rig.request(0, 1).unwrap().1;
             rig.world.advance(LATENCY);
             taken > 0
         });
         assert_eq!(taken.count(), WINDOW / 2);
         assert!(rig.world.plug(drive(0)));
         rig.pass(MS);
-        assert_eq!(rig.heard[0].len(), WINDOW);
-        assert_eq!(rig.ask(0, 1).unwrap().1, 2);
+        assert_eq!(rig.received[0].len(), WINDOW);
+        assert_eq!(rig.request(0, 1).unwrap().1, 2);
     }
 
     #[test]
@@ -1037,19 +1037,19 @@ mod tests {
         assert!(rig.world.set_faults(drive(0), plan));
         let mine = |rig: &Rig| rig.peers[0].first();
         let first = mine(&rig);
-        rig.ask(0, 1).unwrap();
+        rig.request(0, 1).unwrap();
         rig.pass(MS);
         rig.carrier.abandon(0, "too slow");
         rig.open[0] = false;
         assert_eq!(
-            (rig.ask(0, 1), rig.carrier.receive(0, &mut [0; 8])),
+            (rig.request(0, 1), rig.carrier.receive(0, &mut [0; 8])),
             (Err(Broken::Absent), Err(Broken::Absent))
         );
         // The pause ends before the late answer comes, and the handshake follows it.
         rig.opened(0);
         assert_ne!(mine(&rig), first);
         rig.pass(S);
-        assert!(rig.heard[0].is_empty() && rig.broken.is_empty(), "{:?}", rig.heard);
+        assert!(rig.received[0].is_empty() && rig.broken.is_empty(), "{:?}", rig.received);
     }
 
     #[test]
@@ -1065,23 +1065,23 @@ mod tests {
         rig.open.fill(false);
         rig.pass(MS);
         assert_eq!((rig.connected(0), rig.connected(1)), (1, 0));
-        rig.ask(0, 8).unwrap();
+        rig.request(0, 8).unwrap();
         rig.pass(MS);
-        assert_eq!(rig.heard[0][0], 8);
+        assert_eq!(rig.received[0][0], 8);
         assert_eq!(rig.world.lock().next_due(), None);
     }
 
     #[test]
-    fn strangers_reach_no_connection() {
+    fn unknown_senders_reach_no_connection() {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
-        let (stranger, peer) =
+        let (unknown, peer) =
             (SocketAddrV4::new(Ipv4Addr::new(10, 9, 9, 9), 5), rig.peers[0].first().unwrap());
-        rig.world.inject(drive(0), stranger, &[1, !1], rig.world.now());
+        rig.world.inject(drive(0), unknown, &[1, !1], rig.world.now());
         rig.world.inject(SocketAddrV4::new(*peer.ip(), 1), drive(0), &[1], rig.world.now());
-        rig.ask(0, 4).unwrap();
+        rig.request(0, 4).unwrap();
         rig.pass(MS);
-        assert_eq!((&rig.heard[0][..], rig.connected(0)), (&[4, 2][..], 1));
+        assert_eq!((&rig.received[0][..], rig.connected(0)), (&[4, 2][..], 1));
     }
 
     #[test]
@@ -1110,7 +1110,7 @@ mod tests {
             for round in 0..3_000_u32 {
                 for index in 0..5 {
                     if rig.open[index]
-                        && let Err(why) = rig.ask(index, round as u8)
+                        && let Err(why) = rig.request(index, round as u8)
                     {
                         rig.lose(index, why);
                     }

@@ -11,13 +11,12 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use fieldbeat::axis::acyclic::{
-    self, AcyclicEnds, Call, CallError, Commanding, Notation, NotationError, Port,
-};
+use fieldbeat::axis::acyclic::{self, AcyclicEnds, Call, CallError, Commanding, Notation, Port};
 use fieldbeat::axis::{AxisPlan, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units};
 use fieldbeat::bus::desired::{
     Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
 };
+use fieldbeat::bus::linudp::upid::Upids;
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::Regions;
@@ -336,7 +335,8 @@ impl BusPlan for ToyPlan {
     }
 
     fn notation(&self) -> Arc<dyn Notation> {
-        Arc::new(Registers)
+        // Its registers have no names: any notation of numbers does.
+        Arc::new(Upids)
     }
 
     fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
@@ -368,48 +368,6 @@ impl BusPlan for ToyPlan {
 const GET: u32 = 1;
 const PUT: u32 = 2;
 const NO_REGISTER: u32 = 9;
-
-/// Registers are written as their number.
-#[derive(Debug)]
-struct Registers;
-
-impl Registers {
-    fn call(service: u32, address: &str, value: u64) -> Result<Call, NotationError> {
-        let number =
-            address.parse().map_err(|_| NotationError::Address { form: "the number of a register" })?;
-        Ok(Call { service, address: number, value })
-    }
-}
-
-impl Notation for Registers {
-    fn protocol(&self) -> &'static str {
-        "toy"
-    }
-
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Registers::call(GET, address, 0)
-    }
-
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        Registers::call(PUT, address, value)
-    }
-
-    fn value(&self, _address: &str, text: &str) -> Result<u64, NotationError> {
-        text.parse().map_err(|_| NotationError::Value { value: text.into(), form: "a number".into() })
-    }
-
-    fn number(&self, _address: &str, raw: u64) -> i64 {
-        raw as i64
-    }
-
-    fn show(&self, _address: &str, raw: u64) -> String {
-        raw.to_string()
-    }
-
-    fn reason(&self, status: u32) -> String {
-        format!("status {status}")
-    }
-}
 
 /// The drive: it does what it is told, at once.
 struct ToyDrive {

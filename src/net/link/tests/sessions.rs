@@ -146,64 +146,6 @@ fn calls_are_served_on_the_thread_and_a_post_wakes_it() {
 }
 
 #[test]
-fn a_session_survives_every_end_of_its_connection_and_each_call_has_one_end() {
-    let listener = listener(address(21, 10));
-    let (_sessions, acyclic, log) = session(&Os::default(), address(21, 10));
-    let poster = std::thread::spawn(move || {
-        let (mut done, mut failed) = (0, 0);
-        while done < 60 || failed < 20 {
-            match acyclic.run(&[call(3)], LONG).failed {
-                None => done += 1,
-                Some(CallError::NotOnline | CallError::Lost) => failed += 1,
-                Some(other) => panic!("{other}"),
-            }
-        }
-    });
-    let mut rounds = 0_u64;
-    while !poster.is_finished() {
-        let Ok((mut drive, _)) = listener.accept() else {
-            std::thread::sleep(Duration::from_micros(200));
-            continue;
-        };
-        rounds += 1;
-        drive.set_nonblocking(false).unwrap();
-        drive.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-        let mut room = [0; 3];
-        match rounds % 4 {
-            // At once, in the middle of a call, by nonsense, or after some calls.
-            0 => reset(drive),
-            1 => {
-                let _ = drive.read_exact(&mut room[..1]);
-                let _ = drive.write_all(b"r");
-                let _ = drive.read_exact(&mut room[..1]);
-                drop(drive);
-            }
-            2 => {
-                let _ = drive.write_all(b"nonsense");
-                let _ = drive.read(&mut room);
-                let _ = drive.read(&mut room);
-            }
-            _ => {
-                let _ = drive.read_exact(&mut room[..1]);
-                let _ = drive.write_all(b"r");
-                for _ in 0..5 {
-                    if drive.read_exact(&mut room[..2]).is_ok() {
-                        let _ = drive.write_all(&[9]);
-                    }
-                }
-                reset(drive);
-            }
-        }
-    }
-    poster.join().unwrap();
-    assert!(rounds >= 10, "{rounds}");
-    until("the last end", || {
-        let (opened, closed) = (log.opened.load(Ordering::Relaxed), log.closed.load(Ordering::Relaxed));
-        opened <= closed + 1 && opened >= rounds
-    });
-}
-
-#[test]
 fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
     in_own_process(
         "net::link::tests::sessions::thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing",

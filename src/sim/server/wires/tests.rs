@@ -3,16 +3,15 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::*;
+use crate::net::link::tests::{opened, until};
 use crate::net::serial::testing::Pty;
 use crate::net::{Broken, Carriers, Os, Serial};
 use crate::sim::server::{ServerOptions, SimServer};
 use crate::sim::testing::Slave;
 use crate::sim::{FaultPlan, SimSerial, Simulated};
-
-const LONG: Duration = Duration::from_secs(60);
 
 fn name(what: &str) -> String {
     format!("{}wire-{what}-{}", local::PREFIX, std::process::id())
@@ -30,17 +29,9 @@ fn start(port: &str, own_port: Option<String>, faults: FaultPlan) -> io::Result<
     SimServer::start(Simulated { wires: vec![wire], ..Simulated::default() }, ServerOptions::default())
 }
 
-fn until(what: &str, mut done: impl FnMut() -> bool) {
-    let begin = Instant::now();
-    while !done() {
-        assert!(begin.elapsed() < LONG, "{what}");
-        std::thread::sleep(Duration::from_micros(200));
-    }
-}
-
 fn open(port: &str) -> Box<dyn Serial> {
     let mut master = Os::default().serial(port, &Slave::LINE).unwrap();
-    until("opened", || master.opened().is_some());
+    opened(&mut *master);
     master
 }
 
@@ -91,7 +82,7 @@ fn a_local_wire_comes_and_goes_and_has_one_master() {
     for _ in 0..3 {
         let server = start(&port, None, FaultPlan::default()).unwrap();
         assert!(start(&port, None, FaultPlan::default()).unwrap_err().to_string().contains("is taken"));
-        until("opened", || master.opened().is_some());
+        opened(&mut *master);
         assert_eq!(exchange(&mut *master, 7, 3).unwrap(), [135, 3, 1]);
         // A second master is sent away, and the first one goes on.
         let mut second = open(&port);
@@ -124,7 +115,7 @@ fn a_master_that_leaves_makes_room_for_the_next_one() {
         Ok(answer) => answer[..2] == [137, 5],
         Err(_) => {
             master.abandon(0, "sent away");
-            until("opened", || master.opened().is_some());
+            opened(&mut *master);
             false
         }
     });

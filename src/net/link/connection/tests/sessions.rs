@@ -1,8 +1,12 @@
-//! The life of a session, in plain time: connections come and go, the session stays.
+//! The life of a session, in plain time: connections come and go, the session stays. And whatever a handshake or a
+//! session does.
 
 use std::sync::{Arc, Mutex};
 
+use proptest::prelude::*;
+
 use super::*;
+use crate::time::Ns;
 
 /// What happened to a session.
 #[derive(Debug, Default)]
@@ -162,24 +166,28 @@ fn a_session_that_is_not_established_in_time_is_closed() {
 
 proptest! {
     #[test]
-    fn whatever_happens_to_a_session_there_is_one_socket_and_each_end_is_reported(
-        steps in prop::collection::vec((0..9_u8, 0..3_u8, 0..1_u64 << 33), 0..200)
+    fn whatever_happens_there_is_one_socket_one_owner_and_an_end_to_every_wait(
+        // Times in all orders of magnitude.
+        steps in prop::collection::vec((0..10_u8, 0..4_usize, (0..35_u32).prop_flat_map(|bits| 0..1_u64 << bits)), 0..200)
     ) {
         let (mut connection, toy, _) = session();
-        let (mut now, mut socket, mut open) = (START, false, 0);
+        // Whether there is a socket, whether the loop has it, and how often it got it.
+        let (mut now, mut socket, mut out, mut handed_over) = (START, false, false, 0);
         for (step, will, pass) in steps {
             now = now + pass;
+            let next = [Greeted::Kept, Greeted::More, Greeted::Failed("no".into()), Greeted::Done][will].clone();
             toy.with(|log| {
                 log.due = (will == 2).then_some(now);
                 log.say = vec![7; usize::from(step)];
-                log.next = [None, Some(Greeted::More), Some(Greeted::Failed("no".into()))][usize::from(will)].clone();
+                log.next = Some(next);
             });
             let action = match step {
                 0 | 1 => connection.poll(now),
                 2 | 3 => connection.connected(now),
                 4 => connection.failed(now, Broken::Closed),
                 5 => connection.received(now, b"reply"),
-                6 | 7 => connection.sent(now, usize::from(will) * 9),
+                6 | 7 => connection.sent(now, will * 9),
+                8 => connection.given_back(now, "it is tried"),
                 _ => connection.run(now),
             };
             match action {
@@ -188,16 +196,22 @@ proptest! {
                     prop_assert!(!socket);
                     socket = true;
                 }
-                Action::Send => prop_assert!(socket && !connection.to_send().is_empty()),
-                Action::HandOver => prop_assert!(false, "a session stays"),
+                Action::Send => prop_assert!(socket && !out && !connection.to_send().is_empty()),
+                Action::HandOver => {
+                    prop_assert!(socket && !out && connection.to_send().is_empty());
+                    (out, handed_over) = (true, handed_over + 1);
+                }
                 Action::Close => {
                     prop_assert!(socket);
-                    socket = false;
+                    (socket, out) = (false, false);
                 }
             }
-            let (opened, closed) = toy.with(|log| (log.opened, log.closed.len()));
-            prop_assert!(opened == closed || opened == closed + 1 && socket, "{opened} {closed}");
-            open = open.max(opened);
+            let (opened, closed) = toy.with(|log| (log.opened, log.closed.len() + handed_over));
+            prop_assert!(opened == closed || opened == closed + 1 && socket && !out, "{opened} {closed}");
+            match connection.next_due() {
+                None => prop_assert!(socket),
+                Some(due) => prop_assert!(due <= now + 2 * S, "due in {}", Ns(due.since(now))),
+            }
         }
     }
 }
