@@ -78,82 +78,24 @@ impl MotionCommand {
     }
 }
 
-/// The quantity of a field: the one that the list names, or the usual one of its name.
+/// The usual quantity of a field of this name.
+mod usual {
+    pub(super) use crate::bus::linudp::motion::values::{
+        Acceleration as acceleration, Acceleration as deceleration, AmplitudeScale as amplitude,
+        Bits as mask, Bits as value, Counts as delay, Counts as length, Counts as start, CurveId as curve,
+        CurveTime as time, EntryId as entry, EntryId as if_false, EntryId as if_true, Jerk as jerk,
+        Long as first, Long as second, Long as third, Offset as offset, Position as distance,
+        Position as limit, Position as position, Position as target, Upid as upid, Velocity as velocity,
+    };
+}
+
+/// The quantity of a field: the one that the list names, or the usual one.
 macro_rules! kind {
     ($field:ident $kind:ident) => {
         $kind
     };
-    (distance) => {
-        Position
-    };
-    (position) => {
-        Position
-    };
-    (target) => {
-        Position
-    };
-    (limit) => {
-        Position
-    };
-    (velocity) => {
-        Velocity
-    };
-    (acceleration) => {
-        Acceleration
-    };
-    (deceleration) => {
-        Acceleration
-    };
-    (jerk) => {
-        Jerk
-    };
-    (curve) => {
-        CurveId
-    };
-    (time) => {
-        CurveTime
-    };
-    (amplitude) => {
-        AmplitudeScale
-    };
-    (entry) => {
-        EntryId
-    };
-    (if_false) => {
-        EntryId
-    };
-    (if_true) => {
-        EntryId
-    };
-    (upid) => {
-        Upid
-    };
-    (delay) => {
-        Counts
-    };
-    (length) => {
-        Counts
-    };
-    (start) => {
-        Counts
-    };
-    (offset) => {
-        Offset
-    };
-    (mask) => {
-        Bits
-    };
-    (value) => {
-        Bits
-    };
-    (first) => {
-        Long
-    };
-    (second) => {
-        Long
-    };
-    (third) => {
-        Long
+    ($field:ident) => {
+        usual::$field
     };
 }
 

@@ -236,10 +236,10 @@ impl Station {
         self.conn.template = None;
         let (mut data, drive) = (RegistersBuffer::new(), self.conn.finding.unit);
         let request = match next {
-            What::Set { index, value } => match self.settings.get(usize::from(index)) {
-                Some(setting) => Some((setting.parameter.unit(drive), setting.write(value, &mut data))),
-                None => None,
-            },
+            What::Set { index, value } => self
+                .settings
+                .get(usize::from(index))
+                .map(|setting| (setting.parameter.unit(drive), setting.write(value, &mut data))),
             What::Call | What::Cyclic(_) => self.calls.request(drive, &mut data),
         };
         let Some((unit, request)) = request else { return 0 };
