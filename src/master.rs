@@ -392,15 +392,12 @@ impl Master {
     pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
         let begun = Instant::now();
         loop {
-            let missing: Vec<usize> = (self.observers().iter().enumerate())
-                .filter(|(_, (_, observer))| observer.feedback().link != Link::Online)
-                .map(|(index, _)| index)
-                .collect();
-            let stopped = self
-                .observers()
-                .iter()
-                .filter(|(_, observer)| observer.feedback().stopped == Some(StopCause::OtherMaster));
-            let others: Vec<&str> = stopped.map(|(name, _)| name.as_str()).collect();
+            let (mut missing, mut others) = (Vec::new(), Vec::new());
+            for (index, (name, observer)) in self.observers().iter().enumerate() {
+                let feedback = observer.feedback();
+                missing.extend((feedback.link != Link::Online).then_some(index));
+                others.extend((feedback.stopped == Some(StopCause::OtherMaster)).then_some(name.as_str()));
+            }
             if !others.is_empty() {
                 return Err(MasterError::OtherMaster(others.join(", ")));
             }

@@ -1,6 +1,7 @@
 //! `fieldbeat doctor`: how well this host suits real time, and how to fix it.
 
 use std::io::{IsTerminal, Write};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -114,11 +115,16 @@ impl Shown {
 
 /// How long a measurement may take: shorter ones say nothing, longer ones are a soak test.
 fn effort(text: &str) -> Result<Duration, String> {
-    let span = span(text)?;
-    match (Duration::from_secs(1)..=Duration::from_secs(600)).contains(&span) {
-        true => Ok(span),
-        false => Err("a measurement takes 1s ... 10min".to_owned()),
-    }
+    within(text, S..=600 * S, "a measurement takes 1s ... 10min")
+}
+
+/// A period that the loop takes.
+fn period(text: &str) -> Result<Duration, String> {
+    within(text, 50 * US..=S, "a period is 50us ... 1s")
+}
+
+fn within(text: &str, range_ns: RangeInclusive<u64>, wanted: &str) -> Result<Duration, String> {
+    span(text).and_then(|span| range_ns.contains(&nanos(span)).then_some(span).ok_or(wanted.to_owned()))
 }
 
 /// A share of cycles.
@@ -126,14 +132,5 @@ fn miss_rate(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(share) if (1e-9..1.0).contains(&share) => Ok(share),
         _ => Err("a share of all cycles above 0 and below 1, for example 0.001".to_owned()),
-    }
-}
-
-/// A period that the loop takes.
-fn period(text: &str) -> Result<Duration, String> {
-    let period = span(text)?;
-    match (50 * US..=S).contains(&nanos(period)) {
-        true => Ok(period),
-        false => Err("a period is 50us ... 1s".to_owned()),
     }
 }

@@ -82,7 +82,7 @@ impl Drive {
     ) -> Result<Reach, Stop> {
         let check = |notation: &dyn Notation| {
             check(notation).map_err(|error| {
-                let request = Request { access, ..Request::read(&self.drive, address) };
+                let request = Box::new(Request { access, ..Request::read(&self.drive, address) });
                 failed(ParameterError::Notation { request, error })
             })
         };

@@ -52,7 +52,7 @@ pub struct Carried {
 }
 
 /// Findings by verdict.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Counts {
     /// As they should be.
     pub good: usize,
@@ -77,15 +77,10 @@ impl Report {
     /// The report on `subject`: what was found, and what was measured.
     pub fn new(subject: &Subject, mut findings: Vec<Finding>, measured: Option<Measured>) -> Report {
         findings.extend(measured.iter().flat_map(|measured| measured.findings(subject)));
-        let mut counts = Counts::default();
-        for finding in &findings {
-            *match finding.verdict {
-                Verdict::Good => &mut counts.good,
-                Verdict::Poor => &mut counts.poor,
-                Verdict::Bad => &mut counts.bad,
-                Verdict::Unknown => &mut counts.unknown,
-            } += 1;
-        }
+        let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
+        let [good, poor, bad, unknown] =
+            [Verdict::Good, Verdict::Poor, Verdict::Bad, Verdict::Unknown].map(count);
+        let counts = Counts { good, poor, bad, unknown };
         Report {
             ready: counts.bad == 0,
             subject: Carried {

@@ -109,14 +109,3 @@ impl Monitor {
         self.0.recording.write_black_box();
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn any_thread_may_hold_one() {
-        fn shared<T: Clone + Send + Sync + 'static>() {}
-        shared::<Monitor>();
-    }
-}

@@ -347,13 +347,9 @@ pub struct Variable {
 
 impl Variable {
     fn of(MonitorChannel { name, unit }: MonitorChannel, extent: Option<Extent>) -> Variable {
-        Variable {
-            name,
-            unit,
-            value: extent.and_then(|extent| reported(extent.value)),
-            min: extent.and_then(|extent| reported(extent.min)),
-            max: extent.and_then(|extent| reported(extent.max)),
-        }
+        let of = |number: fn(&Extent) -> f64| extent.as_ref().map(number).and_then(reported);
+        let (value, min, max) = (of(|extent| extent.value), of(|extent| extent.min), of(|extent| extent.max));
+        Variable { name, unit, value, min, max }
     }
 }
 

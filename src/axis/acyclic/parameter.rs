@@ -120,7 +120,7 @@ impl Request {
     }
 
     fn wrong(&self, error: NotationError) -> ParameterError {
-        ParameterError::Notation { request: Request { value: None, ..self.clone() }, error }
+        ParameterError::Notation { request: Box::new(Request { value: None, ..self.clone() }), error }
     }
 
     /// It was not carried out.
@@ -142,7 +142,7 @@ pub enum ParameterError {
     #[error("{request}: {error}")]
     Notation {
         /// The access, without a value.
-        request: Request,
+        request: Box<Request>,
         /// The reason.
         error: NotationError,
     },

@@ -26,18 +26,25 @@ const EXCHANGES: u32 = 20;
 /// The queue of one drive, before it has a name.
 #[derive(Debug)]
 pub struct AcyclicEnds {
-    calls: Producer<Posted>,
-    ends: Consumer<Ended>,
+    ends: Ends,
+    shared: WithExecutor,
+}
+
+/// What the application's end shares with the executor.
+#[derive(Debug)]
+struct WithExecutor {
+    capacity: usize,
     cancelled: Cancelled,
     guard: Guard,
-    capacity: usize,
+    /// Wakes the executor, if that is not the loop.
     waker: Option<Waker>,
 }
 
 impl AcyclicEnds {
     /// Each post and each cancel wakes its executor, which is a thread outside the loop.
-    pub fn waking(self, waker: Waker) -> AcyclicEnds {
-        AcyclicEnds { waker: Some(waker), ..self }
+    pub fn waking(mut self, waker: Waker) -> AcyclicEnds {
+        self.shared.waker = Some(waker);
+        self
     }
 }
 
@@ -45,11 +52,20 @@ impl AcyclicEnds {
 pub fn queue(capacity: usize, commanding: Commanding) -> (AcyclicEnds, Port) {
     let capacity = capacity.max(1);
     let mut regions = Regions::new();
-    let (call_in, calls) = rt::ring(capacity, &mut regions);
-    let (ends, end_out) = rt::ring(capacity, &mut regions);
+    let (call_in, call_out) = rt::ring(capacity, &mut regions);
+    let (end_in, end_out) = rt::ring(capacity, &mut regions);
     let (cancelled, guard) = (Cancelled::new(capacity), Guard::new(commanding));
-    let port = Port::new(calls, ends, cancelled.clone(), guard.clone(), regions);
-    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, guard, capacity, waker: None }, port)
+    let port = Port::new(call_out, end_in, cancelled.clone(), guard.clone(), regions);
+    let ends = Ends {
+        calls: call_in,
+        ends: end_out,
+        next: 1,
+        next_series: 1,
+        under_way: 0,
+        ended: HashMap::new(),
+        forgotten: Vec::new(),
+    };
+    (AcyclicEnds { ends, shared: WithExecutor { capacity, cancelled, guard, waker: None } }, port)
 }
 
 /// Acyclic access to one drive, for any number of threads.
@@ -67,11 +83,7 @@ struct Shared {
     observer: Observer,
     /// The shortest time limit of a call.
     least: Duration,
-    capacity: usize,
-    cancelled: Cancelled,
-    guard: Guard,
-    /// Wakes the executor, if that is not the loop.
-    waker: Option<Waker>,
+    with_executor: WithExecutor,
     ends: Mutex<Ends>,
     claimed: AtomicBool,
 }
@@ -137,26 +149,13 @@ impl Acyclic {
         observer: Observer,
         period: Duration,
     ) -> Acyclic {
-        let AcyclicEnds { calls, ends, cancelled, guard, capacity, waker } = ends;
-        let ends = Ends {
-            calls,
-            ends,
-            next: 1,
-            next_series: 1,
-            under_way: 0,
-            ended: HashMap::new(),
-            forgotten: Vec::new(),
-        };
         let shared = Arc::new(Shared {
             axis: axis.to_owned(),
             notation,
             observer,
             least: period * EXCHANGES,
-            capacity,
-            cancelled,
-            guard,
-            waker,
-            ends: Mutex::new(ends),
+            with_executor: ends.shared,
+            ends: Mutex::new(ends.ends),
             claimed: AtomicBool::new(false),
         });
         Acyclic { shared, pulse: None }
@@ -213,7 +212,7 @@ impl Acyclic {
     }
 
     fn wake(&self) {
-        if let Some(waker) = &self.shared.waker {
+        if let Some(waker) = &self.shared.with_executor.waker {
             waker.wake_by_ref();
         }
     }
@@ -222,7 +221,7 @@ impl Acyclic {
     /// once it returns false, the calls that have not ended are cancelled.
     pub fn run_while(&self, calls: &[Call], limit: Duration, mut rest: impl FnMut() -> bool) -> Series {
         let mut series = Series::default();
-        for calls in calls.chunks(self.shared.capacity) {
+        for calls in calls.chunks(self.shared.with_executor.capacity) {
             if let Err(why) = self.run_some(calls, limit, &mut rest, &mut series.answers) {
                 return Series { failed: Some(why), ..series };
             }
@@ -269,11 +268,11 @@ impl Acyclic {
         if ends.calls.is_abandoned() {
             return Err(PostError::Gone { axis: axis() });
         }
-        if let Some(why) = calls.iter().find_map(|call| self.shared.guard.refusal(call)) {
+        if let Some(why) = calls.iter().find_map(|call| self.shared.with_executor.guard.refusal(call)) {
             return Err(PostError::Refused { axis: axis(), why });
         }
-        if ends.under_way + calls.len() > self.shared.capacity {
-            return Err(PostError::Full { axis: axis(), capacity: self.shared.capacity });
+        if ends.under_way + calls.len() > self.shared.with_executor.capacity {
+            return Err(PostError::Full { axis: axis(), capacity: self.shared.with_executor.capacity });
         }
         Ok(())
     }
@@ -333,7 +332,7 @@ impl Carrier for Acyclic {
     }
 
     fn capacity(&self) -> usize {
-        self.shared.capacity
+        self.shared.with_executor.capacity
     }
 
     fn pause(&self, time: Duration) {
@@ -394,7 +393,7 @@ impl CallTicket {
     /// Cancels the call: it ends as cancelled, unless it has ended already. If it was already sent, the drive may
     /// still carry it out.
     pub fn cancel(&self) {
-        self.acyclic.shared.cancelled.set(self.number);
+        self.acyclic.shared.with_executor.cancelled.set(self.number);
         self.acyclic.wake();
     }
 }

@@ -319,7 +319,8 @@ impl Sheet<'_> {
         )?;
         let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], histograms.stage(stage)));
         self.distributions("stage", "Time of each stage of a cycle.", stages)?;
-        const DRIVE: [(&str, &str, fn(&DriveHistograms) -> &Quantity); 3] = [
+        type Family = (&'static str, &'static str, fn(&DriveHistograms) -> &Quantity);
+        const DRIVE: [Family; 3] = [
             ("drive_round_trip", "Round trips.", |of| &of.rtt),
             ("drive_send_jitter", SEND_JITTER, |of| &of.send_jitter),
             ("drive_value_age", "Age of the feedback at the receive deadline.", |of| &of.age),

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::PlotError;
-use super::sheet::{Area, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, within};
+use super::sheet::{Area, Axis, GREY, PALETTE, Sheet, anchored, chart, label_us, text, within};
 use crate::cycle::status::Peak;
 use crate::telemetry::Quantiles;
 use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off, supports};
@@ -69,7 +69,7 @@ pub fn of_the_run(run: &Run, summary: &Summary) -> Result<String, PlotError> {
         sheet.explain_quantiles(PALETTE[3], &what, &drive.rtt_ns);
     }
     let deadline = run.plan.cycle.deadline_ns();
-    sheet.draw(|area| chart(area, &curves, &[("receive deadline", deadline)], "latency (us)"))
+    sheet.draw(|area| draw(area, &curves, &[("receive deadline", deadline)], "latency (us)"))
 }
 
 /// The round trips of each drive.
@@ -96,7 +96,7 @@ pub fn of_the_drives(run: &Run, summary: &Summary) -> Result<String, PlotError> 
         sheet.explain(None, format!("Worst first: {} drives compared by {by}{why}.", ranking.compared));
     }
     let deadline = run.plan.cycle.deadline_ns();
-    sheet.draw(|area| chart(area, &curves, &[("receive deadline", deadline)], "round trip (us)"))
+    sheet.draw(|area| draw(area, &curves, &[("receive deadline", deadline)], "round trip (us)"))
 }
 
 fn of_drive(run: &Run, place: usize, color: RGBColor, width: u32) -> Curve {
@@ -158,7 +158,7 @@ impl Ranking {
     }
 }
 
-fn chart(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) -> Result<(), PlotError> {
+fn draw(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) -> Result<(), PlotError> {
     let values = curves
         .iter()
         .flat_map(|curve| curve.points.iter().map(|(_, ns)| *ns).chain(curve.max.map(|ns| ns.max(1) as f64)));
@@ -170,24 +170,9 @@ fn chart(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) 
     let mut nines = vec![MEDIAN];
     nines.extend((1..=last.floor() as u32).map(f64::from));
     nines.push(maxima);
-    let mut chart = ChartBuilder::on(area)
-        .x_label_area_size(44)
-        .margin_left(MARGIN)
-        .y_label_area_size(LEFT - MARGIN)
-        .margin_right(RIGHT)
-        .margin_top(10)
-        .build_cartesian_2d(Axis { low: MEDIAN, high: end, bold: nines, light: Vec::new() }, values)?;
-    chart
-        .configure_mesh()
-        .x_label_formatter(&|nines| if *nines == maxima { String::from("max") } else { percent(*nines) })
-        .y_label_formatter(&label_us)
-        .x_desc("percentile (log scale)")
-        .y_desc(unit)
-        .label_style(text(12, BLACK))
-        .axis_desc_style(text(13, BLACK))
-        .bold_line_style(BLACK.mix(0.15))
-        .light_line_style(BLACK.mix(0.05))
-        .draw()?;
+    let x = Axis { low: MEDIAN, high: end, bold: nines, light: Vec::new() };
+    let label = |nines: &f64| if *nines == maxima { String::from("max") } else { percent(*nines) };
+    let mut chart = chart(area, 10, (x, &label, "percentile (log scale)"), (values, &label_us, unit))?;
     for (name, ns) in limits {
         let log = (*ns as f64).log10();
         chart.draw_series(DashedLineSeries::new([(MEDIAN, log), (end, log)], 6, 4, GREY.stroke_width(1)))?;

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::time::SystemTime;
 
 use plotters::coord::Shift;
-use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint};
+use plotters::coord::ranged1d::{AsRangedCoord, DefaultFormatting, KeyPointHint, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -73,6 +73,45 @@ pub fn anchored(style: TextStyle<'static>, horizontal: HPos, vertical: VPos) -> 
 pub fn within(area: &Area<'_>, (x, y): (i32, i32)) -> (i32, i32) {
     let (left, top) = area.get_base_pixel();
     (x - left, y - top)
+}
+
+/// An axis of a chart: its range, what is written at its grid, and its title.
+pub type Scale<'a, R> = (R, &'a dyn Fn(&f64) -> String, &'a str);
+
+/// A chart whose values are logarithms.
+pub type Chart<'a, 'b, X> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<X, Axis>>;
+
+/// A chart on `area`, with its axes and its grid, and so much room above it.
+pub fn chart<'a, 'b, X>(
+    area: &'b Area<'a>,
+    top: i32,
+    (x, x_label, x_title): Scale<'_, X>,
+    (y, y_label, y_title): Scale<'_, Axis>,
+) -> Result<Chart<'a, 'b, X::CoordDescType>, PlotError>
+where
+    X: AsRangedCoord<Value = f64>,
+    X::CoordDescType: Ranged<ValueType = f64> + ValueFormatter<f64>,
+{
+    let mut chart = ChartBuilder::on(area)
+        .x_label_area_size(44)
+        .margin_left(MARGIN)
+        .y_label_area_size(LEFT - MARGIN)
+        .margin_right(RIGHT)
+        .margin_top(top)
+        .build_cartesian_2d(x, y)?;
+    chart
+        .configure_mesh()
+        .x_labels(12)
+        .x_label_formatter(&x_label)
+        .y_label_formatter(&y_label)
+        .x_desc(x_title)
+        .y_desc(y_title)
+        .label_style(text(12, BLACK))
+        .axis_desc_style(text(13, BLACK))
+        .bold_line_style(BLACK.mix(0.15))
+        .light_line_style(BLACK.mix(0.05))
+        .draw()?;
+    Ok(chart)
 }
 
 /// A page.

@@ -5,7 +5,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::PlotError;
 use super::sheet::{
-    ALARM, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, time_unit, within,
+    ALARM, Axis, GREY, LEFT, PALETTE, Sheet, anchored, chart, label_us, text, time_unit, within,
 };
 use crate::telemetry::summary::plural;
 use crate::telemetry::timeline::Stretch;
@@ -58,25 +58,13 @@ pub fn plot(run: &Run, summary: &Summary) -> Result<String, PlotError> {
         let values = stretches.iter().flat_map(|stretch| QUANTITIES.map(|(of, ..)| of(stretch)));
         let values = values.filter(|ns| *ns > 0).chain([period_ns]).map(|ns| ns as f64);
         let values = Axis::logarithmic(values);
-        let mut chart = ChartBuilder::on(area)
-            .x_label_area_size(44)
-            .margin_left(MARGIN)
-            .y_label_area_size(LEFT - MARGIN)
-            .margin_right(RIGHT)
-            .margin_top(18 + ROW * MISHAPS.len() as i32)
-            .build_cartesian_2d(0.0..end, values)?;
-        chart
-            .configure_mesh()
-            .x_labels(12)
-            .x_label_formatter(&|time| format!("{}", (time * 1e6).round() / 1e6))
-            .y_label_formatter(&label_us)
-            .x_desc(format!("time ({unit})"))
-            .y_desc("largest (us)")
-            .label_style(text(12, BLACK))
-            .axis_desc_style(text(13, BLACK))
-            .bold_line_style(BLACK.mix(0.15))
-            .light_line_style(BLACK.mix(0.05))
-            .draw()?;
+        let time = |time: &f64| format!("{}", (time * 1e6).round() / 1e6);
+        let mut chart = chart(
+            area,
+            18 + ROW * MISHAPS.len() as i32,
+            (0.0..end, &time, &format!("time ({unit})")),
+            (values, &label_us, "largest (us)"),
+        )?;
         let period = (period_ns as f64).log10();
         chart.draw_series(DashedLineSeries::new(
             [(0.0, period), (end, period)],

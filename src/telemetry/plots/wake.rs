@@ -6,8 +6,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 
 use super::PlotError;
 use super::sheet::{
-    ALARM, Area, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_count, label_us, numbers,
-    text, within,
+    ALARM, Area, Axis, GREY, PALETTE, Sheet, anchored, chart, label_count, label_us, numbers, text, within,
 };
 use crate::telemetry::histograms::{HIGHEST_NS, Quantity, is_cut_off};
 use crate::telemetry::{Run, Summary};
@@ -35,24 +34,12 @@ pub fn plot(run: &Run, summary: &Summary) -> Result<String, PlotError> {
         let ends = ends.map(|bin| 10_f64.powf(from(bin)));
         let marks = limits.iter().map(|(_, ns)| *ns).chain(quantiles.max).map(|ns| ns.max(1) as f64);
         let latencies = Axis::logarithmic(ends.chain(marks));
-        let mut chart = ChartBuilder::on(area)
-            .x_label_area_size(44)
-            .margin_left(MARGIN)
-            .y_label_area_size(LEFT - MARGIN)
-            .margin_right(RIGHT)
-            .margin_top(22)
-            .build_cartesian_2d(latencies.clone(), counts.clone())?;
-        chart
-            .configure_mesh()
-            .x_label_formatter(&label_us)
-            .y_label_formatter(&label_count)
-            .x_desc("latency (us, log scale)")
-            .y_desc("cycles (log scale)")
-            .label_style(text(12, BLACK))
-            .axis_desc_style(text(13, BLACK))
-            .bold_line_style(BLACK.mix(0.15))
-            .light_line_style(BLACK.mix(0.05))
-            .draw()?;
+        let mut chart = chart(
+            area,
+            22,
+            (latencies.clone(), &label_us, "latency (us, log scale)"),
+            (counts.clone(), &label_count, "cycles (log scale)"),
+        )?;
         chart.draw_series(bins.iter().map(|(bin, count)| {
             let corners = [(from(*bin), counts.low), (from(*bin + 1), (*count as f64).log10())];
             Rectangle::new(corners, PALETTE[0].filled())

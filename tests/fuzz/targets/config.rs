@@ -69,7 +69,7 @@ fn is_plain(line: &str) -> bool {
 /// Each mistake stands on a line of its own, with its place, and ends with what would be right.
 fn check_errors(text: &str, errors: &ConfigErrors) {
     let mut last = 0;
-    for error in errors {
+    for error in errors.iter() {
         let line = error.line.unwrap_or(0);
         let said = error.to_string();
         assert!(is_plain(&said), "{said:?}");
