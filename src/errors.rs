@@ -48,7 +48,7 @@ mod tests {
             configuration.iter().next().unwrap().clone().into(),
             configuration.into(),
             bind.into(),
-            AxisError::Full { axis: "x".into(), verb: "stop", capacity: 64 }.into(),
+            AxisError::Full { axis: "x".into(), command: "stop", capacity: 64 }.into(),
             GroupError::TooFew(1).into(),
             AskError::Nobody("/run/m.sock".into()).into(),
             MasterError::Unknown { what: "axis", name: "x".into(), known: "y, z".into() }.into(),

@@ -18,7 +18,7 @@
 //!
 //! let mut machine = Master::from_plan(plan).simulate(WorldOptions::default())?;
 //! assert!(machine.run_until(100, |machine| machine.feedback(0).link == Link::Online));
-//! assert_eq!(machine.run_verb(0, Command::Enable, 1_000)?, Some(Outcome::Done));
+//! assert_eq!(machine.execute(0, Command::Enable, 1_000)?, Some(Outcome::Done));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -49,7 +49,7 @@ pub struct Simulation {
     control: Control,
     records: Consumer<Record>,
     measured: Measured,
-    /// Events seen by [`run_verb`](Simulation::run_verb) while it waited for another one.
+    /// Events seen by [`execute`](Simulation::execute) while it waited for another one.
     pub events: Vec<(usize, Event)>,
 }
 
@@ -177,10 +177,15 @@ impl Simulation {
         done(self)
     }
 
-    /// Posts `verb` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
+    /// Posts `command` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
     /// ended. Other events are appended to [`events`](Simulation::events).
-    pub fn run_verb(&mut self, index: usize, verb: Command, most: u64) -> Result<Option<Outcome>, AxisError> {
-        let id = self.axis(index).post(verb)?;
+    pub fn execute(
+        &mut self,
+        index: usize,
+        command: Command,
+        most: u64,
+    ) -> Result<Option<Outcome>, AxisError> {
+        let id = self.axis(index).post(command)?;
         Ok(self.run_command(index, id, most))
     }
 

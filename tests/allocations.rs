@@ -155,8 +155,8 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
 /// Enabling, homing, a stream, jogs, moves and stops; a drive whose plug is pulled on its way, and its return after a
 /// restart; noise, and a wake-up that comes too late.
 fn round(sim: &mut Simulation, machine: &Machine, ends: &mut [Ends; DRIVES], round: u32) {
-    for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
-        all(sim, ends, [Some(verb); DRIVES]);
+    for command in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
+        all(sim, ends, [Some(command); DRIVES]);
     }
     let mut rows = (0_u64..).map(row);
     rows.by_ref().take(400).for_each(|row| drop(sim.axis(0).push_row(row)));
@@ -180,11 +180,11 @@ fn round(sim: &mut Simulation, machine: &Machine, ends: &mut [Ends; DRIVES], rou
     sim.run(4_000);
 }
 
-/// Posts the verbs and lets the loop turn until they have ended.
-fn all(sim: &mut Simulation, ends: &mut [Ends; DRIVES], verbs: [Option<Command>; DRIVES]) {
+/// Posts the commands and lets the loop turn until they have ended.
+fn all(sim: &mut Simulation, ends: &mut [Ends; DRIVES], commands: [Option<Command>; DRIVES]) {
     let mut open = [None; DRIVES];
-    for (index, verb) in verbs.into_iter().enumerate() {
-        open[index] = verb.and_then(|verb| sim.axis(index).post(verb).ok());
+    for (index, command) in commands.into_iter().enumerate() {
+        open[index] = command.and_then(|command| sim.axis(index).post(command).ok());
     }
     for _ in 0..100_000 {
         turn_for(sim, ends, &mut open);
@@ -269,9 +269,9 @@ fn line_is_up(sim: &mut Simulation) -> bool {
     sim.run_until(20_000, |sim| (0..3).all(|index| sim.feedback(index).link == Link::Online))
 }
 
-/// Posts a verb and turns the loop until it has ended. [`Simulation::run_verb`] keeps events, and allocates for them.
-fn end_of(sim: &mut Simulation, index: usize, verb: Command) {
-    let Ok(posted) = sim.axis(index).post(verb) else { return };
+/// Posts a command and turns the loop until it has ended. [`Simulation::execute`] keeps events, and allocates for them.
+fn end_of(sim: &mut Simulation, index: usize, command: Command) {
+    let Ok(posted) = sim.axis(index).post(command) else { return };
     for _ in 0..8_000 {
         sim.step();
         while let Some(event) = sim.axis(index).event() {
@@ -325,8 +325,8 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         up = line_is_up(&mut sim);
         while up && sim.status().executed < 100_000 {
             let enable = |sim: &mut Simulation, index| {
-                for verb in [Command::Reset, Command::ResetFault, Command::Enable] {
-                    end_of(sim, index, verb);
+                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+                    end_of(sim, index, command);
                 }
                 let _ = sim.axis(index).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
             };

@@ -167,7 +167,7 @@ fn every_machine_comes_up_in_virtual_time() {
                 |machine: &Simulation| (0..axes).all(|axis| machine.feedback(axis).link == Link::Online);
             assert!(machine.run_until(60_000, online), "{}", block.place());
             for axis in 0..axes {
-                let ended = machine.run_verb(axis, Command::Enable, 60_000).unwrap();
+                let ended = machine.execute(axis, Command::Enable, 60_000).unwrap();
                 assert_eq!(ended, Some(Outcome::Done), "{}: axis {axis}", block.place());
             }
         }

@@ -145,14 +145,14 @@ impl Axis {
 
     fn saw(&mut self, event: &Event) -> Result<(), String> {
         match event.kind {
-            EventKind::Ended { id, verb, outcome } => {
+            EventKind::Ended { id, command, outcome } => {
                 let place = self.open.iter().position(|open| *open == id.0);
                 let place =
                     place.ok_or_else(|| format!("{event}, though it had ended or was never posted"))?;
                 self.open.swap_remove(place);
-                self.enabled |= verb == Command::Enable.name() && outcome == Outcome::Done;
+                self.enabled |= command == Command::Enable.name() && outcome == Outcome::Done;
                 self.done +=
-                    u64::from(["move", "follow", "home"].contains(&verb) && outcome == Outcome::Done);
+                    u64::from(["move", "follow", "home"].contains(&command) && outcome == Outcome::Done);
             }
             EventKind::Stopped(_) => (self.enabled, self.rows) = (false, 0),
             _ => {}
@@ -174,8 +174,8 @@ impl Axis {
 
     /// What the application asks for in this cycle, and the rows that it pushes.
     fn act(&mut self, axis: &mut fieldbeat::Axis, feedback: &Feedback) {
-        if let Some(verb) = self.wants(feedback)
-            && let Ok(id) = axis.post(verb)
+        if let Some(command) = self.wants(feedback)
+            && let Ok(id) = axis.post(command)
         {
             self.posted += 1;
             assert_eq!(id.0, self.posted);

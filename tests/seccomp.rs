@@ -325,8 +325,8 @@ fn live_on_a_line() {
         assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
         lives += 1;
         for axis in &mut axes {
-            for verb in [Command::Reset, Command::ResetFault, Command::Enable] {
-                let _ = axis.post(verb);
+            for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+                let _ = axis.post(command);
             }
             let _ = axis.jog(1.0);
             while axis.event().is_some() {}

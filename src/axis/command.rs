@@ -40,7 +40,7 @@ pub struct QueuedCommand {
     /// The place of its axis in the machine.
     pub member: u32,
     /// What to do.
-    pub verb: Command,
+    pub command: Command,
     /// For [`Command::Follow`]: which stream.
     pub stream: u32,
     /// Of a command to a [`Group`](crate::axis::Group): what it has in common with those of the other members.
@@ -425,8 +425,8 @@ mod tests {
             (Command::Torque { slope: 1.0 }, "torque"),
         ];
         assert_eq!(all.len() + 1, Command::NAMES.len());
-        for ((verb, name), code) in all.into_iter().zip(1..) {
-            assert_eq!((verb.code(), verb.name()), (code, name));
+        for ((command, name), code) in all.into_iter().zip(1..) {
+            assert_eq!((command.code(), command.name()), (code, name));
         }
     }
 

@@ -44,7 +44,7 @@ pub enum EventKind {
         /// Its id.
         id: CommandId,
         /// The command's name.
-        verb: &'static str,
+        command: &'static str,
         /// Its end.
         outcome: Outcome,
     },
@@ -82,7 +82,7 @@ impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "cycle {}: ", self.cycle)?;
         match self.kind {
-            EventKind::Ended { id, verb, outcome } => write!(f, "{verb} (command {}) {outcome}", id.0),
+            EventKind::Ended { id, command, outcome } => write!(f, "{command} (command {}) {outcome}", id.0),
             EventKind::Link(link) => write!(f, "link {link}"),
             EventKind::State(state) => write!(f, "state {state}"),
             EventKind::Fault(0) => write!(f, "fault gone"),

@@ -38,7 +38,7 @@ pub struct Group {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupCommand {
     /// Its name in messages.
-    verb: &'static str,
+    command: &'static str,
     ids: Vec<CommandId>,
 }
 
@@ -130,32 +130,36 @@ impl Group {
 
     /// Gives one command to each member and returns at once. They begin in one cycle, as soon as each member may;
     /// if one of them cannot, all of them fail.
-    pub fn post(&mut self, verbs: &[Command]) -> Result<GroupCommand, GroupError> {
-        self.count(verbs.len())?;
-        if verbs.contains(&Command::Follow) && verbs.iter().any(|verb| *verb != Command::Follow) {
+    pub fn post(&mut self, commands: &[Command]) -> Result<GroupCommand, GroupError> {
+        self.count(commands.len())?;
+        if commands.contains(&Command::Follow) && commands.iter().any(|command| *command != Command::Follow) {
             return Err(GroupError::MixedFollow);
         }
-        for (axis, verb) in self.axes.iter_mut().zip(verbs) {
-            axis.accepts(verb)?;
+        for (axis, command) in self.axes.iter_mut().zip(commands) {
+            axis.accepts(command)?;
         }
-        let together = || self.axes.iter().zip(verbs).filter(|(_, verb)| !verb.is_urgent());
+        let together = || self.axes.iter().zip(commands).filter(|(_, command)| !command.is_urgent());
         let lead = together().next().map_or(&self.axes[0], |(axis, _)| axis);
         let call = GroupCall {
-            parts: verbs.len() as u32,
+            parts: commands.len() as u32,
             together: together().count() as u32,
             lead: lead.index() as u32,
             id: lead.next_id,
         };
-        let parts: Vec<QueuedCommand> =
-            self.axes.iter().zip(verbs).map(|(axis, verb)| axis.command(*verb, Some(call))).collect();
+        let parts: Vec<QueuedCommand> = self
+            .axes
+            .iter()
+            .zip(commands)
+            .map(|(axis, command)| axis.command(*command, Some(call)))
+            .collect();
         self.axes[0].send(&parts)?;
         let ids = self.axes.iter_mut().zip(&parts).map(|(axis, part)| axis.sent(part)).collect();
-        Ok(GroupCommand { verb: verbs.first().map_or("", Command::name), ids })
+        Ok(GroupCommand { command: commands.first().map_or("", Command::name), ids })
     }
 
     /// Gives the same command to each member.
-    pub fn post_all(&mut self, verb: Command) -> Result<GroupCommand, GroupError> {
-        self.post(&vec![verb; self.axes.len()])
+    pub fn post_all(&mut self, command: Command) -> Result<GroupCommand, GroupError> {
+        self.post(&vec![command; self.axes.len()])
     }
 
     /// The velocity setpoints of all members, user units/s, while they run [`Command::Velocity`] or [`Command::Jog`].
@@ -226,7 +230,7 @@ impl Group {
     pub fn move_to(&mut self, positions: &[f64]) -> Result<(), GroupError> {
         let profiles: Vec<Profile> = self.axes.iter().map(Axis::profile).collect();
         self.count(positions.len())?;
-        let verbs: Vec<Command> = (positions.iter().zip(profiles))
+        let commands: Vec<Command> = (positions.iter().zip(profiles))
             .map(|(position, profile)| Command::Move(Move { target: Target::Absolute(*position), profile }))
             .collect();
         let limit = (self.axes.iter().zip(positions))
@@ -234,7 +238,7 @@ impl Group {
                 longest((position - axis.feedback().status.demand).abs(), &axis.profile())
             })
             .max();
-        let command = self.post(&verbs)?;
+        let command = self.post(&commands)?;
         self.wait(&command, limit.unwrap_or_default() + GRACE)
     }
 
@@ -264,7 +268,7 @@ impl Group {
         let mut errors = Vec::new();
         for (axis, id) in self.axes.iter_mut().zip(&command.ids) {
             let left = limit.saturating_sub(begun.elapsed());
-            errors.extend(axis.wait(*id, command.verb, left).err());
+            errors.extend(axis.wait(*id, command.command, left).err());
         }
         match errors.iter().position(|error| !error.is_of_group()) {
             Some(cause) => Err(errors.swap_remove(cause).into()),
@@ -272,9 +276,9 @@ impl Group {
         }
     }
 
-    fn run_all(&mut self, verb: Command, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
+    fn run_all(&mut self, command: Command, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
         let limit = self.axes.iter().map(limit).max().unwrap_or_default();
-        let command = self.post_all(verb)?;
+        let command = self.post_all(command)?;
         self.wait(&command, limit + GRACE)
     }
 

@@ -99,44 +99,46 @@ pub struct AxisEnds {
 #[derive(Clone, PartialEq, Error)]
 pub enum AxisError {
     /// Refused on submission.
-    #[error("axis {axis}: {verb} refused: {failure}")]
+    #[error("axis {axis}: {command} refused: {failure}")]
     Refused {
         /// The axis.
         axis: String,
         /// The command.
-        verb: &'static str,
+        command: &'static str,
         /// Why.
         failure: Failure,
     },
     /// The queue has no room: the loop does not take commands, or they come faster than they can be executed.
-    #[error("axis {axis}: {verb} refused: its queue of {capacity} is full; wait for earlier commands to end")]
+    #[error(
+        "axis {axis}: {command} refused: its queue of {capacity} is full; wait for earlier commands to end"
+    )]
     Full {
         /// The axis.
         axis: String,
         /// The command.
-        verb: &'static str,
+        command: &'static str,
         /// Room of the queue.
         capacity: usize,
     },
     /// It ended in another way than Done.
-    #[error("axis {axis}: {verb} {}", outcome.told(*fault))]
+    #[error("axis {axis}: {command} {}", outcome.told(*fault))]
     Ended {
         /// The axis.
         axis: String,
         /// The command.
-        verb: &'static str,
+        command: &'static str,
         /// Its end.
         outcome: Outcome,
         /// The protocol's name for the fault of the drive, if that is the reason.
         fault: Option<&'static str>,
     },
     /// It did not end in the given time. It continues: stop it, or wait longer.
-    #[error("axis {axis}: {verb} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
+    #[error("axis {axis}: {command} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
     TimedOut {
         /// The axis.
         axis: String,
         /// The command.
-        verb: &'static str,
+        command: &'static str,
         /// How long the call waited.
         waited: Duration,
         /// The drive's state.
@@ -262,37 +264,37 @@ impl Axis {
     }
 
     /// Submits a command and returns at once. Its end is an [`EventKind::Ended`] with this id.
-    pub fn post(&mut self, verb: Command) -> Result<CommandId, AxisError> {
-        self.accepts(&verb)?;
-        let command = self.command(verb, None);
+    pub fn post(&mut self, command: Command) -> Result<CommandId, AxisError> {
+        self.accepts(&command)?;
+        let command = self.command(command, None);
         self.send(&[command])?;
         Ok(self.sent(&command))
     }
 
-    /// Whether `verb` would be accepted now: its numbers, and room for its end. The last places are reserved for
+    /// Whether `command` would be accepted now: its numbers, and room for its end. The last places are reserved for
     /// commands that stop the axis.
-    pub(super) fn accepts(&mut self, verb: &Command) -> Result<(), AxisError> {
-        check_command(&self.plan, &self.ends.lacks, verb)
-            .map_err(|failure| self.refused(verb.name(), failure))?;
-        let most = most_unended(&self.plan) - if verb.is_urgent() { 0 } else { URGENT_ROOM };
+    pub(super) fn accepts(&mut self, command: &Command) -> Result<(), AxisError> {
+        check_command(&self.plan, &self.ends.lacks, command)
+            .map_err(|failure| self.refused(command.name(), failure))?;
+        let most = most_unended(&self.plan) - if command.is_urgent() { 0 } else { URGENT_ROOM };
         if self.unended >= most {
             // The application takes no events: their places are needed.
             while let Some(event) = self.take_event() {
                 self.keep(event);
             }
         }
-        let unread = self.kept_ends >= KEPT_ENDS && !verb.is_urgent();
+        let unread = self.kept_ends >= KEPT_ENDS && !command.is_urgent();
         if unread || self.unended >= most {
-            Err(self.full(verb.name(), self.plan.command_queue))
+            Err(self.full(command.name(), self.plan.command_queue))
         } else {
             Ok(())
         }
     }
 
     /// A command of this axis for a queue.
-    pub(super) fn command(&self, verb: Command, call: Option<GroupCall>) -> QueuedCommand {
+    pub(super) fn command(&self, command: Command, call: Option<GroupCall>) -> QueuedCommand {
         let stream = self.streams.to_follow();
-        QueuedCommand { id: self.next_id, member: self.index as u32, verb, stream, call }
+        QueuedCommand { id: self.next_id, member: self.index as u32, command, stream, call }
     }
 
     /// Queues the parts of one call, all or none. The last places are reserved for calls that only stop.
@@ -300,29 +302,29 @@ impl Axis {
         if self.ends.commands.is_abandoned() {
             return Err(self.gone());
         }
-        let urgent = parts.iter().all(|part| part.verb.is_urgent());
+        let urgent = parts.iter().all(|part| part.command.is_urgent());
         let kept = if urgent { 0 } else { URGENT_ROOM * parts.len() };
         let room = self.ends.commands.slots() >= parts.len() + kept;
         if !room || self.ends.commands.push_entire_slice(parts).is_err() {
-            let verb = parts.first().map_or("", |part| part.verb.name());
-            return Err(self.full(verb, self.plan.command_queue));
+            let command = parts.first().map_or("", |part| part.command.name());
+            return Err(self.full(command, self.plan.command_queue));
         }
         Ok(())
     }
 
     /// Accounts for a command of this axis that was queued.
     pub(super) fn sent(&mut self, command: &QueuedCommand) -> CommandId {
-        let QueuedCommand { id, verb, .. } = *command;
+        let QueuedCommand { id, command, .. } = *command;
         self.pulse.beat();
         self.unended += 1;
         self.next_id.0 += 1;
-        if verb.takes_velocities() {
+        if command.takes_velocities() {
             self.rolling = id;
         }
-        if verb.takes_torques() {
+        if command.takes_torques() {
             self.pressing = id;
         }
-        if verb == Command::Follow {
+        if command == Command::Follow {
             self.streams.followed(id);
         }
         id
@@ -434,8 +436,8 @@ impl Axis {
 
     /// Moves by `distance` (user units) and waits until the motion has ended.
     pub fn move_by(&mut self, distance: f64, profile: Profile) -> Result<(), AxisError> {
-        let verb = Command::Move(Move { target: Target::Relative(distance), profile });
-        self.run(verb, longest(distance.abs(), &profile))
+        let command = Command::Move(Move { target: Target::Relative(distance), profile });
+        self.run(command, longest(distance.abs(), &profile))
     }
 
     /// Starts a constant velocity (user units/s); `stop` ends it. It has to be renewed by
@@ -482,27 +484,27 @@ impl Axis {
         Ok(())
     }
 
-    /// Posts `verb` and waits for its end.
-    pub fn run(&mut self, verb: Command, limit: Duration) -> Result<(), AxisError> {
-        let id = self.post(verb)?;
-        self.wait(id, verb.name(), limit + GRACE)
+    /// Posts `command` and waits for its end.
+    pub fn run(&mut self, command: Command, limit: Duration) -> Result<(), AxisError> {
+        let id = self.post(command)?;
+        self.wait(id, command.name(), limit + GRACE)
     }
 
     /// Waits for the end of a posted command. Other events are kept for [`event`](Self::event).
-    pub fn wait(&mut self, id: CommandId, verb: &'static str, limit: Duration) -> Result<(), AxisError> {
+    pub fn wait(&mut self, id: CommandId, command: &'static str, limit: Duration) -> Result<(), AxisError> {
         let begun = Instant::now();
         // Its end may have come during the wait for another command.
         if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
             && let Some(outcome) = self.kept.remove(place).and_then(|event| ended(&event, id))
         {
             self.kept_ends -= 1;
-            return self.verdict(verb, outcome);
+            return self.verdict(command, outcome);
         }
         loop {
             let gone = self.ends.events.is_abandoned();
             while let Some(event) = self.take_event() {
                 match ended(&event, id) {
-                    Some(outcome) => return self.verdict(verb, outcome),
+                    Some(outcome) => return self.verdict(command, outcome),
                     None => self.keep(event),
                 }
             }
@@ -510,19 +512,19 @@ impl Axis {
                 return Err(self.gone());
             }
             if begun.elapsed() > limit {
-                return Err(self.timed_out(verb, limit));
+                return Err(self.timed_out(command, limit));
             }
             self.pulse.beat();
             sleep(LOOK_EVERY);
         }
     }
 
-    fn verdict(&self, verb: &'static str, outcome: Outcome) -> Result<(), AxisError> {
+    fn verdict(&self, command: &'static str, outcome: Outcome) -> Result<(), AxisError> {
         match outcome {
             Outcome::Done => Ok(()),
             outcome => {
                 let fault = outcome.fault().and_then(self.ends.faults);
-                Err(AxisError::Ended { axis: self.plan.name.clone(), verb, outcome, fault })
+                Err(AxisError::Ended { axis: self.plan.name.clone(), command, outcome, fault })
             }
         }
     }
@@ -551,22 +553,22 @@ impl Axis {
         self.kept.push_back(event);
     }
 
-    fn refused(&self, verb: &'static str, failure: Failure) -> AxisError {
-        AxisError::Refused { axis: self.plan.name.clone(), verb, failure }
+    fn refused(&self, command: &'static str, failure: Failure) -> AxisError {
+        AxisError::Refused { axis: self.plan.name.clone(), command, failure }
     }
 
-    fn full(&self, verb: &'static str, capacity: usize) -> AxisError {
-        AxisError::Full { axis: self.plan.name.clone(), verb, capacity }
+    fn full(&self, command: &'static str, capacity: usize) -> AxisError {
+        AxisError::Full { axis: self.plan.name.clone(), command, capacity }
     }
 
     fn gone(&self) -> AxisError {
         AxisError::Gone { axis: self.plan.name.clone() }
     }
 
-    fn timed_out(&self, verb: &'static str, waited: Duration) -> AxisError {
+    fn timed_out(&self, command: &'static str, waited: Duration) -> AxisError {
         AxisError::TimedOut {
             axis: self.plan.name.clone(),
-            verb,
+            command,
             waited,
             state: self.feedback().status.state,
         }

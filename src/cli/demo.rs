@@ -285,16 +285,16 @@ impl Show {
         }
     }
 
-    /// One verb for several axes at once, and the wait for the last of them.
+    /// One command for several axes at once, and the wait for the last of them.
     fn together(
         &mut self,
         what: &'static str,
         axes: &Range<usize>,
-        verb: impl Fn(&Axis) -> Command,
+        command: impl Fn(&Axis) -> Command,
     ) -> Result<(), Error> {
         let several = &mut self.axes[axes.clone()];
         let ids: Vec<CommandId> =
-            several.iter_mut().map(|axis| axis.post(verb(axis))).collect::<Result<_, _>>()?;
+            several.iter_mut().map(|axis| axis.post(command(axis))).collect::<Result<_, _>>()?;
         self.wait_all(what, axes, &ids)
     }
 
@@ -372,8 +372,8 @@ impl Show {
             match ended {
                 Some(Outcome::Done) => {}
                 Some(outcome) => {
-                    let (axis, verb, fault) = (axis.to_owned(), "wave", None);
-                    return Err(AxisError::Ended { axis, verb, outcome, fault }.into());
+                    let (axis, command, fault) = (axis.to_owned(), "wave", None);
+                    return Err(AxisError::Ended { axis, command, outcome, fault }.into());
                 }
                 None => self.wait_all("wave", &(index..index + 1), &ids[index..=index])?,
             }

@@ -50,14 +50,14 @@ impl<'a> Axes<'a> {
     }
 
     /// Gives a command to axis `index`, at most one a cycle. Its end is an event of the axis.
-    pub fn command(&mut self, index: usize, verb: Command) -> Result<CommandId, Failure> {
+    pub fn command(&mut self, index: usize, command: Command) -> Result<CommandId, Failure> {
         let controller =
             self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         let id = CommandId::of_task(*self.next_id);
         controller.command_from_task(
             self.cycle,
             self.now,
-            QueuedCommand { id, member: index as u32, verb, stream: 0, call: None },
+            QueuedCommand { id, member: index as u32, command, stream: 0, call: None },
         )?;
         *self.next_id += 1;
         Ok(id)

@@ -420,7 +420,8 @@ impl DriveController {
 
     /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<GroupCall> {
-        let moves = |active: &QueuedCommand| active.verb.is_motion() || matches!(active.verb, Command::Home);
+        let moves =
+            |active: &QueuedCommand| active.command.is_motion() || matches!(active.command, Command::Home);
         self.active.filter(moves).and_then(|active| active.call)
     }
 
@@ -561,9 +562,9 @@ impl DriveController {
         if self.is_stopping_too_long(now) {
             self.latch(cycle, now, StopCause::StopTimeout);
             let (stop, load) = (self.plan.stop, self.plan.load);
-            let (sequence, verb) = StopSequence::start_escalated(stop, load, now, self.speed());
+            let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
             self.latch = Latch::Down(StopCause::StopTimeout, sequence);
-            self.issue(Some(verb));
+            self.issue(Some(command));
         }
         let sight = Sight {
             fresh: slot.notices.fresh,
@@ -575,13 +576,13 @@ impl DriveController {
         };
         slot.notices.fresh = false;
         if let Latch::Down(cause, sequence) = &mut self.latch
-            && let Some(verb) = sequence.step(now, sight)
+            && let Some(command) = sequence.step(now, sight)
         {
             let why = Abort::Stopped(*cause);
-            if let Some(active) = self.active.filter(|active| !matches!(active.verb, Command::Reset)) {
+            if let Some(active) = self.active.filter(|active| !matches!(active.command, Command::Reset)) {
                 self.end(cycle, now, active, Outcome::Aborted(why));
             }
-            self.issue(Some(verb));
+            self.issue(Some(command));
         }
     }
 
@@ -616,15 +617,15 @@ impl DriveController {
         let seconds = self.row_seconds;
         let braking = matches!(&self.latch, Latch::Down(_, sequence) if !sequence.is_down());
         // What is on already is not moved by being enabled.
-        let commanded = self.active.as_ref().is_some_and(|active| match active.verb {
+        let commanded = self.active.as_ref().is_some_and(|active| match active.command {
             Command::Reset | Command::ResetFault => false,
             Command::Enable => state != State::OperationEnabled,
             _ => true,
         });
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
-        let native = self.active.is_some_and(|active| matches!(active.verb, Command::Native(_)));
+        let native = self.active.is_some_and(|active| matches!(active.command, Command::Native(_)));
         let watched = Watched {
-            homing: self.active.is_some_and(|active| matches!(active.verb, Command::Home)),
+            homing: self.active.is_some_and(|active| matches!(active.command, Command::Home)),
             braking: native || self.active.is_none() || self.is_under_torque(),
         };
         let broken = self.bounds.are_broken(&self.plan, watched, seconds);
@@ -680,7 +681,7 @@ impl DriveController {
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.active.is_some_and(|active| matches!(active.verb, Command::Enable));
+        let rising = self.active.is_some_and(|active| matches!(active.command, Command::Enable));
         if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
             self.stop(cycle, now, cause);
         }
@@ -692,7 +693,7 @@ impl DriveController {
     }
 
     fn is_native(&self, owner: NativeOwner) -> bool {
-        matches!(self.active, Some(QueuedCommand { verb: Command::Native(own), .. }) if own == owner)
+        matches!(self.active, Some(QueuedCommand { command: Command::Native(own), .. }) if own == owner)
     }
 
     /// Starts the stop sequence of an axis that is latched.
@@ -701,15 +702,15 @@ impl DriveController {
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
         let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque();
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
-        let (sequence, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
+        let (sequence, command) = start(self.plan.stop, self.plan.load, now, self.speed());
         self.latch = Latch::Down(cause, sequence);
-        self.issue(Some(verb));
+        self.issue(Some(command));
     }
 
     /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
     fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let speed = self.speed();
-        let verb = match &mut self.latch {
+        let command = match &mut self.latch {
             Latch::Down(_, sequence) if sequence.is_down() => sequence.again(now, speed),
             Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive),
             _ => return,
@@ -718,7 +719,7 @@ impl DriveController {
         self.just_stopped = true;
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
-        self.issue(Some(verb));
+        self.issue(Some(command));
     }
 
     /// Latches without touching the drive.
@@ -760,10 +761,10 @@ impl DriveController {
         // Only ever read: not ours to power off.
         let Latch::Down(_, sequence) = &mut self.latch else { return true };
         sequence.shut_down(now, self.feedback.status.state.is_powered());
-        let verb = if hurry { sequence.hurry(now) } else { None };
+        let command = if hurry { sequence.hurry(now) } else { None };
         let down = sequence.is_down();
-        if verb.is_some() {
-            self.issue(verb);
+        if command.is_some() {
+            self.issue(command);
         }
         down
     }
@@ -781,7 +782,7 @@ impl DriveController {
             axis,
             link: self.feedback.link,
             stopped: self.feedback.stopped,
-            verb: self.active.as_ref().map_or(0, |active| active.verb.code()),
+            command: self.active.as_ref().map_or(0, |active| active.command.code()),
             // What send and evaluation found.
             ..std::mem::take(&mut self.record).showing(&self.feedback.status)
         }
@@ -818,18 +819,18 @@ impl DriveController {
         self.drop_rows(u32::MAX - 1);
     }
 
-    fn end(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, outcome: Outcome) {
-        if matches!(command.verb, Command::Follow) {
-            self.drop_rows(command.stream);
+    fn end(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand, outcome: Outcome) {
+        if matches!(queued.command, Command::Follow) {
+            self.drop_rows(queued.stream);
         }
-        if self.active.is_some_and(|active| active.id == command.id) {
+        if self.active.is_some_and(|active| active.id == queued.id) {
             self.active = None;
             if outcome != Outcome::Done {
                 // The drive may still be braking.
                 self.rest.fail();
             }
         }
-        self.emit(cycle, now, EventKind::Ended { id: command.id, verb: command.verb.name(), outcome });
+        self.emit(cycle, now, EventKind::Ended { id: queued.id, command: queued.command.name(), outcome });
     }
 
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
@@ -853,7 +854,7 @@ enum Braked {
 
 /// Whether the application's command is a stop.
 fn stops(active: QueuedCommand) -> bool {
-    matches!(active.verb, Command::Stop { .. } | Command::QuickStop)
+    matches!(active.command, Command::Stop { .. } | Command::QuickStop)
 }
 
 #[cfg(test)]

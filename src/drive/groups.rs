@@ -158,7 +158,7 @@ mod tests {
 
         /// Posts a command to a group, or to one axis alone.
         fn post(&mut self, parts: &[(usize, Command)]) {
-            let together = || parts.iter().filter(|(_, verb)| !verb.is_urgent());
+            let together = || parts.iter().filter(|(_, command)| !command.is_urgent());
             let lead = together().next().map_or(parts[0].0, |(axis, _)| *axis);
             let call = GroupCall {
                 parts: parts.len() as u32,
@@ -167,13 +167,13 @@ mod tests {
                 id: CommandId(self.ids[lead]),
             };
             let entry: Vec<QueuedCommand> = (parts.iter())
-                .map(|&(axis, verb)| {
+                .map(|&(axis, command)| {
                     let call = (parts.len() > 1).then_some(call);
                     self.ids[axis] += 1;
                     QueuedCommand {
                         id: CommandId(self.ids[axis] - 1),
                         member: axis as u32,
-                        verb,
+                        command,
                         stream: 1,
                         call,
                     }
@@ -199,8 +199,8 @@ mod tests {
             self.turn();
         }
 
-        fn runs(&self, verb: Command) -> Vec<bool> {
-            self.controllers.iter().map(|axis| axis.newest() == Some(verb)).collect()
+        fn runs(&self, command: Command) -> Vec<bool> {
+            self.controllers.iter().map(|axis| axis.newest() == Some(command)).collect()
         }
 
         fn ended(&mut self, axis: usize) -> Vec<(u64, Outcome)> {

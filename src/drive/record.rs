@@ -60,7 +60,7 @@ pub struct DriveRecord {
     /// The latch.
     pub stopped: Option<StopCause>,
     /// The command that runs, as [`Command::code`](crate::Command::code); 0 = none.
-    pub verb: u8,
+    pub command: u8,
     /// Moving, as the drive reports it.
     pub moving: bool,
     /// The drive's hardware enable (STO) is missing.

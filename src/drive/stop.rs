@@ -101,16 +101,16 @@ impl StopSequence {
             from: velocity,
             moved: 0,
         };
-        let verb = sequence.begin(now, velocity);
-        (sequence, verb)
+        let command = sequence.begin(now, velocity);
+        (sequence, command)
     }
 
     /// Starts it by the drive's quick stop: no ramp would stop this axis.
     pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (StopSequence, Command) {
         let (mut sequence, _) = StopSequence::start(plan, load, now, velocity);
         sequence.escalated = true;
-        let verb = sequence.begin(now, velocity);
-        (sequence, verb)
+        let command = sequence.begin(now, velocity);
+        (sequence, command)
     }
 
     /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
@@ -290,9 +290,9 @@ mod tests {
 
     #[test]
     fn power_goes_off_only_after_standstill() {
-        let (mut sequence, verb) =
+        let (mut sequence, command) =
             StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        assert_eq!(verb, Command::Stop { deceleration: Some(100.0) });
+        assert_eq!(command, Command::Stop { deceleration: Some(100.0) });
         assert_eq!(sequence.step(Time(1), MOVING), None);
         assert_eq!(sequence.step(Time(2), STANDING), None);
         assert_eq!(sequence.step(Time(3), STANDING), None);
@@ -417,9 +417,9 @@ mod tests {
 
     #[test]
     fn a_drive_that_is_off_already_is_told_so_all_the_same() {
-        let (mut sequence, verb) =
+        let (mut sequence, command) =
             StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
-        assert_eq!((verb, sequence.step(Time(5), OFF)), (Command::Disable, None));
+        assert_eq!((command, sequence.step(Time(5), OFF)), (Command::Disable, None));
         assert!(!sequence.is_down(), "its reply is older than the command");
         assert_eq!(sequence.step(Time(6), Sight { fresh: false, ..OFF }), None);
         assert!(!sequence.is_down(), "and a held one says nothing");
@@ -469,8 +469,8 @@ mod tests {
         let plan = StopPlan { timeout: Duration::from_secs(2), ..plan(StopHow::Ramp, StopThen::Hold) };
         // 100 from the plan; 1000 in 80 % of 2 s.
         for (velocity, deceleration) in [(0.0, 100.0), (160.0, 100.0), (1_000.0, 625.0), (f64::NAN, 100.0)] {
-            let (_, verb) = StopSequence::start(plan, Load::Level, Time(0), velocity);
-            assert_eq!(verb, Command::Stop { deceleration: Some(deceleration) }, "{velocity}");
+            let (_, command) = StopSequence::start(plan, Load::Level, Time(0), velocity);
+            assert_eq!(command, Command::Stop { deceleration: Some(deceleration) }, "{velocity}");
             let weak = deceleration_of(&plan, 1e-9, velocity);
             assert_eq!(weak, if velocity.is_nan() { 1e-9 } else { velocity / 1.6 }.max(1e-9));
         }
@@ -492,8 +492,8 @@ mod tests {
             (94.0, 251, false),
             (94.0, 999, false),
         ] {
-            let verb = start(100.0).step(Time(at), sight(velocity));
-            assert_eq!(verb, escalates.then_some(Command::QuickStop), "{velocity} after {at} ns");
+            let command = start(100.0).step(Time(at), sight(velocity));
+            assert_eq!(command, escalates.then_some(Command::QuickStop), "{velocity} after {at} ns");
         }
         let held = Sight { fresh: false, ..sight(100.0) };
         assert_eq!(start(100.0).step(Time(999), held), None, "held values prove nothing");
@@ -516,13 +516,13 @@ mod tests {
         {
             let plan = StopPlan { on_timeout, ..plan(StopHow::Ramp, StopThen::Hold) };
             let (mut sequence, _) = StopSequence::start(plan, Load::Level, Time(0), 0.0);
-            for verb in [Command::QuickStop, Command::QuickStop, third, third] {
+            for command in [Command::QuickStop, Command::QuickStop, third, third] {
                 for _ in 0..3 {
                     sequence.step(Time(1), STANDING);
                 }
                 sequence.step(Time(2), OFF);
                 assert!(sequence.is_down(), "{on_timeout:?}");
-                assert_eq!(sequence.again(Time(1), 50.0), verb, "{on_timeout:?}");
+                assert_eq!(sequence.again(Time(1), 50.0), command, "{on_timeout:?}");
                 assert!(!sequence.is_down(), "{on_timeout:?}");
             }
         }

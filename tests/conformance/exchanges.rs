@@ -64,15 +64,15 @@ pub fn each_due_slot_is_one_request_and_one_exchange(subject: &'static dyn Subje
 }
 
 pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static dyn Subject) {
-    // Through all verbs, on a wire that loses replies, with a system that refuses some sends.
+    // Through all commands, on a wire that loses replies, with a system that refuses some sends.
     let script = |builds| {
         let mut line = Line::new(subject, 2);
         line.builds = builds;
         line.ready();
-        for (turn, verb) in crate::conformance::line::verbs(&line, 0).into_iter().enumerate() {
+        for (turn, command) in crate::conformance::line::commands(&line, 0).into_iter().enumerate() {
             line.faults(0, FaultPlan { seed: turn as u64, drop: 0.1, ..FaultPlan::default() });
             line.stream(0, 0.01, 40);
-            line.order(0, verb);
+            line.order(0, command);
             for n in 0..150 {
                 line.wire.log().drives[0].jammed = n % 40 == 20;
                 line.turn();
@@ -98,8 +98,8 @@ pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'st
     }
     // One that stands is carried out once, however often it was built and for whichever slot.
     line.builds = 3;
-    let verb = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
-    line.order(0, verb);
+    let command = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
+    line.order(0, command);
     for _ in 0..3 {
         line.prepare();
         line.index += u64::from(line.drives[0].axis.divisor);
@@ -331,8 +331,8 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     line.wire.log().drives[0].jammed = true;
     // The order is given while nothing goes out.
     let at = line.slots[0].status.demand;
-    let verb = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
-    line.order(0, verb);
+    let command = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
+    line.order(0, command);
     for unsent in 1..=4 {
         assert_eq!(line.exchange(0).exchange, Exchange::Unsent);
         let c = line.slots[0].counters;

@@ -415,15 +415,15 @@ impl Line {
     /// All online, in operation, and homed.
     pub fn ready(&mut self) {
         self.online();
-        for verb in [Command::Enable, Command::Home] {
-            if verb == Command::Home && !self.can.home {
+        for command in [Command::Enable, Command::Home] {
+            if command == Command::Home && !self.can.home {
                 continue;
             }
             for index in 0..self.slots.len() {
-                self.order(index, verb);
+                self.order(index, command);
             }
             for index in 0..self.slots.len() {
-                assert_eq!(self.ended(index), Ok(()), "{verb:?} of drive {index}");
+                assert_eq!(self.ended(index), Ok(()), "{command:?} of drive {index}");
             }
         }
     }
@@ -438,8 +438,8 @@ impl Line {
     // Orders.
 
     /// Gives an order.
-    pub fn order(&mut self, index: usize, verb: impl Into<Option<Command>>) {
-        self.machines[index].start(self.world.now(), verb.into());
+    pub fn order(&mut self, index: usize, command: impl Into<Option<Command>>) {
+        self.machines[index].start(self.world.now(), command.into());
         self.held[index] = false;
     }
 
@@ -455,13 +455,13 @@ impl Line {
         self.end(index).expect("it has ended")
     }
 
-    pub fn run(&mut self, index: usize, verb: Command) -> Result<(), Failure> {
-        self.order(index, verb);
+    pub fn run(&mut self, index: usize, command: Command) -> Result<(), Failure> {
+        self.order(index, command);
         self.ended(index)
     }
 
-    pub fn done(&mut self, index: usize, verb: Command) {
-        assert_eq!(self.run(index, verb), Ok(()), "{verb:?} of drive {index}");
+    pub fn done(&mut self, index: usize, command: Command) {
+        assert_eq!(self.run(index, command), Ok(()), "{command:?} of drive {index}");
     }
 
     // Motions, in parts of the way that the profile's velocity makes in a second.
@@ -587,7 +587,7 @@ impl Line {
                 false => self.move_about(index),
             }
         }
-        let verb = match motion {
+        let command = match motion {
             Motion::Move => self.by(index, 2.0),
             Motion::Turn => self.go(index),
             Motion::Jog => self.jog(index, 0.5),
@@ -597,7 +597,7 @@ impl Line {
             }
             Motion::Home => Command::Home,
         };
-        self.order(index, verb);
+        self.order(index, command);
         self.until("a motion", LONG, |line| line.slots[index].status.moving);
         self.turns(50);
         assert!(self.said(index).moving && self.end(index).is_none(), "in the middle of {motion:?}");
@@ -749,7 +749,7 @@ pub fn by(drive: &Drive, seconds: f64) -> Command {
 }
 
 /// Verbs of each kind, as they may be asked of a drive that is ready.
-pub fn verbs(line: &Line, index: usize) -> Vec<Command> {
+pub fn commands(line: &Line, index: usize) -> Vec<Command> {
     vec![
         Command::Enable,
         Command::Disable,

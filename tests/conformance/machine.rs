@@ -151,8 +151,8 @@ impl Machine {
         assert!(!self.feedback(index).status.moving);
     }
 
-    pub fn post(&mut self, index: usize, verb: Command) -> CommandId {
-        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
+    pub fn post(&mut self, index: usize, command: Command) -> CommandId {
+        self.sim.axis(index).post(command).unwrap_or_else(|error| panic!("{error}"))
     }
 
     pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
@@ -164,16 +164,16 @@ impl Machine {
         self.ends[&(index, id)]
     }
 
-    pub fn done(&mut self, index: usize, verb: Command) {
-        let id = self.post(index, verb);
-        assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
+    pub fn done(&mut self, index: usize, command: Command) {
+        let id = self.post(index, command);
+        assert_eq!(self.ended(index, id), Outcome::Done, "{command:?} of axis {index}");
     }
 
-    pub fn failed(&mut self, index: usize, verb: Command) -> Failure {
-        let id = self.post(index, verb);
+    pub fn failed(&mut self, index: usize, command: Command) -> Failure {
+        let id = self.post(index, command);
         match self.ended(index, id) {
             Outcome::Failed(failure) => failure,
-            other => panic!("{verb:?} of axis {index}: {other}"),
+            other => panic!("{command:?} of axis {index}: {other}"),
         }
     }
 
@@ -185,8 +185,8 @@ impl Machine {
 
     /// Out of the latch and enabled again.
     pub fn recover(&mut self, index: usize) {
-        for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
-            self.done(index, verb);
+        for command in [Command::ResetFault, Command::Reset, Command::Enable] {
+            self.done(index, command);
         }
         if self.can.home {
             self.done(index, Command::Home);

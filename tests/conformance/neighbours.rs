@@ -20,8 +20,8 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
         line.set_going(0, line.motion());
         line.honest = false;
         for index in [1, 2] {
-            let verb = if line.can.positions { line.by(index, 0.2) } else { line.go(index) };
-            line.order(index, verb);
+            let command = if line.can.positions { line.by(index, 0.2) } else { line.go(index) };
+            line.order(index, command);
         }
         let before = [1, 2].map(|index| line.slots[index].counters.unsent);
         for turn in 0..600 {
@@ -150,8 +150,8 @@ pub fn restarts_of_one_trouble_no_other(subject: &'static dyn Subject) {
 pub fn orders_to_one_trouble_no_other(subject: &'static dyn Subject) {
     unnoticed(subject, |line, turn| {
         if turn % 7 == 0 {
-            let verbs = crate::conformance::line::verbs(line, 0);
-            line.order(0, verbs[turn as usize / 7 % verbs.len()]);
+            let commands = crate::conformance::line::commands(line, 0);
+            line.order(0, commands[turn as usize / 7 % commands.len()]);
         }
         if turn == 590 {
             line.order(0, Command::Disable);

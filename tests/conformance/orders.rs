@@ -7,7 +7,7 @@ use fieldbeat::axis::{Command, Failure, Jog, Move, Profile, State, Target};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{S, US};
 
-use crate::conformance::line::{Line, Motion, PERIOD, WINDOW, near_velocity, verbs};
+use crate::conformance::line::{Line, Motion, PERIOD, WINDOW, commands, near_velocity};
 use crate::conformance::rules::near;
 use crate::conformance::subject::{Drive, Subject, not_applicable};
 
@@ -118,14 +118,14 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
 
 pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
-    let (at, way, verb) = (line.slots[0].status.demand, line.way(0, 0.05), line.by(0, 0.05));
+    let (at, way, command) = (line.slots[0].status.demand, line.way(0, 0.05), line.by(0, 0.05));
     for n in 1..=20 {
         // The same again under a new serial is a new order.
         if !line.can.positions {
             line.move_about(0);
             continue;
         }
-        line.done(0, verb);
+        line.done(0, command);
         let demand = line.slots[0].status.demand;
         assert!((demand - at - f64::from(n) * way).abs() < way * 1e-2, "after {n}: {demand}");
     }
@@ -148,11 +148,11 @@ pub fn a_move_keeps_to_its_profile_in_user_units(subject: &'static dyn Subject) 
             deceleration: usual.deceleration * d,
         };
         let way = line.way(0, way);
-        let verb = match line.can.positions {
+        let command = match line.can.positions {
             true => Command::Move(Move { target: Target::Relative(way), profile }),
             false => Command::Jog(Jog { velocity: profile.velocity, acceleration: profile.acceleration }),
         };
-        line.order(0, verb);
+        line.order(0, command);
         let seconds = |cycles: u64| (cycles * PERIOD) as f64 / S as f64;
         let begin = line.index;
         line.until("its velocity", 5_000, |line| line.slots[0].status.velocity > profile.velocity * 0.98);
@@ -237,13 +237,13 @@ pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subjec
     }
     asked.extend((!line.can.torque).then_some(Command::Torque { slope: 100.0 }));
     asked.extend((!line.can.home).then_some(Command::Home));
-    for verb in asked {
+    for command in asked {
         line.stream(0, 0.1, 100);
         line.settle();
-        line.order(0, verb);
+        line.order(0, command);
         line.prepare();
         let Some(Err(Failure::Unsupported(why))) = line.end(0) else {
-            panic!("{verb:?} is refused before anything is sent: {:?}", line.end(0));
+            panic!("{command:?} is refused before anything is sent: {:?}", line.end(0));
         };
         assert!(why.len() > 10, "{why}");
         line.stands(0, 100);
@@ -299,8 +299,8 @@ pub fn a_stop_from_every_motion_brings_standstill_with_power_on(subject: &'stati
         for stop in &stops {
             let mut line = Line::made_ready(subject, 1);
             line.set_going(0, motion);
-            for verb in stop {
-                line.order(0, *verb);
+            for command in stop {
+                line.order(0, *command);
                 line.turns(3);
             }
             assert_eq!(line.ended(0), Ok(()), "{stop:?} of {motion:?}");
@@ -496,8 +496,8 @@ pub fn a_jog_goes_on_until_it_is_replaced(subject: &'static dyn Subject) {
     for direction in [1.0, -1.0] {
         let at = [0, 1].map(|index| line.slots[index].status.demand);
         for index in 0..2 {
-            let verb = line.jog(index, 0.5 * direction);
-            line.order(index, verb);
+            let command = line.jog(index, 0.5 * direction);
+            line.order(index, command);
         }
         line.turns(2_000);
         for (index, at) in at.into_iter().enumerate() {
@@ -591,14 +591,14 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         if line.can.home {
             line.done(0, Command::Home);
         }
-        let (at, way, verb) = (line.said(0).demand, line.way(0, 0.02), line.by(0, 0.02));
+        let (at, way, command) = (line.said(0).demand, line.way(0, 0.02), line.by(0, 0.02));
         let counts = way * line.drives[0].axis.units.counts_per_unit;
         for n in 1..=20 {
             let Some(at) = at.filter(|_| line.can.positions) else {
                 line.move_about(0);
                 continue;
             };
-            line.done(0, verb);
+            line.done(0, command);
             let moved = line.said(0).demand.map_or(f64::NAN, |demand| (demand - at) as f64);
             let should = counts * f64::from(n);
             assert!(
@@ -666,8 +666,8 @@ pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
 }
 
 pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn Subject) {
-    for verb in [Command::Enable, Command::Disable, Command::Home, Command::ResetFault] {
-        if verb == Command::Home && !subject.can().home {
+    for command in [Command::Enable, Command::Disable, Command::Home, Command::ResetFault] {
+        if command == Command::Home && !subject.can().home {
             continue;
         }
         let mut line = Line::with(subject, 1, |_, drive| {
@@ -676,11 +676,11 @@ pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn
         });
         line.online();
         line.mute(0, true);
-        line.order(0, verb);
+        line.order(0, command);
         line.until("an end", 300, |line| line.end(0).is_some());
         let end = line.end(0);
-        let known = verb == Command::ResetFault && end == Some(Ok(()));
-        assert!(known || matches!(end, Some(Err(Failure::TimedOut(_)))), "{verb:?}: {end:?}");
+        let known = command == Command::ResetFault && end == Some(Ok(()));
+        assert!(known || matches!(end, Some(Err(Failure::TimedOut(_)))), "{command:?}: {end:?}");
     }
 }
 
@@ -770,10 +770,10 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
         }
         assert_eq!(line.end(0), Some(Ok(())));
     };
-    let (at, way, verb) = (line.slots[0].status.demand, line.way(0, 0.02), line.by(0, 0.02));
+    let (at, way, command) = (line.slots[0].status.demand, line.way(0, 0.02), line.by(0, 0.02));
     for _ in 0..10 {
         if line.can.positions {
-            line.order(0, verb);
+            line.order(0, command);
         } else {
             line.set_going(0, Motion::Turn);
             line.order(0, STOP);
@@ -797,16 +797,16 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
 }
 
 pub fn whatever_is_asked_in_whatever_state_ends_or_goes_on(subject: &'static dyn Subject) {
-    // From each state and motion, each verb: an end, or a motion that a stop ends.
+    // From each state and motion, each command: an end, or a motion that a stop ends.
     for seed in 0..2 {
         let mut line = Line::new(subject, 2);
         line.online();
         let mut random = fastrand::Rng::with_seed(seed);
         for _ in 0..50 {
-            let all = verbs(&line, 0);
-            let verb = all[random.usize(..all.len())];
+            let all = commands(&line, 0);
+            let command = all[random.usize(..all.len())];
             line.stream(0, 0.01, 30);
-            line.order(0, verb);
+            line.order(0, command);
             line.turns(random.u64(..200));
         }
         line.run(0, STOP).ok();

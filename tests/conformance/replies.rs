@@ -503,8 +503,8 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
         for _ in 0..if line.can.stream { 20_000 } else { 800 } {
             let index = random.usize(..3);
             if random.u8(..20) == 0 {
-                let verbs = crate::conformance::line::verbs(&line, index);
-                line.order(index, verbs[random.usize(..verbs.len())]);
+                let commands = crate::conformance::line::commands(&line, index);
+                line.order(index, commands[random.usize(..commands.len())]);
             }
             line.wire.log().drives[index].jammed = random.u8(..20) == 0;
             line.turn();

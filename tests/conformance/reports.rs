@@ -54,21 +54,21 @@ pub fn a_report_is_what_the_drive_said_in_user_units(subject: &'static dyn Subje
     }
     // All the way up, through a move, and down again.
     let motion = if line.can.positions { line.by(0, 0.2) } else { line.go(0) };
-    for verb in
+    for command in
         [Command::Enable, Command::Home, motion, Command::Stop { deceleration: None }, Command::Disable]
     {
-        if verb == Command::Home && !line.can.home {
+        if command == Command::Home && !line.can.home {
             continue;
         }
         for index in 0..4 {
-            line.order(index, verb);
+            line.order(index, command);
         }
         let begin = line.index;
         line.until("the end of all", 5_000, |line| {
             for index in (0..4).filter(|index| line.seen[*index].fresh) {
                 assert_as_said(line, index);
             }
-            let goes_on = matches!(verb, Command::Jog(_)) && line.index - begin > 500;
+            let goes_on = matches!(command, Command::Jog(_)) && line.index - begin > 500;
             goes_on || (0..4).all(|index| line.end(index) == Some(Ok(())))
         });
     }
@@ -80,8 +80,8 @@ pub fn velocity_is_the_way_made_in_user_units_a_second(subject: &'static dyn Sub
     for seconds in [0.5, -0.5] {
         for index in 0..4 {
             let jog = line.jog(index, f64::signum(seconds));
-            let verb = if line.can.positions { line.by(index, seconds) } else { jog };
-            line.order(index, verb);
+            let command = if line.can.positions { line.by(index, seconds) } else { jog };
+            line.order(index, command);
         }
         line.turns(300);
         for index in 0..4 {

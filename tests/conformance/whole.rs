@@ -244,16 +244,16 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
         let feedback = m.feedback(0);
         assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "it stays latched");
         assert!(!feedback.status.state.is_powered() && !feedback.status.moving, "{feedback:?}");
-        for verb in [Command::Enable, m.go(0)] {
-            assert_eq!(m.failed(0, verb), Failure::Latched(StopCause::LinkLost));
+        for command in [Command::Enable, m.go(0)] {
+            assert_eq!(m.failed(0, command), Failure::Latched(StopCause::LinkLost));
         }
         m.done(0, Command::Reset);
         m.done(0, Command::Enable);
         let said = m.tape(0, |tape| tape.said().homed);
         assert!(said.is_none_or(|homed| homed == m.feedback(0).status.homed));
         if restarted && m.can.home && m.can.positions {
-            let verb = m.by(0, 0.05);
-            assert_eq!(m.failed(0, verb), Failure::NotHomed);
+            let command = m.by(0, 0.05);
+            assert_eq!(m.failed(0, command), Failure::NotHomed);
             m.done(0, Command::Home);
         }
         m.move_about(0);
@@ -298,8 +298,8 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     m.run(500);
     let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
     assert!(said.powered && said.moving && feedback.status.moving, "only read: {feedback:?}");
-    for verb in [Command::Enable, m.go(1)] {
-        assert_eq!(m.failed(1, verb), Failure::Latched(StopCause::FoundRunning));
+    for command in [Command::Enable, m.go(1)] {
+        assert_eq!(m.failed(1, command), Failure::Latched(StopCause::FoundRunning));
     }
     assert!(m.tape(1, |tape| tape.said().moving));
     // It is the application that decides.
@@ -395,11 +395,11 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
         let index = (cycle / 50 % 3) as usize;
         if cycle % 50 == 0 {
             let motion = if m.can.positions { m.by(index, 0.05) } else { m.go(index) };
-            let verbs = [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, motion];
-            let verb = verbs[(cycle / 150 % 5) as usize];
+            let commands = [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, motion];
+            let command = commands[(cycle / 150 % 5) as usize];
             // One that the drive cannot do is refused at once.
-            if verb != Command::Home || m.can.home {
-                m.post(index, verb);
+            if command != Command::Home || m.can.home {
+                m.post(index, command);
             }
         }
         m.step();

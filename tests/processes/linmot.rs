@@ -65,8 +65,9 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
         ("table", TABLE, String::new(), " entries"),
     ] {
         let (first, second) = (machine.path(&format!("{what}-1")), machine.path(&format!("{what}-2")));
-        let does =
-            |verb: &str, rest: &str| ask(&format!("linmot {what} {verb}"), &config, &format!("d0 {rest}"));
+        let does = |command: &str, rest: &str| {
+            ask(&format!("linmot {what} {command}"), &config, &format!("d0 {rest}"))
+        };
         does("list", "").expect(0);
         let said = does("put", &sample(file));
         assert!(said.expect(0).out.contains(told) && said.out.contains("read back and compared"), "{said:?}");

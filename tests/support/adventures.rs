@@ -219,8 +219,8 @@ impl Adventures {
     /// Enabling, homing, a stream, jogs and moves, while unmatched send noise; a drive that dies on its way; stops; and
     /// the drive's return.
     pub fn round(&mut self) {
-        for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
-            self.all([Some(verb); LIVING.len()]);
+        for command in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
+            self.all([Some(command); LIVING.len()]);
         }
         let mut rows = (0..).map(row);
         let mut stream = |axis: &mut Axis| {
@@ -254,8 +254,8 @@ impl Adventures {
 
     /// Sends d1 on a fast way; what happens to it next is for whoever watches.
     pub fn set_out(&mut self) {
-        for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home] {
-            self.all([Some(verb); LIVING.len()]);
+        for command in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home] {
+            self.all([Some(command); LIVING.len()]);
         }
         let mut targets = [380.0, 20.0].into_iter().cycle();
         assert!(until(LONG, || {
@@ -270,10 +270,10 @@ impl Adventures {
         &self.axes
     }
 
-    /// Posts the verbs and waits until they have ended.
-    fn all(&mut self, verbs: [Option<Command>; LIVING.len()]) {
-        let mut open: Vec<Option<CommandId>> = (self.axes.iter_mut().zip(verbs))
-            .map(|(axis, verb)| verb.and_then(|verb| axis.post(verb).ok()))
+    /// Posts the commands and waits until they have ended.
+    fn all(&mut self, commands: [Option<Command>; LIVING.len()]) {
+        let mut open: Vec<Option<CommandId>> = (self.axes.iter_mut().zip(commands))
+            .map(|(axis, command)| command.and_then(|command| axis.post(command).ok()))
             .collect();
         assert!(until(LONG, || {
             self.count_for(&mut open);

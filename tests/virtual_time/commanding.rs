@@ -81,8 +81,8 @@ impl<S: Subject> Run<S> {
         panic!("not within {most} cycles: {what}; {:?}", self.subject.sim().feedback(0));
     }
 
-    fn post(&mut self, verb: Command) -> CommandId {
-        self.subject.sim().axis(0).post(verb).unwrap_or_else(|error| panic!("{error}"))
+    fn post(&mut self, command: Command) -> CommandId {
+        self.subject.sim().axis(0).post(command).unwrap_or_else(|error| panic!("{error}"))
     }
 
     fn ended(&mut self, id: CommandId) -> Outcome {
@@ -90,9 +90,9 @@ impl<S: Subject> Run<S> {
         self.ends[&id]
     }
 
-    fn done(&mut self, verb: Command) {
-        let id = self.post(verb);
-        assert_eq!(self.ended(id), Outcome::Done, "{verb:?}");
+    fn done(&mut self, command: Command) {
+        let id = self.post(command);
+        assert_eq!(self.ended(id), Outcome::Done, "{command:?}");
     }
 
     fn acyclic(&mut self) -> Acyclic {

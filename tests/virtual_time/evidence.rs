@@ -77,14 +77,14 @@ fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
                     assert!(!moves(&b), "{what}: done in mid-motion");
                 }
                 kind => {
-                    let verb =
+                    let command =
                         if kind == 3 { Command::QuickStop } else { Command::Stop { deceleration: None } };
                     b.post(0, slowly_to(far));
                     b.run(1 + random.u64(..50));
                     let (mut id, mut begun) = (None, 0.0);
                     for now in 0..6 {
                         if now == posted {
-                            (id, begun) = (Some(b.post(0, verb)), demand(&b));
+                            (id, begun) = (Some(b.post(0, command)), demand(&b));
                         }
                         step(&mut b, now);
                     }

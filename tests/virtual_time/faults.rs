@@ -120,8 +120,8 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
         assert!((20..=30).contains(&braking.len()), "{} cycles of braking", braking.len());
         assert!(braking.iter().all(|word| word.has(0xF)), "{braking:?}");
         assert!(b.kinds(0).contains(&EventKind::Fault(u32::from(code))));
-        for verb in [Command::Enable, to(1.0)] {
-            assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::DriveFault));
+        for command in [Command::Enable, to(1.0)] {
+            assert_eq!(b.failed(0, command), Failure::Latched(StopCause::DriveFault));
         }
         b.recover(0);
         b.done(0, to(5.0));

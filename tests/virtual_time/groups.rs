@@ -206,7 +206,7 @@ fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
             .ready();
         b.join(&[1, 0]);
         begin(&mut b);
-        let again = [Command::Reset, Command::Enable].map(|verb| b.group().post_all(verb).unwrap());
+        let again = [Command::Reset, Command::Enable].map(|command| b.group().post_all(command).unwrap());
         b.run(2);
         assert_eq!(b.feedback(1).stopped, Some(cause));
         for command in &again {
@@ -449,15 +449,15 @@ fn a_group_forgets_a_miss_after_so_many_rounds_without_one() {
 
 #[test]
 fn homing_is_a_motion_of_the_group_and_an_enable_is_none() {
-    for (verb, counts) in [(Command::Home, true), (Command::Enable, false)] {
+    for (command, counts) in [(Command::Home, true), (Command::Enable, false)] {
         let mut b = joined(2, &[0, 1]);
-        b.group().post_all(verb).unwrap();
+        b.group().post_all(command).unwrap();
         b.run(2);
         b.tape(1).mute = true;
         b.run(1);
         b.tape(1).mute = false;
         b.run(1);
-        assert_eq!(b.kinds(1).contains(&EventKind::MissedInGroup), counts, "{verb:?}");
+        assert_eq!(b.kinds(1).contains(&EventKind::MissedInGroup), counts, "{command:?}");
     }
 }
 

@@ -177,24 +177,24 @@ causes! {
 }
 
 /// Asks axis 0, and its whole group where it has joined one.
-fn ask(b: &mut Bench, verb: Command) -> CommandId {
+fn ask(b: &mut Bench, command: Command) -> CommandId {
     match b.joined() {
-        true => b.group().post_all(verb).unwrap_or_else(|error| panic!("{error}")).ids()[0],
-        false => b.post(0, verb),
+        true => b.group().post_all(command).unwrap_or_else(|error| panic!("{error}")).ids()[0],
+        false => b.post(0, command),
     }
 }
 
-fn failed(b: &mut Bench, verb: Command) -> Failure {
-    let id = ask(b, verb);
+fn failed(b: &mut Bench, command: Command) -> Failure {
+    let id = ask(b, command);
     match b.ended(0, id) {
         Outcome::Failed(failure) => failure,
-        other => panic!("{verb:?} should have failed: {other}"),
+        other => panic!("{command:?} should have failed: {other}"),
     }
 }
 
-fn done(b: &mut Bench, verb: Command) {
-    let id = ask(b, verb);
-    assert_eq!(b.ended(0, id), Outcome::Done, "{verb:?}");
+fn done(b: &mut Bench, command: Command) {
+    let id = ask(b, command);
+    assert_eq!(b.ended(0, id), Outcome::Done, "{command:?}");
 }
 
 /// Follows a few rows, the last of which is `step` further than the others are.
@@ -212,7 +212,7 @@ fn try_cause(cause: StopCause, case: &Case) {
         (case.rig)(Rig::new(3).each(|index, drive| drive.axis.stop.group = (index < 2).then_some(1))).start();
     let running = (case.lead)(&mut b);
     // Home waits for a motion, and a motion for Home.
-    let waiting = [Command::Home, to(5.0)].map(|verb| ask(&mut b, verb));
+    let waiting = [Command::Home, to(5.0)].map(|command| ask(&mut b, command));
     assert!((0..3).all(|index| b.feedback(index).stopped.is_none()), "{cause}: alone");
     let before = b.events.len();
     (case.strike)(&mut b);
@@ -261,8 +261,8 @@ fn try_cause(cause: StopCause, case: &Case) {
 
 /// No motion is taken, and no other cause takes the place of the first one.
 fn assert_holds(b: &mut Bench, cause: StopCause) {
-    for verb in [Command::Enable, Command::Home, to(5.0), jog(5.0), Command::Follow] {
-        assert_eq!(failed(b, verb), Failure::Latched(cause), "{cause}: {verb:?}");
+    for command in [Command::Enable, Command::Home, to(5.0), jog(5.0), Command::Follow] {
+        assert_eq!(failed(b, command), Failure::Latched(cause), "{cause}: {command:?}");
     }
     b.tape(0).mute = true;
     b.until("a lost link", 100, |b| b.feedback(0).link == Link::Lost);
@@ -292,7 +292,7 @@ fn assert_opens(b: &mut Bench, cause: StopCause) {
 
 /// The end of the master: nothing is taken any more.
 fn assert_ends(mut b: Bench, cause: StopCause) {
-    let asked = [Command::Reset, Command::Enable, to(5.0)].map(|verb| b.post(0, verb));
+    let asked = [Command::Reset, Command::Enable, to(5.0)].map(|command| b.post(0, command));
     let ended = (0..1_000).any(|_| b.step() == Flow::End);
     assert!(ended, "{cause}");
     for id in asked {

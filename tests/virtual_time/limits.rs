@@ -9,9 +9,10 @@ use crate::virtual_time::support::*;
 fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
     let mut b = Rig::new(1).ready();
     let before = b.tape(0).heard.len();
-    let refused = |b: &mut Bench, verb: Command| b.sim.axis(0).post(verb).expect_err("refused").to_string();
+    let refused =
+        |b: &mut Bench, command: Command| b.sim.axis(0).post(command).expect_err("refused").to_string();
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        for verb in [
+        for command in [
             to(value),
             by(value),
             with(Target::Absolute(10.0), value, 1_000.0),
@@ -20,8 +21,8 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
             Command::Jog(Jog { velocity: 1.0, acceleration: value }),
             Command::Stop { deceleration: Some(value) },
         ] {
-            let told = refused(&mut b, verb);
-            assert!(told.contains("finite"), "{verb:?}: {told}");
+            let told = refused(&mut b, command);
+            assert!(told.contains("finite"), "{command:?}: {told}");
         }
         let rows = [
             row(value),
@@ -34,7 +35,7 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
     }
     let slow = Profile { velocity: 10.0, acceleration: 10.0, deceleration: 10.0 };
     let in_range = Target::Absolute(10.0);
-    for verb in [
+    for command in [
         to(-0.001),
         to(200.001),
         with(in_range, 1_000.1, 10.0),
@@ -50,9 +51,9 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
         Command::Stop { deceleration: Some(0.0) },
         Command::Stop { deceleration: Some(-5.0) },
     ] {
-        let told = refused(&mut b, verb);
+        let told = refused(&mut b, command);
         let named = told.contains("outside its limit") || told.contains("must be above 0");
-        assert!(named, "{verb:?}: {told}");
+        assert!(named, "{command:?}: {told}");
     }
     for row in [row(-0.001), row(200.1), fieldbeat::axis::Row { velocity: -1_000.1, ..row(5.0) }] {
         assert!(b.sim.axis(0).push_row(row).is_err());
@@ -66,7 +67,7 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
 #[test]
 fn what_the_wire_cannot_carry_is_refused_in_the_loop() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.limits = Default::default()).ready();
-    for verb in [
+    for command in [
         to(214_749.0),
         by(-214_750.0),
         with(Target::Absolute(1.0), 4_294_968.0, 1.0),
@@ -74,7 +75,7 @@ fn what_the_wire_cannot_carry_is_refused_in_the_loop() {
         // It is rounded to nothing.
         with(Target::Absolute(10.0), 1e-9, 100.0),
     ] {
-        assert!(matches!(b.failed(0, verb), Failure::Range(_)), "{verb:?}");
+        assert!(matches!(b.failed(0, command), Failure::Range(_)), "{command:?}");
     }
     b.done(0, to(1.0));
 }

@@ -240,7 +240,7 @@ fn a_segment_that_leads_and_one_that_follows_come_up_and_stay_in_their_windows()
         let mut led = Led::beside(MS, None, &[&[ppm[0], ppm[0] + 7.0], &[ppm[1], ppm[1] + 7.0]], Vec::new());
         led.online();
         for index in 0..4 {
-            led.sim.run_verb(index, Command::Enable, 2_000).unwrap().expect("it ends");
+            led.sim.execute(index, Command::Enable, 2_000).unwrap().expect("it ends");
         }
         let worst = Mutex::new([0; 2]);
         led.run_for(5 * S, |led| {

@@ -6,6 +6,7 @@ mod acyclic;
 mod bring_up;
 mod carrier;
 mod commanding;
+mod commands;
 mod evidence;
 mod faults;
 #[path = "../support/fuse.rs"]
@@ -34,5 +35,4 @@ mod support;
 mod telemetry;
 mod torques;
 mod unidrive;
-mod verbs;
 mod watchdogs;

@@ -106,9 +106,9 @@ impl Machine {
     fn moving() -> Machine {
         let mut machine = Machine::new();
         machine.until("online", |axes| axes.iter().all(|axis| axis.feedback().link == Link::Online));
-        for verb in [Command::Enable, Command::Home] {
+        for command in [Command::Enable, Command::Home] {
             for axis in 0..2 {
-                let id = machine.axes[axis].post(verb).unwrap();
+                let id = machine.axes[axis].post(command).unwrap();
                 let mut outcome = None;
                 while outcome.is_none() {
                     machine.engine.step();
@@ -225,7 +225,7 @@ fn what_is_posted_after_a_panic_has_its_end() {
     machine.engine.step();
     let events = std::iter::from_fn(|| machine.axes[0].event());
     let aborted = Outcome::Aborted(Abort::Stopped(StopCause::Shutdown));
-    let end = EventKind::Ended { id, verb: "reset", outcome: aborted };
+    let end = EventKind::Ended { id, command: "reset", outcome: aborted };
     assert!(events.map(|event| event.kind).any(|kind| kind == end));
 }
 

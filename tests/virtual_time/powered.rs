@@ -59,7 +59,7 @@ fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_m
 
 #[test]
 fn what_was_commanded_is_no_motion_without_a_command() {
-    for verb in [
+    for command in [
         Command::Stop { deceleration: None },
         Command::QuickStop,
         Command::Stop { deceleration: Some(3_000.0) },
@@ -71,14 +71,14 @@ fn what_was_commanded_is_no_motion_without_a_command() {
         }
         b.post(0, to(190.0));
         b.run(50);
-        b.done(0, verb);
+        b.done(0, command);
         b.run(1_000);
         b.post(0, jog(50.0));
         b.run(100);
-        b.done(0, verb);
+        b.done(0, command);
         b.done(0, Command::Home);
         b.run(1_000);
-        assert_eq!(stops(&b), [], "{verb:?}");
+        assert_eq!(stops(&b), [], "{command:?}");
     }
 }
 

@@ -359,8 +359,8 @@ fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
 
     // The way back, step by step, and no other.
     if let Some(cause) = case.stopped {
-        for verb in [Command::Enable, Command::Home, to(10.0)] {
-            assert_eq!(b.failed(0, verb), Failure::Latched(cause), "{what}");
+        for command in [Command::Enable, Command::Home, to(10.0)] {
+            assert_eq!(b.failed(0, command), Failure::Latched(cause), "{what}");
         }
         b.done(0, Command::Reset);
     }

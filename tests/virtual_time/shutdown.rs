@@ -187,8 +187,8 @@ fn the_task_is_not_called_once_the_end_was_asked_for() {
     let mut b = Rig::new(1)
         .task(move |cycle, axes| {
             count.fetch_add(1, Ordering::Relaxed);
-            let verb = if cycle.index % 2 == 0 { Command::Reset } else { Command::Enable };
-            let _ = axes.command(0, verb);
+            let command = if cycle.index % 2 == 0 { Command::Reset } else { Command::Enable };
+            let _ = axes.command(0, command);
         })
         .online();
     b.until("operation", 1_000, |b| b.feedback(0).is_operational());

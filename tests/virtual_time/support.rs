@@ -445,10 +445,10 @@ impl Bench {
         members.iter().zip(command.ids()).map(|(index, id)| self.ended(*index, *id)).collect()
     }
 
-    pub fn group_done(&mut self, verbs: &[Command]) {
-        let command = self.group().post(verbs).unwrap_or_else(|error| panic!("{error}"));
+    pub fn group_done(&mut self, commands: &[Command]) {
+        let command = self.group().post(commands).unwrap_or_else(|error| panic!("{error}"));
         let outcomes = self.group_ended(&command);
-        assert!(outcomes.iter().all(|outcome| *outcome == Outcome::Done), "{verbs:?}: {outcomes:?}");
+        assert!(outcomes.iter().all(|outcome| *outcome == Outcome::Done), "{commands:?}: {outcomes:?}");
     }
 
     pub fn run(&mut self, turns: u64) {
@@ -505,22 +505,22 @@ impl Bench {
     /// All online, enabled and homed.
     pub fn ready(&mut self) -> &mut Bench {
         self.online();
-        for verb in [Command::Enable, Command::Home] {
-            let ids: Vec<_> = (0..self.drives.len()).map(|index| self.post(index, verb)).collect();
+        for command in [Command::Enable, Command::Home] {
+            let ids: Vec<_> = (0..self.drives.len()).map(|index| self.post(index, command)).collect();
             for (index, id) in ids.into_iter().enumerate() {
-                assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
+                assert_eq!(self.ended(index, id), Outcome::Done, "{command:?} of axis {index}");
             }
         }
         self
     }
 
-    pub fn post(&mut self, index: usize, verb: Command) -> CommandId {
-        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
+    pub fn post(&mut self, index: usize, command: Command) -> CommandId {
+        self.sim.axis(index).post(command).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// Why it is refused on submission.
-    pub fn refused(&mut self, index: usize, verb: Command) -> Failure {
-        refused(self.sim.axis(index), verb)
+    pub fn refused(&mut self, index: usize, command: Command) -> Failure {
+        refused(self.sim.axis(index), command)
     }
 
     pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
@@ -536,19 +536,19 @@ impl Bench {
     }
 
     /// Posts and turns until the end.
-    pub fn run_verb(&mut self, index: usize, verb: Command) -> Outcome {
-        let id = self.post(index, verb);
+    pub fn execute(&mut self, index: usize, command: Command) -> Outcome {
+        let id = self.post(index, command);
         self.ended(index, id)
     }
 
-    pub fn done(&mut self, index: usize, verb: Command) {
-        assert_eq!(self.run_verb(index, verb), Outcome::Done, "{verb:?} of axis {index}");
+    pub fn done(&mut self, index: usize, command: Command) {
+        assert_eq!(self.execute(index, command), Outcome::Done, "{command:?} of axis {index}");
     }
 
-    pub fn failed(&mut self, index: usize, verb: Command) -> Failure {
-        match self.run_verb(index, verb) {
+    pub fn failed(&mut self, index: usize, command: Command) -> Failure {
+        match self.execute(index, command) {
             Outcome::Failed(failure) => failure,
-            other => panic!("{verb:?} of axis {index} should have failed: {other}"),
+            other => panic!("{command:?} of axis {index} should have failed: {other}"),
         }
     }
 
@@ -662,9 +662,9 @@ pub fn assert_near(value: f64, expected: f64, within: f64) {
 }
 
 /// Why `axis` refuses this on submission.
-pub fn refused(axis: &mut Axis, verb: Command) -> Failure {
-    match axis.post(verb) {
+pub fn refused(axis: &mut Axis, command: Command) -> Failure {
+    match axis.post(command) {
         Err(AxisError::Refused { failure, .. }) => failure,
-        taken => panic!("{verb:?}: {taken:?}"),
+        taken => panic!("{command:?}: {taken:?}"),
     }
 }

@@ -180,7 +180,9 @@ fn torques_of_all_members_are_set_together_and_refused_together() {
     machine.run(15);
     assert!((0..2).all(|index| machine.feedback(index).stopped.is_some()), "nobody sets them any more");
     let ended = std::iter::from_fn(|| group.event(0)).find_map(|event| match event.kind {
-        EventKind::Ended { id, outcome, verb } => (id == command.ids()[0]).then_some((verb, outcome)),
+        EventKind::Ended { id, outcome, command: name } => {
+            (id == command.ids()[0]).then_some((name, outcome))
+        }
         _ => None,
     });
     assert!(matches!(ended, Some(("torque", Outcome::Aborted(_)))), "{ended:?}");

@@ -57,7 +57,7 @@ impl DriveController {
         self.commanded = slot.commanded;
         let held = self.held.take();
         self.take_setpoints(cycle);
-        let resets = |active: &QueuedCommand| matches!(active.verb, Command::Reset);
+        let resets = |active: &QueuedCommand| matches!(active.command, Command::Reset);
         if self.machine.end().is_some() || self.active.as_ref().is_some_and(resets) {
             self.end_active(cycle, now);
         }
@@ -85,7 +85,7 @@ impl DriveController {
                     break;
                 }
             }
-            if next.call.is_some() && !next.verb.is_urgent() {
+            if next.call.is_some() && !next.command.is_urgent() {
                 self.waiting = Some(next);
                 break;
             }
@@ -129,18 +129,18 @@ impl DriveController {
     #[inline(never)]
     fn end_active(&mut self, cycle: &Cycle, now: Time) {
         let Some(active) = self.active else { return };
-        if matches!(active.verb, Command::Reset) {
+        if matches!(active.command, Command::Reset) {
             self.try_reset(cycle, now, active);
             return;
         }
         match self.machine.end() {
             None => {}
             Some(Ok(())) => {
-                if matches!(active.verb, Command::Enable) {
+                if matches!(active.command, Command::Enable) {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
                 }
-                if matches!(active.verb, Command::Enable | Command::Disable) {
+                if matches!(active.command, Command::Enable | Command::Disable) {
                     // From here on the drive's report says it.
                     self.rising = 0;
                 }
@@ -153,7 +153,7 @@ impl DriveController {
                     self.rising = 0;
                 }
                 self.end(cycle, now, active, Outcome::Failed(failure));
-                if matches!(active.verb, Command::Stop { .. }) && self.latch.is_open() {
+                if matches!(active.command, Command::Stop { .. }) && self.latch.is_open() {
                     // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
                     self.issue(Some(Command::QuickStop));
                 }
@@ -169,7 +169,7 @@ impl DriveController {
 
     /// An urgent command aborts everything before it in the queue.
     fn overtake(&mut self, cycle: &Cycle, now: Time) {
-        let urgent = self.queues.commands.iter().rposition(|command| command.verb.is_urgent());
+        let urgent = self.queues.commands.iter().rposition(|queued| queued.command.is_urgent());
         let Some(urgent) = urgent.map(|place| self.queues.commands[place].id) else { return };
         let replaced = Outcome::Aborted(Abort::Replaced(urgent));
         if let Some(command) = self.task_command.take() {
@@ -184,37 +184,37 @@ impl DriveController {
     }
 
     /// Begins the command if it may begin here, and at all other members of its group.
-    fn start(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, refused: bool) {
-        match self.admit(&command) {
-            Ok(()) if refused => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
-            Ok(()) => self.begin(cycle, now, command),
-            Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
+    fn start(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand, refused: bool) {
+        match self.admit(&queued) {
+            Ok(()) if refused => self.end(cycle, now, queued, Outcome::Failed(Failure::GroupRefused)),
+            Ok(()) => self.begin(cycle, now, queued),
+            Err(failure) => self.end(cycle, now, queued, Outcome::Failed(failure)),
         }
     }
 
-    fn begin(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand) {
+    fn begin(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand) {
         if let Some(active) = self.active {
-            self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
+            self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(queued.id)));
         }
-        self.active = Some(command);
+        self.active = Some(queued);
         self.began = now;
-        match command.verb {
-            Command::Reset => self.try_reset(cycle, now, command),
+        match queued.command {
+            Command::Reset => self.try_reset(cycle, now, queued),
             Command::Disable => {
                 self.disarm();
                 self.issue(Some(Command::Disable));
             }
-            verb => {
-                if let (Command::QuickStop, Latch::Down(_, sequence)) = (verb, &mut self.latch) {
+            command => {
+                if let (Command::QuickStop, Latch::Down(_, sequence)) = (command, &mut self.latch) {
                     sequence.quicken();
                 }
-                if verb == Command::Enable {
+                if command == Command::Enable {
                     self.rising = FALLEN_REPORTS;
                 }
-                self.issue(Some(self.bounded(verb)));
+                self.issue(Some(self.bounded(command)));
                 // The first setpoint may come later: it has the whole age for that.
                 self.level_at = cycle.index;
-                if self.ahead.of == command.id {
+                if self.ahead.of == queued.id {
                     self.set_level(cycle.index, self.ahead.value);
                 }
             }
@@ -222,15 +222,15 @@ impl DriveController {
     }
 
     /// A stop that ends within the stop's time-out, however weak a deceleration was requested.
-    fn bounded(&self, verb: Command) -> Command {
-        let Command::Stop { deceleration } = verb else { return verb };
+    fn bounded(&self, command: Command) -> Command {
+        let Command::Stop { deceleration } = command else { return command };
         let requested = deceleration.unwrap_or(self.plan.profile.deceleration);
         Command::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
     }
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
-    fn admit(&self, command: &QueuedCommand) -> Result<(), Failure> {
-        match (command.verb, &self.latch) {
+    fn admit(&self, queued: &QueuedCommand) -> Result<(), Failure> {
+        match (queued.command, &self.latch) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
                 if latch.is_settled() => {}
@@ -239,9 +239,9 @@ impl DriveController {
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
         let state = self.feedback.status.state;
-        let motion = command.verb.is_motion() || matches!(command.verb, Command::Home);
-        let native = |owner| command.verb == Command::Native(owner);
-        match command.verb {
+        let motion = queued.command.is_motion() || matches!(queued.command, Command::Home);
+        let native = |owner| queued.command == Command::Native(owner);
+        match queued.command {
             Command::Reset if !self.latch.is_settled() && !self.answers() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
@@ -266,18 +266,19 @@ impl DriveController {
 
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
-        let moved =
-            self.active.is_some_and(|active| active.verb.is_motion() || matches!(active.verb, Command::Home));
+        let moved = self
+            .active
+            .is_some_and(|active| active.command.is_motion() || matches!(active.command, Command::Home));
         let slow = self.feedback.status.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.status.moving && slow && self.feedback.age < self.plan.divisor
     }
 
     /// The latch opens once the stop sequence is complete.
-    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand) {
+    fn try_reset(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand) {
         if !self.latch.is_settled() {
             if !self.answers() {
                 // The sequence waits for the drive; so would the reset.
-                self.end(cycle, now, command, Outcome::Failed(Failure::NotOnline));
+                self.end(cycle, now, queued, Outcome::Failed(Failure::NotOnline));
             }
             return;
         }
@@ -289,15 +290,15 @@ impl DriveController {
         }
         self.latch = Latch::Open;
         self.feedback.stopped = None;
-        self.end(cycle, now, command, Outcome::Done);
+        self.end(cycle, now, queued, Outcome::Done);
     }
 
     /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
-    pub(super) fn issue(&mut self, verb: Option<Command>) {
+    pub(super) fn issue(&mut self, command: Option<Command>) {
         if self.claim == Claim::Found {
             self.claim = Claim::Ours;
         }
-        self.machine.start(self.grid, verb);
+        self.machine.start(self.grid, command);
         self.follow.held = false;
     }
 
@@ -313,25 +314,26 @@ impl DriveController {
         &mut self,
         cycle: &Cycle,
         now: Time,
-        command: QueuedCommand,
+        queued: QueuedCommand,
     ) -> Result<(), Failure> {
-        if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
+        if self.task_command.is_some_and(|waiting| !queued.command.is_urgent() || waiting.command.is_urgent())
+        {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
-        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
-        if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
+        check_command(&self.plan, self.machine.lacks(), &queued.command)?;
+        if self.queues.events.slots() <= self.queues.room_for_ends && !queued.command.is_urgent() {
             return Err(Failure::Unsupported(
                 "the application takes no events: there is no room for its end",
             ));
         }
-        if self.moves_in_group().is_some() && !command.verb.is_urgent() {
+        if self.moves_in_group().is_some() && !queued.command.is_urgent() {
             return Err(Failure::Unsupported(
                 "the axis moves in a group: only a stop can be given to it alone",
             ));
         }
         // A stop does not wait for the commands before it.
-        if let Some(waiting) = self.task_command.replace(command) {
-            self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(command.id)));
+        if let Some(waiting) = self.task_command.replace(queued) {
+            self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(queued.id)));
         }
         Ok(())
     }
@@ -358,8 +360,8 @@ impl DriveController {
     /// The setpoint is for the command that begins now, or else for the running one; a command that takes no
     /// setpoints ignores it.
     fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Command) -> bool) {
-        if let Some(command) = self.task_command.or(self.active).filter(|command| takes(&command.verb)) {
-            self.take_setpoint(cycle, Setpoint { of: command.id, value });
+        if let Some(queued) = self.task_command.or(self.active).filter(|queued| takes(&queued.command)) {
+            self.take_setpoint(cycle, Setpoint { of: queued.id, value });
         }
     }
 }
@@ -380,6 +382,6 @@ pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T>
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {
-    let streams = matches!(active.verb, Command::Follow) && matches!(next.verb, Command::Follow);
-    next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
+    let streams = matches!(active.command, Command::Follow) && matches!(next.command, Command::Follow);
+    next.command.is_urgent() || active.command.is_motion() && next.command.is_motion() && !streams
 }

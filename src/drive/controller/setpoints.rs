@@ -88,7 +88,7 @@ impl DriveController {
 
     /// Stops an axis whose velocity or torque is older than it may be.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time) {
-        let (most, cause) = match self.active.as_ref().map(|active| &active.verb) {
+        let (most, cause) = match self.active.as_ref().map(|active| &active.command) {
             Some(Command::Velocity { .. } | Command::Torque { .. }) => {
                 (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
             }
@@ -105,7 +105,7 @@ impl DriveController {
 
     /// The follow that takes a row for the next send.
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
-        let follow = self.active.filter(|active| matches!(active.verb, Command::Follow))?;
+        let follow = self.active.filter(|active| matches!(active.command, Command::Follow))?;
         let due = slot.due && matches!(self.machine.command(), Some(Command::Follow));
         let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
         (due && !done).then_some(follow)
@@ -115,7 +115,7 @@ impl DriveController {
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if self.active.is_none_or(|active| !matches!(active.verb, Command::Follow)) {
+            if self.active.is_none_or(|active| !matches!(active.command, Command::Follow)) {
                 self.task_row = None;
             }
             return;

@@ -116,10 +116,10 @@ impl Alone {
         (0..count).for_each(|_| self.turn());
     }
 
-    pub fn post(&mut self, verb: Command) -> u64 {
+    pub fn post(&mut self, command: Command) -> u64 {
         self.id += 1;
         self.commands
-            .push(QueuedCommand { id: CommandId(self.id), member: 0, verb, stream: 0, call: None })
+            .push(QueuedCommand { id: CommandId(self.id), member: 0, command, stream: 0, call: None })
             .unwrap();
         self.id
     }
@@ -131,8 +131,8 @@ impl Alone {
     }
 
     /// The command is done, and the drive reports this state from then on.
-    pub fn done(&mut self, verb: Command, state: State) {
-        let id = self.post(verb);
+    pub fn done(&mut self, command: Command, state: State) {
+        let id = self.post(command);
         self.turn();
         self.slot.status.state = state;
         self.ends(Ok(()));
@@ -140,8 +140,8 @@ impl Alone {
     }
 
     /// The command ends in the cycle in which it begins.
-    fn done_at_once(&mut self, verb: Command) {
-        let id = self.post(verb);
+    fn done_at_once(&mut self, command: Command) {
+        let id = self.post(command);
         self.ended();
         self.miss();
         assert_eq!(self.ended(), [(id, Outcome::Done)]);
@@ -309,8 +309,8 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
     while x.controller.queues.events.slots() > x.controller.queues.room_for_ends {
         x.controller.emit(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
-    let mut takes = |verb| {
-        let command = QueuedCommand { id: CommandId::of_task(1), member: 0, verb, stream: 0, call: None };
+    let mut takes = |command| {
+        let command = QueuedCommand { id: CommandId::of_task(1), member: 0, command, stream: 0, call: None };
         x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
     };
     assert!(!takes(Command::Home));
@@ -394,12 +394,12 @@ fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
     assert!(by_drive(&x));
     // Faster than its limit: under a motion, and under a stop.
-    for (verb, expected) in [(Command::Follow, false), (Command::Stop { deceleration: None }, true)] {
+    for (command, expected) in [(Command::Follow, false), (Command::Stop { deceleration: None }, true)] {
         let mut x = ranged();
-        x.post(verb);
+        x.post(command);
         x.turn();
         assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
-        assert_eq!(by_drive(&x), expected, "{verb:?}");
+        assert_eq!(by_drive(&x), expected, "{command:?}");
     }
     // It has left operation.
     let mut x = ranged();
@@ -449,15 +449,15 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
 
 #[test]
 fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
-    for verb in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
+    for command in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
         let mut x = Alone::new(plan()).enabled();
         (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
         x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
         let order = x.controller.machine.newest();
-        let id = x.post(verb);
+        let id = x.post(command);
         x.turn();
         assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
-        assert_eq!(x.controller.machine.newest(), order, "{verb:?}");
+        assert_eq!(x.controller.machine.newest(), order, "{command:?}");
     }
 }
 
@@ -851,10 +851,10 @@ fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
 
 impl Alone {
     /// The in-loop task gives a command.
-    fn task(&mut self, id: u64, verb: Command) -> CommandId {
+    fn task(&mut self, id: u64, command: Command) -> CommandId {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
-        let command = QueuedCommand { id, member: 0, verb, stream: 0, call: None };
+        let command = QueuedCommand { id, member: 0, command, stream: 0, call: None };
         self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
         id
     }
@@ -905,7 +905,7 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
         let id = CommandId(x.id);
         let call = Some(GroupCall { parts: 1, together: 2, lead: 0, id });
         let native = Command::Native(NativeOwner::Master);
-        x.commands.push(QueuedCommand { id, member: 0, verb: native, stream: 0, call }).unwrap();
+        x.commands.push(QueuedCommand { id, member: 0, command: native, stream: 0, call }).unwrap();
         x.turn();
         x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), false);
         let target = Target::Relative(distance);

@@ -123,13 +123,13 @@ fn seconds(header: &Header, cycle: u64) -> f64 {
 }
 
 fn running(drive: &DriveRecord) -> String {
-    match drive.verb {
+    match drive.command {
         0 => String::new(),
-        code => format!(", {}", verb(code)),
+        code => format!(", {}", command(code)),
     }
 }
 
-fn verb(code: u8) -> &'static str {
+fn command(code: u8) -> &'static str {
     Command::NAMES.get(usize::from(code)).copied().unwrap_or(Command::NAMES[0])
 }
 
@@ -177,10 +177,10 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
         _ => None,
     };
     let mut found = Vec::new();
-    if before.verb != now.verb {
-        found.push(match now.verb {
-            0 => format!("{} ended", verb(before.verb)),
-            code => format!("{} begins", verb(code)),
+    if before.command != now.command {
+        found.push(match now.command {
+            0 => format!("{} ended", command(before.command)),
+            code => format!("{} begins", command(code)),
         });
     }
     if before.state != now.state {
@@ -447,13 +447,14 @@ mod tests {
                     reply: Reply::Answered,
                     link: Link::Online,
                     state: State::OperationEnabled,
-                    verb: 7,
+                    command: 7,
                     ..DriveRecord::default()
                 };
                 if axis == 0 && index > 99 {
                     drive.reply = Reply::Missed;
                     if index >= 103 {
-                        (drive.link, drive.stopped, drive.verb) = (Link::Lost, Some(StopCause::LinkLost), 0);
+                        (drive.link, drive.stopped, drive.command) =
+                            (Link::Lost, Some(StopCause::LinkLost), 0);
                     }
                 }
                 records.push(Record::Drive(drive));

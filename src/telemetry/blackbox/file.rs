@@ -291,7 +291,7 @@ fn pass(record: &mut Record, bytes: &mut Bytes<'_>) -> Option<()> {
             d.link = bytes.one_of(d.link as u8, &Link::ALL)?;
             d.state = bytes.one_of(d.state as u8, &State::ALL)?;
             let mut stopped = d.stopped.map_or(0, |cause| cause as u8);
-            bytes.all(&mut [&mut stopped, &mut d.verb])?;
+            bytes.all(&mut [&mut stopped, &mut d.command])?;
             d.stopped = match usize::from(stopped).checked_sub(1) {
                 None => None,
                 Some(place) => Some(*StopCause::ALL.get(place)?),
@@ -443,7 +443,7 @@ mod tests {
                 link: Link::Lost,
                 state: State::Fault,
                 stopped: Some(StopCause::GroupFailed),
-                verb: 12,
+                command: 12,
                 moving: true,
                 inhibited: true,
                 was_online: true,

@@ -108,7 +108,7 @@ fn run(mut plan: Plan) {
         for (index, axis) in axes.iter().enumerate() {
             let middle = axis.limits.position.map_or(0.0, |(low, high)| low + (high - low) / 2.0);
             let motion = |target| Command::Move(Move { target, profile: axis.profile });
-            let verb = match (turn + index as u64) % 8 {
+            let command = match (turn + index as u64) % 8 {
                 0 => Command::Enable,
                 1 => Command::Home,
                 2 => motion(Target::Absolute(middle)),
@@ -118,7 +118,7 @@ fn run(mut plan: Plan) {
                 6 => Command::ResetFault,
                 _ => Command::Reset,
             };
-            let _ = sim.axis(index).post(verb);
+            let _ = sim.axis(index).post(command);
             let _ = sim.axis(index).push_row(Row { position: middle, ..Row::default() });
             while let Some(event) = sim.axis(index).event() {
                 assert!(is_plain(&event.to_string()));

@@ -30,8 +30,8 @@ use fieldbeat::sim::SimLine;
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;
+use super::commands::command;
 use super::input::Input;
-use super::verbs::verb;
 
 const PERIOD_NS: u64 = MS;
 const DRIVES: usize = 2;
@@ -173,7 +173,7 @@ impl Rig {
     /// One command or none, and one cycle.
     fn step(&mut self, input: &mut Input<'_>) {
         match input.below(8) {
-            0 => self.machines[input.below(DRIVES)].start(self.cycle.grid, Some(verb(input))),
+            0 => self.machines[input.below(DRIVES)].start(self.cycle.grid, Some(command(input))),
             1 => self.machines[input.below(DRIVES)].velocity(input.number()),
             2 => self.machines[0].start(self.cycle.grid, Some(Command::Enable)),
             3 => self.slots[input.below(DRIVES)].link = input.of(&[Link::Online, Link::Lost]),

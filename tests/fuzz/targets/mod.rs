@@ -23,6 +23,7 @@ mod forward;
 
 mod channel;
 mod commanded;
+mod commands;
 mod config;
 mod drive;
 mod ethercat;
@@ -34,7 +35,6 @@ mod modbus;
 mod modbus_wire;
 mod station;
 mod telegram;
-mod verbs;
 
 pub use channel::channel;
 pub use config::{config, config_keys};

@@ -27,8 +27,8 @@ use fieldbeat::sim::SimDrive;
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;
+use super::commands::command;
 use super::input::Input;
-use super::verbs::verb;
 
 const PERIOD_NS: u64 = MS;
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 50_000);
@@ -356,8 +356,8 @@ impl Rig {
             }
             14 => self.machine.velocity(input.number()),
             _ => {
-                let verb = (input.below(8) != 0).then(|| verb(input));
-                self.machine.start(self.cycle().grid, verb);
+                let command = (input.below(8) != 0).then(|| command(input));
+                self.machine.start(self.cycle().grid, command);
             }
         }
     }

@@ -21,8 +21,8 @@ use fieldbeat::bus::{Cycle, Exchange, Slot};
 use fieldbeat::time::{MS, Time};
 
 use super::commanded::Commanded;
+use super::commands::{command, output, row};
 use super::input::Input;
-use super::verbs::{output, row, verb};
 
 const PERIOD_NS: u64 = MS;
 const RANGE: (f64, f64) = (-100.0, 200.0);
@@ -159,7 +159,7 @@ impl Rig {
                 self.says.warn = Some(WarnWord(input.word()));
                 self.says.error = Some(ErrorCode(input.word()));
             }
-            13 => self.order(Some(verb(input))),
+            13 => self.order(Some(command(input))),
             14 => self.machine.row(row(input)),
             _ => match input.byte() % 8 {
                 link @ 0..4 => {
@@ -278,8 +278,8 @@ impl Rig {
         bytes
     }
 
-    fn order(&mut self, verb: Option<Command>) {
-        self.machine.start(self.now, verb);
+    fn order(&mut self, command: Option<Command>) {
+        self.machine.start(self.now, command);
         self.ordered = true;
     }
 

@@ -137,22 +137,22 @@ impl Machine {
     }
 
     /// How a command ends.
-    pub fn ended(&mut self, index: usize, verb: Command) -> Outcome {
-        let outcome = self.sim.run_verb(index, verb, 20_000).unwrap_or_else(|error| panic!("{error}"));
-        outcome.unwrap_or_else(|| panic!("{verb:?} has no end: {:?}", self.feedback(index)))
+    pub fn ended(&mut self, index: usize, command: Command) -> Outcome {
+        let outcome = self.sim.execute(index, command, 20_000).unwrap_or_else(|error| panic!("{error}"));
+        outcome.unwrap_or_else(|| panic!("{command:?} has no end: {:?}", self.feedback(index)))
     }
 
-    pub fn done(&mut self, index: usize, verb: Command) {
-        assert_eq!(self.ended(index, verb), Outcome::Done, "{verb:?}: {:?}", self.feedback(index));
+    pub fn done(&mut self, index: usize, command: Command) {
+        assert_eq!(self.ended(index, command), Outcome::Done, "{command:?}: {:?}", self.feedback(index));
     }
 
     /// All axes, one after the other.
-    pub fn each(&mut self, verb: Command) {
-        (0..self.count).for_each(|index| self.done(index, verb));
+    pub fn each(&mut self, command: Command) {
+        (0..self.count).for_each(|index| self.done(index, command));
     }
 
-    pub fn post(&mut self, index: usize, verb: Command) {
-        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"));
+    pub fn post(&mut self, index: usize, command: Command) {
+        self.sim.axis(index).post(command).unwrap_or_else(|error| panic!("{error}"));
     }
 
     /// After a stop by the master.

@@ -59,7 +59,7 @@ pub struct Breach {
 /// A command that was accepted and is not known to have ended.
 #[derive(Clone, Copy, Debug)]
 pub struct Pending {
-    pub verb: Command,
+    pub command: Command,
     /// Where a move ends.
     pub target: Option<f64>,
 }
@@ -187,17 +187,17 @@ impl Watch {
     }
 
     /// A command was accepted.
-    pub fn accepted(&mut self, id: u64, verb: Command, truth: Truth) -> Result<(), Breach> {
+    pub fn accepted(&mut self, id: u64, command: Command, truth: Truth) -> Result<(), Breach> {
         use fieldbeat::axis::{Move, Target};
         let stands = self.pending.is_empty() && truth.velocity.abs() < self.scale.still / 4.0;
-        let target = match verb {
+        let target = match command {
             Command::Move(Move { target: Target::Absolute(position), .. }) => Some(position),
             Command::Move(Move { target: Target::Relative(distance), .. }) if stands => {
                 Some(truth.position + distance)
             }
             _ => None,
         };
-        match self.pending.insert(id, Pending { verb, target }) {
+        match self.pending.insert(id, Pending { command, target }) {
             None => Ok(()),
             Some(_) => Err(breach("ends", format!("id {id} was given twice"))),
         }
@@ -206,8 +206,9 @@ impl Watch {
     /// A setpoint was given for the newest command that takes it.
     pub fn set(&mut self, slot: u64, value: f64, taken: Result<(), String>) -> Result<(), Breach> {
         let torques = self.scale.torques;
-        let takes = |verb: &Command| if torques { verb.takes_torques() } else { verb.takes_velocities() };
-        let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.verb)) else {
+        let takes =
+            |command: &Command| if torques { command.takes_torques() } else { command.takes_velocities() };
+        let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.command)) else {
             return Ok(());
         };
         if let Err(why) = taken {
@@ -227,15 +228,15 @@ impl Watch {
         truth: Truth,
         feedback: &Feedback,
     ) -> Result<(), Breach> {
-        let EventKind::Ended { id, outcome, verb } = kind else { return Ok(()) };
+        let EventKind::Ended { id, outcome, command } = kind else { return Ok(()) };
         let Some(pending) = self.pending.remove(&id.0) else {
-            return Err(breach("ends", format!("{verb} {} ended, {outcome}, and was not pending", id.0)));
+            return Err(breach("ends", format!("{command} {} ended, {outcome}, and was not pending", id.0)));
         };
         if outcome != Outcome::Done {
             return Ok(());
         }
-        self.enabled |= pending.verb == Command::Enable;
-        self.ours |= pending.verb == Command::Enable;
+        self.enabled |= pending.command == Command::Enable;
+        self.ours |= pending.command == Command::Enable;
         if fresh { self.done(pending, truth, feedback) } else { Ok(()) }
     }
 
@@ -244,7 +245,7 @@ impl Watch {
         let stands = speed <= self.scale.still;
         let powered = self.powered.iter().any(|powered| *powered) || truth.powered;
         let off = self.powered.iter().any(|powered| !powered) || !truth.powered;
-        let is_true = match pending.verb {
+        let is_true = match pending.command {
             Command::Enable => powered,
             Command::Disable => off,
             Command::Home => truth.homed || !truth.powered,
@@ -268,7 +269,7 @@ impl Watch {
 
     /// What runs, by what the application knows: commands run in their order.
     fn running(&self) -> Option<(u64, Command)> {
-        self.pending.first_key_value().map(|(id, pending)| (*id, pending.verb))
+        self.pending.first_key_value().map(|(id, pending)| (*id, pending.command))
     }
 
     /// One turn is over. `blind`: the application has not read its events. `reached`: the wire is good.
@@ -294,9 +295,10 @@ impl Watch {
         let running = self.running().filter(|_| !latched);
         // What has begun is not known to an application that does not read its events.
         let any = blind && self.is_to_move() && !latched;
-        let commanded = any || running.is_some_and(|(_, verb)| moves(&verb));
-        let homing = blind || running.is_some_and(|(_, verb)| verb == Command::Home);
-        self.enabled &= truth.powered && !latched && running.is_none_or(|(_, verb)| verb != Command::Disable);
+        let commanded = any || running.is_some_and(|(_, command)| moves(&command));
+        let homing = blind || running.is_some_and(|(_, command)| command == Command::Home);
+        self.enabled &=
+            truth.powered && !latched && running.is_none_or(|(_, command)| command != Command::Disable);
         let id = running.map_or(0, |(id, _)| id);
         if self.running.0 != id {
             self.running = (id, slots.planned());
@@ -409,12 +411,12 @@ impl Watch {
 
     /// Native mode has not ended.
     pub fn is_native(&self) -> bool {
-        self.pending.values().any(|pending| matches!(pending.verb, Command::Native(_)))
+        self.pending.values().any(|pending| matches!(pending.command, Command::Native(_)))
     }
 
     /// A command that moves it has not ended.
     pub fn is_to_move(&self) -> bool {
-        self.pending.values().any(|pending| moves(&pending.verb))
+        self.pending.values().any(|pending| moves(&pending.command))
     }
 
     /// It stands, or has no power.
@@ -423,8 +425,8 @@ impl Watch {
     }
 }
 
-fn moves(verb: &Command) -> bool {
-    verb.is_motion() || *verb == Command::Home
+fn moves(command: &Command) -> bool {
+    command.is_motion() || *command == Command::Home
 }
 
 fn breach(rule: &'static str, text: String) -> Breach {

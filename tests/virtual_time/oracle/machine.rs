@@ -563,8 +563,8 @@ impl Machine {
         self.world().delay_next_wake(u64::from(slots) * MS + MS / 2);
     }
 
-    pub fn post(&mut self, index: usize, verb: Command) -> Result<u64, fieldbeat::axis::AxisError> {
-        self.sim.axis(index).post(verb).map(|id| id.0)
+    pub fn post(&mut self, index: usize, command: Command) -> Result<u64, fieldbeat::axis::AxisError> {
+        self.sim.axis(index).post(command).map(|id| id.0)
     }
 }
 

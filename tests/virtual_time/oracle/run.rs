@@ -279,17 +279,17 @@ impl Run {
         Ok(())
     }
 
-    fn post(&mut self, axis: usize, verb: Command) -> Judged {
+    fn post(&mut self, axis: usize, command: Command) -> Judged {
         let truth = self.machine.truth(axis);
-        match self.machine.post(axis, verb) {
+        match self.machine.post(axis, command) {
             Ok(id) => {
-                self.tell(axis, || format!("{verb:?} is command {id}"));
+                self.tell(axis, || format!("{command:?} is command {id}"));
                 self.tally.accepted += 1;
-                let accepted = self.watches[axis].accepted(id, verb, truth);
+                let accepted = self.watches[axis].accepted(id, command, truth);
                 accepted.map_err(|breach| self.found(axis, breach))
             }
             Err(AxisError::Refused { .. } | AxisError::Full { .. }) => Ok(()),
-            Err(other) => panic!("{verb:?}: {other}"),
+            Err(other) => panic!("{command:?}: {other}"),
         }
     }
 
@@ -303,7 +303,7 @@ impl Run {
         match &step.op {
             Op::Post(commands) => {
                 for command in commands {
-                    self.post(axis, command.verb(&self.machine.scales[axis]))?;
+                    self.post(axis, command.command(&self.machine.scales[axis]))?;
                 }
             }
             Op::Level { percent, turns } => {
@@ -446,7 +446,7 @@ impl Run {
             for axis in 0..AXES {
                 if let Some(command) = self.way_back(axis) {
                     ready = false;
-                    self.post(axis, command.verb(&self.machine.scales[axis]))?;
+                    self.post(axis, command.command(&self.machine.scales[axis]))?;
                 }
             }
             if ready {

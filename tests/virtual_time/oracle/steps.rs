@@ -111,8 +111,8 @@ pub struct Step {
 pub type Round = Vec<Step>;
 
 impl Choice {
-    /// Its verb, for an axis of this scale.
-    pub fn verb(self, scale: &Scale) -> Command {
+    /// Its command, for an axis of this scale.
+    pub fn command(self, scale: &Scale) -> Command {
         let Scale { velocity, acceleration, .. } = *scale;
         let profile = Profile { velocity: 0.9 * velocity, acceleration, deceleration: acceleration };
         // A tenth of a second at full speed.

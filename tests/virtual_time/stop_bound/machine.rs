@@ -196,13 +196,13 @@ impl Machine {
         cycle - (cycle + divisor - phase) % divisor
     }
 
-    fn post(&mut self, axis: usize, verb: Command) {
+    fn post(&mut self, axis: usize, command: Command) {
         let watch = &mut self.watches[axis];
         watch.pending = true;
-        if verb == Command::Enable {
+        if command == Command::Enable {
             (watch.stopped, watch.stream) = (None, None);
         }
-        self.b.post(axis, verb);
+        self.b.post(axis, command);
     }
 
     /// One turn of the loop, and all that is to be seen of it.
@@ -236,9 +236,9 @@ impl Machine {
                     watch.stopped = Some(Stopped { cause, good_at: watch.good.1, told_at: None, off: false });
                     watch.enabled = false;
                 }
-                EventKind::Ended { verb, outcome, .. } => {
+                EventKind::Ended { command, outcome, .. } => {
                     watch.pending = false;
-                    watch.enabled |= verb == Command::Enable.name() && outcome == Outcome::Done;
+                    watch.enabled |= command == Command::Enable.name() && outcome == Outcome::Done;
                 }
                 EventKind::Link(Link::Online) => watch.online_at = event.cycle,
                 _ => {}
@@ -307,7 +307,7 @@ impl Machine {
         let mut clear = true;
         for &axis in axes {
             let feedback = self.b.feedback(axis);
-            let verb = match feedback.stopped {
+            let command = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
                 Some(_) => Some(Command::Reset),
                 None if feedback.status.fault != 0 => Some(Command::ResetFault),
@@ -324,7 +324,7 @@ impl Machine {
                 }
             };
             clear = false;
-            verb.into_iter().for_each(|verb| self.post(axis, verb));
+            command.into_iter().for_each(|command| self.post(axis, command));
         }
         if !clear {
             return State::Clearing;
@@ -344,7 +344,7 @@ impl Machine {
         let mut up = true;
         for &axis in axes {
             let (watch, feedback) = (&self.watches[axis], self.b.feedback(axis));
-            let verb = match feedback.status.homed {
+            let command = match feedback.status.homed {
                 _ if watch.pending => None,
                 _ if !watch.enabled => Some(Command::Enable),
                 false => Some(Command::Home),
@@ -353,7 +353,7 @@ impl Machine {
                 true => continue,
             };
             up = false;
-            verb.into_iter().for_each(|verb| self.post(axis, verb));
+            command.into_iter().for_each(|command| self.post(axis, command));
         }
         if !up {
             return State::Rising;

@@ -236,18 +236,18 @@ impl Bench {
         self.until("all online", 20_000, |b| (0..count).all(|index| b.feedback(index).link == Link::Online));
     }
 
-    fn outcome(&mut self, index: usize, verb: Command) -> Outcome {
-        self.sim.run_verb(index, verb, 40_000).unwrap().unwrap_or_else(|| panic!("no end of {verb:?}"))
+    fn outcome(&mut self, index: usize, command: Command) -> Outcome {
+        self.sim.execute(index, command, 40_000).unwrap().unwrap_or_else(|| panic!("no end of {command:?}"))
     }
 
-    fn done(&mut self, index: usize, verb: Command) {
-        assert_eq!(self.outcome(index, verb), Outcome::Done, "{verb:?}");
+    fn done(&mut self, index: usize, command: Command) {
+        assert_eq!(self.outcome(index, command), Outcome::Done, "{command:?}");
     }
 
-    fn failed(&mut self, index: usize, verb: Command) -> Failure {
-        match self.outcome(index, verb) {
+    fn failed(&mut self, index: usize, command: Command) -> Failure {
+        match self.outcome(index, command) {
             Outcome::Failed(failure) => failure,
-            other => panic!("{verb:?}: {other}"),
+            other => panic!("{command:?}: {other}"),
         }
     }
 
@@ -271,8 +271,8 @@ impl Bench {
 
     /// The whole way back.
     fn recover(&mut self, index: usize) {
-        for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
-            self.done(index, verb);
+        for command in [Command::ResetFault, Command::Reset, Command::Enable] {
+            self.done(index, command);
         }
         self.turning(index, 2.0);
         self.done(index, STOP);

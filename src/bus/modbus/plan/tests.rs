@@ -26,7 +26,7 @@ fn machine(watchdog: Watchdog) -> Simulation {
 #[test]
 fn what_nothing_would_stop_is_enabled_only_if_that_is_accepted() {
     let none = Watchdog { timeout_ns: None, keypad: false, accept_none: false };
-    let enable = |watchdog| machine(watchdog).run_verb(0, Command::Enable, 5_000).unwrap();
+    let enable = |watchdog| machine(watchdog).execute(0, Command::Enable, 5_000).unwrap();
     assert!(matches!(enable(none), Some(Outcome::Failed(Failure::Unsupported(_)))));
     assert_eq!(enable(Watchdog { accept_none: true, ..none }), Some(Outcome::Done));
     assert_eq!(enable(Watchdog { keypad: true, ..none }), Some(Outcome::Done));
@@ -37,7 +37,7 @@ fn what_nothing_would_stop_is_enabled_only_if_that_is_accepted() {
 #[test]
 fn the_keypad_watchdog_is_served_on_a_long_ramp_too() {
     let mut machine = machine(Watchdog { timeout_ns: None, keypad: true, accept_none: false });
-    assert_eq!(machine.run_verb(0, Command::Enable, 5_000).unwrap(), Some(Outcome::Done));
+    assert_eq!(machine.execute(0, Command::Enable, 5_000).unwrap(), Some(Outcome::Done));
     machine.axis(0).post(Command::Jog(Jog { velocity: 40.0, acceleration: 10.0 })).unwrap();
     machine.run(5_000);
     let feedback = machine.feedback(0);

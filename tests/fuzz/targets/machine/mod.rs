@@ -28,8 +28,8 @@ use fieldbeat::time::{MS, US};
 
 use self::hostile::{HostileBus, Script, Wire};
 use self::watch::Watch;
+use super::commands::{command, output, row};
 use super::input::Input;
-use super::verbs::{output, row, verb};
 
 const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 1);
 const RANGE: (f64, f64) = (-100.0, 200.0);
@@ -55,9 +55,9 @@ pub fn machine(data: &[u8]) {
 /// What the in-loop task is to do in its next calls.
 #[derive(Default)]
 struct TaskScript {
-    verbs: VecDeque<(usize, Command)>,
+    commands: VecDeque<(usize, Command)>,
     rows: VecDeque<(usize, Row)>,
-    /// Commands that were taken: axis, id, verb.
+    /// Commands that were taken: axis, id, command.
     accepted: Vec<(usize, u64, Command)>,
 }
 
@@ -173,10 +173,10 @@ impl Machine {
         let inside = Arc::clone(&task);
         let setup = Master::from_plan(plan).with_task(move |_, axes| {
             let mut script = inside.lock().unwrap();
-            if let Some((axis, verb)) = script.verbs.pop_front()
-                && let Ok(id) = axes.command(axis, verb)
+            if let Some((axis, command)) = script.commands.pop_front()
+                && let Ok(id) = axes.command(axis, command)
             {
-                script.accepted.push((axis, id.0, verb));
+                script.accepted.push((axis, id.0, command));
             }
             if let Some((axis, row)) = script.rows.pop_front() {
                 axes.follow(axis, row);
@@ -211,7 +211,7 @@ impl Machine {
         let axis = usize::from(what >> 7) % self.drives.len();
         match what & 0x1F {
             0..=6 => self.run(1 + u64::from(input.byte() % 24)),
-            7..=10 => self.post(axis, verb(input)),
+            7..=10 => self.post(axis, command(input)),
             11..=13 => self.lead(axis),
             14 => self.stream(axis, input),
             15 if what & 0x60 == 0x60 => drop(self.sim.axis(axis).set_torque(f64::from(input.byte() as i8))),
@@ -253,7 +253,7 @@ impl Machine {
                 let mut task = self.task.lock().unwrap();
                 for _ in 0..=input.below(4) {
                     match input.flag() {
-                        true => task.verbs.push_back((axis, verb(input))),
+                        true => task.commands.push_back((axis, command(input))),
                         false => task.rows.push_back((axis, row(input))),
                     }
                 }
@@ -262,11 +262,11 @@ impl Machine {
         }
     }
 
-    fn post(&mut self, axis: usize, verb: Command) {
+    fn post(&mut self, axis: usize, command: Command) {
         if !self.ended
-            && let Ok(id) = self.sim.axis(axis).post(verb)
+            && let Ok(id) = self.sim.axis(axis).post(command)
         {
-            self.watches[axis].accepted(id.0, verb);
+            self.watches[axis].accepted(id.0, command);
         }
     }
 
@@ -274,7 +274,7 @@ impl Machine {
     fn lead(&mut self, axis: usize) {
         for _ in 0..4 {
             let feedback = self.sim.feedback(axis);
-            let verb = match feedback.stopped {
+            let command = match feedback.stopped {
                 Some(_) if feedback.status.fault != 0 => Command::ResetFault,
                 Some(_) => Command::Reset,
                 None if !feedback.is_operational() => Command::Enable,
@@ -282,7 +282,7 @@ impl Machine {
                 None => return,
             };
             let ended = self.watches[axis].ended;
-            self.post(axis, verb);
+            self.post(axis, command);
             let most = self.turns + 60;
             while self.turns < most && self.watches[axis].ended == ended && !self.ended {
                 self.turn();
@@ -377,8 +377,8 @@ impl Machine {
         for asked in &wire.asked {
             self.watches[asked.axis].asked(asked);
         }
-        for (axis, id, verb) in self.task.lock().unwrap().accepted.drain(..) {
-            self.watches[axis].accepted(id, verb);
+        for (axis, id, command) in self.task.lock().unwrap().accepted.drain(..) {
+            self.watches[axis].accepted(id, command);
         }
         for (axis, watch) in self.watches.iter_mut().enumerate() {
             if status.lost_events > 0 {

@@ -76,8 +76,8 @@ impl Watch {
         }
     }
 
-    pub fn accepted(&mut self, id: u64, verb: Command) {
-        assert_eq!(self.alive.insert(id, verb), None, "the id {id} was given twice");
+    pub fn accepted(&mut self, id: u64, command: Command) {
+        assert_eq!(self.alive.insert(id, command), None, "the id {id} was given twice");
         self.accepted += 1;
     }
 
@@ -100,8 +100,8 @@ impl Watch {
         if self.deaf {
             return;
         }
-        let native = self.runs(|verb| matches!(verb, Command::Native(_)));
-        self.wild |= self.runs(|verb| *verb == Command::Native(NativeOwner::Application));
+        let native = self.runs(|command| matches!(command, Command::Native(_)));
+        self.wild |= self.runs(|command| *command == Command::Native(NativeOwner::Application));
         if on(self.word) && !on(said) && !self.wild {
             self.check_switch_on(asked.at, said);
         }
@@ -120,7 +120,8 @@ impl Watch {
         let status = self.reply.and_then(|reply| reply.status).unwrap_or_default();
         let as_found = said.is_none() && status.has(StatusWord::SWITCH_ON_ACTIVE);
         // An Enable of a drive that says that it is in operation is done before the next request.
-        let enabling = self.armed || self.latched.is_none() && self.runs(|verb| *verb == Command::Enable);
+        let enabling =
+            self.armed || self.latched.is_none() && self.runs(|command| *command == Command::Enable);
         let (latched, feedback) = (self.latched, &self.feedback);
         assert!(
             enabling || as_found,
@@ -140,9 +141,9 @@ impl Watch {
         }
         self.wild &= native;
         if !self.wild {
-            let homes = self.latched.is_none() && self.runs(|verb| *verb == Command::Home);
+            let homes = self.latched.is_none() && self.runs(|command| *command == Command::Home);
             assert!(homes || word != C::HOME, "homing that nobody asked for: {:?}", self.alive);
-            let resets = self.acknowledging || self.runs(|verb| *verb == Command::ResetFault);
+            let resets = self.acknowledging || self.runs(|command| *command == Command::ResetFault);
             assert!(
                 resets || word != C::ACKNOWLEDGE,
                 "an acknowledge that nobody asked for: {:?}",
@@ -199,11 +200,11 @@ impl Watch {
             assert!(before.cycle <= event.cycle && before.at <= event.at, "{before} before {event}");
         }
         match event.kind {
-            EventKind::Ended { id, verb, outcome } => {
+            EventKind::Ended { id, command, outcome } => {
                 let ended = self.alive.remove(&id.0);
                 assert_eq!(
-                    ended.map(|verb| verb.name()),
-                    Some(verb),
+                    ended.map(|command| command.name()),
+                    Some(command),
                     "{event}: not accepted, or ended before"
                 );
                 self.ended += 1;

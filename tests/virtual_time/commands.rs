@@ -64,10 +64,10 @@ fn positions_that_get_another_origin_are_no_motion() {
     b.world().restart(address(0));
     slow(&mut b, 300);
     assert_near(b.feedback(0).status.position, 10.0, 0.1);
-    for verb in [Command::Reset, Command::Enable, Command::Home] {
-        let id = b.post(0, verb);
+    for command in [Command::Reset, Command::Enable, Command::Home] {
+        let id = b.post(0, command);
         slow(&mut b, 1_200);
-        assert_eq!(b.outcome(0, id), Some(Outcome::Done), "{verb:?}");
+        assert_eq!(b.outcome(0, id), Some(Outcome::Done), "{command:?}");
     }
     assert_near(b.feedback(0).status.position, 0.0, 0.1);
 }
@@ -75,8 +75,8 @@ fn positions_that_get_another_origin_are_no_motion() {
 #[test]
 fn motions_need_operation_and_an_enable() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).online();
-    for verb in [to(10.0), jog(10.0), Command::Follow, Command::Home] {
-        assert_eq!(b.failed(0, verb), Failure::WrongState(State::SwitchOnDisabled));
+    for command in [to(10.0), jog(10.0), Command::Follow, Command::Home] {
+        assert_eq!(b.failed(0, command), Failure::WrongState(State::SwitchOnDisabled));
     }
     b.ready();
     // A stop that holds leaves the drive in operation; reset alone does not give it back to motions.
@@ -87,8 +87,8 @@ fn motions_need_operation_and_an_enable() {
     b.done(0, Command::Reset);
     assert!(b.feedback(0).is_operational());
     let native = Command::Native(NativeOwner::Master);
-    for verb in [to(10.0), by(1.0), jog(10.0), Command::Follow, Command::Home, native] {
-        assert_eq!(b.failed(0, verb), Failure::NotEnabled);
+    for command in [to(10.0), by(1.0), jog(10.0), Command::Follow, Command::Home, native] {
+        assert_eq!(b.failed(0, command), Failure::NotEnabled);
     }
     b.done(0, Command::Enable);
     b.done(0, to(10.0));

@@ -7,8 +7,8 @@ use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock, RtcCommand};
 
 use super::input::Input;
 
-/// Any verb.
-pub fn verb(input: &mut Input<'_>) -> Command {
+/// Any command.
+pub fn command(input: &mut Input<'_>) -> Command {
     match input.below(16) {
         0 | 1 => Command::Enable,
         2 => Command::Disable,
