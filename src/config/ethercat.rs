@@ -260,35 +260,21 @@ fn simulate(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
     }
 }
 
-fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
-    let mut value = |key, range: std::ops::RangeInclusive<f64>, hint, default| {
-        table.number(key, range, hint).unwrap_or(default)
-    };
-    MotorSettings {
-        rated_nm: value(
-            "rated_torque",
-            0.001..=100_000.0,
-            "rated torque of the motor, N m",
-            default.rated_nm,
-        ),
-        peak_permille: value(
+fn motor(table: &mut Table<'_>, mut motor: MotorSettings) -> MotorSettings {
+    let MotorSettings { rated_nm, peak_permille, max_rpm, inertia_kgm2, friction_nm } = &mut motor;
+    for (key, range, hint, value) in [
+        ("rated_torque", 0.001..=100_000.0, "rated torque of the motor, N m", rated_nm),
+        (
             "peak_torque",
             1.0..=10_000.0,
             "the peak torque of the motor, per mille of the rated torque",
-            default.peak_permille,
+            peak_permille,
         ),
-        max_rpm: value("max_speed", 1.0..=100_000.0, "the highest speed of the motor, rpm", default.max_rpm),
-        inertia_kgm2: value(
-            "inertia",
-            1e-9..=1e6,
-            "the inertia of all rotating parts, kg m²",
-            default.inertia_kgm2,
-        ),
-        friction_nm: value(
-            "friction",
-            0.0..=100_000.0,
-            "the friction torque of the machine at any speed, N m",
-            default.friction_nm,
-        ),
+        ("max_speed", 1.0..=100_000.0, "the highest speed of the motor, rpm", max_rpm),
+        ("inertia", 1e-9..=1e6, "the inertia of all rotating parts, kg m²", inertia_kgm2),
+        ("friction", 0.0..=100_000.0, "the friction torque of the machine at any speed, N m", friction_nm),
+    ] {
+        *value = table.number(key, range, hint).unwrap_or(*value);
     }
+    motor
 }

@@ -193,8 +193,6 @@ impl StatusWord {
     pub const REMOTE: u16 = 1 << 9;
     /// Bit 10: target reached.
     pub const TARGET_REACHED: u16 = 1 << 10;
-    /// Bit 11: a limit within the drive is active.
-    pub const INTERNAL_LIMIT: u16 = 1 << 11;
     /// Bit 12, of the mode: setpoint acknowledged (profile position), homed (homing), follows (interpolated position).
     pub const MODE_12: u16 = 1 << 12;
     /// Bit 13, of the mode: following error, homing error.

@@ -16,7 +16,7 @@ use std::ops::Range;
 use super::plan::{Owner, SlavePlan};
 use super::slot::{Answer, Answers, Ask};
 use super::wire::frame::{
-    BROADCAST, Builder, Command, DATA_MAX, FRAME_MAX, Mac, Place, Returned, Stem, first_datagram, returned,
+    BROADCAST, Builder, CIRCULATED, Command, DATA_MAX, FRAME_MAX, Mac, Place, Stem, first_datagram,
     set_command, set_index,
 };
 use super::wire::registers::address;
@@ -108,6 +108,12 @@ pub struct Mark {
 }
 
 impl Mark {
+    /// As in its datagram.
+    #[inline]
+    pub fn bytes(self) -> [u8; MARK_SIZE] {
+        (u64::from(self.number) << 32 | u64::from(self.master)).to_le_bytes()
+    }
+
     /// The mark of a received frame; `None`: it has none.
     pub fn of(received: &[u8]) -> Option<Mark> {
         let (number, bytes) = first_datagram::<MARK_SIZE>(received)?;
@@ -343,8 +349,7 @@ impl Frame {
 
     /// Makes it the frame with this number of this master.
     pub fn number(&mut self, mark: Mark) {
-        let bytes = (u64::from(mark.number) << 32 | u64::from(mark.master)).to_le_bytes();
-        self.bytes[self.mark.data()].copy_from_slice(&bytes);
+        self.bytes[self.mark.data()].copy_from_slice(&mark.bytes());
         for place in &self.places[..self.count] {
             set_index(&mut *self.bytes, *place, mark.number as u8);
         }
@@ -386,6 +391,36 @@ impl Frame {
     /// The answers of the slot.
     pub fn answers_of<'a>(&self, received: &'a [u8]) -> Answers<'a> {
         self.slot.map(|place| answer(received, place?))
+    }
+}
+
+/// The result of comparing a datagram with its reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Returned {
+    /// It is the reply, with this working counter.
+    Counted(u16),
+    /// It is the reply, but circulated without passing the master.
+    Circulated,
+    /// It is another one.
+    Other,
+}
+
+/// Compares the datagram at `place` of a received frame with the one sent there: everything that no slave changes
+/// has to be the same. `stays`: its address is not counted up by the slaves.
+pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
+    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position
+    /// is counted up.
+    const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
+    const POSITION: u64 = 0xFFFF << 16;
+    let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
+    let counter = received.get(place.data().end..).and_then(<[u8]>::first_chunk);
+    let (Some(sent), Some(read), Some(counter)) = (header(sent), header(received), counter) else {
+        return Returned::Other;
+    };
+    match (sent ^ read) & if stays { u64::MAX } else { !POSITION } {
+        0 => Returned::Counted(u16::from_le_bytes(*counter)),
+        WENT_ROUND => Returned::Circulated,
+        _ => Returned::Other,
     }
 }
 

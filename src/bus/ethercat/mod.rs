@@ -40,6 +40,8 @@ mod start_up;
 mod station;
 
 pub use bus::EthercatBus;
+#[doc(hidden)]
+pub use image::{Returned, returned};
 pub use native::{
     Native, NativeInputs, NativeOutput, PDO_MAX, TERMINAL_MAX, TerminalError, TerminalInputs, Terminals,
 };

@@ -261,18 +261,14 @@ impl Target {
 
 /// The calls that command a drive whose cyclic outputs are `mapped`.
 pub(super) fn commanding(mapped: impl IntoIterator<Item = Object>) -> Commanding {
-    Commanding::new(refusal, mapped.into_iter().map(key))
-}
-
-fn key(object: Object) -> u32 {
-    u32::from(object.index) << 8 | u32::from(object.sub)
+    Commanding::new(refusal, mapped.into_iter().map(Object::key))
 }
 
 /// Why a call of the application is refused while the power of its drive is on: it writes an object that is exchanged,
 /// or none that is known to be harmless.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
     let object = Target::unpack(call.address).filter(|_| call.service == WRITE)?.object;
-    (mapped.contains(&key(object)) || !is_harmless(object.index)).then_some(CallError::Commands)
+    (mapped.contains(&object.key()) || !is_harmless(object.index)).then_some(CallError::Commands)
 }
 
 /// Written while power is on, it moves nothing, and changes no state: windows, limits, profiles and the settings of the

@@ -15,7 +15,7 @@ use std::os::fd::BorrowedFd;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use super::image::Mark;
-use super::wire::frame::{FRAME_MAX, Mac, datagrams};
+use super::wire::frame::{FRAME_MAX, Mac, datagrams, source};
 use crate::net::{Frames, local};
 use crate::time::{MS, S, Time};
 
@@ -30,8 +30,6 @@ const GONE_NS: u64 = S;
 /// Before the first frame of this master the segment is listened to for so long, ns: three frames of a master with a
 /// period of up to 30 ms.
 const LISTEN_NS: u64 = 100 * MS;
-/// The bit of a source address that the first slave sets.
-const PASSED: u8 = 1 << 1;
 
 /// The watch for another master's frames.
 #[derive(Clone, Copy, Debug, Default)]
@@ -56,8 +54,7 @@ struct Sender {
 
 impl Sender {
     fn of(received: &[u8]) -> Option<Sender> {
-        let mut mac: Mac = *received.get(6..12)?.first_chunk()?;
-        mac[0] &= !PASSED;
+        let mac = source(received)?;
         let mut datagrams = datagrams(received).ok()?;
         let first = datagrams.next()?.ok()?;
         let whole = datagrams.all(|datagram| datagram.is_ok());
@@ -97,7 +94,7 @@ impl OtherMaster {
 /// On a segment of this host frames return to their sender only, and in virtual time nothing happens meanwhile.
 /// For normal threads.
 pub fn listen(interface: &str, net: &mut dyn Frames) -> Option<Mac> {
-    let fd = net.fd().filter(|_| local::name(interface).is_none())?;
+    net.fd().filter(|_| local::name(interface).is_none())?;
     let (mut other, mut room, until) = (OtherMaster::default(), [0; FRAME_MAX], net.now() + LISTEN_NS);
     loop {
         if let Some((at, length)) = net.receive(&mut room) {
@@ -111,11 +108,17 @@ pub fn listen(interface: &str, net: &mut dyn Frames) -> Option<Mac> {
             return None;
         }
         let left_ms = u8::try_from(until.since(now) / MS + 1).unwrap_or(u8::MAX);
-        // SAFETY: the carrier holds it, and is borrowed here.
-        let fd = unsafe { BorrowedFd::borrow_raw(fd) };
-        // A signal wakes it early, which is harmless.
-        let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(left_ms));
+        wait(&*net, left_ms);
     }
+}
+
+/// Until a frame arrives, or for so long at most. A carrier without a descriptor has nothing to wait for.
+pub fn wait(net: &dyn Frames, most_ms: u8) {
+    let Some(fd) = net.fd() else { return };
+    // SAFETY: the carrier holds it, and is borrowed here.
+    let fd = unsafe { BorrowedFd::borrow_raw(fd) };
+    // A signal wakes it early, too: the caller decides whether to go on.
+    let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(most_ms));
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ pub struct EthercatPlan {
 }
 
 /// What the line needs to know of a slave, drive or not.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlavePlan {
     /// Its place on the line: 0 is next to the master.
     pub place: u16,
@@ -101,6 +101,11 @@ pub struct Start {
 }
 
 impl Start {
+    /// An object with these raw bits.
+    pub const fn new(object: Object, kind: Type, raw: u64) -> Start {
+        Start { object, kind, raw }
+    }
+
     /// An object that is read, and not held against anything.
     const ANY: u64 = u64::MAX;
 
@@ -291,19 +296,7 @@ impl SlavePlan {
 
     /// A slave without a mailbox that exchanges nothing.
     pub fn new(place: u16) -> SlavePlan {
-        SlavePlan {
-            place,
-            identity: Expected::default(),
-            mailbox: None,
-            outputs: Area::default(),
-            inputs: Area::default(),
-            watchdog_ns: None,
-            sync: false,
-            check_sii: true,
-            start_up: Vec::new(),
-            verify: Vec::new(),
-            verify_found: Vec::new(),
-        }
+        SlavePlan { place, check_sii: true, ..SlavePlan::default() }
     }
 }
 

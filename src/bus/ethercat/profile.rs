@@ -7,7 +7,6 @@
 
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort, PDO_MAX};
-use super::object::Object;
 use super::object::number::{
     CONTROL_WORD, ERROR_CODE, INCREMENTS, MAXIMUM_TORQUE, POSITION, STATUS_WORD, TORQUE, VELOCITY,
 };
@@ -546,9 +545,7 @@ impl Offsets {
             let is_it = |(_, entry): &(usize, Entry)| entry.object == object && entry.kind.bytes() == bytes;
             layout.places().find(is_it).map_or(NOWHERE, |(at, _)| at.min(PDO_MAX))
         };
-        let setpoint = drive.setpoint().map(|setpoint| match setpoint {
-            Setpoint::Position(object) | Setpoint::Velocity(object) | Setpoint::Torque(object) => object,
-        });
+        let setpoint = drive.setpoint().map(|setpoint| setpoint.shape().0);
         let setpoint = setpoint
             .and_then(|object| outputs.places().find(|(_, entry)| entry.object == object))
             .map(|(at, entry)| (at.min(PDO_MAX), entry.kind.bytes() == 2));
@@ -637,7 +634,7 @@ fn rest(drive: &KollmorgenDrive) -> [u8; PDO_MAX] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::ethercat::object::{Family, pdo};
+    use crate::bus::ethercat::object::{Family, Object, pdo};
     use crate::bus::ethercat::plan::Start;
 
     fn drive(family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {

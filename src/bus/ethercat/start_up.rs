@@ -12,14 +12,14 @@ use super::plan::{KollmorgenDrive, Mapping, Start};
 pub fn start_up(drive: &KollmorgenDrive, period_ns: u64) -> Vec<Start> {
     let mut list = Vec::new();
     if let Some((units, power)) = cycle_time(period_ns) {
-        list.push(Start { object: CYCLE_UNITS, kind: Type::U8, raw: units.into() });
-        list.push(Start { object: CYCLE_POWER, kind: Type::I8, raw: Type::I8.raw(power.into()) });
+        list.push(Start::new(CYCLE_UNITS, Type::U8, units.into()));
+        list.push(Start::new(CYCLE_POWER, Type::I8, Type::I8.raw(power.into())));
     }
     for (assignment, layout) in [(OUTPUT_PDO, &drive.outputs), (INPUT_PDO, &drive.inputs)] {
         select(assignment, layout, drive.mapping, &mut list);
     }
     if let Some(mode) = drive.mode() {
-        list.push(Start { object: MODE, kind: Type::I8, raw: Type::I8.raw(mode.0.into()) });
+        list.push(Start::new(MODE, Type::I8, Type::I8.raw(mode.0.into())));
     }
     list.extend_from_slice(&drive.slave.start_up);
     list
@@ -29,7 +29,7 @@ fn select(assignment: u16, layout: &Layout, mapping: Mapping, list: &mut Vec<Sta
     if mapping == Mapping::AsIs || layout.entries.is_empty() {
         return;
     }
-    let start = |index, sub, kind, raw| Start { object: Object::new(index, sub), kind, raw };
+    let start = |index, sub, kind, raw| Start::new(Object::new(index, sub), kind, raw);
     list.push(start(assignment, 0, Type::U8, 0));
     if mapping == Mapping::Free {
         list.push(start(layout.pdo, 0, Type::U8, 0));
@@ -47,10 +47,7 @@ pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
         return Vec::new();
     }
     let increments = drive.scaling.increments() as u64;
-    vec![
-        Start::factor(RESOLUTION_TURNS, Type::U32),
-        Start { object: RESOLUTION, kind: Type::U32, raw: increments },
-    ]
+    vec![Start::factor(RESOLUTION_TURNS, Type::U32), Start::new(RESOLUTION, Type::U32, increments)]
 }
 
 /// Objects required of a drive that is found in OP: its PDOs, and the content of those that the master maps.
@@ -60,14 +57,10 @@ pub fn verify_found(drive: &KollmorgenDrive) -> Vec<Start> {
         if layout.entries.is_empty() {
             continue;
         }
-        list.push(Start { object: Object::new(assignment, 0), kind: Type::U8, raw: 1 });
-        list.push(Start { object: Object::new(assignment, 1), kind: Type::U16, raw: layout.pdo.into() });
+        list.push(Start::new(Object::new(assignment, 0), Type::U8, 1));
+        list.push(Start::new(Object::new(assignment, 1), Type::U16, layout.pdo.into()));
         if drive.mapping == Mapping::Free {
-            list.push(Start {
-                object: Object::new(layout.pdo, 0),
-                kind: Type::U8,
-                raw: layout.entries.len() as u64,
-            });
+            list.push(Start::new(Object::new(layout.pdo, 0), Type::U8, layout.entries.len() as u64));
             list.extend(mapped(layout));
         }
     }
@@ -88,7 +81,7 @@ fn mapped(layout: &Layout) -> impl Iterator<Item = Start> {
         let Object { index, sub: part } = entry.object;
         let bits = 8 * entry.kind.bytes() as u64;
         let raw = u64::from(index) << 16 | u64::from(part) << 8 | bits;
-        Start { object: Object::new(layout.pdo, sub), kind: Type::U32, raw }
+        Start::new(Object::new(layout.pdo, sub), Type::U32, raw)
     })
 }
 

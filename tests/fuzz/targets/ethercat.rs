@@ -18,10 +18,9 @@ use fieldbeat::bus::desired::{Desired, Motion, Power};
 use fieldbeat::bus::ethercat::cia402::ControlWord;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::sim::EthercatSim;
-use fieldbeat::bus::ethercat::wire::frame::{
-    Command as DatagramCommand, Datagram, Returned, datagrams, returned,
-};
+use fieldbeat::bus::ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
+use fieldbeat::bus::ethercat::{Returned, returned};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};

@@ -2,12 +2,12 @@
 //! panic, nothing reaches beyond what it was given, and what was understood is built again as the same bytes.
 
 use fieldbeat::bus::ethercat::wire::frame::{
-    Builder, DATAGRAM_HEADER, Datagram, FRAME_MAX, HEADER, Returned, WORKING_COUNTER, datagrams, returned,
-    set_command, set_index,
+    Builder, DATAGRAM_HEADER, Datagram, FRAME_MAX, HEADER, WORKING_COUNTER, datagrams, set_command, set_index,
 };
 use fieldbeat::bus::ethercat::wire::mailbox::{self, Message};
 use fieldbeat::bus::ethercat::wire::sdo::Response;
 use fieldbeat::bus::ethercat::wire::sii::{self, Category};
+use fieldbeat::bus::ethercat::{Returned, returned};
 
 pub fn ethercat_wire(data: &[u8]) {
     frame(data);

@@ -31,7 +31,7 @@ use super::service::Service;
 use super::sim::EthercatSim;
 use super::start_up::{last_written, start_up, verify, verify_found};
 use super::station::Station;
-use super::wire::frame::{ETHERTYPE, FRAME_MAX, FrameError, datagrams};
+use super::wire::frame::{self, ETHERTYPE, FRAME_MAX, FrameError, datagrams};
 use crate::axis::acyclic::{self, AcyclicEnds, Commanding, Notation};
 use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
@@ -60,8 +60,6 @@ const DEVICE_CALLS: usize = 64;
 const MORE_AT_ONCE: usize = 4;
 /// So many cycles in a row without a returned frame are reported as a fault of the wire.
 const SILENT: u8 = 100;
-/// The bit of an Ethernet address that the first slave sets in passing.
-const PASSED: u8 = 1 << 1;
 
 /// A segment of drives and devices.
 pub struct EthercatBus {
@@ -136,7 +134,7 @@ impl EthercatBus {
             device.slave.verify_found = last_written(&device.slave.start_up);
         }
         let mut source = net.mac();
-        source[0] &= !PASSED;
+        source[0] &= !frame::PASSED;
         let slaves = plan.slaves();
         let clock = slaves.iter().any(|(_, slave)| slave.sync);
         let broken = || OpenError::Plan { bus: plan.name.clone(), drive: plan.name.clone() };
@@ -326,7 +324,7 @@ impl EthercatBus {
                 Some(sent_at) if settled || self.segment.outputs_count(*slave) => {
                     station.sent(sent_at, cycle.deadline, slot);
                 }
-                Some(sent_at) => station.asked(sent_at, cycle.deadline, slot),
+                Some(sent_at) => station.open(sent_at, cycle.deadline, slot),
                 None => {
                     // The silence of a slave that is being shut down is expected.
                     slot.expected_silence |= self.ending;
@@ -378,8 +376,7 @@ enum UnknownSender {
 
 /// The number of a frame that this master has sent.
 fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, UnknownSender> {
-    let Some(from) = received.get(6..12) else { return Err(UnknownSender::Foreign) };
-    if from[0] & !PASSED != source[0] || from[1..] != source[1..] {
+    if frame::source(received) != Some(*source) {
         return Err(UnknownSender::Foreign);
     }
     match Mark::of(received) {

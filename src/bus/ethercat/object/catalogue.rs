@@ -227,8 +227,7 @@ pub fn all() -> impl Iterator<Item = &'static Known> {
 
 /// What is known of an object.
 pub fn find(object: Object) -> Option<&'static Known> {
-    let key = |object: Object| (object.index, object.sub);
-    ALL.binary_search_by_key(&key(object), |known| key(known.object)).ok().map(|place| &ALL[place])
+    ALL.binary_search_by_key(&object.key(), |known| known.object.key()).ok().map(|place| &ALL[place])
 }
 
 /// The one of this name.

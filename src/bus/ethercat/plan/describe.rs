@@ -4,12 +4,8 @@ use super::{Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Setpoint, 
 use crate::axis::{HeldBy, Load};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
-use crate::time::{MS, Ns, US};
-
-/// How far from its time a drive bears an interrupt, in cycles of 1 ms and more ...
-const WINDOW_NS: u64 = 320 * US;
-/// ... and in shorter ones (EtherCAT manual).
-const SHORT_WINDOW_NS: u64 = 70 * US;
+use crate::bus::ethercat::segment::clock::window_ns;
+use crate::time::Ns;
 
 impl EthercatPlan {
     /// What `check` says: a paragraph a drive, whose first line is its address, then a line each of what else there is
@@ -150,7 +146,7 @@ impl KollmorgenDrive {
     }
 
     fn describe_sync(&self, period_ns: u64, ahead_ns: u64) -> String {
-        let window = Ns(if period_ns < MS { SHORT_WINDOW_NS } else { WINDOW_NS });
+        let window = Ns(window_ns(period_ns).unsigned_abs());
         let fault = "the second interrupt in a row outside it is fault F28";
         match self.slave.sync {
             true => format!(

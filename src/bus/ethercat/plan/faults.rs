@@ -11,6 +11,7 @@ use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type};
 use crate::bus::ethercat::sim::coupler::Terminals;
+use crate::bus::ethercat::start_up::cycle_time;
 use crate::cycle::plan::is_plain_name;
 use crate::time::{Ns, US};
 
@@ -151,7 +152,7 @@ impl EthercatPlan {
             ));
         }
         let synchronous = self.drives.iter().find(|drive| drive.slave.sync);
-        if let Some(drive) = synchronous.filter(|_| !is_told_in_60c2(period_ns)) {
+        if let Some(drive) = synchronous.filter(|_| cycle_time(period_ns).is_none()) {
             return Some(format!(
                 "drive {} takes as its cycle 1 ... 255 times a power of ten (object 60C2h), which {} is not; \
                  use 1ms or 2ms, for example",
@@ -165,15 +166,6 @@ impl EthercatPlan {
             format!("a frame of this segment takes {} on the wire; lengthen the period", Ns(wire_ns))
         })
     }
-}
-
-/// Object 60C2h: a number of one byte and a power of ten.
-fn is_told_in_60c2(period_ns: u64) -> bool {
-    let mut number = period_ns;
-    while number > u64::from(u8::MAX) && number.is_multiple_of(10) {
-        number /= 10;
-    }
-    (1..=u64::from(u8::MAX)).contains(&number)
 }
 
 impl SlavePlan {

@@ -3,13 +3,11 @@
 //! Each frame begins with a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is that
 //! of another master. Broken, circulated and late frames are skipped.
 
-use std::os::fd::BorrowedFd;
-
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-
 use super::ScanError;
+use crate::bus::ethercat::image::Mark;
+use crate::bus::ethercat::other::wait;
 use crate::bus::ethercat::wire::frame::{
-    BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position,
+    BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position, source,
 };
 use crate::net::Frames;
 use crate::time::{MS, Time};
@@ -22,10 +20,6 @@ const BACK_WITHIN_NS: u64 = 50 * MS;
 const ATTEMPTS: usize = 3;
 /// How often it checks whether to go on.
 const LOOK_MS: u8 = 10;
-/// Sets the bit that the first slave sets in the source of a frame.
-const PASSED: u8 = 1 << 1;
-/// The mark: sender and number of the frame.
-const MARK: usize = 8;
 
 /// A datagram to be sent.
 #[derive(Debug)]
@@ -77,14 +71,13 @@ enum Heard {
 pub(super) struct Exchange<'a> {
     frames: &'a mut dyn Frames,
     go_on: &'a dyn Fn() -> bool,
-    who: u32,
-    sequence: u32,
+    mark: Mark,
 }
 
 impl<'a> Exchange<'a> {
     pub(super) fn new(frames: &'a mut dyn Frames, go_on: &'a dyn Fn() -> bool) -> Exchange<'a> {
-        let who = (frames.now().0 as u32).rotate_left(16) ^ std::process::id();
-        Exchange { frames, go_on, who, sequence: 0 }
+        let master = (frames.now().0 as u32).rotate_left(16) ^ std::process::id();
+        Exchange { frames, go_on, mark: Mark { master, number: 0 } }
     }
 
     pub(super) fn now(&mut self) -> Time {
@@ -109,7 +102,7 @@ impl<'a> Exchange<'a> {
         good: impl Fn(&[Answer]) -> bool,
     ) -> Result<Option<Vec<Answer>>, ScanError> {
         for _ in 0..ATTEMPTS {
-            self.sequence = self.sequence.wrapping_add(1);
+            self.mark.number = self.mark.number.wrapping_add(1);
             self.send(asks)?;
             let until = self.now() + BACK_WITHIN_NS;
             if let Some(answers) = self.hear(asks, until)?.filter(|answers| good(answers)) {
@@ -119,16 +112,11 @@ impl<'a> Exchange<'a> {
         Ok(None)
     }
 
-    fn mark(&self) -> [u8; MARK] {
-        let ([a, b, c, d], [e, f, g, h]) = (self.who.to_le_bytes(), self.sequence.to_le_bytes());
-        [a, b, c, d, e, f, g, h]
-    }
-
     fn send(&mut self, asks: &[Ask]) -> Result<(), ScanError> {
         let mut room = [0; FRAME_MAX];
         let mac = self.frames.mac();
         let Some(mut frame) = Builder::new(&mut room, BROADCAST, mac) else { return Ok(()) };
-        frame.push_with(Command::Nop, 0, &self.mark());
+        frame.push_with(Command::Nop, 0, &self.mark.bytes());
         for (index, ask) in (1..).zip(asks) {
             frame.push_with(ask.command, index, &ask.data);
         }
@@ -147,7 +135,7 @@ impl<'a> Exchange<'a> {
                 if self.now() >= until {
                     return Ok(None);
                 }
-                self.wait();
+                wait(&*self.frames, LOOK_MS);
                 continue;
             };
             match self.judge(&room[..length.min(FRAME_MAX)], asks) {
@@ -163,34 +151,19 @@ impl<'a> Exchange<'a> {
         let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
             return Heard::Nothing;
         };
-        let Some((first, rest)) = read.split_first() else { return Heard::Nothing };
-        let mark = first.data.first_chunk::<MARK>().filter(|_| first.command() == Some(Command::Nop));
-        if mark.is_none_or(|mark| mark[..4] != self.who.to_le_bytes()) {
-            return frame.get(6..12).and_then(|source| source.first_chunk()).map_or(Heard::Nothing, foreign);
+        let Some((_, rest)) = read.split_first() else { return Heard::Nothing };
+        let mark = Mark::of(frame);
+        if mark.is_none_or(|mark| mark.master != self.mark.master) {
+            return source(frame).map_or(Heard::Nothing, Heard::Foreign);
         }
         let is_whole = rest.len() == asks.len()
             && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
-        if mark != Some(&self.mark()) || !is_whole || asks.is_empty() {
+        if mark != Some(self.mark) || !is_whole || asks.is_empty() {
             return Heard::Nothing;
         }
         let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
         Heard::Answers(rest.iter().map(answer).collect())
     }
-
-    /// Until a frame arrives, but not for long. A carrier without a descriptor has nothing to wait for.
-    fn wait(&self) {
-        let Some(fd) = self.frames.fd() else { return };
-        // SAFETY: the carrier holds it, and is held here.
-        let fd = unsafe { BorrowedFd::borrow_raw(fd) };
-        // A signal wakes it, too: then the caller decides whether to go on.
-        let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(LOOK_MS));
-    }
-}
-
-fn foreign(source: &Mac) -> Heard {
-    let mut source = *source;
-    source[0] &= !PASSED;
-    Heard::Foreign(source)
 }
 
 #[cfg(test)]
@@ -237,9 +210,9 @@ mod tests {
     fn a_reply_counts_by_its_mark_and_its_shape() {
         let mut nobody = Nobody;
         let mut exchange = Exchange::new(&mut nobody, &|| true);
-        exchange.sequence = 3;
+        exchange.mark.number = 3;
         let asks = [Ask::read(Command::Brd(0), 2)];
-        let mark = exchange.mark();
+        let mark = exchange.mark.bytes();
         let good = frame(&mark, &asks);
         let answer = Answer { data: vec![0, 0], count: 0 };
         assert_eq!(exchange.judge(&good, &asks), Heard::Answers(vec![answer]));
@@ -272,7 +245,7 @@ mod tests {
         let mut nobody = Nobody;
         let exchange = Exchange::new(&mut nobody, &|| true);
         let asks = [Ask::read(Command::Brd(0), 2)];
-        let mut other = exchange.mark();
+        let mut other = exchange.mark.bytes();
         other[0] ^= 1;
         for frame in [frame(&other, &asks), frame(&[0; 4], &asks)] {
             assert_eq!(exchange.judge(&frame, &asks), Heard::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]));

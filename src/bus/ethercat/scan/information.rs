@@ -75,22 +75,13 @@ impl Information {
     }
 }
 
-/// What ends the reading of one SII.
+/// Why the reading has ended.
+#[derive(Debug, Error)]
 enum End {
-    Scan(ScanError),
-    Sii(Unread),
-}
-
-impl From<ScanError> for End {
-    fn from(error: ScanError) -> End {
-        End::Scan(error)
-    }
-}
-
-impl From<Unread> for End {
-    fn from(why: Unread) -> End {
-        End::Sii(why)
-    }
+    #[error(transparent)]
+    Scan(#[from] ScanError),
+    #[error(transparent)]
+    Sii(#[from] Unread),
 }
 
 impl Visit<'_, '_> {

@@ -25,17 +25,18 @@ const SAMPLES: u32 = 64;
 /// The relation of the grid and the segment's time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SegmentClock {
-    period_ns: u64,
+    /// The period, ns.
+    pub period_ns: u64,
     /// Its intended value at slot 0 of the grid.
     origin_ns: u64,
     /// The offset of SYNC0 in the periods of the segment's time.
-    phase_ns: u64,
+    pub phase_ns: u64,
     window_ns: i64,
     error_ns: i64,
     /// The newest error was not returned yet.
     new: bool,
     /// A sample was taken since the reference was found.
-    seen: bool,
+    pub seen: bool,
     /// The part of the reference's distance from the grid that it has not been adjusted by yet.
     slew_ns: i64,
     good: u32,
@@ -119,21 +120,6 @@ impl SegmentClock {
     pub fn sync_from(&self, ns: u64) -> u64 {
         let since = ns.wrapping_sub(self.phase_ns);
         since.div_ceil(self.period_ns).wrapping_mul(self.period_ns).wrapping_add(self.phase_ns)
-    }
-
-    /// The offset of SYNC0 in the periods of the segment's time.
-    pub fn phase_ns(&self) -> u64 {
-        self.phase_ns
-    }
-
-    /// The reference was seen: its time and this one are the same.
-    pub fn is_seen(&self) -> bool {
-        self.seen
-    }
-
-    /// The period, ns.
-    pub fn period_ns(&self) -> u64 {
-        self.period_ns
     }
 
     /// A reference was found, or lost.
@@ -249,9 +235,9 @@ mod tests {
             let same = |off: u32| clock.is_time_of(&cycle(5), cycle(5).grid, time.wrapping_add(off));
             assert!(same(0) && same(80_000) && same(80_000_u32.wrapping_neg()));
             assert!(!same(81_000) && !same(MS as u32) && !same(u32::MAX / 2));
-            assert_eq!(clock.phase_ns(), phase.unwrap_or(0));
+            assert_eq!(clock.phase_ns, phase.unwrap_or(0));
         }
-        assert!(!clock.is_seen() && clock.take_error().is_none(), "that is not the reference's");
+        assert!(!clock.seen && clock.take_error().is_none(), "that is not the reference's");
     }
 
     #[test]

@@ -246,7 +246,7 @@ impl Segment {
             self.clock.forget();
         }
         // It receives our time once it has shown that its own is near.
-        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.is_seen());
+        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.seen);
         self.choose(cycle, handler);
         first.request(&self.ask);
     }
@@ -287,7 +287,7 @@ impl Segment {
 
     /// The segment has a time that is not that of the slave at `place` alone.
     fn has_time(&self, place: u16) -> bool {
-        self.timed || self.clock.is_seen() || self.time_source.is_some_and(|source| source != place)
+        self.timed || self.clock.seen || self.time_source.is_some_and(|source| source != place)
     }
 
     /// A slave other than `index` gave the segment its phase, and is being joined.

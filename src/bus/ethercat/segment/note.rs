@@ -88,41 +88,48 @@ pub enum Note {
 
 /// Numbers of the notes, in the highest byte.
 impl Note {
+    /// Those without a value: their number is their index, the others follow from 80h on.
+    const PLAIN: [Note; 12] = [
+        Note::None,
+        Note::Absent,
+        Note::Sii,
+        Note::NoClock,
+        Note::NoLrw,
+        Note::NoCoe,
+        Note::Watchdog,
+        Note::WaitsForClock,
+        Note::FoundRunning,
+        Note::Starting,
+        Note::Unsettled,
+        Note::AddressTwice,
+    ];
+
     fn pack(self) -> u64 {
         let number = |kind: u8, high: u32, low: u32| {
             u64::from(kind) << 56 | u64::from(high & 0xFF_FFFF) << 32 | u64::from(low)
         };
-        let object = |object: Object| u32::from(object.index) << 8 | u32::from(object.sub);
         match self {
-            Note::None => 0,
-            Note::Absent => number(1, 0, 0),
-            Note::Sii => number(2, 0, 0),
-            Note::Vendor(found) => number(3, 0, found),
-            Note::Product(found) => number(4, 0, found),
-            Note::Revision(found) => number(5, 0, found),
-            Note::WrongPlace(place) => number(6, 0, place.into()),
+            Note::Vendor(found) => number(0x80, 0, found),
+            Note::Product(found) => number(0x81, 0, found),
+            Note::Revision(found) => number(0x82, 0, found),
+            Note::WrongPlace(place) => number(0x83, 0, place.into()),
             Note::SyncManager { usage, start, length } => {
-                number(7, usage.into(), u32::from(start) << 16 | u32::from(length))
+                number(0x84, usage.into(), u32::from(start) << 16 | u32::from(length))
             }
-            Note::Fmmus(count) => number(8, 0, count.into()),
-            Note::NoClock => number(9, 0, 0),
-            Note::NoLrw => number(10, 0, 0),
-            Note::NoCoe => number(11, 0, 0),
-            Note::State { to, code } => number(12, to.number().into(), code.0.into()),
-            Note::Slow(to) => number(13, to.number().into(), 0),
-            Note::StartUp { object: which, abort } => number(14, object(which), abort.0),
-            Note::Watchdog => number(15, 0, 0),
-            Note::WaitsForClock => number(16, 0, 0),
+            Note::Fmmus(count) => number(0x85, 0, count.into()),
+            Note::State { to, code } => number(0x86, to.number().into(), code.0.into()),
+            Note::Slow(to) => number(0x87, to.number().into(), 0),
+            Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
             Note::WaitsForLock(error) => {
-                number(17, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
+                number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
-            Note::FoundRunning => number(18, 0, 0),
-            Note::Starting => number(19, 0, 0),
-            Note::Differs { object: which, found } => number(20, object(which), found),
-            Note::Unsettled => number(21, 0, 0),
-            Note::AddressTwice => number(22, 0, 0),
-            Note::Unread(which) => number(23, object(which), 0),
-            Note::OtherTime(place) => number(24, 0, place.into()),
+            Note::Differs { object, found } => number(0x8a, object.key(), found),
+            Note::Unread(object) => number(0x8b, object.key(), 0),
+            Note::OtherTime(place) => number(0x8c, 0, place.into()),
+            plain => {
+                let kind = Note::PLAIN.iter().position(|note| *note == plain).unwrap_or_default();
+                number(kind as u8, 0, 0)
+            }
         }
     }
 
@@ -131,31 +138,20 @@ impl Note {
         let state = || AlState::new(high as u8).unwrap_or_default();
         let object = || Object::new((high >> 8) as u16, high as u8);
         match kind {
-            1 => Note::Absent,
-            2 => Note::Sii,
-            3 => Note::Vendor(low),
-            4 => Note::Product(low),
-            5 => Note::Revision(low),
-            6 => Note::WrongPlace(low as u16),
-            7 => Note::SyncManager { usage: high as u8, start: (low >> 16) as u16, length: low as u16 },
-            8 => Note::Fmmus(low as u8),
-            9 => Note::NoClock,
-            10 => Note::NoLrw,
-            11 => Note::NoCoe,
-            12 => Note::State { to: state(), code: AlCode(low as u16) },
-            13 => Note::Slow(state()),
-            14 => Note::StartUp { object: object(), abort: AbortCode(low) },
-            15 => Note::Watchdog,
-            16 => Note::WaitsForClock,
-            17 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
-            18 => Note::FoundRunning,
-            19 => Note::Starting,
-            20 => Note::Differs { object: object(), found: low },
-            21 => Note::Unsettled,
-            22 => Note::AddressTwice,
-            23 => Note::Unread(object()),
-            24 => Note::OtherTime(low as u16),
-            _ => Note::None,
+            0x80 => Note::Vendor(low),
+            0x81 => Note::Product(low),
+            0x82 => Note::Revision(low),
+            0x83 => Note::WrongPlace(low as u16),
+            0x84 => Note::SyncManager { usage: high as u8, start: (low >> 16) as u16, length: low as u16 },
+            0x85 => Note::Fmmus(low as u8),
+            0x86 => Note::State { to: state(), code: AlCode(low as u16) },
+            0x87 => Note::Slow(state()),
+            0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
+            0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
+            0x8a => Note::Differs { object: object(), found: low },
+            0x8b => Note::Unread(object()),
+            0x8c => Note::OtherTime(low as u16),
+            _ => Note::PLAIN.get(usize::from(kind)).copied().unwrap_or_default(),
         }
     }
 

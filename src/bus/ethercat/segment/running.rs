@@ -56,7 +56,7 @@ impl Running {
     /// The offset of SYNC0 in the periods of its time, if that is near to the segment's; `None`: it has none of
     /// this period.
     pub fn phase_ns(&self, clock: &SegmentClock, cycle: &Cycle, at: Time) -> Option<u64> {
-        let period = clock.period_ns();
+        let period = clock.period_ns;
         if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {
             return None;
         }

@@ -32,16 +32,15 @@ pub struct Contents {
     pub managers: [Option<(SyncManager, Use)>; MANAGERS],
 }
 
-/// What is read now.
+/// The words before the categories, in this order.
+const HEAD: [u16; 6] =
+    [word::VENDOR, word::PRODUCT, word::REVISION, word::MAILBOX_OUT, word::MAILBOX_IN, word::PROTOCOLS];
+
+/// What is being read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Item {
-    Vendor,
-    Product,
-    Revision,
-    MailboxOut,
-    MailboxIn,
-    Protocols,
-    /// The header of a category.
+    /// So many of the head were read.
+    Head(usize),
     Category {
         at: u16,
         nth: u8,
@@ -79,7 +78,7 @@ pub enum Reading {
 
 impl Default for Reader {
     fn default() -> Reader {
-        Reader { item: Item::Vendor, asked: false, looks: 0, askings: 0, contents: Contents::default() }
+        Reader { item: Item::Head(0), asked: false, looks: 0, askings: 0, contents: Contents::default() }
     }
 }
 
@@ -91,12 +90,7 @@ impl Reader {
 
     fn word(&self) -> Option<u16> {
         Some(match self.item {
-            Item::Vendor => word::VENDOR,
-            Item::Product => word::PRODUCT,
-            Item::Revision => word::REVISION,
-            Item::MailboxOut => word::MAILBOX_OUT,
-            Item::MailboxIn => word::MAILBOX_IN,
-            Item::Protocols => word::PROTOCOLS,
+            Item::Head(nth) => *HEAD.get(nth)?,
             Item::Category { at, .. } => at,
             Item::Manager { at, first, .. } => at.wrapping_add(if first.is_some() { 2 } else { 0 }),
             Item::Done => return None,
@@ -150,29 +144,20 @@ impl Reader {
         let area = Area { start: half, length: (number >> 16) as u16 };
         let contents = &mut self.contents;
         self.item = match self.item {
-            Item::Vendor => {
-                contents.identity.vendor = number;
-                Item::Product
-            }
-            Item::Product => {
-                contents.identity.product = number;
-                Item::Revision
-            }
-            Item::Revision => {
-                contents.identity.revision = number;
-                Item::MailboxOut
-            }
-            Item::MailboxOut => {
-                contents.mailboxes[0] = area;
-                Item::MailboxIn
-            }
-            Item::MailboxIn => {
-                contents.mailboxes[1] = area;
-                Item::Protocols
-            }
-            Item::Protocols => {
-                contents.protocols = Protocols(half);
-                Item::Category { at: word::CATEGORIES, nth: 0 }
+            Item::Head(nth) => {
+                let Contents { identity, mailboxes: [out, input], protocols, .. } = contents;
+                match nth {
+                    0 => identity.vendor = number,
+                    1 => identity.product = number,
+                    2 => identity.revision = number,
+                    3 => *out = area,
+                    4 => *input = area,
+                    _ => *protocols = Protocols(half),
+                }
+                match nth + 1 {
+                    next if next < HEAD.len() => Item::Head(next),
+                    _ => Item::Category { at: word::CATEGORIES, nth: 0 },
+                }
             }
             Item::Category { at, nth } => next_category(at, nth, data),
             Item::Manager { at, nth, of, first: None } => Item::Manager { at, nth, of, first: Some(data) },

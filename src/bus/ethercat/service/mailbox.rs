@@ -52,7 +52,7 @@ const STATUS: u16 = address::sync_manager(1) + SyncManager::STATUS;
 const ACTIVATE: u16 = STATUS + 1;
 
 /// Both mailboxes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Mailbox {
     station: u16,
     out: Area,
@@ -74,9 +74,10 @@ pub(super) struct Mailbox {
 }
 
 /// The state of the request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Sending {
     /// There is none.
+    #[default]
     Nothing,
     /// It is to be written.
     Due {
@@ -93,9 +94,10 @@ enum Sending {
 }
 
 /// The state of the message in the other mailbox.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Reading {
     /// None is known.
+    #[default]
     Nothing,
     /// One is there, and so many bytes of it have been read.
     There(usize),
@@ -149,17 +151,10 @@ impl Mailbox {
             station,
             out,
             input,
-            counter: Counter::default(),
-            message: [0; OUT_MAX],
-            length: 0,
-            sending: Sending::Nothing,
-            reading: Reading::Nothing,
             read: vec![0; usize::from(input.length)].into(),
-            pending: None,
-            looked: None,
             stale: true,
-            counts: false,
             turn_ns,
+            ..Mailbox::default()
         })
     }
 

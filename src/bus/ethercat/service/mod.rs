@@ -419,7 +419,9 @@ impl Service {
         match step {
             Step::Stray => Own::MailboxStrays.count(counters),
             Step::Next => {
-                self.answered();
+                if let Some(mailbox) = &mut self.mailbox {
+                    mailbox.answered();
+                }
                 self.post(now);
             }
             Step::Done => self.finish(now, End::Done),
@@ -429,12 +431,6 @@ impl Service {
                 }
                 self.finish(now, End::Failed(failure));
             }
-        }
-    }
-
-    fn answered(&mut self) {
-        if let Some(mailbox) = &mut self.mailbox {
-            mailbox.answered();
         }
     }
 

@@ -24,7 +24,7 @@ struct Sync {
 }
 
 /// The clock.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Clock {
     mask: u64,
     drift_ppm: f64,
@@ -52,17 +52,10 @@ impl Clock {
         Clock {
             mask: if long { u64::MAX } else { u32::MAX.into() },
             drift_ppm,
-            trim_ppm: 0.0,
             own: start_ns,
-            part: 0.0,
-            lived: None,
-            offset: 0,
-            delay: 0,
-            compared: None,
             over: 1.0,
             within: f64::from(settling.max(QUICKEST)),
-            difference_ns: 0.0,
-            sync: None,
+            ..Clock::default()
         }
     }
 

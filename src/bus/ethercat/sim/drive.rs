@@ -27,6 +27,7 @@ mod tests;
 use std::f64::consts::TAU;
 
 use self::motion::Track;
+use super::Application;
 use super::mailbox::Mailbox;
 use super::mapping::Mapping;
 use super::motor::{Aim, Motor, RPM};
@@ -166,18 +167,6 @@ impl Drive {
         self.cycle_ns
     }
 
-    /// Power came back: everything volatile is lost, the motor goes on turning as it did.
-    pub fn restart(&mut self, now: Time) {
-        self.live(now);
-        self.objects = Objects::new(&self.settings);
-        self.mapping = Mapping::new();
-        self.mailbox.reset();
-        self.sync.start(None);
-        (self.al, self.dropped, self.state) = (AlState::Init, None, State::SwitchOnDisabled);
-        (self.fault, self.control, self.homed) = (None, None, false);
-        self.set_up();
-    }
-
     fn set_up(&mut self) {
         self.cycle_ns = self.interpolation_ns();
         self.limit_torque();
@@ -231,11 +220,6 @@ impl Drive {
         counts(self.motor.place() - self.zero, self.per_turn())
     }
 
-    /// Why it left OP by itself, once: it is in SAFEOP now.
-    pub fn dropped(&mut self) -> Option<AlCode> {
-        self.dropped.take()
-    }
-
     /// Raises a fault.
     pub fn provoke(&mut self, fault: Fault) {
         self.fail(fault);
@@ -244,31 +228,6 @@ impl Drive {
     /// Opens the hardware enable (STO) until then.
     pub fn inhibit(&mut self, until: Time) {
         self.inhibited_until = until;
-    }
-
-    /// Enters a state of the bus if it may, or returns why not. No transition waits without an error: the drive is
-    /// synchronous, or it refuses.
-    pub fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
-        use AlState::{Boot, Init, Op, PreOp, SafeOp};
-        self.live(now);
-        match (self.al, state) {
-            (from, to) if from == to => return Ok(()),
-            (_, Init) | (Init | SafeOp | Op, PreOp) | (Op, SafeOp) => {}
-            // A hardware reset.
-            (Init, Boot) => self.restart(now),
-            (PreOp, SafeOp) if self.sizes().0 == 0 || self.sizes().1 == 0 => {
-                return Err(AlCode::SYNC_MANAGER);
-            }
-            (PreOp, SafeOp) => {}
-            (SafeOp, Op) if !self.sync.is_synchronous() => {
-                self.fail(Fault::SYNCHRONISATION);
-                return Err(AlCode::SYNCHRONISATION);
-            }
-            (SafeOp, Op) => {}
-            _ => return Err(AlCode::INVALID_REQUEST),
-        }
-        self.enter(state);
-        Ok(())
     }
 
     fn enter(&mut self, state: AlState) {
@@ -290,64 +249,6 @@ impl Drive {
             AlState::SafeOp => {}
             AlState::Op => self.control = None,
         }
-    }
-
-    /// Takes what the master wrote to the mailbox; true with the next message for it in `reply`, which may be an
-    /// emergency in place of the answer: the answer is then left for [`message`](Self::message).
-    pub fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
-        if matches!(self.al, AlState::Init | AlState::Boot) {
-            return false;
-        }
-        if let Some(request) = self.mailbox.take(request) {
-            let answer = self.obey_sdo(&request);
-            self.mailbox.answer(&request, answer);
-        }
-        self.message(reply)
-    }
-
-    /// The next message for the master, whenever its mailbox is empty; false if there is none.
-    pub fn message(&mut self, reply: &mut Vec<u8>) -> bool {
-        reply.clear();
-        let now = self.lived.unwrap_or_default();
-        let is_due = |pause: u64| now.since(self.disturbed) >= pause;
-        if self.mailbox.is_empty() && self.al != AlState::Init && self.settings.unasked_ns.is_some_and(is_due)
-        {
-            self.disturbed = now;
-            self.mailbox.disturb();
-        }
-        let message = self.mailbox.next();
-        reply.extend(message.iter().flatten());
-        message.is_some()
-    }
-
-    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Areas that are shorter than
-    /// the PDOs are ignored.
-    pub fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
-        self.live(now);
-        if !self.is_cyclic() {
-            return;
-        }
-        if self.sync.interrupt(now) {
-            self.lose_sync();
-        }
-        if self.al == AlState::Op {
-            self.take(now, outputs);
-        }
-        self.refresh();
-        self.give(inputs);
-    }
-
-    /// Advances to `now`. Without cyclic interrupts it has to be called now and then: otherwise the drive does not
-    /// notice that they are missing.
-    pub fn live(&mut self, now: Time) {
-        let mut at = *self.lived.get_or_insert(now);
-        let longest = (now.since(at) / STEPS).max(STEP_NS);
-        while at < now {
-            let dt_ns = now.since(at).min(longest);
-            at = at + dt_ns;
-            self.step(at, dt_ns);
-        }
-        self.lived = Some(at);
     }
 
     fn step(&mut self, at: Time, dt_ns: u64) {
@@ -421,6 +322,124 @@ impl Drive {
         let now = self.position();
         let way = (position as i32).wrapping_sub(now as i32);
         self.zero + now.saturating_add(way.into()) as f64 / self.per_turn() * TAU
+    }
+}
+
+impl Application for Drive {
+    /// Enters a state of the bus if it may, or returns why not. No transition waits without an error: the drive is
+    /// synchronous, or it refuses.
+    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
+        use AlState::{Boot, Init, Op, PreOp, SafeOp};
+        self.live(now);
+        match (self.al, state) {
+            (from, to) if from == to => return Ok(()),
+            (_, Init) | (Init | SafeOp | Op, PreOp) | (Op, SafeOp) => {}
+            // A hardware reset.
+            (Init, Boot) => self.restart(now),
+            (PreOp, SafeOp) if self.sizes().0 == 0 || self.sizes().1 == 0 => {
+                return Err(AlCode::SYNC_MANAGER);
+            }
+            (PreOp, SafeOp) => {}
+            (SafeOp, Op) if !self.sync.is_synchronous() => {
+                self.fail(Fault::SYNCHRONISATION);
+                return Err(AlCode::SYNCHRONISATION);
+            }
+            (SafeOp, Op) => {}
+            _ => return Err(AlCode::INVALID_REQUEST),
+        }
+        self.enter(state);
+        Ok(())
+    }
+
+    /// Takes what the master wrote to the mailbox; true with the next message for it in `reply`, which may be an
+    /// emergency in place of the answer: the answer is then left for [`message`](Self::message).
+    fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
+        if matches!(self.al, AlState::Init | AlState::Boot) {
+            return false;
+        }
+        if let Some(request) = self.mailbox.take(request) {
+            let answer = self.obey_sdo(&request);
+            self.mailbox.answer(&request, answer);
+        }
+        self.message(reply)
+    }
+
+    /// The next message for the master, whenever its mailbox is empty; false if there is none.
+    fn message(&mut self, reply: &mut Vec<u8>) -> bool {
+        reply.clear();
+        let now = self.lived.unwrap_or_default();
+        let is_due = |pause: u64| now.since(self.disturbed) >= pause;
+        if self.mailbox.is_empty() && self.al != AlState::Init && self.settings.unasked_ns.is_some_and(is_due)
+        {
+            self.disturbed = now;
+            self.mailbox.disturb();
+        }
+        let message = self.mailbox.next();
+        reply.extend(message.iter().flatten());
+        message.is_some()
+    }
+
+    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Areas that are shorter than
+    /// the PDOs are ignored.
+    fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
+        self.live(now);
+        if !self.is_cyclic() {
+            return;
+        }
+        if self.sync.interrupt(now) {
+            self.lose_sync();
+        }
+        if self.al == AlState::Op {
+            self.take(now, outputs);
+        }
+        self.refresh();
+        self.give(inputs);
+    }
+
+    /// Advances to `now`. Without cyclic interrupts it has to be called now and then: otherwise the drive does not
+    /// notice that they are missing.
+    fn live(&mut self, now: Time) {
+        let mut at = *self.lived.get_or_insert(now);
+        let longest = (now.since(at) / STEPS).max(STEP_NS);
+        while at < now {
+            let dt_ns = now.since(at).min(longest);
+            at = at + dt_ns;
+            self.step(at, dt_ns);
+        }
+        self.lived = Some(at);
+    }
+
+    /// Why it left OP by itself, once: it is in SAFEOP now.
+    fn dropped(&mut self) -> Option<AlCode> {
+        self.dropped.take()
+    }
+
+    /// Power came back: everything volatile is lost, the motor goes on turning as it did.
+    fn restart(&mut self, now: Time) {
+        self.live(now);
+        self.objects = Objects::new(&self.settings);
+        self.mapping = Mapping::new();
+        self.mailbox.reset();
+        self.sync.start(None);
+        (self.al, self.dropped, self.state) = (AlState::Init, None, State::SwitchOnDisabled);
+        (self.fault, self.control, self.homed) = (None, None, false);
+        self.set_up();
+    }
+
+    /// Its answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
+    /// (assumed).
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+        let wanted = self.sizes();
+        match self.settings.family {
+            _ if (outputs, inputs) == wanted => Ok(()),
+            Family::S700 => Err(AlCode::SYNC_MANAGER),
+            Family::Akd if outputs != wanted.0 => Err(AlCode(0x001D)),
+            Family::Akd => Err(AlCode(0x001E)),
+        }
+    }
+
+    fn drive(&mut self) -> Option<&mut Drive> {
+        Some(self)
     }
 }
 

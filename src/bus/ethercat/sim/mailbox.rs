@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use super::settings::Dialect;
-use super::transfer::{Step, Transfers};
+use super::transfer::{Step, Transfers, head};
 use crate::bus::ethercat::wire::mailbox::{Emergency, SDO_SIZE};
 use crate::bus::ethercat::wire::sdo::{AbortCode, EXPEDITED_MAX, Object};
 
@@ -89,18 +89,18 @@ impl Mailbox {
         }
         self.last = counter;
         let body = match read(message, written, &mut self.transfers) {
-            Ok(Asked::Read { object, complete }) => {
+            Ok(Step::Read { object, complete }) => {
                 return Some(Request { counter, object, complete, data: None, answer: None });
             }
-            Ok(Asked::Write { object, complete, data, answer }) => {
+            Ok(Step::Write { object, complete, data, answer }) => {
                 return Some(Request { counter, object, complete, data: Some(data), answer });
             }
-            Ok(Asked::Nothing) => return None,
+            Ok(Step::Nothing) => return None,
             Err(Trouble::Refused(code)) => {
                 self.refuse(counter, code);
                 return None;
             }
-            Ok(Asked::Answer(body)) => body,
+            Ok(Step::Answer(body)) => body,
             Err(Trouble::Abort(object, code)) => abort(object, code),
         };
         self.reply(counter, body);
@@ -113,7 +113,7 @@ impl Mailbox {
         let body = match (answer, &request.data, &mut self.transfers) {
             (Err(code), ..) => abort(object, code),
             (Ok(_), Some(_), _) => {
-                request.answer.clone().unwrap_or_else(|| expedited(0x60, object, [0; EXPEDITED_MAX]))
+                request.answer.clone().unwrap_or_else(|| head(0x60, object, [0; EXPEDITED_MAX]))
             }
             (Ok(value), None, Some(transfers)) if value.len() > EXPEDITED_MAX => {
                 transfers.begin_upload(object, complete, value)
@@ -122,7 +122,7 @@ impl Mailbox {
                 // Unused bytes of the four are old memory.
                 self.stale.iter_mut().zip(&value).for_each(|(stale, byte)| *stale = *byte);
                 let unused = EXPEDITED_MAX.saturating_sub(value.len()) as u8 & 3;
-                expedited(if complete { 0x53 } else { 0x43 } | unused << 2, object, self.stale)
+                head(if complete { 0x53 } else { 0x43 } | unused << 2, object, self.stale)
             }
         };
         self.reply(counter, body);
@@ -187,49 +187,13 @@ impl Mailbox {
     }
 }
 
-/// The request of a message.
-enum Asked {
-    Read {
-        object: Object,
-        complete: bool,
-    },
-    Write {
-        object: Object,
-        complete: bool,
-        data: Vec<u8>,
-        answer: Option<Vec<u8>>,
-    },
-    /// It continues a transfer: this is the answer.
-    Answer(Vec<u8>),
-    /// It requires no answer.
-    Nothing,
-}
-
-impl From<Step> for Asked {
-    fn from(step: Step) -> Asked {
-        match step {
-            Step::Answer(body) => Asked::Answer(body),
-            Step::Write { object, complete, data, answer } => {
-                Asked::Write { object, complete, data, answer: Some(answer) }
-            }
-        }
-    }
-}
-
 enum Trouble {
     Refused(u16),
     Abort(Object, AbortCode),
 }
 
-/// An answer of four bytes after command and object.
-fn expedited(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Vec<u8> {
-    let [low, high] = object.index.to_le_bytes();
-    let [a, b, c, d] = data;
-    vec![command, low, high, object.sub, a, b, c, d]
-}
-
 fn abort(object: Object, code: AbortCode) -> Vec<u8> {
-    expedited(0x80, object, code.0.to_le_bytes())
+    head(0x80, object, code.0.to_le_bytes())
 }
 
 /// Reads a message: its first bytes, and all written bytes.
@@ -237,7 +201,7 @@ fn read(
     message: &[u8; SDO_SIZE],
     written: &[u8],
     transfers: &mut Option<Transfers>,
-) -> Result<Asked, Trouble> {
+) -> Result<Step, Trouble> {
     let [l0, l1, _, _, _, kind, _, service, command, low, high, sub, data @ ..] = *message;
     if kind & 0x0F != COE {
         return Err(Trouble::Refused(error::PROTOCOL));
@@ -264,34 +228,34 @@ fn read(
         0x60 | 0x70 => transfers.upload_segment(command).map(Step::Answer),
         0x80 => {
             transfers.end();
-            return Ok(Asked::Nothing);
+            return Ok(Step::Nothing);
         }
-        0x50 => return Ok(Asked::Read { object, complete }),
+        0x50 => return Ok(Step::Read { object, complete }),
         0x33 | 0x37 | 0x3B | 0x3F => return Ok(write(command, object, data)),
         _ => {
             transfers.end();
             return read_expedited(command, object, data).map_err(refused);
         }
     };
-    step.map(Asked::from).map_err(refused)
+    step.map_err(refused)
 }
 
 /// Requests that every drive supports.
-fn read_expedited(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Result<Asked, AbortCode> {
+fn read_expedited(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Result<Step, AbortCode> {
     match command {
-        0x40 => Ok(Asked::Read { object, complete: false }),
+        0x40 => Ok(Step::Read { object, complete: false }),
         0x23 | 0x27 | 0x2B | 0x2F => Ok(write(command, object, data)),
         // Complete access.
         0x30..=0x3F | 0x50..=0x5F => Err(AbortCode::NOT_COMPLETE),
-        0x80 => Ok(Asked::Nothing),
+        0x80 => Ok(Step::Nothing),
         // Segments, and sizes that do not fit into the message.
         _ => Err(AbortCode::COMMAND),
     }
 }
 
-fn write(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Asked {
+fn write(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Step {
     let used = EXPEDITED_MAX - usize::from(command >> 2 & 3);
-    Asked::Write { object, complete: command & 0x10 != 0, data: data[..used].to_vec(), answer: None }
+    Step::Write { object, complete: command & 0x10 != 0, data: data[..used].to_vec(), answer: None }
 }
 
 #[cfg(test)]

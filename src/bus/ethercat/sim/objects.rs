@@ -51,7 +51,7 @@ impl Objects {
         };
         let rows = catalogue::all()
             .filter(has)
-            .map(|known| Row { key: key(known.object), known, value: 0 })
+            .map(|known| Row { key: known.object.key(), known, value: 0 })
             .collect();
         let mut objects = Objects { rows, fixed: settings.layouts.iter().flat_map(mapping).collect() };
         settings.delivered().into_iter().for_each(|(object, value)| objects.set(object, value));
@@ -59,8 +59,7 @@ impl Objects {
     }
 
     fn find(&self, object: Object) -> Option<usize> {
-        let key = key(object);
-        self.rows.binary_search_by_key(&key, |row| row.key).ok()
+        self.rows.binary_search_by_key(&object.key(), |row| row.key).ok()
     }
 
     /// The value of an object; 0 if it does not exist.
@@ -155,11 +154,6 @@ fn mapping(layout: &Layout) -> Vec<(Object, Vec<u8>)> {
         (Object::new(layout.pdo, sub), vec![8 * entry.kind.bytes() as u8, entry.object.sub, low, high])
     });
     std::iter::once(count).chain(entries).collect()
-}
-
-/// The sort key of objects: index and subindex.
-fn key(object: Object) -> u32 {
-    u32::from(object.index) << 8 | u32::from(object.sub)
 }
 
 fn length(kind: Type) -> usize {

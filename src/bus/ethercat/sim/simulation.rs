@@ -191,12 +191,8 @@ fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
     let is_running = settings.running_rpm.is_some();
     let mut esc = Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(Drive::new(settings)));
     if is_running {
-        let unwatched = |manager: SyncManager| SyncManager {
-            control: manager.control & !SyncManager::WATCHDOG,
-            ..manager
-        };
         let managers: Vec<_> =
-            managers(&plan.slave).into_iter().map(|(manager, _)| unwatched(manager)).collect();
+            managers(&plan.slave).into_iter().map(|(manager, _)| manager.unwatched()).collect();
         let Area { start, length } = plan.slave.outputs;
         esc.run(&managers, Fmmu::bytes(logical, length, start, true));
     }
@@ -290,15 +286,13 @@ fn terminals(area: Area) -> Terminals {
 mod tests {
     use super::super::testing::Bench;
     use super::*;
-    use crate::axis::State;
     use crate::bus::ethercat::object::Object;
     use crate::bus::ethercat::object::pdo::Entry;
     use crate::bus::ethercat::wire::frame::Command;
-    use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, address};
+    use crate::bus::ethercat::wire::registers::address;
     use crate::bus::ethercat::wire::sii;
-    use crate::net::{Carriers, Frames};
+    use crate::net::Carriers;
     use crate::sim::Simulated;
-    use crate::sim::world::{World, WorldOptions};
     use crate::time::S;
 
     /// A drive, nothing, an AKD, and terminals with a mailbox.
@@ -411,149 +405,6 @@ mod tests {
         sim.mislabel(&mut []);
     }
 
-    /// One drive in a world, and its master.
-    struct Master {
-        world: World,
-        carrier: Box<dyn Frames>,
-        /// Its outputs in each cycle.
-        outputs: [u8; 6],
-    }
-
-    impl Master {
-        fn new(plan: &EthercatPlan) -> Master {
-            let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(plan))];
-            let simulated = Simulated { lines, ..Simulated::default() };
-            let world =
-                World::new(simulated, WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
-            let carrier = world.frames(&plan.interface, ETHERTYPE).unwrap();
-            Master { world, carrier, outputs: [0; 6] }
-        }
-
-        fn send(&mut self, command: Command, data: &[u8]) -> Option<(Vec<u8>, u16)> {
-            use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, datagrams};
-            let mut frame = [0; 200];
-            let mut builder = Builder::new(&mut frame, BROADCAST, self.carrier.mac()).unwrap();
-            builder.push_with(command, 1, data).unwrap();
-            let length = builder.finish();
-            self.carrier.send(&frame[..length]).unwrap();
-            self.world.advance(MS);
-            let (_, length) = self.carrier.receive(&mut frame)?;
-            let back = datagrams(&frame[..length]).unwrap().next().unwrap().unwrap();
-            Some((back.data.to_vec(), back.working_counter))
-        }
-
-        fn write(&mut self, at: u16, data: &[u8]) {
-            assert_eq!(self.send(Command::Apwr(0, at), data).unwrap().1, 1, "{at:#06x}");
-        }
-
-        /// One cycle of process data; returns the inputs, and the working counter.
-        fn cycle(&mut self) -> (Vec<u8>, u16) {
-            let mut image = [0; 14];
-            image[..6].copy_from_slice(&self.outputs);
-            let (data, count) = self.send(Command::Lrw(0), &image).unwrap();
-            (data[6..].to_vec(), count)
-        }
-
-        fn state(&mut self) -> (AlState, Option<AlCode>, State) {
-            let look = |sim: &mut EthercatSim, _| {
-                let slave = sim.slave(0).unwrap();
-                (slave.state(), slave.error(), slave.drive().unwrap().axis_state())
-            };
-            self.world.look("local:test", look).unwrap()
-        }
-
-        fn go(&mut self, state: AlState) {
-            self.write(address::AL_CONTROL, &AlStatus::request(state).0.to_le_bytes());
-            self.cycle();
-        }
-
-        /// To OP with SYNC0 each millisecond.
-        fn start(&mut self, plan: &EthercatPlan) {
-            let slave = &plan.drives[0].slave;
-            for (n, (manager, _)) in managers(slave).into_iter().enumerate() {
-                self.write(address::sync_manager(n as u16), &manager.to_bytes());
-            }
-            self.write(address::fmmu(0), &Fmmu::bytes(0, 6, slave.outputs.start, true).to_bytes());
-            self.write(address::fmmu(1), &Fmmu::bytes(6, 8, slave.inputs.start, false).to_bytes());
-            self.go(AlState::PreOp);
-            let now = self
-                .world
-                .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().line_time(now));
-            let start = (now.unwrap() / MS + 20) * MS;
-            self.write(address::DC_CYCLE, &(MS as u32).to_le_bytes());
-            self.write(address::DC_START, &start.to_le_bytes());
-            self.write(address::DC_CONTROL, &[0, 3]);
-            self.go(AlState::SafeOp);
-            (0..200).for_each(|_| drop(self.cycle()));
-            self.go(AlState::Op);
-            assert_eq!(self.state(), (AlState::Op, None, State::SwitchOnDisabled));
-        }
-    }
-
-    fn one() -> EthercatPlan {
-        EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)])
-    }
-
-    fn velocity(counts: i32, word: u16) -> [u8; 6] {
-        let mut outputs = [0; 6];
-        outputs[..4].copy_from_slice(&counts.to_le_bytes());
-        outputs[4..].copy_from_slice(&word.to_le_bytes());
-        outputs
-    }
-
-    #[test]
-    fn a_drive_of_a_plan_comes_to_op_turns_and_stops_when_its_master_dies() {
-        let plan = one();
-        let mut master = Master::new(&plan);
-        master.start(&plan);
-        for word in [0x0006, 0x0007, 0x000F] {
-            master.outputs = velocity(1_000, word);
-            (0..3).for_each(|_| assert_eq!(master.cycle().1, 3));
-        }
-        (0..500).for_each(|_| drop(master.cycle()));
-        let rpm = |master: &Master| {
-            master.world.look("local:test", |sim: &mut EthercatSim, _| sim.drive(0).unwrap().rpm()).unwrap()
-        };
-        let expected = 1_000.0 * plan.drives[0].scaling.rpm_per_count;
-        assert!((rpm(&master) - expected).abs() < 1.0, "{} {expected}", rpm(&master));
-        assert_eq!(master.state(), (AlState::Op, None, State::OperationEnabled));
-        // Its segment is in phase with its own clock.
-        let left = master
-            .world
-            .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().sync0_in_ns(now));
-        assert!(left.flatten().is_some_and(|left| left <= MS));
-        // No frames any more: the watchdog of 100 ms, then the quick stop.
-        master.world.advance(99 * MS - MS);
-        assert_eq!(master.state().0, AlState::Op);
-        master.world.advance(2 * MS);
-        assert_eq!(master.state(), (AlState::SafeOp, Some(AlCode::WATCHDOG), State::QuickStopActive));
-        master.world.advance(S);
-        assert!(rpm(&master).abs() < 0.1);
-        assert_eq!(master.state().2, State::SwitchOnDisabled);
-    }
-
-    #[test]
-    fn a_slave_can_be_deafened_cut_off_restarted_and_its_enable_opened() {
-        let plan = one();
-        let mut master = Master::new(&plan);
-        master.start(&plan);
-        for word in [0x0006, 0x0007, 0x000F] {
-            master.outputs = velocity(0, word);
-            (0..3).for_each(|_| drop(master.cycle()));
-        }
-        assert!(master.world.inhibit_slave("local:test", 0, 10 * MS));
-        master.cycle();
-        assert_eq!(master.state().2, State::SwitchOnDisabled);
-        assert!(master.world.deafen("local:test", 0, true));
-        assert_eq!(master.cycle(), (vec![0; 8], 0), "it passes frames on");
-        assert!(master.world.deafen("local:test", 0, false));
-        assert_eq!(master.cycle().1, 3);
-        assert!(master.world.cut("local:test", Some(0)));
-        assert_eq!(master.send(Command::Nop, &[]), None);
-        assert!(master.world.cut("local:test", None) && master.world.restart_slave("local:test", 0));
-        assert_eq!(master.cycle().1, 0);
-        assert_eq!(master.state(), (AlState::Init, None, State::SwitchOnDisabled));
-    }
     #[test]
     fn a_line_of_a_plan_answers_behind_a_socket_of_this_host() {
         use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, datagrams};

@@ -22,7 +22,7 @@ const FOLLOWS: i64 = 8;
 const DRIFT: i64 = 1_000;
 
 /// The synchronisation of one drive.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Sync {
     needed: u32,
     /// `None`: there is no valid cycle time, or no interrupts are wanted.
@@ -39,15 +39,7 @@ pub(super) struct Sync {
 impl Sync {
     /// Without a cycle.
     pub(super) fn new(needed: u32) -> Sync {
-        Sync {
-            needed,
-            cycle_ns: None,
-            expected: None,
-            inside: 0,
-            outside: 0,
-            owed: false,
-            synchronous: false,
-        }
+        Sync { needed, ..Sync::default() }
     }
 
     /// Interrupts come from now on, so many ns apart; `None`: none, or none that could be followed.

@@ -25,7 +25,11 @@ pub(super) enum Step {
     /// This is sent to the master, and nothing is done yet.
     Answer(Body),
     /// All of an object has come: it is to be written; this is the answer.
-    Write { object: Object, complete: bool, data: Vec<u8>, answer: Body },
+    Write { object: Object, complete: bool, data: Vec<u8>, answer: Option<Body> },
+    /// An object is to be read.
+    Read { object: Object, complete: bool },
+    /// There is nothing to do.
+    Nothing,
 }
 
 #[derive(Debug)]
@@ -64,7 +68,7 @@ impl Transfers {
 
     /// The answer to a read of more than four bytes: as much as fits.
     pub(super) fn begin_upload(&mut self, object: Object, complete: bool, mut data: Vec<u8>) -> Body {
-        let mut body = head(if complete { 0x51 } else { 0x41 }, object, data.len() as u32);
+        let mut body = head(if complete { 0x51 } else { 0x41 }, object, (data.len() as u32).to_le_bytes());
         let rest = data.split_off(data.len().min(self.room - NORMAL));
         body.extend(data);
         self.upload = (!rest.is_empty()).then_some(Upload { rest, toggle: false });
@@ -103,10 +107,10 @@ impl Transfers {
         if data.len() > size {
             return Err(AbortCode::LENGTH);
         }
-        let answer = head(0x60, object, 0);
+        let answer = head(0x60, object, [0; 4]);
         let data = data.to_vec();
         if data.len() == size {
-            return Ok(Step::Write { object, complete, data, answer });
+            return Ok(Step::Write { object, complete, data, answer: Some(answer) });
         }
         self.download = Some(Download { object, complete, size, data, toggle: false });
         Ok(Step::Answer(answer))
@@ -128,17 +132,16 @@ impl Transfers {
         }
         if is_last {
             let Download { object, complete, data, .. } = download;
-            return Ok(Step::Write { object, complete, data, answer });
+            return Ok(Step::Write { object, complete, data, answer: Some(answer) });
         }
         self.download = Some(download);
         Ok(Step::Answer(answer))
     }
 }
 
-/// Command, object, and the four bytes after it.
-fn head(command: u8, object: Object, value: u32) -> Body {
+/// A message of eight bytes.
+pub(super) fn head(command: u8, object: Object, [a, b, c, d]: [u8; 4]) -> Body {
     let [low, high] = object.index.to_le_bytes();
-    let [a, b, c, d] = value.to_le_bytes();
     vec![command, low, high, object.sub, a, b, c, d]
 }
 
@@ -203,7 +206,7 @@ mod tests {
         assert_eq!(transfers.download_segment(0, &[1; 7]), Ok(Step::Answer(vec![0x20])));
         let last = transfers.download_segment(TOGGLE | 4 << 1 | LAST, &[2; 7]).unwrap();
         let data = vec![1, 1, 1, 1, 1, 1, 1, 2, 2, 2];
-        assert_eq!(last, Step::Write { object: NAME, complete: true, data, answer: vec![0x30] });
+        assert_eq!(last, Step::Write { object: NAME, complete: true, data, answer: Some(vec![0x30]) });
         let whole = transfers.begin_download(NAME, false, 5, &[5; 5]).unwrap();
         assert!(matches!(whole, Step::Write { complete: false, .. }));
         // More than announced, less than announced, more than there can be.

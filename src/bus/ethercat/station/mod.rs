@@ -18,7 +18,7 @@ use super::cia402::StatusWord;
 use super::counters::Own;
 use super::faults::Clearing;
 use super::native::{Native, native};
-use super::object::{Object, commanding};
+use super::object::commanding;
 use super::plan::{KollmorgenDrive, Setpoint};
 use super::profile::{Counts, Inputs, Profile, tells_position};
 use super::service::Service;
@@ -27,7 +27,7 @@ use super::wire::registers::AlState;
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::units::Unwrap;
 use crate::axis::{self, State, Units};
-use crate::bus::{Cycle, Exchange, Slot};
+use crate::bus::{Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::{MS, Time};
 
@@ -174,12 +174,7 @@ impl Station {
 
     /// A frame was sent that only reads this drive: its outputs do not count there yet.
     #[inline]
-    pub fn asked(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
-        self.open(sent_at, reply_by, slot);
-    }
-
-    #[inline]
-    fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+    pub fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
         (self.sent_grid, self.reached) = (self.profile.grid, false);

@@ -5,19 +5,19 @@ use std::collections::VecDeque;
 
 use super::*;
 use crate::axis::command::NativeOwner;
-use crate::axis::{Command, Failure, Jog, Link, Move, Profile, Row, Target};
+use crate::axis::{Command, Failure, Jog, Link, Move, Profile, Target};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
-use crate::bus::ethercat::object::{Family, Type, pdo};
+use crate::bus::ethercat::object::{Family, Object, Type, pdo};
 use crate::bus::ethercat::profile::capabilities;
-use crate::bus::ethercat::sim::{Drive, DriveSettings};
+use crate::bus::ethercat::sim::{Application, Drive, DriveSettings};
 use crate::bus::ethercat::slot::{Answer, Ask};
 use crate::bus::ethercat::start_up::start_up;
 use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
-use crate::drive::machine::{Machine, NumberedRow};
+use crate::drive::machine::Machine;
 use crate::time::S;
 
 const PERIOD: u64 = MS;
@@ -39,12 +39,6 @@ struct Rig {
     /// What waits in the drive's mailbox, and what was put into the other one.
     mail: VecDeque<Vec<u8>>,
     posted: [u8; SDO_SIZE],
-    /// Nothing comes back.
-    muted: bool,
-    rows: VecDeque<Row>,
-    row: u64,
-    fresh: bool,
-    restarted: bool,
     /// Demands of positions, as they went out.
     steepest: i32,
 }
@@ -94,11 +88,6 @@ impl Rig {
             outputs: vec![0; plan.outputs.size()],
             mail: VecDeque::new(),
             posted: [0; SDO_SIZE],
-            muted: false,
-            rows: VecDeque::new(),
-            row: 0,
-            fresh: false,
-            restarted: false,
             steepest: 0,
             plan,
         };
@@ -136,24 +125,13 @@ impl Rig {
         self.station.operational(Some(AlState::Op), &mut self.slot);
     }
 
-    fn cycle(&self) -> Cycle {
-        let index = self.now.0 / PERIOD;
-        Cycle { index, grid: self.now, period_ns: PERIOD, deadline: self.now + PERIOD / 2 }
-    }
-
     /// Builds the outputs, twice as often as not.
     fn prepare(&mut self) {
-        let cycle = self.cycle();
-        if self.machine.command() == Some(Command::Follow)
-            && let Some(row) = self.rows.front()
-        {
-            self.machine.input.row = Some(NumberedRow { number: self.row + 1, row: *row });
-        }
         let before = self.setpoint();
         self.machine.propose(self.now, &mut self.slot);
-        self.station.profile.encode(cycle.grid, &self.slot.desired, &mut self.outputs);
+        self.station.profile.encode(self.now, &self.slot.desired, &mut self.outputs);
         let built = self.outputs.clone();
-        self.station.profile.encode(cycle.grid, &self.slot.desired, &mut self.outputs);
+        self.station.profile.encode(self.now, &self.slot.desired, &mut self.outputs);
         assert_eq!(built, self.outputs, "built again it is the same");
         self.steepest = self.steepest.max(self.setpoint().wrapping_sub(before).saturating_abs());
     }
@@ -182,10 +160,6 @@ impl Rig {
         let deadline = self.now + PERIOD / 2;
         self.station.sent(self.now, deadline, &mut self.slot);
         self.commit();
-        if !self.rows.is_empty() && self.machine.input.row.is_some() {
-            self.rows.pop_front();
-            self.row += 1;
-        }
         self.mails();
     }
 
@@ -198,16 +172,11 @@ impl Rig {
     fn hear(&mut self) {
         let inputs = self.inputs.clone();
         let at = self.now + 50_000;
-        if self.muted {
-            self.slot.counters.missed += 1;
-            self.slot.exchange = Exchange::Missed;
-        } else {
-            self.station.take(at, &inputs, self.al, &mut self.slot);
-            assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
-        }
+        self.station.take(at, &inputs, self.al, &mut self.slot);
+        assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         self.machine.observe(self.now, self.slot.notices.restarted, &self.slot);
-        self.fresh = std::mem::take(&mut self.slot.notices.fresh);
-        self.restarted |= std::mem::take(&mut self.slot.notices.restarted);
+        self.slot.notices.fresh = false;
+        self.slot.notices.restarted = false;
         self.slot.notices.emergency = None;
         self.now = self.now + PERIOD;
         let (none, outputs) = (Vec::new(), self.outputs.clone());
@@ -236,7 +205,7 @@ impl Rig {
             let (working_counter, data) = came.get(place)?;
             Some(Answer { working_counter: *working_counter, data })
         };
-        let answers = if self.muted { [None, None] } else { [answer(0), answer(1)] };
+        let answers = [answer(0), answer(1)];
         self.station.service.receive(self.now, &answers, &mut self.slot.counters);
         self.station.mailbox_received(&mut self.slot);
     }
@@ -383,110 +352,6 @@ fn enable_goes_from_state_to_state_each_seen() {
 }
 
 #[test]
-fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
-    for plan in [velocity(), position()] {
-        let mut rig = Rig::enabled(plan);
-        for jogged in [1.0, -2.0, 0.5] {
-            rig.order(Rig::jog(jogged));
-            rig.turns(600);
-            assert_eq!(rig.end(), None);
-            assert!((rig.slot.status.velocity - jogged).abs() < 0.02, "{:?}", rig.slot.status);
-            assert!((rig.drive.rpm() - 60.0 * jogged).abs() < 1.0, "{}", rig.drive.rpm());
-            assert!(rig.slot.status.moving);
-        }
-        rig.order(STOP);
-        let took = rig.until("standstill", 1_000, |rig| rig.end().is_some());
-        assert_eq!(rig.end(), Some(Ok(())));
-        assert!((45..100).contains(&took), "from 0.5 with 10: {took}");
-        rig.assert_standing();
-        rig.order(Rig::jog(1.0));
-        rig.turns(300);
-        rig.done(Command::QuickStop);
-        rig.assert_standing();
-        rig.order(Rig::jog(1.0));
-        rig.turns(300);
-        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02, "it goes on as if nothing had been");
-    }
-}
-
-#[test]
-fn moves_end_exactly_where_they_should_without_a_leap() {
-    let mut rig = Rig::enabled(position());
-    rig.steepest = 0;
-    let at = rig.slot.status.demand;
-    for (verb, should) in
-        [(Rig::by(1.5), at + 1.5), (Rig::by(-3.0), at - 1.5), (Rig::to(5.0), 5.0), (Rig::by(0.0), 5.0)]
-    {
-        rig.done(verb);
-        assert!((rig.slot.status.demand - should).abs() < 1e-6, "{verb:?}: {}", rig.slot.status.demand);
-        assert!(rig.slot.status.in_target || rig.slot.status.velocity.abs() > 0.0);
-        rig.turns(100);
-        assert!((rig.slot.status.position - should).abs() < 1e-4 && rig.slot.status.in_target);
-    }
-    let most = (1.0 / 1000.0 * f64::from(1 << 20)) as i32 + 2;
-    assert!(rig.steepest <= most, "a step of {}", rig.steepest);
-}
-
-#[test]
-fn a_move_that_is_replaced_before_it_goes_out_never_was() {
-    let mut rig = Rig::enabled(position());
-    let at = rig.slot.status.demand;
-    rig.order(Rig::by(10.0));
-    rig.prepare();
-    rig.order(Rig::by(0.5));
-    rig.prepare();
-    rig.order(None);
-    rig.prepare();
-    rig.send();
-    rig.hear();
-    rig.turns(300);
-    assert_eq!((rig.slot.status.demand, rig.end()), (at, Some(Ok(()))));
-    // Nor does power go off for a disable that another order replaces in time.
-    rig.order(Rig::by(10.0));
-    rig.turns(300);
-    rig.order(Command::Disable);
-    rig.prepare();
-    assert_eq!(rig.control(), 0);
-    rig.done(STOP);
-    rig.assert_standing();
-    rig.done(Rig::to(at));
-    // And one that runs is replaced where it is.
-    rig.order(Rig::by(10.0));
-    rig.turns(300);
-    rig.done(Rig::to(at));
-    assert!((rig.slot.status.demand - at).abs() < 1e-6);
-}
-
-#[test]
-fn rows_are_followed_to_the_last_one_an_exchange() {
-    let mut rig = Rig::enabled(position());
-    let at = rig.slot.status.demand;
-    for n in 1..=300_u32 {
-        let phase = f64::from(n) / 300.0;
-        let place = at + 0.2 * phase * phase * (3.0 - 2.0 * phase);
-        rig.rows.push_back(Row { position: place, last: n == 300, ..Row::default() });
-    }
-    rig.order(Command::Follow);
-    rig.until("the end", 1_000, |rig| rig.end().is_some());
-    assert_eq!(rig.end(), Some(Ok(())));
-    assert!(rig.rows.is_empty());
-    assert!((rig.slot.status.demand - at - 0.2).abs() < 1e-6);
-    rig.assert_standing();
-    // In the middle of rows a stop ramps down.
-    for n in 1..=300_u32 {
-        let place = at + 0.2 + 0.001 * f64::from(n);
-        rig.rows.push_back(Row { position: place, last: false, ..Row::default() });
-    }
-    rig.order(Command::Follow);
-    rig.turns(200);
-    rig.rows.clear();
-    rig.steepest = 0;
-    rig.done(STOP);
-    assert!(rig.steepest < 1_200, "{}", rig.steepest);
-    rig.assert_standing();
-}
-
-#[test]
 fn what_it_cannot_do_is_refused_at_once_by_name() {
     let unsupported = |rig: &mut Rig, verb| {
         rig.order(verb);
@@ -610,44 +475,6 @@ fn a_halt_that_is_not_over_ends_with_the_next_motion() {
 }
 
 #[test]
-fn a_drive_found_running_goes_on_until_it_is_stopped_along_a_ramp() {
-    for plan in [velocity(), position()] {
-        let mut rig = Rig::enabled(plan.clone());
-        rig.order(Rig::jog(1.0));
-        rig.turns(500);
-        // Another master, that knows nothing: it only looks on.
-        let (mut second, native, _) = Station::new(&plan, PERIOD, 0);
-        let mut slot = Slot { link: Link::Online, ..Slot::default() };
-        second.operational(Some(AlState::Op), &mut slot);
-        for _ in 0..50 {
-            second.profile.encode(rig.now, &slot.desired, &mut [0; 6]);
-            assert!(!second.profile.writes());
-            second.sent(rig.now, rig.now + PERIOD / 2, &mut slot);
-            second.take(rig.now + 50_000, &rig.inputs, AlState::Op, &mut slot);
-            rig.turn();
-        }
-        second.service.open(true);
-        (rig.station, rig.native, rig.slot) = (second, native, slot);
-        assert!(rig.slot.status.moving && (rig.slot.status.velocity - 1.0).abs() < 0.02);
-        rig.order(None);
-        rig.turns(100);
-        assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F));
-        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.status);
-        let mut before = rig.slot.status.velocity;
-        rig.order(STOP);
-        while rig.end().is_none() {
-            rig.turn();
-            let velocity = rig.slot.status.velocity;
-            assert!((velocity - before).abs() < 0.2, "{velocity} behind {before}");
-            before = velocity;
-            assert_eq!(rig.drive.axis_state(), State::OperationEnabled, "its power stays on");
-        }
-        assert_eq!(rig.end(), Some(Ok(())));
-        rig.assert_standing();
-    }
-}
-
-#[test]
 fn homing_is_done_by_the_drive_in_its_own_mode_and_without_a_leap_of_the_velocity() {
     for plan in [position(), velocity()] {
         let mut rig = Rig::enabled(plan);
@@ -710,48 +537,13 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
 }
 
 #[test]
-fn a_fault_ends_the_motion_by_its_number_and_is_reset_to_power_off() {
-    for plan in [velocity(), position()] {
-        let mut rig = Rig::enabled(plan);
-        rig.order(Rig::jog(1.0));
-        rig.turns(200);
-        rig.drive.provoke(Fault::OVERVOLTAGE);
-        rig.until("its end", 300, |rig| rig.end().is_some());
-        assert_eq!(rig.end(), Some(Err(Failure::DriveFault(0x3110))));
-        assert_eq!(rig.slot.status.fault, 0x3110);
-        rig.until("standstill", 500, |rig| rig.state() == State::Fault);
-        assert_eq!(rig.run(Command::Enable), Err(Failure::DriveFault(0x3110)));
-        rig.done(Command::ResetFault);
-        assert_eq!((rig.state(), rig.slot.status.fault), (State::SwitchOnDisabled, 0));
-        rig.turns(300);
-        assert_eq!(rig.drive.axis_state(), State::SwitchOnDisabled, "a reset never switches on");
-        rig.done(Command::Enable);
-        rig.assert_standing();
-    }
+fn a_fault_that_needs_a_cold_start_is_not_reset() {
     let mut rig = Rig::enabled(velocity());
     rig.drive.provoke(Fault::EARTH);
     rig.turns(200);
     assert!(
         matches!(rig.run(Command::ResetFault), Err(Failure::Unsupported(why)) if why.contains("cold start"))
     );
-}
-
-#[test]
-fn a_missing_hardware_enable_is_named() {
-    let mut rig = Rig::new(velocity());
-    rig.drive.inhibit(rig.now + 2 * S);
-    assert_eq!(rig.run(Command::Enable), Err(Failure::Inhibited));
-    assert!(rig.slot.status.inhibited);
-    rig.turns(2_500);
-    assert!(!rig.slot.status.inhibited, "only telling it again will show whether it is back");
-    rig.done(Command::Enable);
-    rig.order(Rig::jog(1.0));
-    rig.turns(200);
-    rig.drive.inhibit(rig.now + S);
-    rig.until("its end", 100, |rig| rig.end().is_some());
-    assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))) && rig.slot.status.inhibited);
-    rig.turns(2_000);
-    assert!(!rig.state().is_powered(), "it does not come back by itself");
 }
 
 #[test]
@@ -775,70 +567,6 @@ fn a_drive_that_falls_to_safeop_is_not_told_as_enabled_and_does_not_come_back_by
     }
     rig.done(Command::Enable);
     rig.assert_standing();
-}
-
-#[test]
-fn a_restart_is_told_and_what_ran_has_ended() {
-    let mut rig = Rig::enabled(position());
-    rig.done(Command::Home);
-    rig.order(Rig::by(100.0));
-    rig.turns(300);
-    rig.drive.restart(rig.now);
-    rig.station.restarted();
-    rig.bring_up();
-    rig.turns(100);
-    assert!(rig.restarted && matches!(rig.end(), Some(Err(Failure::Dropped(_)))));
-    assert_eq!((rig.control(), rig.slot.status.homed), (0, false));
-    assert!(rig.slot.status.velocity.abs() < 2.0);
-    rig.done(Command::Enable);
-    rig.done(Rig::by(0.1));
-}
-
-#[test]
-fn a_jog_ends_at_the_position_limit() {
-    for (plan, near) in [(position(), 1e-6), (velocity(), 0.05)] {
-        let mut plan = plan;
-        plan.axis.limits.position = Some((-1.0, 1.0));
-        let mut rig = Rig::enabled(plan);
-        rig.done(Command::Home);
-        rig.turns(50);
-        for direction in [1.0, -1.0] {
-            let end = rig.run(Rig::jog(direction));
-            assert!(matches!(end, Err(Failure::Limit { what: "position", .. })), "{end:?}");
-            let place = rig.slot.status.demand * direction;
-            assert!(place <= 1.0 + near && place > 1.0 - near, "{place}");
-            rig.assert_standing();
-            rig.order(Rig::jog(direction));
-            rig.prepare();
-            assert!(matches!(rig.end(), Some(Err(Failure::Limit { .. }))), "further is refused");
-        }
-    }
-    let mut plan = position();
-    plan.axis.limits.position = Some((-1.0, 1.0));
-    let mut rig = Rig::enabled(plan);
-    assert!(matches!(rig.run(Rig::by(2.0)), Err(Failure::Limit { .. })));
-    rig.assert_standing();
-}
-
-#[test]
-fn an_order_is_not_done_by_what_was_heard_before_it() {
-    for (first, second, powered) in [
-        (Command::Disable, Command::Enable, true),
-        (Command::Disable, STOP, false),
-        (Command::Disable, Command::QuickStop, false),
-    ] {
-        let mut rig = Rig::enabled(velocity());
-        rig.muted = true;
-        rig.order(first);
-        rig.turns(1);
-        rig.order(second);
-        rig.muted = false;
-        rig.until("an end", 1_000, |rig| rig.end().is_some());
-        assert_eq!(rig.end(), Some(Ok(())), "{second:?}");
-        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
-        rig.turns(300);
-        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
-    }
 }
 
 #[test]

@@ -31,7 +31,8 @@ const ETHERTYPE_AT: usize = 12;
 const LENGTH_AT: usize = 14;
 const LENGTH_MASK: u16 = 0x07FF;
 const TYPE_DATAGRAMS: u16 = 1 << 12;
-const CIRCULATED: u16 = 1 << 14;
+/// The bit in the length of a datagram that circulated.
+pub const CIRCULATED: u16 = 1 << 14;
 const MORE: u16 = 1 << 15;
 
 /// An Ethernet address.
@@ -39,6 +40,17 @@ pub type Mac = [u8; 6];
 
 /// The customary destination: everybody.
 pub const BROADCAST: Mac = [0xFF; 6];
+
+/// The bit of a source address that the first slave sets in passing.
+pub const PASSED: u8 = 1 << 1;
+
+/// The source of a frame, as it was sent.
+#[inline]
+pub fn source(frame: &[u8]) -> Option<Mac> {
+    let [first, rest @ ..] = *frame.get(6..)?.first_chunk::<6>()?;
+    let [b, c, d, e, f] = rest;
+    Some([first & !PASSED, b, c, d, e, f])
+}
 
 /// The command and the address of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -263,36 +275,6 @@ pub fn set_command(frame: &mut [u8], place: Place, command: Command) {
 pub fn set_index(frame: &mut [u8], place: Place, index: u8) {
     if let Some(byte) = frame.get_mut(place.at + 1) {
         *byte = index;
-    }
-}
-
-/// The result of comparing a datagram with its reply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Returned {
-    /// It is the reply, with this working counter.
-    Counted(u16),
-    /// It is the reply, but circulated without passing the master.
-    Circulated,
-    /// It is another one.
-    Other,
-}
-
-/// Compares the datagram at `place` of a received frame with the one sent there: everything that no slave changes
-/// has to be the same. `stays`: its address is not counted up by the slaves.
-pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
-    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position
-    /// is counted up.
-    const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
-    const POSITION: u64 = 0xFFFF << 16;
-    let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
-    let counter = received.get(place.data().end..).and_then(<[u8]>::first_chunk);
-    let (Some(sent), Some(read), Some(counter)) = (header(sent), header(received), counter) else {
-        return Returned::Other;
-    };
-    match (sent ^ read) & if stays { u64::MAX } else { !POSITION } {
-        0 => Returned::Counted(u16::from_le_bytes(*counter)),
-        WENT_ROUND => Returned::Circulated,
-        _ => Returned::Other,
     }
 }
 

@@ -131,10 +131,7 @@ impl MailboxError {
 
 impl fmt::Display for MailboxError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.name() {
-            Some(name) => write!(f, "{:#06x} {name}", self.0),
-            None => write!(f, "{:#06x}", self.0),
-        }
+        super::write_code(f, self.0.into(), 6, self.name())
     }
 }
 

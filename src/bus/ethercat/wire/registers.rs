@@ -232,10 +232,7 @@ impl AlCode {
 
 impl fmt::Display for AlCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.name() {
-            Some(name) => write!(f, "{:#06x} {name}", self.0),
-            None => write!(f, "{:#06x}", self.0),
-        }
+        super::write_code(f, self.0.into(), 6, self.name())
     }
 }
 
@@ -334,6 +331,11 @@ impl SyncManager {
             control,
             activate,
         }
+    }
+
+    /// The same, whether it arms a watchdog or not.
+    pub const fn unwatched(self) -> SyncManager {
+        SyncManager { control: self.control & !SyncManager::WATCHDOG, ..self }
     }
 
     /// The master writes it.

@@ -19,6 +19,11 @@ impl Object {
     pub const fn new(index: u16, sub: u8) -> Object {
         Object { index, sub }
     }
+
+    /// Index and subindex as one number.
+    pub const fn key(self) -> u32 {
+        (self.index as u32) << 8 | self.sub as u32
+    }
 }
 
 impl fmt::Display for Object {
@@ -257,8 +262,6 @@ impl AbortCode {
     pub const TIMED_OUT: AbortCode = AbortCode(0x0504_0000);
     /// An unknown command.
     pub const COMMAND: AbortCode = AbortCode(0x0504_0001);
-    /// The object can only be written.
-    pub const WRITE_ONLY: AbortCode = AbortCode(0x0601_0001);
     /// The object can only be read.
     pub const READ_ONLY: AbortCode = AbortCode(0x0601_0002);
     /// Complete access is not supported.
@@ -318,10 +321,7 @@ impl AbortCode {
 
 impl fmt::Display for AbortCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.name() {
-            Some(name) => write!(f, "{:#010x} {name}", self.0),
-            None => write!(f, "{:#010x}", self.0),
-        }
+        super::write_code(f, self.0, 10, self.name())
     }
 }
 

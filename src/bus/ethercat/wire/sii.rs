@@ -13,8 +13,6 @@ pub mod word {
     pub const PRODUCT: u16 = 0x0A;
     /// See [`VENDOR`].
     pub const REVISION: u16 = 0x0C;
-    /// See [`VENDOR`].
-    pub const SERIAL: u16 = 0x0E;
     /// Offset and size of the mailbox that the master writes.
     pub const MAILBOX_OUT: u16 = 0x18;
     /// Offset and size of the mailbox that the master reads.

@@ -56,11 +56,7 @@ impl Slave {
             let at = usize::from(number) * SyncManager::SIZE;
             let bytes = managers.data.get(at..).and_then(<[u8]>::first_chunk::<{ SyncManager::SIZE }>);
             // Whether it arms a watchdog is checked separately.
-            let unwatched = |manager: SyncManager| SyncManager {
-                control: manager.control & !SyncManager::WATCHDOG,
-                ..manager
-            };
-            bytes.is_some_and(|bytes| unwatched(SyncManager::new(*bytes)) == unwatched(wanted))
+            bytes.is_some_and(|bytes| SyncManager::new(*bytes).unwatched() == wanted.unwatched())
         };
         let arms = |(number, wanted): (u16, SyncManager)| {
             let control = managers.data.get(usize::from(number) * SyncManager::SIZE + 4);

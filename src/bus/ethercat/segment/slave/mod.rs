@@ -89,8 +89,8 @@ pub struct Context<'a> {
 impl Context<'_> {
     /// SYNC0 of all others has this offset.
     fn is_phase(&self, phase_ns: u64) -> bool {
-        let period = self.clock.period_ns() as i64;
-        let off = phase_ns as i64 - self.clock.phase_ns() as i64;
+        let period = self.clock.period_ns as i64;
+        let off = phase_ns as i64 - self.clock.phase_ns as i64;
         ((off + period / 2).rem_euclid(period) - period / 2).abs() <= SYNC_OFF_NS
     }
 }
@@ -175,10 +175,7 @@ enum Step {
     Code,
 }
 
-const STATE: [Start; 2] = [
-    Start { object: MODE_DISPLAY, kind: Type::I8, raw: 0 },
-    Start { object: STATUS_WORD, kind: Type::U16, raw: 0 },
-];
+const STATE: [Start; 2] = [Start::new(MODE_DISPLAY, Type::I8, 0), Start::new(STATUS_WORD, Type::U16, 0)];
 
 /// A list of objects, and what is done with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

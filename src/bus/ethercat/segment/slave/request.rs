@@ -162,7 +162,7 @@ impl Slave {
                 let start = self.sync_start(ahead_ns, segment_ns);
                 ask.write(self.writes(address::DC_START), &start.to_le_bytes());
                 // SYNC1 stays off: its cycle is 0.
-                ask.write(self.writes(address::DC_CYCLE), &context.clock.period_ns().to_le_bytes());
+                ask.write(self.writes(address::DC_CYCLE), &context.clock.period_ns.to_le_bytes());
             }
             Step::SyncOn { .. } => {
                 ask.write(self.writes(address::DC_CONTROL), &SYNC0_ON);

@@ -9,18 +9,6 @@ impl Drive {
         (size(OUTPUT_PDO), size(INPUT_PDO))
     }
 
-    /// Its answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
-    /// (assumed).
-    pub fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
-        let wanted = self.sizes();
-        match self.settings.family {
-            _ if (outputs, inputs) == wanted => Ok(()),
-            Family::S700 => Err(AlCode::SYNC_MANAGER),
-            Family::Akd if outputs != wanted.0 => Err(AlCode(0x001D)),
-            Family::Akd => Err(AlCode(0x001E)),
-        }
-    }
-
     /// The PDO that is selected.
     pub(super) fn selected(&self, assignment: u16) -> Option<&Layout> {
         let count = self.objects.get(Object::new(assignment, 0));

@@ -1,5 +1,7 @@
 //! The drive's reports: status words and actual values.
 
+use std::ops::BitOr;
+
 use super::*;
 
 /// Bits of the manufacturer's status, 1002h (CAN manual).
@@ -24,31 +26,26 @@ impl Drive {
             Mode::INTERPOLATED => (started, false),
             _ => (false, false),
         };
-        [
+        let bits = set_bits([
             (powered, W::VOLTAGE),
             (!self.sync.is_synchronous(), W::WARNING),
             (self.is_reached(), W::TARGET_REACHED),
             (runs && bit_12, W::MODE_12),
             (runs && bit_13, W::MODE_13),
-        ]
-        .into_iter()
-        .filter(|(set, _)| *set)
-        .fold(W::of(self.state).with(W::REMOTE), |word, (_, bit)| word.with(bit))
+        ]);
+        W::of(self.state).with(W::REMOTE | bits)
     }
 
     fn manufacturer_status(&self) -> u32 {
         use manufacturer as M;
-        [
+        set_bits([
             (!self.motor.is_standing(), M::MOTION),
             (self.homed, M::REFERENCE),
             (self.is_reached(), M::IN_POSITION),
             (self.state.is_powered(), M::POWER),
             (self.fault.is_some(), M::ERROR),
             (self.state == State::QuickStopActive, M::EMERGENCY_STOP),
-        ]
-        .into_iter()
-        .filter(|(set, _)| *set)
-        .fold(0, |word, (_, bit)| word | bit)
+        ])
     }
 
     /// Actual values. The status word is constant outside of SAFEOP and OP (EtherCAT manual).
@@ -80,4 +77,9 @@ impl Drive {
             self.objects.set(STATUS_WORD, self.status().0.into());
         }
     }
+}
+
+/// The word of those bits that are set.
+fn set_bits<T: Default + BitOr<Output = T>>(bits: impl IntoIterator<Item = (bool, T)>) -> T {
+    bits.into_iter().filter(|(set, _)| *set).fold(T::default(), |word, (_, bit)| word | bit)
 }
