@@ -177,8 +177,8 @@ impl Simulation {
         done(self)
     }
 
-    /// Posts `command` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
-    /// ended. Other events are appended to [`events`](Simulation::events).
+    /// Posts `command` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has
+    /// not ended. Other events are appended to [`events`](Simulation::events).
     pub fn execute(
         &mut self,
         index: usize,

@@ -23,7 +23,7 @@ use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
-use support::counting::{Counting, allocations, count, watch};
+use support::counting::{Counting, allocations, watch};
 use support::{LONG, Machine};
 
 #[global_allocator]

@@ -1,8 +1,8 @@
 //! A serial port on the real-time thread: bytes on a wire that others may share.
 //!
-//! The port is opened, set and re-opened by the link thread, like a connection. A telegram that the driver takes in parts
-//! only is continued by the bus. The driver's queue says how much is still to be sent; what its hardware holds beyond
-//! that is a matter of time ([`SerialLine::span_ns`]).
+//! The port is opened, set and re-opened by the link thread, like a connection. A telegram that the driver takes in
+//! parts only is continued by the bus. The driver's queue says how much is still to be sent; what its hardware holds
+//! beyond that is a matter of time ([`SerialLine::span_ns`]).
 
 use super::stream::{Broken, Streams};
 use crate::time::S;

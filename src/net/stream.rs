@@ -2,8 +2,8 @@
 //!
 //! The loop owns the connections that are ready and does bounded work on them. Blocking work (opening, handshake
 //! and closing) is done outside the loop by [`link`](super::link). Each connection has one owner at any time, and
-//! changes owners by wait-free queues. A session is a connection that stays outside the loop: what it exchanges with the
-//! loop goes through wait-free queues of its own.
+//! changes owners by wait-free queues. A session is a connection that stays outside the loop: what it exchanges with
+//! the loop goes through wait-free queues of its own.
 
 use std::fmt::Debug;
 use std::net::{Ipv4Addr, SocketAddrV4};

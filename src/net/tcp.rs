@@ -31,8 +31,8 @@ use crate::time::Time;
 /// The most reads of a discard: each takes one room.
 const DISCARDS: usize = 64;
 
-/// Connections to fixed peers, or a serial port. When dropped at the loop's end it closes its open connections in order, so that the
-/// last outputs arrive.
+/// Connections to fixed peers, or a serial port. When dropped at the loop's end it closes its open connections in
+/// order, so that the last outputs arrive.
 #[derive(Debug)]
 pub struct Tcp {
     /// `None`: a single connection is read itself.

@@ -1,5 +1,5 @@
-//! Drives with an address of their own, their sockets, and their own clocks: the same behind real sockets and in virtual
-//! time. Whoever serves them carries what is under way.
+//! Drives with an address of their own, their sockets, and their own clocks: the same behind real sockets and in
+//! virtual time. Whoever serves them carries what is under way.
 
 use std::io;
 use std::mem::take;

@@ -212,8 +212,8 @@ impl Station {
             self.rtc.give_way();
         }
         if self.identity.suspect {
-            // Its definition differs from the earlier ones, so that the echo distinguishes its reply from all late ones: if
-            // they were always one cycle behind, each would pass for the newest for ever.
+            // Its definition differs from the earlier ones, so that the echo distinguishes its reply from all late
+            // ones: if they were always one cycle behind, each would pass for the newest for ever.
             request.response_def.0 ^= self.odd.0;
         }
         let tag = match (config, called) {

@@ -1,6 +1,6 @@
 //! One connection's life: pause, connect, handshake, hand over, take back; or, for a session, stay. A machine of state
-//! and time, without a socket or a clock, so that the link thread and a virtual world run the same one. A serial port is
-//! such a connection, too: one that is open at once, without a handshake.
+//! and time, without a socket or a clock, so that the link thread and a virtual world run the same one. A serial port
+//! is such a connection, too: one that is open at once, without a handshake.
 //!
 //! Its caller has the socket. Every event returns the [`Action`] that follows from it; with
 //! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) no wait is longer than the [`StreamPeer`] allows.
@@ -267,8 +267,8 @@ impl Connection {
         }
     }
 
-    /// It ends, or could not be opened, for this reason. Pauses, the next time twice as long; a pause is shortened by the
-    /// peer's share of the spread. Whoever was in use for long begins with the least pause again.
+    /// It ends, or could not be opened, for this reason. Pauses, the next time twice as long; a pause is shortened by
+    /// the peer's share of the spread. Whoever was in use for long begins with the least pause again.
     pub fn refused(&mut self, now: Time, why: String) -> Action {
         match self.phase {
             Phase::HandedOver { since } | Phase::Kept { since }

@@ -104,7 +104,8 @@ pub(super) trait Duty: Send {
     /// Descriptor `index` of this carrier is ready.
     fn happened(&mut self, index: usize, events: EpollFlags, hand: &mut Hand<'_>);
 
-    /// Looks at its queues and at the time, after each wait; `woken`: and at those of its sessions. False: the loop's side is gone, and with it this.
+    /// Looks at its queues and at the time, after each wait; `woken`: and at those of its sessions. False: the loop's
+    /// side is gone, and with it this.
     fn turn(&mut self, woken: bool, hand: &mut Hand<'_>) -> bool;
 }
 

@@ -207,8 +207,8 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
     disturbance.into_iter().chain(found.into_iter().map(News::change)).collect()
 }
 
-/// The events as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that
-/// it happened to.
+/// The events as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives
+/// that it happened to.
 pub fn text(header: &Header, records: &[Record], cycles: u64) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

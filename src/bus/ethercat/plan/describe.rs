@@ -96,7 +96,7 @@ impl KollmorgenDrive {
             vec![format!("{family}, {}{}", self.slave.identity.describe(), self.slave.unchecked())];
         lines.push(self.describe_pdos());
         lines.extend(self.setpoint().map(|setpoint| self.describe_setpoint(setpoint)));
-        lines.extend(self.setpoint().map(|setpoint| verbs(setpoint).to_owned()));
+        lines.extend(self.setpoint().map(|setpoint| commands(setpoint).to_owned()));
         if !self.check_prbase {
             lines.push(
                 "its increments per turn (608Fh) are not compared with prbase (check_prbase = false)".into(),
@@ -188,7 +188,7 @@ impl KollmorgenDrive {
 }
 
 /// What it does, by what it is told.
-fn verbs(setpoint: Setpoint) -> &'static str {
+fn commands(setpoint: Setpoint) -> &'static str {
     match setpoint {
         Setpoint::Position(_) => "takes moves, streams, jogs, velocities and homing",
         Setpoint::Velocity(_) => "takes velocities, jogs and homing; no moves, no streams",

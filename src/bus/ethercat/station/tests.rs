@@ -244,9 +244,9 @@ impl Rig {
         }
     }
 
-    fn order(&mut self, verb: impl Into<Option<Command>>) {
-        let verb = verb.into();
-        self.machine.start(self.now, verb);
+    fn order(&mut self, command: impl Into<Option<Command>>) {
+        let command = command.into();
+        self.machine.start(self.now, command);
     }
 
     fn end(&self) -> Option<Result<(), Failure>> {
@@ -263,14 +263,14 @@ impl Rig {
         panic!("not within {most} cycles: {what}; {:?}, {:?}", self.slot, self.machine);
     }
 
-    fn run(&mut self, verb: Command) -> Result<(), Failure> {
-        self.order(verb);
-        self.until(&format!("the end of {verb:?}"), 20_000, |rig| rig.end().is_some());
+    fn run(&mut self, command: Command) -> Result<(), Failure> {
+        self.order(command);
+        self.until(&format!("the end of {command:?}"), 20_000, |rig| rig.end().is_some());
         self.end().unwrap()
     }
 
-    fn done(&mut self, verb: Command) {
-        assert_eq!(self.run(verb), Ok(()), "{verb:?}");
+    fn done(&mut self, command: Command) {
+        assert_eq!(self.run(command), Ok(()), "{command:?}");
     }
 
     fn enabled(plan: KollmorgenDrive) -> Rig {
@@ -353,8 +353,8 @@ fn enable_goes_from_state_to_state_each_seen() {
 
 #[test]
 fn what_it_cannot_do_is_refused_at_once_by_name() {
-    let unsupported = |rig: &mut Rig, verb| {
-        rig.order(verb);
+    let unsupported = |rig: &mut Rig, command| {
+        rig.order(command);
         rig.prepare();
         matches!(rig.end(), Some(Err(Failure::Unsupported(_))))
     };

@@ -160,7 +160,7 @@ pub fn parse(mailbox: &[u8]) -> Option<Message<'_>> {
             Some(Message::Refused(MailboxError(u16::from_le_bytes([low, high]))))
         }
         kind::COE => {
-            let Some(([_, high], data)) = body.split_first_chunk() else { return None };
+            let ([_, high], data) = body.split_first_chunk()?;
             match high >> 4 {
                 service::EMERGENCY => {
                     let &[a, b, register, c, d, e, f, g] = data.first_chunk::<EMERGENCY>()?;

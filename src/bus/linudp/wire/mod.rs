@@ -464,8 +464,8 @@ impl Request {
         RequestDef(self.reserved.0 & RequestDef::RESERVED.0).with(control).with(motion).with(config)
     }
 
-    /// Reads a request, as leniently as a drive does: masters in the field rely on it. The last block may be cut short (a
-    /// motion command down to its header, a config block down to its first word), the missing bytes are 0, and bytes
+    /// Reads a request, as leniently as a drive does: masters in the field rely on it. The last block may be cut short
+    /// (a motion command down to its header, a config block down to its first word), the missing bytes are 0, and bytes
     /// after the last block are ignored.
     pub fn parse(bytes: &[u8]) -> Result<Request, ParseError> {
         let (request, response) = definitions(bytes)?;
