@@ -366,11 +366,10 @@ impl Rig {
         assert!(request.response_def.contains(needed));
         assert_eq!(request.config.is_some(), request.response_def.contains(ResponseDef::CONFIG));
         assert!(request.config.is_some() || !self.counted());
-        // The id of its motion command, but for "no operation", and the fields.
+        // The id of its motion command, but for "no operation", and the fields; native ones may be unknown.
         let command = request.motion.map(|block| (block.header >> 4, block.parameters));
         let command = command.filter(|(id, _)| *id != 0).map(|(id, parameters)| {
-            let info = CommandInfo::of(id).expect("a command of the manual");
-            (id, info.values(&parameters))
+            (id, CommandInfo::of(id).map_or([0; 5], |info| info.values(&parameters)))
         });
         let Desired { power, motion, setpoint, .. } = self.slot.desired;
         assert!(self.ordered || power.serial == 0, "nothing is desired before the first command");
