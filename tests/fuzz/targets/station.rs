@@ -438,7 +438,7 @@ impl Rig {
             }
             (_, other) => panic!("a move to {target} in {other:?}"),
         };
-        let position = self.drive.axis.units.position(target.into());
+        let position = self.drive.axis.units.position(target);
         // Rounded to a count.
         assert!((low - 1e-4..=high + 1e-4).contains(&position), "a move to {position} in {command:?}");
     }

@@ -168,7 +168,10 @@ proptest! {
     #[test]
     fn whatever_happens_there_is_one_socket_one_owner_and_an_end_to_every_wait(
         // Times in all orders of magnitude.
-        steps in prop::collection::vec((0..10_u8, 0..4_usize, (0..35_u32).prop_flat_map(|bits| 0..1_u64 << bits)), 0..200)
+        steps in prop::collection::vec(
+            (0..10_u8, 0..4_usize, (0..35_u32).prop_flat_map(|bits| 0..1_u64 << bits)),
+            0..200,
+        )
     ) {
         let (mut connection, toy, _) = session();
         // Whether there is a socket, whether the loop has it, and how often it got it.
