@@ -176,7 +176,7 @@ fn reply(request_def: RequestDef, response_def: ResponseDef, state: MainState) -
 }
 
 /// The station of a Unidrive, and a drive that answers it from memory.
-struct Asked {
+struct Requested {
     machine: Machine,
     station: modbus::Station,
     /// Kept, as an application would.
@@ -186,9 +186,9 @@ struct Asked {
     cycle: Cycle,
 }
 
-impl Asked {
+impl Requested {
     /// An axis in operation and turning.
-    fn operational() -> Asked {
+    fn operational() -> Requested {
         let drive = unidrive::drive(Ipv4Addr::new(127, 90, 1, 10));
         let found = Arc::new(Found::default());
         found.set(Finding {
@@ -203,17 +203,18 @@ impl Asked {
         let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found);
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machine = machine(&modbus::ModbusPlan::new(vec![drive]), 0);
-        let mut asked = Asked { machine, station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
-        asked.station.connected(&mut asked.slot);
-        asked.turn();
-        asked.machine.start(asked.cycle.grid, Some(Command::Enable));
-        (0..5).for_each(|_| asked.turn());
-        assert_eq!(asked.slot.status.state, State::OperationEnabled);
-        assert_eq!(asked.machine.end(), Some(Ok(())));
-        asked.machine.start(asked.cycle.grid, Some(Command::Velocity { acceleration: 1_000.0 }));
-        (0..5).for_each(|_| asked.turn());
-        assert_eq!(asked.machine.end(), None, "it goes on following");
-        asked
+        let mut requested =
+            Requested { machine, station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
+        requested.station.connected(&mut requested.slot);
+        requested.turn();
+        requested.machine.start(requested.cycle.grid, Some(Command::Enable));
+        (0..5).for_each(|_| requested.turn());
+        assert_eq!(requested.slot.status.state, State::OperationEnabled);
+        assert_eq!(requested.machine.end(), Some(Ok(())));
+        requested.machine.start(requested.cycle.grid, Some(Command::Velocity { acceleration: 1_000.0 }));
+        (0..5).for_each(|_| requested.turn());
+        assert_eq!(requested.machine.end(), None, "it goes on following");
+        requested
     }
 
     /// One exchange with a drive that takes everything.
@@ -414,8 +415,8 @@ fn counted(scenario: Scenario) -> Ran {
             count(&mut || exchanged.turn())
         }
         modbus::PROTOCOL => {
-            let mut asked = Asked::operational();
-            count(&mut || asked.exchange(Canned::answer_again))
+            let mut requested = Requested::operational();
+            count(&mut || requested.exchange(Canned::answer_again))
         }
         _ => {
             let mut linked = Linked::operational(scenario.drives);
@@ -518,10 +519,10 @@ fn linudp(criterion: &mut Criterion) -> Counters {
 fn modbus(criterion: &mut Criterion) -> Counters {
     let mut group = criterion.benchmark_group(modbus::PROTOCOL);
     group.throughput(Throughput::Elements(1));
-    let mut asked = Asked::operational();
-    group.bench_function("exchange", |bencher| bencher.iter(|| asked.exchange(Canned::answer_again)));
+    let mut requested = Requested::operational();
+    group.bench_function("exchange", |bencher| bencher.iter(|| requested.exchange(Canned::answer_again)));
     // What of it is no master's: the drive that hears and answers, the clock, the application.
-    let mut around = Around::new(asked.station.to_send());
+    let mut around = Around::new(requested.station.to_send());
     group.bench_function("drive", |bencher| bencher.iter(|| around.exchange()));
     let mut data = RegistersBuffer::new();
     for value in [i32::from(UnidriveControl::FORWARD.0), 12_345] {
@@ -541,7 +542,7 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     let reply = &bytes[..length];
     group.bench_function("decode", |bencher| bencher.iter(|| ModbusResponse::parse(black_box(reply))));
     group.finish();
-    asked.slot.counters
+    requested.slot.counters
 }
 
 fn ethercat(criterion: &mut Criterion, lines: &mut [Linked; 2]) -> Counters {

@@ -39,16 +39,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // By tickets, while the axis moves: nothing here waits.
     x.post(Command::Move(Move { target: Target::Absolute(300.0), profile: x.profile() }))?;
     let mut hottest = i16::MIN;
-    let mut asked = parameter.post_read::<i16>("core-temperature")?;
+    let mut requested = parameter.post_read::<i16>("core-temperature")?;
     for _ in 0..50 {
-        if let Some(answer) = asked.poll() {
+        if let Some(answer) = requested.poll() {
             hottest = hottest.max(answer?);
-            asked = parameter.post_read("core-temperature")?;
+            requested = parameter.post_read("core-temperature")?;
         }
         sleep(Duration::from_millis(10));
     }
     // A dropped ticket cancels its call.
-    drop(asked);
+    drop(requested);
     println!(
         "at {:.1} mm, {:.1} C at most on the way",
         x.feedback().status.position,

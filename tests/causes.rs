@@ -81,7 +81,7 @@ struct Bench {
     _first: Program,
     second: Program,
     master: Master,
-    told: Arc<Told>,
+    reported: Arc<Told>,
 }
 
 /// What the in-loop task is to do in its next cycle, once.
@@ -131,9 +131,9 @@ impl Bench {
             sim.await_text("listening");
             sim
         });
-        let told = Arc::new(Told::default());
-        told.work_ns.store(DISTURBANCE_NS, Ordering::Relaxed);
-        let telling = Arc::clone(&told);
+        let reported = Arc::new(Told::default());
+        reported.work_ns.store(DISTURBANCE_NS, Ordering::Relaxed);
+        let telling = Arc::clone(&reported);
         let mut slack = 0;
         let master = Master::from_plan(plan)
             .with_task(move |_, _| {
@@ -163,7 +163,7 @@ impl Bench {
             .unwrap();
         helper_thread(master.granted().core);
         master.wait_online(LONG).unwrap();
-        Bench { _machine: machine, _first, second, master, told }
+        Bench { _machine: machine, _first, second, master, reported }
     }
 
     /// Brings `what` about again and again; it returns the time in which it did.
@@ -211,8 +211,8 @@ impl Bench {
     /// Asks the task to do something, and waits until it has.
     fn tell(&self, what: fn(&Told) -> &AtomicBool) -> (Time, Time) {
         let from = MonotonicClock::read();
-        what(&self.told).store(true, Ordering::Relaxed);
-        while what(&self.told).load(Ordering::Relaxed) {
+        what(&self.reported).store(true, Ordering::Relaxed);
+        while what(&self.reported).load(Ordering::Relaxed) {
             sleep(Duration::from_micros(50));
         }
         (from, MonotonicClock::read() + DISTURBANCE_NS)
@@ -236,8 +236,8 @@ impl Found {
     /// What was found of other classes than `done` and `excused`, beyond what the host does by itself: its count, and
     /// three standard deviations of a Poisson one. Where the host does so in the midst of what was done, the delay is
     /// both; that is one in ten of its own at most, since what was done takes a tenth of the time.
-    fn wrong(&self, done: usize, excused: Option<usize>) -> usize {
-        let others = (0..CLASSES.len()).filter(|class| *class != done && Some(*class) != excused);
+    fn wrong(&self, done: usize, expected_silence: Option<usize>) -> usize {
+        let others = (0..CLASSES.len()).filter(|class| *class != done && Some(*class) != expected_silence);
         let beyond = others.map(|class| {
             let host = self.host[class];
             self.row[class].saturating_sub(host + (3.0 * (host as f64).sqrt()).ceil() as usize)
@@ -260,7 +260,7 @@ fn preempted() -> Found {
     let bench = Bench::start(1, Realtime::Require, Guard::Off);
     let core = bench.master.granted().core.unwrap();
     let (go, wait) = unbounded::<()>();
-    let (tell, told): (_, Receiver<(Time, Time)>) = unbounded();
+    let (tell, reported): (_, Receiver<(Time, Time)>) = unbounded();
     let thread = std::thread::spawn(move || {
         let plan = RealtimePlan {
             realtime: Realtime::Require,
@@ -278,7 +278,7 @@ fn preempted() -> Found {
     });
     let row = bench.disturb(ROUNDS, move |_| {
         go.send(()).unwrap();
-        told.recv().unwrap()
+        reported.recv().unwrap()
     });
     thread.join().unwrap();
     row
@@ -298,7 +298,7 @@ fn page_fault() -> Found {
         )
     };
     assert_ne!(memory, libc::MAP_FAILED);
-    bench.told.memory.store(memory as u64, Ordering::Relaxed);
+    bench.reported.memory.store(memory as u64, Ordering::Relaxed);
     bench.disturb(ROUNDS, |bench| {
         // SAFETY: unlocks and drops pages of the mapping above, which nobody else uses.
         let refused = unsafe {
@@ -306,7 +306,7 @@ fn page_fault() -> Found {
                 || libc::madvise(memory, PAGES * PAGE, libc::MADV_DONTNEED) != 0
         };
         assert!(!refused, "{}", std::io::Error::last_os_error());
-        bench.tell(|told| &told.touch)
+        bench.tell(|reported| &reported.touch)
     })
 }
 
@@ -314,8 +314,8 @@ fn page_fault() -> Found {
 fn short_work() -> Found {
     let usual = |cycle: &mut CyclePlan| (cycle.period_ns, cycle.late_ns) = (MS, None);
     let bench = Bench::with(7, Realtime::Require, Guard::Off, usual);
-    bench.told.work_ns.store(250 * US, Ordering::Relaxed);
-    bench.disturb(ROUNDS, |bench| bench.tell(|told| &told.work))
+    bench.reported.work_ns.store(250 * US, Ordering::Relaxed);
+    bench.disturb(ROUNDS, |bench| bench.tell(|reported| &reported.work))
 }
 
 /// While the thread that takes the samples is held up for 150 ms at a time.
@@ -331,14 +331,15 @@ fn unwatched_work() -> Found {
             sleep(Duration::from_millis(20));
         }
     });
-    let row = bench.disturb(ROUNDS / 2, |bench| bench.tell(|told| &told.work));
+    let row = bench.disturb(ROUNDS / 2, |bench| bench.tell(|reported| &reported.work));
     end.store(true, Ordering::Relaxed);
     thread.join().unwrap();
     row
 }
 
 fn work() -> Found {
-    Bench::start(3, Realtime::Require, Guard::Off).disturb(ROUNDS, |bench| bench.tell(|told| &told.work))
+    Bench::start(3, Realtime::Require, Guard::Off)
+        .disturb(ROUNDS, |bench| bench.tell(|reported| &reported.work))
 }
 
 /// The loop's thread is held by a debugger, unseen by the scheduler, while it is awake: it spins for the half of each
@@ -395,7 +396,7 @@ fn hold(tid: libc::pid_t) {
 /// A normal thread, whose sleeps the kernel may stretch if it is told so.
 fn timer() -> Found {
     Bench::start(5, Realtime::Off, Guard::Off).disturb(ROUNDS, |bench| {
-        let (from, to) = bench.tell(|told| &told.slack);
+        let (from, to) = bench.tell(|reported| &reported.slack);
         (from, to + SLACK_CYCLES * PERIOD_NS)
     })
 }
@@ -465,9 +466,9 @@ fn what_is_found_is_what_was_done() {
     println!("{right} on the diagonal, {wrong} wrong, {UNWATCHED} left out");
     for (name, class, _, found) in rows.iter().filter(|(_, _, quiet, _)| *quiet) {
         // Without samples close to it, it may say that it does not know, but nothing wrong.
-        let excused = (*name == UNWATCHED).then_some(OTHER);
-        let (right, wrong) = (found.row[*class], found.wrong(*class, excused));
-        let right = right + excused.map_or(0, |class| found.row[class]);
+        let expected_silence = (*name == UNWATCHED).then_some(OTHER);
+        let (right, wrong) = (found.row[*class], found.wrong(*class, expected_silence));
+        let right = right + expected_silence.map_or(0, |class| found.row[class]);
         assert!(right >= ROUNDS / 4, "{name}: only {right} were found");
         assert!(right * 100 >= (right + wrong) * 85, "{name}: {:?}, by the host {:?}", found.row, found.host);
     }

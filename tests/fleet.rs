@@ -268,13 +268,13 @@ fn live(drives: usize, seed: u64, cycles: u64, then: u64) -> Left {
     let mut sim = fleet(drives, seed);
     let mut random = Rng::with_seed(seed);
     let mut axes: Vec<_> = (0..drives).map(|_| Axis::new(random.u64(..))).collect();
-    let (mut told, mut hasher, mut line) = (0, DefaultHasher::new(), String::new());
+    let (mut reported, mut hasher, mut line) = (0, DefaultHasher::new(), String::new());
     let mut stopping = false;
     let (mut early, mut stood, mut flow) = (None, None, Flow::Continue);
-    let standing = |sim: &Simulation, told, hasher: &DefaultHasher, axes: &[Axis]| Standing {
+    let standing = |sim: &Simulation, reported, hasher: &DefaultHasher, axes: &[Axis]| Standing {
         digest: sim.world().digest(),
         delivered: sim.world().delivered(),
-        events: (told, hasher.finish()),
+        events: (reported, hasher.finish()),
         done: axes.iter().map(|axis| axis.done).sum(),
         status: *sim.status(),
     };
@@ -289,7 +289,7 @@ fn live(drives: usize, seed: u64, cycles: u64, then: u64) -> Left {
             early.get_or_insert_with(|| sim.world().digest());
         }
         if status.planned >= then {
-            stood.get_or_insert_with(|| standing(&sim, told, &hasher, &axes));
+            stood.get_or_insert_with(|| standing(&sim, reported, &hasher, &axes));
         }
         let over = status.planned >= cycles;
         if over && !std::mem::replace(&mut stopping, over) {
@@ -299,7 +299,7 @@ fn live(drives: usize, seed: u64, cycles: u64, then: u64) -> Left {
             let wrong = |what| panic!("seed {seed}, cycle {}, axis {index}: {what}", status.planned);
             while let Some(event) = sim.axis(index).event() {
                 axis.saw(&event).unwrap_or_else(wrong);
-                told += 1;
+                reported += 1;
                 line.clear();
                 write!(line, "{index} {event:?}").expect("a string takes everything");
                 hasher.write(line.as_bytes());
@@ -318,7 +318,7 @@ fn live(drives: usize, seed: u64, cycles: u64, then: u64) -> Left {
     }
     let samples: Vec<u64> = sim.measured().histograms.drives.iter().map(|drive| drive.rtt.len()).collect();
     assert_eq!(sim.measured().histograms.wake.len(), sim.status().planned, "seed {seed}");
-    let last = standing(&sim, told, &hasher, &axes);
+    let last = standing(&sim, reported, &hasher, &axes);
     let end = sim.finish();
     assert_accounts(&end, &samples, seed);
     let long = "it was long enough";

@@ -221,8 +221,8 @@ fn a_neighbour_that_is_dead_starves_nobody() {
         assert!(count("missed") * 2 <= count("sent"), "{drive}");
     }
     let dead = drive(&summary, "d3");
-    let asked = dead["sent"].as_u64().unwrap() + dead["unsent"].as_u64().unwrap();
-    assert!((1..=most_probes(&summary)).contains(&asked), "{summary}");
+    let requested = dead["sent"].as_u64().unwrap() + dead["unsent"].as_u64().unwrap();
+    assert!((1..=most_probes(&summary)).contains(&requested), "{summary}");
 }
 
 #[test]

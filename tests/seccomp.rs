@@ -24,7 +24,7 @@ use fieldbeat::cycle::status::{Gauges, Numbers};
 use fieldbeat::cycle::task::{Axes, Task};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::net::{Carriers, Greeted, Greeting, Os, StreamPeer, Streams};
+use fieldbeat::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use fieldbeat::rt::{Clock, MonotonicClock, PollSet};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Measured, Recorder};
@@ -379,13 +379,13 @@ fn a_line_needs_no_other_system_call_than_those_listed_and_no_allocation() {
 #[derive(Debug)]
 struct Silent;
 
-impl Greeting for Silent {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+impl Handshake for Silent {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 }
 
@@ -466,8 +466,8 @@ fn live_on_connections() {
         };
         let peers = (0..count).map(address).chain(refused).map(peer).collect();
         let mut streams = Os::default().streams(peers).unwrap();
-        let told = Arc::new(OnceLock::new());
-        let tell = Arc::clone(&told);
+        let reported = Arc::new(OnceLock::new());
+        let tell = Arc::clone(&reported);
         drop(std::thread::spawn(move || {
             let talks = talk(&mut *streams, Talks { replies: 10_000, ends: 100 });
             // Nobody sleeps until it is told, so that telling takes no call.
@@ -477,8 +477,8 @@ fn live_on_connections() {
             // SAFETY: as in `Confined`.
             unsafe { libc::syscall(libc::SYS_exit, 0) };
         }));
-        assert!(until(LONG, || told.get().is_some()));
-        let talks = told.get();
+        assert!(until(LONG, || reported.get().is_some()));
+        let talks = reported.get();
         assert_eq!(counting::count(), 0, "{talks:?}");
         println!("{count} connections: {talks:?}");
     }

@@ -17,7 +17,7 @@ use fieldbeat::cycle::Wait;
 use fieldbeat::cycle::record::{DriveRecord, Record};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{Carriers, Datagrams, Frames, Greeted, Os, StreamPeer, Streams, UdpOptions};
+use fieldbeat::net::{Carriers, Datagrams, Frames, HandshakeState, Os, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::{Clock, Granted, MonotonicClock, Regions};
 use fieldbeat::time::{S, Time};
 use nix::poll::{PollFd, PollFlags, ppoll};
@@ -191,12 +191,12 @@ struct BareLoop {
     socket: Option<UdpSocket>,
     linmots: Vec<(SocketAddrV4, Time)>,
     streams: Vec<TcpStream>,
-    unidrives: Vec<Asked>,
+    unidrives: Vec<Requested>,
     line: Option<BareLine>,
 }
 
 /// A Unidrive and its exchange.
-struct Asked {
+struct Requested {
     /// While the drive comes up, and then.
     idle: Message,
     on: Message,
@@ -250,7 +250,7 @@ impl BareLoop {
             socket,
             linmots: (0..fleet.linmots).map(|index| (fleet::address(Side::Bare, index), Time(0))).collect(),
             streams,
-            unidrives: plan.drives.iter().map(Asked::new).collect(),
+            unidrives: plan.drives.iter().map(Requested::new).collect(),
             line: (fleet.line > 0).then(|| BareLine::open(fleet, wait, period_ns)).transpose()?,
         })
     }
@@ -285,12 +285,12 @@ impl BareLoop {
             }
         }
         let mut unidrives_left = 0;
-        for (index, (stream, asked)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
-            if index as u32 % self.fleet.every == phase && asked.owed == 0 {
-                asked.ask(stream, on)?;
+        for (index, (stream, requested)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
+            if index as u32 % self.fleet.every == phase && requested.owed == 0 {
+                requested.ask(stream, on)?;
             }
             // Those of earlier cycles too: their connections have to be empty before they are asked again.
-            if asked.owed > 0 {
+            if requested.owed > 0 {
                 set[streams_at + index].set_events(PollFlags::POLLIN);
                 unidrives_left += 1;
             }
@@ -318,12 +318,12 @@ impl BareLoop {
                     take(Reply { rtt_ns: last.since(*sent), bytes: &reply[..length], of: Of::Linmot });
                 }
             }
-            for (index, (stream, asked)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
-                if asked.owed > 0 && is_ready(streams_at + index) && asked.receive(stream)? {
+            for (index, (stream, requested)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
+                if requested.owed > 0 && is_ready(streams_at + index) && requested.receive(stream)? {
                     last = MonotonicClock::read();
                     unidrives_left -= 1;
-                    let bytes = &asked.reply[..asked.length];
-                    take(Reply { rtt_ns: last.since(asked.sent), bytes, of: Of::Unidrive });
+                    let bytes = &requested.reply[..requested.length];
+                    take(Reply { rtt_ns: last.since(requested.sent), bytes, of: Of::Unidrive });
                 }
             }
             if let Some(line) = self.line.as_mut().filter(|_| lines_left > 0 && is_ready(line_at))
@@ -333,8 +333,8 @@ impl BareLoop {
                 lines_left = 0;
                 take(Reply { rtt_ns, bytes, of: Of::Line });
             }
-            for (poll, asked) in set[streams_at..].iter_mut().zip(&self.unidrives) {
-                if asked.owed == 0 {
+            for (poll, requested) in set[streams_at..].iter_mut().zip(&self.unidrives) {
+                if requested.owed == 0 {
                     poll.set_events(PollFlags::empty());
                 }
             }
@@ -518,12 +518,12 @@ impl BareLine {
     }
 }
 
-impl Asked {
-    fn new(drive: &UnidriveDrive) -> Asked {
+impl Requested {
+    fn new(drive: &UnidriveDrive) -> Requested {
         let (idle, on) =
             (Message::new(drive, UnidriveControl::IDLE), Message::new(drive, UnidriveControl::FORWARD));
         let length = Message::reply_length(drive);
-        Asked { idle, on, transaction: 0, sent: Time(0), reply: [0; ADU_MAX], length, owed: 0 }
+        Requested { idle, on, transaction: 0, sent: Time(0), reply: [0; ADU_MAX], length, owed: 0 }
     }
 
     fn ask(&mut self, mut stream: &TcpStream, on: bool) -> io::Result<()> {
@@ -577,20 +577,20 @@ fn greet(mut peer: StreamPeer) -> io::Result<TcpStream> {
     let mut stream = TcpStream::connect(peer.address)?;
     stream.set_nodelay(true)?;
     let (mut out, mut bytes) = (Vec::new(), [0; 2 * ADU_MAX]);
-    let mut said = peer.greeting.begin(MonotonicClock::read(), &mut out);
+    let mut said = peer.handshake.begin(MonotonicClock::read(), &mut out);
     loop {
         stream.write_all(&out)?;
         out.clear();
         match said {
-            Greeted::Done | Greeted::Kept => return Ok(stream),
-            Greeted::Failed(why) => return Err(io::Error::other(why)),
-            Greeted::More => {}
+            HandshakeState::Done | HandshakeState::Kept => return Ok(stream),
+            HandshakeState::Failed(why) => return Err(io::Error::other(why)),
+            HandshakeState::More => {}
         }
         let count = stream.read(&mut bytes)?;
         if count == 0 {
             return Err(ErrorKind::UnexpectedEof.into());
         }
-        said = peer.greeting.take(MonotonicClock::read(), &bytes[..count], &mut out);
+        said = peer.handshake.take(MonotonicClock::read(), &bytes[..count], &mut out);
     }
 }
 

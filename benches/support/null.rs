@@ -10,7 +10,8 @@ use fieldbeat::bus::linudp::wire::{
 };
 use fieldbeat::bus::modbus::sim::UnidriveSim;
 use fieldbeat::net::{
-    Broken, Carriers, Datagrams, Greeted, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
+    UdpOptions,
 };
 use fieldbeat::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimDrive;
@@ -40,17 +41,17 @@ fn greet(mut peer: StreamPeer) -> io::Result<()> {
     let mut drive = UnidriveSim::new(unidrive::drive(*peer.address.ip()).simulate);
     let (mut out, mut reply, now) = (Vec::new(), Vec::new(), MonotonicClock::read());
     drive.connect(now, peer.address);
-    let mut said = peer.greeting.begin(now, &mut out);
-    while said == Greeted::More {
+    let mut said = peer.handshake.begin(now, &mut out);
+    while said == HandshakeState::More {
         reply.clear();
         if drive.receive(now, peer.address, &out, &mut reply).is_none() {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
         out.clear();
-        said = peer.greeting.take(now, &reply, &mut out);
+        said = peer.handshake.take(now, &reply, &mut out);
     }
     match said {
-        Greeted::Failed(why) => Err(io::Error::other(why)),
+        HandshakeState::Failed(why) => Err(io::Error::other(why)),
         _ => Ok(()),
     }
 }
@@ -60,7 +61,7 @@ pub struct NullStreams {
     drives: Vec<Canned>,
     opened: usize,
     /// Those that have an answer to be taken, and the next one of them.
-    asked: Vec<usize>,
+    requested: Vec<usize>,
     next: usize,
 }
 
@@ -69,7 +70,7 @@ impl NullStreams {
         NullStreams {
             drives: vec![Canned::new(); peers],
             opened: 0,
-            asked: Vec::with_capacity(peers),
+            requested: Vec::with_capacity(peers),
             next: 0,
         }
     }
@@ -89,12 +90,12 @@ impl Streams for NullStreams {
     }
 
     fn look(&mut self) {
-        self.asked.drain(..self.next);
+        self.requested.drain(..self.next);
         self.next = 0;
     }
 
     fn ready(&mut self) -> Option<usize> {
-        let index = *self.asked.get(self.next)?;
+        let index = *self.requested.get(self.next)?;
         self.next += 1;
         Some(index)
     }
@@ -107,7 +108,7 @@ impl Streams for NullStreams {
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
         let at = rig::now();
         if self.drives[index].hear(bytes) {
-            self.asked.push(index);
+            self.requested.push(index);
         }
         Ok((at, bytes.len()))
     }
@@ -126,7 +127,7 @@ impl Streams for NullStreams {
 /// Answers each request from memory: ready to switch on, and in operation once it is switched on; always moving.
 pub struct NullCarrier {
     /// Requests not yet answered.
-    asked: Vec<Asked>,
+    requested: Vec<Requested>,
     /// The count of the last motion command of each drive.
     counts: Vec<u8>,
     next: usize,
@@ -137,7 +138,7 @@ pub struct NullCarrier {
 }
 
 /// What a request asked.
-struct Asked {
+struct Requested {
     from: SocketAddrV4,
     definitions: [u8; 8],
     /// It is switched on.
@@ -149,8 +150,9 @@ struct Asked {
 }
 
 /// Which of four replies has the blocks that are asked for.
-fn variant(asked: ResponseDef) -> usize {
-    usize::from(asked.contains(ResponseDef::WARN)) + 2 * usize::from(asked.contains(ResponseDef::MONITOR))
+fn variant(requested: ResponseDef) -> usize {
+    usize::from(requested.contains(ResponseDef::WARN))
+        + 2 * usize::from(requested.contains(ResponseDef::MONITOR))
 }
 
 impl NullCarrier {
@@ -189,8 +191,8 @@ impl NullCarrier {
         let replies = [ready, reply(on | StatusWord::MOTION_ACTIVE, moving)];
         // As real ones have it, so that as many calls of `receive` are made.
         let batch = (peers * 2).clamp(8, 128);
-        let (asked, counts) = (Vec::with_capacity(peers), vec![0; peers]);
-        NullCarrier { asked, counts, next: 0, batch, replies, position: 0 }
+        let (requested, counts) = (Vec::with_capacity(peers), vec![0; peers]);
+        NullCarrier { requested, counts, next: 0, batch, replies, position: 0 }
     }
 }
 
@@ -201,7 +203,7 @@ impl Datagrams for NullCarrier {
 
     fn send(&mut self, outbox: &mut Outbox) {
         let at = rig::now();
-        self.asked.clear();
+        self.requested.clear();
         self.next = 0;
         for index in 0..outbox.len() {
             if outbox.sent(index) == Sent::Posted {
@@ -219,7 +221,7 @@ impl Datagrams for NullCarrier {
                     }
                     let read = request.and_then(|request| request.config);
                     let (from, count) = (outbox.peer(index), self.counts[index]);
-                    self.asked.push(Asked { from, definitions: *definitions, on, count, read });
+                    self.requested.push(Requested { from, definitions: *definitions, on, count, read });
                 }
             }
         }
@@ -228,12 +230,12 @@ impl Datagrams for NullCarrier {
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
         let at = rig::now();
-        let end = self.asked.len().min(self.next + self.batch);
+        let end = self.requested.len().min(self.next + self.batch);
         let count = end - self.next;
-        for Asked { from, definitions, on, count, read } in &self.asked[self.next..end] {
+        for Requested { from, definitions, on, count, read } in &self.requested[self.next..end] {
             let [.., low, middle, high, highest] = *definitions;
-            let asked = ResponseDef(u32::from_le_bytes([low, middle, high, highest]));
-            let (reply, length) = &mut self.replies[usize::from(*on)][variant(asked)];
+            let requested = ResponseDef(u32::from_le_bytes([low, middle, high, highest]));
+            let (reply, length) = &mut self.replies[usize::from(*on)][variant(requested)];
             reply[..8].copy_from_slice(definitions);
             reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
             reply[Self::COUNT] = reply[Self::COUNT] & 0xF0 | if *on { *count } else { 0 };

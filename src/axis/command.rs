@@ -323,7 +323,7 @@ impl Outcome {
     }
 
     /// In words, with the protocol's name for the fault of the drive if that is why it failed.
-    pub fn told(&self, name: Option<&str>) -> String {
+    pub fn described(&self, name: Option<&str>) -> String {
         match self.fault() {
             Some(code) => format!("failed: {}", reports(Fault { code, name })),
             None => self.to_string(),
@@ -436,14 +436,14 @@ mod tests {
         let by =
             |fault| format!("failed: the drive reports fault {fault}: remove its cause, then reset_fault");
         assert_eq!(failed.to_string(), by("0x001e (30)"));
-        assert_eq!(failed.told(None), failed.to_string());
-        assert_eq!(failed.told(Some("watchdog")), by("0x001e (30, watchdog)"));
+        assert_eq!(failed.described(None), failed.to_string());
+        assert_eq!(failed.described(Some("watchdog")), by("0x001e (30, watchdog)"));
         for other in [
             Outcome::Done,
             Outcome::Failed(Failure::NotOnline),
             Outcome::Aborted(Abort::Replaced(CommandId(7))),
         ] {
-            assert_eq!((other.fault(), other.told(Some("watchdog"))), (None, other.to_string()));
+            assert_eq!((other.fault(), other.described(Some("watchdog"))), (None, other.to_string()));
         }
     }
 }

@@ -28,7 +28,7 @@ pub struct Emergency {
 
 impl Emergency {
     /// In words; `fault` is its code with the name, if it has one.
-    pub fn told(self, fault: Fault<'_>) -> String {
+    pub fn described(self, fault: Fault<'_>) -> String {
         match self.code {
             0 => format!("emergency: error over, register {:#04x}", self.register),
             _ => format!("emergency {fault}, register {:#04x}", self.register),
@@ -91,7 +91,7 @@ impl fmt::Display for Event {
             EventKind::Warning(word) => write!(f, "warnings {word:#06x}"),
             EventKind::Emergency(emergency) => {
                 let code = emergency.code.into();
-                f.write_str(&emergency.told(Fault { code, name: None }))
+                f.write_str(&emergency.described(Fault { code, name: None }))
             }
             EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
             EventKind::HardwareEnable(true) => write!(f, "hardware enable (STO) closed"),

@@ -312,8 +312,8 @@ mod tests {
     #[test]
     fn a_fault_is_told_in_both_notations_with_its_name_if_it_has_one() {
         let names: FaultNames = |code| (code == 30).then_some("watchdog");
-        let told = [0, 30, 999].map(|code| Fault::new(code, names).to_string());
-        assert_eq!(told, ["none", "0x001e (30, watchdog)", "0x03e7 (999)"]);
+        let reported = [0, 30, 999].map(|code| Fault::new(code, names).to_string());
+        assert_eq!(reported, ["none", "0x001e (30, watchdog)", "0x03e7 (999)"]);
     }
 
     #[test]

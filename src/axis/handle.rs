@@ -121,7 +121,7 @@ pub enum AxisError {
         capacity: usize,
     },
     /// It ended in another way than Done.
-    #[error("axis {axis}: {command} {}", outcome.told(*fault))]
+    #[error("axis {axis}: {command} {}", outcome.described(*fault))]
     Ended {
         /// The axis.
         axis: String,

@@ -89,7 +89,7 @@ pub enum Motion {
     },
     /// The rows of a stream, one an exchange.
     Follow,
-    /// The end of a stream, on a drive that has to be told.
+    /// The end of a stream, on a drive that does not notice it.
     EndStream,
     /// The drive's fastest stop that keeps its power.
     Halt,

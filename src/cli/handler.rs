@@ -212,7 +212,7 @@ impl Handler {
             let fault = Fault::new(newest.emergency.code.into(), known.fault_names);
             self.live.say(&format!(
                 "drive {name}: {} (cycle {})",
-                newest.emergency.told(fault),
+                newest.emergency.described(fault),
                 newest.cycle
             ));
         }

@@ -151,7 +151,11 @@ impl MotionArguments {
                 match event.kind {
                     EventKind::Ended { id, outcome, .. } if id == mode => {
                         let name = outcome.fault().and_then(|code| axis.fault(code).name);
-                        return Err(Stop::failed(format!("drive {}: {}", axis.name(), outcome.told(name))));
+                        return Err(Stop::failed(format!(
+                            "drive {}: {}",
+                            axis.name(),
+                            outcome.described(name)
+                        )));
                     }
                     EventKind::Stopped(cause) => {
                         let fault = axis.feedback().status.fault;

@@ -24,9 +24,9 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         let mut before: Option<(&str, Vec<String>)> = None;
         for drive in drives.by_ref().take(bus.axes().len()) {
             let paragraph = own.next().unwrap_or_default();
-            let mut told = paragraph.lines().map(str::to_owned);
-            let first = told.next().unwrap_or_default();
-            let rest: Vec<String> = told.chain(axis(drive, &paced, &plan.cycle)).collect();
+            let mut reported = paragraph.lines().map(str::to_owned);
+            let first = reported.next().unwrap_or_default();
+            let rest: Vec<String> = reported.chain(axis(drive, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -125,11 +125,11 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
 
 /// Which of a bus and the grid follows the other, if the bus has a clock.
 fn clock(bus: &dyn BusPlan, reference: Option<&str>) -> Option<String> {
-    let told = match reference == Some(bus.name()) {
+    let reported = match reference == Some(bus.name()) {
         true => "leads: the grid follows it ([cycle] reference)",
         false => "follows the grid ([cycle] reference would let it lead)",
     };
-    bus.has_clock().then(|| format!("  its clock {told}"))
+    bus.has_clock().then(|| format!("  its clock {reported}"))
 }
 
 fn black_box(plan: &Plan) -> String {

@@ -225,7 +225,7 @@ fn stop(
     load: Load,
     profile: &Profile,
 ) -> StopPlan {
-    // Where only the drive holds the load, it stays on unless the file says otherwise, and is told what that means.
+    // Where only the drive holds the load, it stays on unless the file says otherwise; `check` says what that means.
     let (then, on_timeout) = match load {
         Load::Vertical(HeldBy::Drive) => (StopThen::Hold, StopTimeout::Hold),
         Load::Level | Load::Vertical(HeldBy::Brake) => (default.then, default.on_timeout),

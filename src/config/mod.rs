@@ -309,7 +309,7 @@ fn reachable(table: &mut Table<'_>, bind: Option<Ipv4Addr>, address: SocketAddrV
     }
 }
 
-/// The drives of a bus, each over its `[bus.defaults]`; `read` is told its place, too.
+/// The drives of a bus, each over its `[bus.defaults]`; `read` gets its place, too.
 fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize) -> D) -> Vec<D> {
     let mut drives = Vec::new();
     for (index, mut table) in drive_tables(bus, &["name", "address"]).into_iter().enumerate() {

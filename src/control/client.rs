@@ -35,7 +35,7 @@ pub enum AskError {
     #[error(
         "{path} is served by user {user}, who does not own the directory; remove it, and start the master again"
     )]
-    Stranger {
+    OtherOwner {
         /// The socket.
         path: PathBuf,
         /// Who listens.
@@ -89,7 +89,7 @@ impl Conversation {
         let user = getsockopt(&stream, sockopt::PeerCredentials).map_err(|error| failed(error.into()))?.uid();
         let ours = [0, nix::unistd::geteuid().as_raw()].contains(&user);
         if !ours && path.parent().and_then(place::owner) != Some(user) {
-            return Err(AskError::Stranger { path: own(), user });
+            return Err(AskError::OtherOwner { path: own(), user });
         }
         Ok(Conversation { path: own(), stream: Mutex::new(Some(stream)) })
     }
@@ -227,15 +227,15 @@ mod tests {
             UnixListener::bind(place).unwrap()
         });
         let listener = thread.join().unwrap();
-        let asked = |mode| {
+        let requested = |mode| {
             fs::set_permissions(&directory, Permissions::from_mode(mode)).unwrap();
             ask(&path, &json!({})).unwrap_err()
         };
-        assert!(matches!(asked(0o777), AskError::Stranger { user, .. } if user == nobody));
-        assert!(matches!(asked(0o755), AskError::Stranger { user, .. } if user == nobody));
+        assert!(matches!(requested(0o777), AskError::OtherOwner { user, .. } if user == nobody));
+        assert!(matches!(requested(0o755), AskError::OtherOwner { user, .. } if user == nobody));
         chown(&directory, Some(nobody), None).unwrap();
         // It gets the request, and ends.
         drop(std::thread::spawn(move || (0..3).for_each(|_| drop(listener.accept()))));
-        assert!(!matches!(asked(0o755), AskError::Stranger { .. }));
+        assert!(!matches!(requested(0o755), AskError::OtherOwner { .. }));
     }
 }

@@ -46,7 +46,7 @@ pub use groups::Groups;
 pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
 pub use serial::{Parity, Serial, SerialLine};
-pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
+pub use stream::{Broken, Handshake, HandshakeState, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;
 use crate::time::Time;

@@ -81,7 +81,7 @@ pub struct StreamPeer {
     /// The longest opening of a connection, ns.
     pub connect_ns: u64,
     /// The longest handshake, ns.
-    pub greeting_ns: u64,
+    pub handshake_ns: u64,
     /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shortened by up to an
     /// eighth, differently for each peer, so that many peers that failed together are not tried together.
     pub least_pause_ns: u64,
@@ -90,21 +90,21 @@ pub struct StreamPeer {
     /// Sent bytes that the peer's host does not acknowledge for so long break the connection, ns.
     pub unacknowledged_ns: u64,
     /// The handshake on a new connection before the loop gets it, or its session.
-    pub greeting: Box<dyn Greeting>,
+    pub handshake: Box<dyn Handshake>,
 }
 
 impl StreamPeer {
     /// A peer with usual times.
-    pub fn new(address: SocketAddrV4, greeting: Box<dyn Greeting>) -> StreamPeer {
+    pub fn new(address: SocketAddrV4, handshake: Box<dyn Handshake>) -> StreamPeer {
         StreamPeer {
             address,
             bind: None,
             connect_ns: S,
-            greeting_ns: 2 * S,
+            handshake_ns: 2 * S,
             least_pause_ns: 100 * MS,
             most_pause_ns: 2 * S,
             unacknowledged_ns: S,
-            greeting,
+            handshake,
         }
     }
 }
@@ -112,12 +112,12 @@ impl StreamPeer {
 /// A protocol's handshake on a new connection before the loop gets it, or its session on one that stays: a machine of
 /// state and time on a normal thread, without sockets or waits. It shares its findings with its station; handing the
 /// connection over orders both.
-pub trait Greeting: Debug + Send {
+pub trait Handshake: Debug + Send {
     /// A connection was opened at `now`: nothing of an earlier one is left. Appends the bytes to send to `out`.
-    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted;
+    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> HandshakeState;
 
     /// Takes in what arrived, split anywhere, and appends the bytes to send to `out`.
-    fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted;
+    fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState;
 
     /// When it wants to run by itself: a timeout, a request that is due. It runs once a millisecond at most.
     fn next_due(&self) -> Option<Time> {
@@ -126,8 +126,8 @@ pub trait Greeting: Debug + Send {
 
     /// It is due, or was [woken](Streams::waker). Without a connection nothing that it appends to `out` is sent, and
     /// what it returns has no effect.
-    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::More
+    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::More
     }
 
     /// The connection has ended before the loop got it, for this reason: once for each that began. When the carrier is
@@ -137,7 +137,7 @@ pub trait Greeting: Debug + Send {
 
 /// The state of a handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Greeted {
+pub enum HandshakeState {
     /// It waits for an answer; a session goes on.
     More,
     /// It is complete: nothing is owed on the connection.

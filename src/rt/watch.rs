@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn sees_another_thread_work_and_fault() {
-        let (tell, told) = crossbeam_channel::unbounded();
+        let (tell, reported) = crossbeam_channel::unbounded();
         let (go, wait) = crossbeam_channel::unbounded::<()>();
         let thread = std::thread::spawn(move || {
             tell.send(nix::unistd::gettid().as_raw()).unwrap();
@@ -134,10 +134,10 @@ mod tests {
             tell.send(0).unwrap();
             wait.recv().unwrap();
         });
-        let mut watch = ThreadWatch::open(told.recv().unwrap(), None).unwrap();
+        let mut watch = ThreadWatch::open(reported.recv().unwrap(), None).unwrap();
         let before = watch.sample().unwrap();
         go.send(()).unwrap();
-        told.recv().unwrap();
+        reported.recv().unwrap();
         let after = watch.sample().unwrap();
         assert!(after.at > before.at && after.run_ns > before.run_ns, "{before:?} {after:?}");
         assert!(after.faults.wrapping_sub(before.faults) >= 32, "{before:?} {after:?}");

@@ -45,7 +45,7 @@ fn the_kollmorgen_sample_tells_the_truth() {
 
 /// Slaves by place: their names.
 fn places(plan: &Plan) -> Vec<String> {
-    let told = describe(plan);
+    let reported = describe(plan);
     let of = |line: &String| {
         let (name, rest) = line
             .trim_start()
@@ -55,7 +55,7 @@ fn places(plan: &Plan) -> Vec<String> {
         let place = rest.split_once("place ")?.1.chars().take_while(char::is_ascii_digit).collect::<String>();
         Some(format!("{place} {name}"))
     };
-    let mut places: Vec<String> = told.iter().filter_map(of).collect();
+    let mut places: Vec<String> = reported.iter().filter_map(of).collect();
     places.sort();
     places
 }
@@ -80,9 +80,9 @@ name = "c"
 "#;
     let plan = read(text);
     assert_eq!(places(&plan), ["0 a", "1 io", "2 b", "7 far", "8 c"]);
-    let told = describe(&plan);
+    let reported = describe(&plan);
     let gap = "  places 3 ... 6: not listed: a slave there forwards the frames and is not configured";
-    assert!(told.iter().any(|line| line == gap), "{told:#?}");
+    assert!(reported.iter().any(|line| line == gap), "{reported:#?}");
     assert_eq!(plan.buses[0].devices(), ["io", "far"]);
     assert_eq!(
         mistakes(&text.replace("position = 7", "position = 1")),
@@ -241,7 +241,7 @@ held_by = "brake"
 
 #[test]
 fn what_is_not_looked_at_is_said() {
-    let told = |section, fragment: &str| describe(&read(&line(section, fragment))).join("\n");
+    let reported = |section, fragment: &str| describe(&read(&line(section, fragment))).join("\n");
     for (section, fragment, words) in [
         (
             "bus",
@@ -264,8 +264,8 @@ fn what_is_not_looked_at_is_said() {
             "any revision, its SII is not compared with the configuration (check_sii = false); 0 bytes",
         ),
     ] {
-        assert!(told(section, fragment).contains(words), "{words}\n{}", told(section, fragment));
-        assert!(!told(section, "").contains(words));
+        assert!(reported(section, fragment).contains(words), "{words}\n{}", reported(section, fragment));
+        assert!(!reported(section, "").contains(words));
     }
     // A text of an AKD goes in segments.
     let long = "type = \"akd\"\nstart_up = [{ object = \"0x2F00:1.text\", value = \"abcdefgh\" }]";
@@ -300,8 +300,8 @@ watchdog = "off"
 load = "vertical"
 held_by = "brake"
 "#;
-    let told = describe(&read(text));
-    let of_bus: Vec<&str> = told
+    let reported = describe(&read(text));
+    let of_bus: Vec<&str> = reported
         .iter()
         .map(String::as_str)
         .skip_while(|line| !line.starts_with("bus portal"))
@@ -354,36 +354,44 @@ bus portal: ethercat, 3 drives
 /// Each in a file of its own: the cycle does not suit an S700, or any frame.
 #[test]
 fn a_period_has_to_suit_the_drives() {
-    let told = |period: &str, drive: &str| {
+    let reported = |period: &str, drive: &str| {
         let text = line("", drive).replace("[cycle]", &format!("[cycle]\nperiod = \"{period}\""));
         fieldbeat::config::parse(&text, "m.toml").err().map(|errors| errors.to_string())
     };
     for period in ["250us", "750us", "1ms", "2ms", "10ms"] {
-        assert_eq!(told(period, ""), None, "{period}");
+        assert_eq!(reported(period, ""), None, "{period}");
     }
     let s700 = "drive k needs a period that is a whole multiple of 250 us, up to 31.75 ms";
     for period in ["100us", "300us", "1.1ms", "32ms"] {
-        assert_eq!(told(period, "").unwrap(), format!("m.toml:2: cycle.period = \"{period}\": {s700}"));
+        assert_eq!(reported(period, "").unwrap(), format!("m.toml:2: cycle.period = \"{period}\": {s700}"));
     }
-    let odd = told("3.25ms", "").unwrap();
+    let odd = reported("3.25ms", "").unwrap();
     assert!(
         odd.contains("drive k takes as its cycle 1 ... 255 times a power of ten (object 60C2h)"),
         "{odd}"
     );
     let akd = "type = \"akd\"\nsync = false";
-    assert_eq!((told("3.25ms", akd), told("100us", akd)), (None, None));
+    assert_eq!((reported("3.25ms", akd), reported("100us", akd)), (None, None));
 }
 
 #[test]
 fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
     let device =
         |n| format!("[[bus.device]]\nname = \"d{n}\"\ninputs = {{ start = 0x1000, length = 250 }}\n");
-    let told = |count: usize| {
+    let reported = |count: usize| {
         let text = line("", "") + &(0..count).map(device).collect::<String>();
         describe(&read(&text)).join("\n")
     };
-    assert!(told(4).contains("one frame every 1 ms carries the process data of 5 slaves"), "{}", told(4));
-    assert!(told(6).contains("2 frames every 1 ms carry the process data of 7 slaves"), "{}", told(6));
+    assert!(
+        reported(4).contains("one frame every 1 ms carries the process data of 5 slaves"),
+        "{}",
+        reported(4)
+    );
+    assert!(
+        reported(6).contains("2 frames every 1 ms carry the process data of 7 slaves"),
+        "{}",
+        reported(6)
+    );
 }
 
 #[test]
@@ -403,7 +411,7 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
     };
     plan.devices = vec![device("k0"), device("a b")];
     plan.drives[0].axis.phase = 1;
-    let told: Vec<String> = BusPlan::faults(&plan, 300 * US)
+    let reported: Vec<String> = BusPlan::faults(&plan, 300 * US)
         .into_iter()
         .map(|(index, fault)| format!("{index} {}: {}", fault.key, fault.message))
         .collect();
@@ -416,6 +424,6 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
         "0 device: k0: position: 1 is already the place of k1",
         "0 device: k0: watchdog: trips after 100 us without outputs",
     ] {
-        assert!(told.iter().any(|line| line.starts_with(begin)), "{begin}\n{told:#?}");
+        assert!(reported.iter().any(|line| line.starts_with(begin)), "{begin}\n{reported:#?}");
     }
 }

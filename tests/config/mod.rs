@@ -804,11 +804,11 @@ address = "192.168.1.11"
 stop.group = "own"
 "#;
     let plan = read(text);
-    let told = describe(&plan);
+    let reported = describe(&plan);
     let of = |name: &str| {
-        let begin = told.iter().position(|line| line.starts_with(&format!("  drive {name}: "))).unwrap();
-        let rest = told[begin + 1..].iter().take_while(|line| line.starts_with("    "));
-        std::iter::once(&told[begin]).chain(rest).map(|line| line.trim_start()).collect::<Vec<_>>()
+        let begin = reported.iter().position(|line| line.starts_with(&format!("  drive {name}: "))).unwrap();
+        let rest = reported[begin + 1..].iter().take_while(|line| line.starts_with("    "));
+        std::iter::once(&reported[begin]).chain(rest).map(|line| line.trim_start()).collect::<Vec<_>>()
     };
     assert_eq!(
         of("direct"),
@@ -897,7 +897,7 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
          simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, \
          split = 0.25 }",
     );
-    let told = format!("{:?}", read(&text));
+    let reported = format!("{:?}", read(&text));
     let long = |menu, number| format!("{:?}", Mapped::new(Parameter::new(menu, number)));
     for part in [
         "unit: Some(1), slot: 3, addressing: Modified",
@@ -915,7 +915,7 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
         // 2 mm/s backwards are a revolution a second of an inverted motor.
         "start: Running(60.0)",
     ] {
-        assert!(told.contains(part), "{part} in {told}");
+        assert!(reported.contains(part), "{part} in {reported}");
     }
 }
 
@@ -984,7 +984,7 @@ address = "127.0.0.14"
 #[test]
 fn who_holds_the_load_and_who_watches_the_application_is_said() {
     let plan = read(&format!("{FOUR}[[group]]\nname = \"g\"\naxes = [\"y\", \"x\"]\n"));
-    let told = describe(&plan).join("\n");
+    let reported = describe(&plan).join("\n");
     for line in [
         "  a silence of the application of 250 ms stops all enabled axes",
         "    vertical load: power goes off at standstill, or by the time-out; set the drive to close its \
@@ -994,7 +994,7 @@ fn who_holds_the_load_and_who_watches_the_application_is_said() {
         "group g: y, x act in the same cycle, all or none; 3 rounds with a missed exchange of any of \
              them stop the group in motion",
     ] {
-        assert!(told.contains(line), "{line}\n{told}");
+        assert!(reported.contains(line), "{line}\n{reported}");
     }
     // What only the drive holds stays on unless the file says otherwise, and that would be refused.
     assert_eq!(plan.axes()[1].stop.then, fieldbeat::axis::StopThen::Hold);
@@ -1014,7 +1014,7 @@ fn a_plan_built_in_code_is_checked_by_the_same_rules() {
     let groups = vec![GroupPlan { name: "g".into(), axes: vec!["x".into(), "w".into()] }];
     let cycle = CyclePlan { period_ns: 0, receive_deadline: 1.0, ..CyclePlan::default() };
     let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups };
-    let told = plan.check().unwrap_err().to_string();
+    let reported = plan.check().unwrap_err().to_string();
     for part in [
         "cycle: a receive deadline of 1 is not a share",
         "cycle: a period of 0 is outside",
@@ -1026,10 +1026,10 @@ fn a_plan_built_in_code_is_checked_by_the_same_rules() {
         "drive x: address: is taken by another drive",
         "group g: there is no drive w",
     ] {
-        assert!(told.contains(part), "{part}\n{told}");
+        assert!(reported.contains(part), "{part}\n{reported}");
     }
     let refused = fieldbeat::Master::from_plan(plan).start().unwrap_err().to_string();
-    assert_eq!(refused, told, "and nothing was opened");
+    assert_eq!(refused, reported, "and nothing was opened");
 }
 
 #[test]

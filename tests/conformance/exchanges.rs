@@ -14,11 +14,11 @@ pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject)
     line.asleep[1] = true;
     line.turns(100);
     assert_eq!(line.slots[1].counters, Counters::default(), "never due, never asked");
-    assert!(line.can.shared || line.heard(1) == 0, "never due, never asked");
+    assert!(line.can.shared || line.received(1) == 0, "never due, never asked");
     line.asleep[1] = false;
     line.ready();
     line.settle();
-    let (heard, counters) = (line.heard(1), line.slots[1].counters);
+    let (received, counters) = (line.received(1), line.slots[1].counters);
     line.asleep[1] = true;
     // Not even for an order.
     line.order(1, line.go(1));
@@ -27,9 +27,9 @@ pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject)
     let all = line.requests(1);
     if line.can.shared {
         // The frame goes all the same, with what the drive was told before.
-        assert!(all[heard..].iter().all(|request| *request == all[heard - 1]), "told something");
+        assert!(all[received..].iter().all(|request| *request == all[received - 1]), "told something");
     } else {
-        assert_eq!(all.len(), heard);
+        assert_eq!(all.len(), received);
     }
 }
 
@@ -42,7 +42,7 @@ pub fn each_due_slot_is_one_request_and_one_exchange(subject: &'static dyn Subje
     }
     line.world.advance(2 * LATENCY);
     let begin = [0, 1, 2].map(|index| line.slots[index].counters.sent);
-    let heard = [0, 1, 2].map(|index| line.heard(index) as u64);
+    let received = [0, 1, 2].map(|index| line.received(index) as u64);
     let mut random = fastrand::Rng::with_seed(1);
     let mut due = [0; 3];
     for cycles in 1..=600 * u64::from(line.drives[0].axis.divisor) {
@@ -52,10 +52,10 @@ pub fn each_due_slot_is_one_request_and_one_exchange(subject: &'static dyn Subje
             *due += u64::from(line.slots[index].due);
             let sent = line.slots[index].counters.sent;
             // One frame a cycle, or one request a drive.
-            let asked = if line.can.shared { cycles } else { *due };
+            let requested = if line.can.shared { cycles } else { *due };
             assert_eq!(
-                (line.heard(index) as u64 - heard[index], sent - begin[index]),
-                (asked, *due),
+                (line.received(index) as u64 - received[index], sent - begin[index]),
+                (requested, *due),
                 "drive {index}"
             );
         }
@@ -139,8 +139,8 @@ pub fn a_window_is_open_for_what_it_owes_and_for_nothing_else(subject: &'static 
     let mut line = Line::new(subject, 2);
     line.online();
     let later = line.can.answers_after > 0 && !line.can.awaits || line.can.own_clock;
-    let open = |line: &mut Line, asked: [bool; 2]| {
-        line.asleep = asked.map(|asked| !asked).to_vec();
+    let open = |line: &mut Line, requested: [bool; 2]| {
+        line.asleep = requested.map(|requested| !requested).to_vec();
         line.settle();
         line.prepare();
         let grid = line.cycle().grid;
@@ -190,7 +190,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
     line.settle();
     line.answer_at(0, WINDOW / 4);
     line.turn_and_hear();
-    let (exchange, counters, heard) = (line.slots[0].exchange, line.slots[0].counters, line.heard(0));
+    let (exchange, counters, received) = (line.slots[0].exchange, line.slots[0].counters, line.received(0));
     assert!(matches!(exchange, Exchange::Owed { .. }));
     let cycle = line.cycle();
     line.slots[0].due = true;
@@ -200,7 +200,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
     line.send();
     line.world.advance(2 * LATENCY);
     assert_eq!((line.slots[0].exchange, line.slots[0].counters), (exchange, counters));
-    assert_eq!(line.heard(0), heard);
+    assert_eq!(line.received(0), received);
     line.window();
     line.judge();
     line.turns(u64::from(line.can.answers_after) - 1);
@@ -326,7 +326,7 @@ pub fn a_cycle_that_begins_late_ends_when_it_always_does(subject: &'static dyn S
 pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 2);
     line.settle();
-    let (before, heard) = (line.slots[0].counters, line.heard(0));
+    let (before, received) = (line.slots[0].counters, line.received(0));
     let beside = line.slots[1].counters;
     line.wire.log().drives[0].jammed = true;
     // The order is given while nothing goes out.
@@ -338,14 +338,14 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
         let c = line.slots[0].counters;
         assert_eq!((c.unsent, c.sent, c.missed), (before.unsent + unsent, before.sent, before.missed));
     }
-    assert_eq!(line.heard(0), heard);
+    assert_eq!(line.received(0), received);
     line.wire.log().drives[0].jammed = false;
     let seen = if line.can.own_clock { line.heal(0) } else { line.exchange(0) };
     assert!(seen.answered() && !seen.suspect, "nothing was under way that it could be mistaken for");
     if line.can.positions {
         assert_eq!(line.ended(0), Ok(()));
-        let (moved, asked) = (line.slots[0].status.demand - at, line.way(0, 0.1));
-        assert!((moved - asked).abs() < asked * 1e-3, "moved by {moved}");
+        let (moved, requested) = (line.slots[0].status.demand - at, line.way(0, 0.1));
+        assert!((moved - requested).abs() < requested * 1e-3, "moved by {moved}");
     } else {
         let velocity = line.profile(0).velocity;
         line.until("its velocity", 1_000, |line| near_velocity(line, 0, velocity));
@@ -360,7 +360,7 @@ pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: 
         return not_applicable(subject, "pieces of a request", "a datagram goes whole or not at all");
     }
     line.settle();
-    let (before, beside, heard) = (line.slots[0].counters, line.slots[1].counters, line.heard(0));
+    let (before, beside, received) = (line.slots[0].counters, line.slots[1].counters, line.received(0));
     line.wire.log().drives[0].halved = true;
     // The rest goes with the next cycle: what then comes in time is answered, and all else late.
     line.turns(60);
@@ -369,8 +369,8 @@ pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: 
     let after = line.slots[0].counters;
     let sent = after.sent - before.sent;
     assert!(sent > 15, "{after:?}");
-    assert_eq!((line.heard(0) - heard) as u64, sent, "each once");
-    let requests = line.requests(0).split_off(heard);
+    assert_eq!((line.received(0) - received) as u64, sent, "each once");
+    let requests = line.requests(0).split_off(received);
     assert!(requests.iter().all(|request| matches!(subject.message(request), Ok(Some(_)))));
     assert_eq!(after.missed - before.missed, after.late - before.late, "each answered, sooner or later");
     assert_eq!((after.malformed, after.foreign, after.duplicate), (0, 0, 0));

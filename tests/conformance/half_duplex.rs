@@ -32,11 +32,11 @@ pub fn one_request_is_on_the_wire_at_a_time(subject: &'static dyn Subject) {
     for mute in [false, true] {
         line.online();
         line.settle();
-        let before: Vec<_> = (0..MANY).map(|index| line.heard(index)).collect();
+        let before: Vec<_> = (0..MANY).map(|index| line.received(index)).collect();
         line.mute(0, mute);
         line.turns(20);
         let mut all: Vec<_> = (0..MANY)
-            .flat_map(|index| line.wire.log().drives[index].heard.split_off(before[index]))
+            .flat_map(|index| line.wire.log().drives[index].received.split_off(before[index]))
             .map(|request| request.at)
             .collect();
         all.sort_unstable();
@@ -98,7 +98,7 @@ pub fn a_request_that_waits_is_built_anew_until_it_leaves(subject: &'static dyn 
         }
         line.turns(200);
         let waits = one_waits(&mut line);
-        let before = line.heard(waits);
+        let before = line.received(waits);
         line.order(waits, stop);
         line.turn_and_hear();
         let requests = line.requests(waits);
@@ -125,7 +125,7 @@ pub fn a_reply_that_is_overdue_lets_the_next_request_go_in_the_same_window(subje
     let mut m = Machine::new(subject, 2, |_, drive| drive.axis.health.bucket = 1_000);
     m.online();
     m.mute(0, true);
-    let before = m.heard(1);
+    let before = m.received(1);
     m.run(200);
     let every = u64::from(m.drives[1].axis.divisor);
     let slots = m.asked_in(1, before);
@@ -150,10 +150,10 @@ pub fn a_request_has_its_own_stamp_whenever_it_leaves(subject: &'static dyn Subj
     let mut m = Machine::new(subject, MANY, |_, _| {});
     m.online();
     let sent = |m: &Machine, index: usize| m.sim.measured().histograms.drives[index].send_jitter.len();
-    let before: Vec<_> = (0..MANY).map(|index| (m.heard(index) as u64, sent(&m, index))).collect();
+    let before: Vec<_> = (0..MANY).map(|index| (m.received(index) as u64, sent(&m, index))).collect();
     m.run(200);
     for (index, (requests, stamps)) in before.into_iter().enumerate() {
-        let (requests, stamps) = (m.heard(index) as u64 - requests, sent(&m, index) - stamps);
+        let (requests, stamps) = (m.received(index) as u64 - requests, sent(&m, index) - stamps);
         assert!(
             requests >= 99 && requests.abs_diff(stamps) <= 1,
             "drive {index}: {stamps} stamps of {requests} requests"

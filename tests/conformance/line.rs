@@ -703,13 +703,13 @@ impl Line {
     }
 
     /// How many requests the drive has heard.
-    pub fn heard(&self, index: usize) -> usize {
-        self.wire.log().drives[index].heard.len()
+    pub fn received(&self, index: usize) -> usize {
+        self.wire.log().drives[index].received.len()
     }
 
     /// The requests that the drive has heard, byte for byte.
     pub fn requests(&self, index: usize) -> Vec<Vec<u8>> {
-        self.wire.log().drives[index].heard.iter().map(|heard| heard.request.clone()).collect()
+        self.wire.log().drives[index].received.iter().map(|received| received.request.clone()).collect()
     }
 
     pub fn state(&self, index: usize) -> State {

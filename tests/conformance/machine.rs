@@ -238,11 +238,11 @@ impl Machine {
     /// The slots of the grid in which the drive was sent something, from `first` on.
     pub fn asked_in(&self, index: usize, first: usize) -> Vec<u64> {
         let slot = |at: Time| at.since(self.origin) / PERIOD;
-        self.tape(index, |tape| tape.heard[first..].iter().map(|heard| slot(heard.at)).collect())
+        self.tape(index, |tape| tape.received[first..].iter().map(|received| slot(received.at)).collect())
     }
 
-    pub fn heard(&self, index: usize) -> usize {
-        self.tape(index, |tape| tape.heard.len())
+    pub fn received(&self, index: usize) -> usize {
+        self.tape(index, |tape| tape.received.len())
     }
 
     /// The stop bound that `check` states for an axis.

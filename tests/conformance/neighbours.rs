@@ -72,14 +72,14 @@ fn alike(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
     assert!(odd > 100, "only {odd} exchanges were befallen");
     let counts = [0, 1, 2].map(|index| {
         let c = &line.slots[index].counters;
-        let (all, was) = ([c, &before[index]]).map(told).into();
+        let (all, was) = ([c, &before[index]]).map(reported).into();
         all.iter().zip(was).map(|(now, was)| now - was).collect::<Vec<_>>()
     });
     assert!(counts.iter().all(|count| *count == counts[0]), "{counts:?}");
 }
 
 /// What was counted of a drive's exchanges and replies.
-fn told(c: &Counters) -> [u64; 9] {
+fn reported(c: &Counters) -> [u64; 9] {
     [c.sent, c.unsent, c.answered, c.missed, c.late, c.duplicate, c.suspect, c.malformed, c.foreign]
 }
 

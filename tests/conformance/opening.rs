@@ -11,11 +11,11 @@ pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let plan = subject.plan(&drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index)));
     let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
     assert_eq!(names, ["n7", "n6", "n5"]);
-    let told = plan.describe(PERIOD);
+    let reported = plan.describe(PERIOD);
     // What a line has besides has a line each behind them.
-    let more = subject.can().shared && told.len() > 3;
-    assert!(told.len() == 3 || more, "a paragraph a drive: {told:#?}");
-    assert!(told.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
+    let more = subject.can().shared && reported.len() > 3;
+    assert!(reported.len() == 3 || more, "a paragraph a drive: {reported:#?}");
+    assert!(reported.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
     let simulated = plan.simulate().len() + plan.simulate_line().map_or(0, |line| line.slaves());
     assert_eq!(simulated, 3);
     assert!(!plan.protocol().is_empty() && !plan.name().is_empty());
@@ -27,7 +27,14 @@ pub fn open_sends_nothing(subject: &'static dyn Subject) {
     assert_eq!(line.wire.log().sends, 0);
     // Connections are opened and greeted beside the loop.
     assert!(line.can.stream || line.world.delivered() == 0);
-    assert!(!line.wire.log().drives.iter().any(|tape| tape.heard.iter().any(|heard| heard.said.is_some())));
+    assert!(
+        !line
+            .wire
+            .log()
+            .drives
+            .iter()
+            .any(|tape| tape.received.iter().any(|received| received.said.is_some()))
+    );
     assert_eq!(line.bus.name(), line.wire.name());
 }
 

@@ -32,8 +32,8 @@ fn stays_as_found(subject: &'static dyn Subject, running: bool) {
         }
         line.turn();
         let said = line.said(0);
-        let told = (said.powered, said.moving, said.homed, line.state(0));
-        assert_eq!(told, (found.powered, found.moving, found.homed, state), "in cycle {turn}");
+        let reported = (said.powered, said.moving, said.homed, line.state(0));
+        assert_eq!(reported, (found.powered, found.moving, found.homed, state), "in cycle {turn}");
         assert!(running || said.position == found.position, "in cycle {turn}");
     }
     let went_on = line.said(0).position != found.position || !line.can.positions;
@@ -230,14 +230,14 @@ pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subjec
     let mut line = Line::with(subject, 1, |_, drive| (drive.jog, drive.follow) = (false, false));
     line.ready();
     let acceleration = line.profile(0).acceleration;
-    let mut asked = if line.can.positions { Vec::new() } else { vec![line.by(0, 0.1), Command::Follow] };
+    let mut requested = if line.can.positions { Vec::new() } else { vec![line.by(0, 0.1), Command::Follow] };
     if line.can.picks {
-        asked.extend([line.jog(0, 0.1), Command::Velocity { acceleration }]);
-        asked.extend(line.can.positions.then_some(Command::Follow));
+        requested.extend([line.jog(0, 0.1), Command::Velocity { acceleration }]);
+        requested.extend(line.can.positions.then_some(Command::Follow));
     }
-    asked.extend((!line.can.torque).then_some(Command::Torque { slope: 100.0 }));
-    asked.extend((!line.can.home).then_some(Command::Home));
-    for command in asked {
+    requested.extend((!line.can.torque).then_some(Command::Torque { slope: 100.0 }));
+    requested.extend((!line.can.home).then_some(Command::Home));
+    for command in requested {
         line.stream(0, 0.1, 100);
         line.settle();
         line.order(0, command);
@@ -629,11 +629,12 @@ pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
         }
         line.until("a lost link", 100, |line| line.slots[0].link == fieldbeat::axis::Link::Lost);
         line.order(0, stop);
-        let heard = line.heard(0);
+        let received = line.received(0);
         line.turns(4 * u64::from(line.drives[0].axis.divisor));
         let requests = line.requests(0);
-        let asked = (heard..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
-        assert!(asked.is_some(), "{stop:?} is not on the wire");
+        let requested =
+            (received..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
+        assert!(requested.is_some(), "{stop:?} is not on the wire");
         line.turns(400);
         assert!(stream || !line.said(0).moving, "{stop:?}");
         line.answer_as_usual(0);
@@ -654,11 +655,11 @@ pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
             line.turns(7);
             line.until("its velocity", 1_000, |line| line.slots[0].status.velocity > line.way(0, 0.95));
             line.settle();
-            let heard = line.heard(0);
+            let received = line.received(0);
             line.order(0, stop);
             line.turn_and_hear();
-            let (before, requests) = (line.requests(0), line.requests(0).split_off(heard));
-            let asks = requests.len() == 1 && subject.asks_to_stop(&before[..heard], &requests[0]);
+            let (before, requests) = (line.requests(0), line.requests(0).split_off(received));
+            let asks = requests.len() == 1 && subject.asks_to_stop(&before[..received], &requests[0]);
             assert!(asks, "{stop:?}: {requests:02x?}");
             line.done(0, STOP);
         }

@@ -137,7 +137,7 @@ pub fn requests_go_at_the_agreed_rate_whatever_the_link(subject: &'static dyn Su
     }
     m.ready();
     // Lost: the stop goes on it as well.
-    let before = [0, 1, 2].map(|index| m.heard(index));
+    let before = [0, 1, 2].map(|index| m.received(index));
     m.mute(1, true);
     m.mute(2, true);
     m.run(300);

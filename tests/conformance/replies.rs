@@ -31,8 +31,8 @@ fn moving(subject: &'static dyn Subject, count: usize) -> Line {
 /// A reply that can be no other's, as clean as the protocol knows.
 fn is_clean(line: &Line, seen: &Seen) -> bool {
     // A packet is new once, however many exchanges it answers.
-    let told = seen.fresh || !line.can.whole || line.can.own_clock;
-    seen.answered() && told && !seen.suspect && seen.round_trip().is_some() == line.can.round_trip
+    let reported = seen.fresh || !line.can.whole || line.can.own_clock;
+    seen.answered() && reported && !seen.suspect && seen.round_trip().is_some() == line.can.round_trip
 }
 
 fn expect_clean(line: &mut Line, index: usize) {
@@ -141,7 +141,7 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     line.answer_at(0, FIRST);
-    let asked = line.cycle().grid;
+    let requested = line.cycle().grid;
     assert!(line.exchange(0).missed());
     line.answer_as_usual(0);
     let seen = line.exchange(0);
@@ -152,7 +152,7 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
         // That what is not suspect was said in answer to this very request is the referee's.
         assert_eq!(seen.suspect, !line.can.identified, "{seen:?}");
     }
-    rules::honest(&line.slots[0], &line.wire.log().drives[0], &line.drives[0], &line.can, asked);
+    rules::honest(&line.slots[0], &line.wire.log().drives[0], &line.drives[0], &line.can, requested);
     for _ in 0..5 {
         expect_clean(&mut line, 0);
     }

@@ -216,11 +216,11 @@ pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     let units = drive.axis.units;
     // Of an answer that says a part, the rest is of those before it.
     let before = if can.whole { 0 } else { PARTS };
-    let newer = tape.heard.iter().rev().take_while(|heard| heard.at >= since).count();
-    let recent = tape.heard.iter().rev().take(newer + before);
-    let mut given = recent.filter_map(|heard| heard.told);
+    let newer = tape.received.iter().rev().take_while(|received| received.at >= since).count();
+    let recent = tape.received.iter().rev().take(newer + before);
+    let mut given = recent.filter_map(|received| received.reported);
     let given = given.any(|told| is_as_told(&slot.status, told, &units))
-        || tape.heard.iter().all(|heard| heard.told.is_none());
+        || tape.received.iter().all(|received| received.reported.is_none());
     assert!(given, "reported as new, but not said since {since}: {:?}", slot.status);
 }
 

@@ -65,24 +65,24 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
     m.mute(1, true);
     m.until("the third online", if shared { 8_000 } else { 100 }, |m| m.feedback(2).link == Link::Online);
     m.run(1_000);
-    assert_eq!((m.feedback(1).link, m.heard(0)), (Link::Unseen, 0));
+    assert_eq!((m.feedback(1).link, m.received(0)), (Link::Unseen, 0));
     let rarely = |m: &Machine, from: usize| {
-        let asked = m.asked_in(1, from);
-        assert!(asked.windows(2).all(|pair| pair[1] - pair[0] >= interval), "{asked:?}");
-        asked.len()
+        let requested = m.asked_in(1, from);
+        assert!(requested.windows(2).all(|pair| pair[1] - pair[0] >= interval), "{requested:?}");
+        requested.len()
     };
     // Who has no connection cannot even be asked.
-    let asked = if m.can.stream { 0..=0 } else { 24..=26 };
-    assert!(shared || asked.contains(&rarely(&m, 0)));
+    let requested = if m.can.stream { 0..=0 } else { 24..=26 };
+    assert!(shared || requested.contains(&rarely(&m, 0)));
     m.mute(1, false);
     m.until("it online", 10_000, |m| m.feedback(1).link == Link::Online);
     m.mute(1, true);
     m.until("it lost", 100, |m| m.feedback(1).link == Link::Lost);
     m.run(2);
-    let heard = m.heard(1);
+    let received = m.received(1);
     m.run(1_000);
     // On a line the frames pass all the same; the exchanges are counted below.
-    assert!(shared || asked.contains(&rarely(&m, heard)));
+    assert!(shared || requested.contains(&rarely(&m, received)));
     // Who answers lost nothing by it.
     let end = m.sim.finish();
     let living = end.drives[2].counters;
@@ -121,22 +121,22 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         });
         let ids = m.moving();
         // The last good exchange is that of the request before the silence.
-        let heard = m.heard(0);
+        let received = m.received(0);
         m.until("one more exchange", if m.can.whole { 20 } else { 100 }, |m| {
-            m.heard(0) > heard && m.feedback(0).age == 0
+            m.received(0) > received && m.feedback(0).age == 0
         });
-        let heard = m.heard(0);
+        let received = m.received(0);
         // A packet that answers nothing is taken in with the next send.
-        let last_good = m.asked_in(0, heard - 1)[0] + u64::from(m.can.own_clock);
+        let last_good = m.asked_in(0, received - 1)[0] + u64::from(m.can.own_clock);
         m.late(0);
         let bound = m.stop_bound(0);
         m.run(bound + 50);
         let requests: Vec<_> =
-            m.tape(0, |tape| tape.heard.iter().map(|heard| heard.request.clone()).collect());
-        let stop = (heard..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
-        let stop = stop.map(|n| n - heard);
+            m.tape(0, |tape| tape.received.iter().map(|received| received.request.clone()).collect());
+        let stop = (received..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
+        let stop = stop.map(|n| n - received);
         let stop = stop.unwrap_or_else(|| panic!("no stop request: {how:?}"));
-        let lost = m.asked_in(0, heard)[stop] - last_good;
+        let lost = m.asked_in(0, received)[stop] - last_good;
         let what = format!("divisor {every}, bucket {bucket}, {how:?}: after {lost} cycles, bound {bound}");
         assert!(lost <= bound, "{what}");
         assert!(stop as u64 >= u64::from(bucket), "too soon: {what}");
@@ -165,19 +165,22 @@ pub fn divisor_and_phase_choose_the_slots(subject: &'static dyn Subject) {
         }
         m.run(100);
     }
-    let heard = [0, 1, 2].map(|index| m.heard(index));
+    let received = [0, 1, 2].map(|index| m.received(index));
     m.run(500);
     for (index, (divisor, phase)) in schedule.into_iter().enumerate() {
-        let mut asked = m.asked_in(index, heard[index]);
+        let mut requested = m.asked_in(index, received[index]);
         let every = u64::from(divisor * least);
         if m.can.shared {
             // The frames go in each of them: what they tell the drive is another from slot to slot.
-            let told = m.tape(index, |tape| tape.heard[heard[index] - 1..].to_vec());
-            let mut anew = told.windows(2).map(|pair| pair[0].request != pair[1].request);
-            asked.retain(|_| anew.next() == Some(true));
+            let reported = m.tape(index, |tape| tape.received[received[index] - 1..].to_vec());
+            let mut anew = reported.windows(2).map(|pair| pair[0].request != pair[1].request);
+            requested.retain(|_| anew.next() == Some(true));
         }
-        assert!(asked.iter().all(|slot| slot % every == u64::from(phase)), "drive {index}: {asked:?}");
-        assert!(asked.len() as u64 >= 500 / every, "drive {index}: {} requests", asked.len());
+        assert!(
+            requested.iter().all(|slot| slot % every == u64::from(phase)),
+            "drive {index}: {requested:?}"
+        );
+        assert!(requested.len() as u64 >= 500 / every, "drive {index}: {} requests", requested.len());
     }
 }
 
@@ -289,12 +292,12 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
         assert_eq!(m.feedback(index).stopped, Some(StopCause::FoundRunning));
     }
     m.until("power off", 2_000, |m| !m.feedback(0).status.state.is_powered());
-    let (heard, still) = m.tape(0, |tape| {
-        let standing = tape.heard.iter().rev().filter_map(|heard| heard.said);
+    let (received, still) = m.tape(0, |tape| {
+        let standing = tape.received.iter().rev().filter_map(|received| received.said);
         let standing = standing.skip_while(|said| !said.powered);
-        (tape.heard.len(), standing.take_while(|said| said.powered && !said.moving).count())
+        (tape.received.len(), standing.take_while(|said| said.powered && !said.moving).count())
     });
-    assert!(still >= 20, "of {heard} requests only {still} between standstill and power off");
+    assert!(still >= 20, "of {received} requests only {still} between standstill and power off");
     m.run(500);
     let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
     assert!(said.powered && said.moving && feedback.status.moving, "only read: {feedback:?}");
@@ -459,8 +462,9 @@ pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &
     let said = |index| m.tape(index, |tape| tape.said());
     assert!([0, 1].iter().all(|index| !said(*index).powered));
     assert!(said(read).powered && said(read).moving, "not ours to stop");
-    let before_off =
-        m.tape(0, |tape| tape.heard.iter().rev().filter_map(|heard| heard.said).find(|said| said.powered));
+    let before_off = m.tape(0, |tape| {
+        tape.received.iter().rev().filter_map(|received| received.said).find(|said| said.powered)
+    });
     assert!(before_off.is_some_and(|said| !said.moving), "power went off in mid-motion");
     m.assert_grid();
     let end = m.sim.finish();

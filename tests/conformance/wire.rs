@@ -23,14 +23,14 @@ const NO_BUFFER: i32 = 105;
 
 /// One request as its drive heard it.
 #[derive(Clone, Debug)]
-pub struct Heard {
+pub struct Delivery {
     pub at: Time,
     pub request: Vec<u8>,
     /// Empty: no answer.
     pub reply: Vec<u8>,
     pub said: Option<Said>,
     /// The same, by the answers that were not lost.
-    pub told: Option<Said>,
+    pub reported: Option<Said>,
 }
 
 /// One drive's end of the wire.
@@ -39,7 +39,7 @@ pub struct Tape {
     pub address: SocketAddrV4,
     /// Its wire at its best: a slow drive is no fault.
     pub usual: FaultPlan,
-    pub heard: Vec<Heard>,
+    pub received: Vec<Delivery>,
     /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
     /// come back; a single one hears nothing.
     pub mute: bool,
@@ -64,12 +64,12 @@ pub struct Tape {
 impl Tape {
     /// What the drive last said.
     pub fn said(&self) -> Said {
-        self.heard.iter().rev().find_map(|heard| heard.said).expect("the drive has answered")
+        self.received.iter().rev().find_map(|received| received.said).expect("the drive has answered")
     }
 
     /// The last answer that it gave, as it left.
     pub fn reply(&self) -> Vec<u8> {
-        let last = self.heard.iter().rev().find(|heard| !heard.reply.is_empty());
+        let last = self.received.iter().rev().find(|received| !received.reply.is_empty());
         last.expect("the drive has answered").reply.clone()
     }
 }
@@ -113,7 +113,7 @@ impl Wire {
         let tape = |(address, usual)| Tape {
             address,
             usual,
-            heard: Vec::new(),
+            received: Vec::new(),
             mute: false,
             unplugged: false,
             jammed: false,
@@ -210,7 +210,8 @@ impl BusPlan for Wire {
     fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         let tap = |(index, drive)| {
             let wire = self.clone();
-            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, told: None }) as Box<_>
+            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, reported: None })
+                as Box<_>
         };
         self.plan.simulate().into_iter().enumerate().map(tap).collect()
     }
@@ -227,7 +228,7 @@ impl BusPlan for Wire {
 #[derive(Clone, Default)]
 struct TappedEnd {
     said: Option<Said>,
-    told: Option<Said>,
+    reported: Option<Said>,
     deaf: bool,
 }
 
@@ -275,9 +276,10 @@ impl TappedLine {
             }
             let said = subject.said(end.said, &request, &reply);
             end.said = said.or(end.said);
-            let told = said.filter(|_| comes_back).and_then(|_| subject.said(end.told, &request, &reply));
-            end.told = told.or(end.told);
-            tape.heard.push(Heard { at: now, request, reply, said, told });
+            let reported =
+                said.filter(|_| comes_back).and_then(|_| subject.said(end.reported, &request, &reply));
+            end.reported = reported.or(end.reported);
+            tape.received.push(Delivery { at: now, request, reply, said, reported });
         }
         log.frame.clear();
         log.frame.extend(frame);
@@ -349,7 +351,7 @@ struct TappedDrive {
     /// On a stream, the begin of a request.
     part: Vec<u8>,
     said: Option<Said>,
-    told: Option<Said>,
+    reported: Option<Said>,
 }
 
 /// Where another master connects from.
@@ -408,12 +410,12 @@ impl SimDrive for TappedDrive {
         let tape = &mut log.drives[self.index];
         let said = to.and_then(|_| subject.said(self.said, &request, &reply));
         self.said = said.or(self.said);
-        let told = to.filter(|_| !tape.mute).and_then(|_| subject.said(self.told, &request, &reply));
-        self.told = told.or(self.told);
+        let reported = to.filter(|_| !tape.mute).and_then(|_| subject.said(self.reported, &request, &reply));
+        self.reported = reported.or(self.reported);
         // On a stream, a greeting, or a part of a request only.
         let none = subject.can().stream && (!tape.open || request.is_empty());
         if !none {
-            tape.heard.push(Heard { at: now, request, reply, said, told });
+            tape.received.push(Delivery { at: now, request, reply, said, reported });
         }
         to.filter(|_| !tape.mute)
     }

@@ -107,7 +107,7 @@ fn the_parsers_of_prometheus_read_the_metrics() {
         for family in old.text_string_to_metric_families(page):\n\
         \x20   for sample in family.samples: print('old', sample.name)\n";
     let python = checkout("target/peers/python/bin/python3");
-    let told = tell(Command::new(python).args(["-c", script]), page);
+    let reported = tell(Command::new(python).args(["-c", script]), page);
     for line in [
         "fieldbeat_cycles_executed_total - counter",
         "fieldbeat_wake_up_seconds_bucket - histogram",
@@ -119,6 +119,6 @@ fn the_parsers_of_prometheus_read_the_metrics() {
         "old fieldbeat_drive_requests_sent_total",
         "old fieldbeat_stage_seconds_bucket",
     ] {
-        assert!(told.lines().any(|told| told == line), "no \"{line}\": {told}");
+        assert!(reported.lines().any(|reported| reported == line), "no \"{line}\": {reported}");
     }
 }

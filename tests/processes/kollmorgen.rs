@@ -194,15 +194,15 @@ fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_maste
     let good = text(&line(179)) + io;
     let _sim = simulation(&machine.write("good.toml", &good));
     let config = machine.write("line.toml", good + "product = 0x99\n");
-    let asked = || ask("param get", &config, "io 0x1018:1");
-    let alone = asked();
+    let requested = || ask("param get", &config, "io 0x1018:1");
+    let alone = requested();
     alone.expect(1);
     assert!(alone.err.contains("io is not a drive: only a running master can access it"), "{}", alone.err);
 
     let mut master = master(&config, &["--json"]);
     let refused = "place 2: its product is 0x";
     master.await_text(&format!("device io: not in operation: {refused}"));
-    let beside = asked();
+    let beside = requested();
     beside.expect(1);
     assert!(beside.err.contains("read 0x1018:1: the slave has no mailbox"), "{}", beside.err);
     master.signal(SIGTERM);

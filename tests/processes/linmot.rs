@@ -55,7 +55,7 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
     let machine = Machine::new(90);
     let config = machine.plain(1);
     let _sim = simulation(&config);
-    for (what, file, own, told) in [
+    for (what, file, own, reported) in [
         (
             "curve",
             CURVE,
@@ -70,9 +70,12 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
         };
         does("list", "").expect(0);
         let said = does("put", &sample(file));
-        assert!(said.expect(0).out.contains(told) && said.out.contains("read back and compared"), "{said:?}");
+        assert!(
+            said.expect(0).out.contains(reported) && said.out.contains("read back and compared"),
+            "{said:?}"
+        );
         assert!(does("list", "").expect(0).out.starts_with(&own));
-        assert!(does("get", &first.display().to_string()).expect(0).out.contains(told));
+        assert!(does("get", &first.display().to_string()).expect(0).out.contains(reported));
         // As this program writes it, which is what it reads.
         let text = fs::read_to_string(&first).unwrap();
         let written = match what {

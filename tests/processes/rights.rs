@@ -36,10 +36,10 @@ fn an_ordinary_user_is_told_once_that_the_numbers_are_not_real_time() {
         (&summary["realtime"]["policy"], &summary["realtime"]["memory_locked"]),
         (&"SCHED_OTHER".into(), &false.into())
     );
-    let told: Vec<&str> = ended.err.lines().filter(|line| line.contains("not real-time")).collect();
-    assert_eq!(told.len(), 2, "one a right: {}", ended.err);
+    let reported: Vec<&str> = ended.err.lines().filter(|line| line.contains("not real-time")).collect();
+    assert_eq!(reported.len(), 2, "one a right: {}", ended.err);
     assert_eq!(summary["realtime"]["missing"].as_array().unwrap().len(), 2);
-    for (line, right) in told.iter().zip(["SCHED_FIFO 80", "memory"]) {
+    for (line, right) in reported.iter().zip(["SCHED_FIFO 80", "memory"]) {
         assert!(line.starts_with("fieldbeat: not real-time: no right ") && line.contains(right), "{line}");
     }
     let ended = user(&[]);

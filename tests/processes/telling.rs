@@ -74,8 +74,11 @@ fn a_running_master_is_asked_and_answers_its_owner() {
         assert!(summary["cycle"]["executed"].as_u64().unwrap() > 0, "{summary}");
         assert_eq!(summary["drives"][1]["link"], "online");
     }
-    let told = status(&machine, &[]).expect(0).out.clone();
-    assert!(told.contains(&format!("pid {}", master.pid())) && told.contains("wake-up latency"), "{told}");
+    let reported = status(&machine, &[]).expect(0).out.clone();
+    assert!(
+        reported.contains(&format!("pid {}", master.pid())) && reported.contains("wake-up latency"),
+        "{reported}"
+    );
     let [socket] = &sockets(&machine)[..] else { panic!() };
     assert_eq!(fs::metadata(socket).unwrap().permissions().mode() & 0o777, 0o600);
     assert_eq!(fs::metadata(socket.parent().unwrap()).unwrap().permissions().mode() & 0o777, 0o700);
@@ -260,12 +263,12 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     master.signal(SIGTERM);
     let ended = master.end();
     let summary = ended.expect(1).json();
-    let told = summary["black_boxes"].as_array().unwrap();
+    let reported = summary["black_boxes"].as_array().unwrap();
     let files = files(&directory);
-    assert!(files.len() >= 2 && told.len() == files.len(), "{summary}");
-    assert!(told.iter().all(|one| one["error"].is_null() && one["path"].as_str().is_some()), "{summary}");
+    assert!(files.len() >= 2 && reported.len() == files.len(), "{summary}");
+    assert!(reported.iter().all(|one| one["error"].is_null() && one["path"].as_str().is_some()), "{summary}");
 
-    let lost = told.iter().find(|one| one["why"] == "drive d0: link lost").unwrap();
+    let lost = reported.iter().find(|one| one["why"] == "drive d0: link lost").unwrap();
     let path = Path::new(lost["path"].as_str().unwrap());
     let story = blackbox(path, &["--json"]).expect(0).json();
     assert_eq!((&story["header"]["cycle"], &story["header"]["why"]), (&lost["cycle"], &lost["why"]));
@@ -315,10 +318,11 @@ fn what_a_drive_shows_besides_is_told_meanwhile_at_the_end_and_in_the_black_box(
     let [temperature, timer, unknown] = &summary["drives"][1]["monitor"].as_array().unwrap()[..] else {
         panic!("{summary}")
     };
-    let told = json!({ "name": "core-temperature", "unit": "C", "value": 40.0, "min": 40.0, "max": 40.0 });
-    assert_eq!(*temperature, told);
-    let told = json!({ "name": "0x9999", "unit": "", "value": null, "min": null, "max": null });
-    assert_eq!(*unknown, told);
+    let reported =
+        json!({ "name": "core-temperature", "unit": "C", "value": 40.0, "min": 40.0, "max": 40.0 });
+    assert_eq!(*temperature, reported);
+    let reported = json!({ "name": "0x9999", "unit": "", "value": null, "min": null, "max": null });
+    assert_eq!(*unknown, reported);
     assert_eq!((&timer["name"], &timer["unit"]), (&json!("drive-timer"), &json!("us")));
     assert!(timer["value"] == timer["max"] && timer["min"].as_f64() < timer["max"].as_f64(), "{timer}");
 
@@ -363,7 +367,7 @@ fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it() {
     let happened = story["happened"].as_array().unwrap();
     let of = |what: &str| {
         let found = happened.iter().position(|one| {
-            one["drive"] == "d1" && one["what"].as_str().is_some_and(|told| told.starts_with(what))
+            one["drive"] == "d1" && one["what"].as_str().is_some_and(|reported| reported.starts_with(what))
         });
         found.unwrap_or_else(|| panic!("{what}: {happened:#?}"))
     };
@@ -386,11 +390,11 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
         ),
     );
     let mut master = Program::spawn(&mut own(&machine, &["run", config.to_str().unwrap(), "--json"]));
-    let told = format!("drive u1: not connected: refused: nobody listens at {address}");
-    master.await_text(&told);
+    let reported = format!("drive u1: not connected: refused: nobody listens at {address}");
+    master.await_text(&reported);
     let summary = || status(&machine, &["--json"]).expect(0).json()["summary"].clone();
     let why = summary()["drives"][0]["not_connected"].as_str().unwrap().to_owned();
-    assert!(told.ends_with(why.split(';').next().unwrap()), "{why}");
+    assert!(reported.ends_with(why.split(';').next().unwrap()), "{why}");
     let _sim = simulation(&config);
     master.await_text("all drives online");
     let drive = &summary()["drives"][0];

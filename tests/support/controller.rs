@@ -79,12 +79,12 @@ pub fn play(role: &str) {
     assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().status.position > 10.0)));
     println!("{UNDER_WAY}");
 
-    let mut told = vec![false; axes.len()];
+    let mut reported = vec![false; axes.len()];
     while !ended.load(Ordering::Relaxed) {
-        for (axis, told) in axes.iter_mut().zip(&mut told) {
+        for (axis, reported) in axes.iter_mut().zip(&mut reported) {
             // Whatever stops an axis, it tries to go on.
-            if !*told && axis.feedback().stopped.is_some() {
-                *told = true;
+            if !*reported && axis.feedback().stopped.is_some() {
+                *reported = true;
                 println!("{}", axis.enable().unwrap_err());
             }
         }

@@ -36,7 +36,7 @@ fn keep_busy(
     b: &mut Bench,
     turns: u64,
     mut next: impl FnMut(usize) -> Call,
-    mut told: impl FnMut(usize, Call, Result<u64, CallError>),
+    mut reported: impl FnMut(usize, Call, Result<u64, CallError>),
 ) {
     let mut under_way: Vec<(usize, Call, CallTicket)> = Vec::new();
     for turn in 0.. {
@@ -50,7 +50,7 @@ fn keep_busy(
         }
         under_way.retain_mut(|(index, call, ticket)| match ticket.poll() {
             Some(end) => {
-                told(*index, *call, end.map(|answer| answer.value));
+                reported(*index, *call, end.map(|answer| answer.value));
                 false
             }
             None => true,
@@ -167,7 +167,7 @@ fn a_tag_in_each_request_and_calls_share_the_channel() {
     b.run(5);
     let tape = b.tape(0);
     let last: Vec<RtcBlock> =
-        tape.heard.iter().rev().take(3).filter_map(|heard| heard.request.config).collect();
+        tape.received.iter().rev().take(3).filter_map(|received| received.request.config).collect();
     assert_eq!(last.len(), 3);
     assert!(last.iter().all(|block| block.code == RtcCommand::NO_OPERATION.0));
 }
@@ -241,8 +241,8 @@ fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
         EventKind::MonitorRefused { channel, status } => Some((*channel, *status)),
         _ => None,
     };
-    let told: Vec<_> = b.kinds(0).iter().filter_map(refused).collect();
-    assert_eq!(told, [(0, Refusal::OutOfRange.code().into())]);
+    let reported: Vec<_> = b.kinds(0).iter().filter_map(refused).collect();
+    assert_eq!(reported, [(0, Refusal::OutOfRange.code().into())]);
 }
 
 #[test]
@@ -251,5 +251,7 @@ fn whatever_is_set_in_the_drive_is_shown_raw_and_not_touched() {
     b.run(10);
     // The status word of a drive that is switched off, on its fourth channel by default.
     assert!(b.feedback(0).status.monitor[3].is_some_and(|word| word == word.trunc()));
-    assert!(b.tape(0).heard.iter().all(|heard| heard.request.config.is_none_or(|block| block.code == 0)));
+    assert!(
+        b.tape(0).received.iter().all(|received| received.request.config.is_none_or(|block| block.code == 0))
+    );
 }

@@ -10,10 +10,10 @@ use crate::virtual_time::support::*;
 
 /// No control word, and no motion command but the one that does nothing.
 fn assert_only_read(b: &Bench, index: usize) {
-    for heard in &b.tape(index).heard {
-        assert_eq!(heard.request.control, None, "drive {index} at {}", heard.at);
-        let motion = heard.request.motion.unwrap_or_default();
-        assert_eq!(motion, MotionBlock::default(), "drive {index} at {}", heard.at);
+    for received in &b.tape(index).received {
+        assert_eq!(received.request.control, None, "drive {index} at {}", received.at);
+        let motion = received.request.motion.unwrap_or_default();
+        assert_eq!(motion, MotionBlock::default(), "drive {index} at {}", received.at);
     }
 }
 
@@ -27,11 +27,11 @@ fn nothing_is_written_before_the_first_order() {
     assert_only_read(&b, 0);
     assert_only_read(&b, 1);
     // Motion blocks go to the silent only: a drive that answers is not bothered with them.
-    assert!(b.tape(0).heard.iter().all(|heard| heard.request.motion.is_none()));
+    assert!(b.tape(0).received.iter().all(|received| received.request.motion.is_none()));
     let id = b.post(0, Command::Enable);
     b.step();
     b.step();
-    assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(ControlWord::BASE));
+    assert_eq!(b.tape(0).received.last().unwrap().request.control, Some(ControlWord::BASE));
     assert_eq!(b.ended(0, id), Outcome::Done);
     assert_only_read(&b, 1);
 }
@@ -101,7 +101,7 @@ fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
     b.until("standstill", 400, |b| !b.feedback(0).status.moving);
     b.done(0, Command::Reset);
     b.done(0, Command::Enable);
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     for n in 0..40 {
         b.done(0, to(10.0 + f64::from(n)));
         assert_near(b.feedback(0).status.demand, 10.0 + f64::from(n), 1e-6);
@@ -109,9 +109,9 @@ fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
     // One telegram each: none had to be repeated, so each was taken with its first count.
     let counts: Vec<u16> = b
         .tape(0)
-        .heard
+        .received
         .iter()
-        .filter_map(|heard| heard.request.motion)
+        .filter_map(|received| received.request.motion)
         .map(|motion| motion.header & 0xF)
         .collect();
     let expected: Vec<u16> = (0..40).map(|n| (7 + n) % 16).collect();

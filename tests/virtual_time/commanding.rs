@@ -282,7 +282,7 @@ impl LinMot {
     /// Takes what is new on the tape.
     fn look(&mut self) {
         let mut tape = self.bench.tape(0);
-        for heard in tape.heard.drain(..) {
+        for heard in tape.received.drain(..) {
             let is_one = |block: RtcBlock| block.code == RtcCommand::WRITE_RAM.0 && block.index() == RUN_MODE;
             self.received += usize::from(heard.request.config.is_some_and(is_one));
             if let Some(state) = heard.reply.and_then(|reply| reply.state) {

@@ -18,7 +18,7 @@ const STOP: Command = Command::Stop { deceleration: None };
 /// The control words that the drive heard, each once in a row.
 fn controls(b: &Bench, index: usize) -> Vec<u16> {
     let mut words: Vec<u16> =
-        b.tape(index).heard.iter().filter_map(|heard| heard.request.control).map(|c| c.0).collect();
+        b.tape(index).received.iter().filter_map(|received| received.request.control).map(|c| c.0).collect();
     words.dedup();
     words
 }
@@ -142,7 +142,7 @@ fn reset_fault_acknowledges_with_an_edge_and_ends_powered_off() {
     assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
     assert_eq!((b.feedback(0).status.state, b.feedback(0).status.fault), (State::Fault, 3));
     b.run(50);
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     b.done(0, Command::ResetFault);
     assert_eq!(controls(&b, 0), [0x3E, 0xBE, 0x3E]);
     assert_eq!(b.feedback(0).status.fault, 0);
@@ -194,7 +194,7 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
     let id = b.post(0, Command::Native(NativeOwner::Master));
     b.run(3);
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     for count in 1..=12 {
         let config = Some(RtcBlock::command(count, RtcCommand::NO_OPERATION));
         native.write(NativeOutput { config, ..NativeOutput::default() }).unwrap();
@@ -205,10 +205,11 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
     }
     b.run(20);
     assert!(b.status().skipped >= 4);
-    let counts: Vec<_> = (b.tape(0).heard.iter()).filter_map(|h| Some(h.request.config?.count())).collect();
+    let counts: Vec<_> =
+        (b.tape(0).received.iter()).filter_map(|h| Some(h.request.config?.count())).collect();
     assert!(counts.into_iter().eq(1..=12));
 
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     for position in [100_000, 150_000, 120_000] {
         let motion = Some(go_to(position));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
@@ -219,8 +220,8 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
         b.world().plug(address(0));
     }
     b.run(500);
-    let mut motions: Vec<_> = (b.tape(0).heard.iter())
-        .filter_map(|heard| heard.request.motion)
+    let mut motions: Vec<_> = (b.tape(0).received.iter())
+        .filter_map(|received| received.request.motion)
         .map(|motion| motion.parameters)
         .collect();
     motions.dedup();
@@ -247,7 +248,7 @@ fn the_stop_plan_chooses_the_way_down() {
         b.run(100);
         b.world().unplug(address(1));
         b.run(2);
-        b.tape(0).heard.clear();
+        b.tape(0).received.clear();
         assert_eq!(b.stopped(0, 10), StopCause::Group);
         b.run(400);
         assert_eq!(b.feedback(0).status.state.is_powered(), !off, "{how:?} {then:?}");
@@ -263,9 +264,10 @@ fn the_stop_plan_chooses_the_way_down() {
         assert_eq!(words, expected, "{how:?} {then:?}");
         // Power went off while it still moved only where it should.
         let tape = b.tape(0);
-        let off_at = tape.heard.iter().position(|heard| heard.request.control == Some(ControlWord::BASE));
+        let off_at =
+            tape.received.iter().position(|received| received.request.control == Some(ControlWord::BASE));
         if let Some(at) = off_at {
-            let moving = tape.heard[at - 1].reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE);
+            let moving = tape.received[at - 1].reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE);
             assert_eq!(moving, how == StopHow::Coast, "{how:?}");
         }
     }
@@ -280,7 +282,7 @@ fn count(reply: &mut [u8]) -> Option<&mut u8> {
 #[test]
 fn a_drive_that_takes_no_count_is_given_up() {
     let mut b = Rig::new(1).ready();
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     b.tape(0).tamper = Some(Box::new(|reply| {
         if let Some(byte) = count(reply) {
             *byte &= 0xF0;
@@ -290,7 +292,7 @@ fn a_drive_that_takes_no_count_is_given_up() {
     assert_eq!(b.failed(0, to(1.0)), Failure::NotTaken);
     let tape = b.tape(0);
     let mut counts: Vec<_> =
-        tape.heard.iter().filter_map(|h| h.request.motion).map(|m| m.header & 0xF).collect();
+        tape.received.iter().filter_map(|h| h.request.motion).map(|m| m.header & 0xF).collect();
     counts.dedup();
     assert_eq!(counts, [1, 2, 3, 4], "a few counts, then it is given up");
 }
@@ -315,10 +317,10 @@ fn an_echo_that_hides_the_stored_count_costs_a_few_cycles_and_no_motion() {
         }
     }));
     b.run(5);
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     b.done(0, by(7.0));
     assert_eq!(b.tape(0).last().demand, Some(70_000));
-    let first = b.tape(0).heard.iter().find_map(|heard| heard.request.motion).unwrap();
+    let first = b.tape(0).received.iter().find_map(|received| received.request.motion).unwrap();
     assert_eq!(first.header & 0xF, 1, "the count that the drive had stored already");
 }
 

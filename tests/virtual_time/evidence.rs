@@ -13,7 +13,7 @@ use crate::virtual_time::support::*;
 fn repeat(b: &Bench, cycles: usize) {
     let reply: Response = {
         let tape = b.tape(0);
-        tape.heard[tape.heard.len() - cycles].reply.expect("the drive answers everything")
+        tape.received[tape.received.len() - cycles].reply.expect("the drive answers everything")
     };
     let mut bytes = [0; 64];
     let size = reply.emit(&mut bytes);
@@ -112,8 +112,8 @@ fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
         b.tape(0).provoke = Some(ErrorCode(0x0B));
         b.run(3);
         assert_eq!(b.feedback(0).status.fault, 0x0B, "{turn}");
-        let told = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Fault(_)));
-        assert_eq!(told.collect::<Vec<_>>(), [EventKind::Fault(0x0B)], "{turn}");
+        let reported = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Fault(_)));
+        assert_eq!(reported.collect::<Vec<_>>(), [EventKind::Fault(0x0B)], "{turn}");
     }
 }
 
@@ -126,6 +126,6 @@ fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() 
     b.done(0, Command::QuickStop);
     assert!(!moves(&b) && demand(&b) < begun + 2.0, "from {begun} to {}", demand(&b));
     let held = ControlWord::ON;
-    assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(held));
+    assert_eq!(b.tape(0).received.last().unwrap().request.control, Some(held));
     b.done(0, to(10.0));
 }

@@ -22,12 +22,13 @@ fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
     b.run(1_000);
     b.tape(0).mute = false;
     b.online().run(1_000);
-    let on = |heard: &Heard| heard.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
+    let on =
+        |received: &Delivery| received.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
     let tape = b.tape(0);
-    let off = tape.heard.iter().rposition(on).unwrap() + 1;
-    let state = |heard: &Heard| heard.reply.unwrap().state.unwrap().main();
-    assert!(state(&tape.heard[off - 1]) == MainState::OPERATION_ENABLED, "it was switched on again");
-    assert_eq!(state(tape.heard.last().unwrap()), MainState::READY_TO_SWITCH_ON);
+    let off = tape.received.iter().rposition(on).unwrap() + 1;
+    let state = |received: &Delivery| received.reply.unwrap().state.unwrap().main();
+    assert!(state(&tape.received[off - 1]) == MainState::OPERATION_ENABLED, "it was switched on again");
+    assert_eq!(state(tape.received.last().unwrap()), MainState::READY_TO_SWITCH_ON);
 }
 
 #[test]
@@ -41,11 +42,11 @@ fn positions_begin_anew_after_a_restart() {
         })
         .online();
     let demand = Arc::new(AtomicU64::new(0));
-    let told = Arc::clone(&demand);
+    let reported = Arc::clone(&demand);
     b.tape(0).tamper = Some(Box::new(move |reply| {
         let mut response = Response::parse(reply).unwrap();
         if response.status != Some(StatusWord::default()) {
-            response.demand = Some(told.load(Ordering::Relaxed) as i32);
+            response.demand = Some(reported.load(Ordering::Relaxed) as i32);
         }
         response.emit(reply);
     }));
@@ -102,7 +103,7 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
         let mut b = Rig::new(1).ready();
         let id = b.post(0, with(fieldbeat::axis::Target::Absolute(190.0), 500.0, 5_000.0));
         b.run(200);
-        b.tape(0).heard.clear();
+        b.tape(0).received.clear();
         b.tape(0).provoke = Some(ErrorCode(code));
         assert_eq!(b.stopped(0, 5), StopCause::DriveFault);
         assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::DriveFault));
@@ -112,9 +113,9 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
         );
         b.run(200);
         assert_eq!(b.feedback(0).status.state, State::Fault);
-        let braking: Vec<_> = (b.tape(0).heard.iter())
-            .filter(|heard| heard.reply.unwrap().state.unwrap().main() == MainState::QUICK_STOP)
-            .map(|heard| heard.request.control.unwrap())
+        let braking: Vec<_> = (b.tape(0).received.iter())
+            .filter(|received| received.reply.unwrap().state.unwrap().main() == MainState::QUICK_STOP)
+            .map(|received| received.request.control.unwrap())
             .collect();
         // 500 mm/s at 20 m/s² take 25 ms.
         assert!((20..=30).contains(&braking.len()), "{} cycles of braking", braking.len());
@@ -150,11 +151,12 @@ fn a_quick_stop_from_elsewhere_ends_in_power_off_and_is_waited_for() {
     b.run(100);
     assert!(!b.feedback(0).status.state.is_powered());
     let tape = b.tape(0);
-    let off = tape.heard.iter().position(|heard| {
-        heard.request.control == Some(ControlWord::BASE)
-            && heard.reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE)
+    let off = tape.received.iter().position(|received| {
+        received.request.control == Some(ControlWord::BASE)
+            && received.reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE)
     });
-    let ready = tape.heard.iter().position(|heard| heard.reply.unwrap().status.unwrap().homed()).unwrap();
+    let ready =
+        tape.received.iter().position(|received| received.reply.unwrap().status.unwrap().homed()).unwrap();
     assert!(off.is_none_or(|off| off < ready), "power was cut in the middle of braking");
 }
 
@@ -225,8 +227,8 @@ fn a_task_over_its_budget_stops_every_axis() {
 
 #[test]
 fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
-    let told = Arc::new(std::sync::Mutex::new(Vec::new()));
-    let log = Arc::clone(&told);
+    let reported = Arc::new(std::sync::Mutex::new(Vec::new()));
+    let log = Arc::clone(&reported);
     let mut b = Rig::new(1)
         .each(|_, drive| drive.simulate.stream_patience = 20.0)
         .task(move |cycle, axes| {
@@ -254,7 +256,7 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
         })
         .ready();
     b.until("the end of the stream", 4_000, |b| b.feedback(0).cycle == 3_400);
-    let ids = told.lock().unwrap().clone();
+    let ids = reported.lock().unwrap().clone();
     assert_eq!(ids[0], Err(Failure::NotFinite));
     assert!(ids[1].is_ok() && ids[4].is_ok());
     assert!(matches!(ids[2], Err(Failure::Unsupported(_))));
@@ -264,7 +266,7 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
     }
     assert_near(b.feedback(0).status.demand, 40.0, 1e-4);
     assert_eq!(b.stopped(0, 300), StopCause::Limit);
-    let last = told.lock().unwrap()[5].unwrap();
+    let last = reported.lock().unwrap()[5].unwrap();
     assert_eq!(b.outcome(0, last), Some(Outcome::Failed(Failure::NotFinite)));
     assert_eq!(b.feedback(0).cycle, 3_600, "told in the cycle of the bad row");
 }

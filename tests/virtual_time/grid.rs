@@ -108,14 +108,14 @@ fn more_than_max_skip_in_one_hold_up_stops_every_axis() {
         let mut b = Rig::new(3).ready();
         let moves: Vec<_> = (0..3).map(|index| b.post(index, slowly_to(100.0))).collect();
         b.run(200);
-        let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
+        let received: Vec<usize> = (0..3).map(|index| b.tape(index).received.len()).collect();
         b.world().delay_next_wake(slots * MS + 200 * US);
         b.run(2);
         assert_eq!(b.status().skipped, slots);
-        for (index, from) in heard.into_iter().enumerate() {
-            let motion = |heard: &Heard| heard.request.motion;
+        for (index, from) in received.into_iter().enumerate() {
+            let motion = |received: &Delivery| received.request.motion;
             let tape = b.tape(index);
-            let first = motion(&tape.heard[from]) != motion(&tape.heard[from - 1]);
+            let first = motion(&tape.received[from]) != motion(&tape.received[from - 1]);
             assert_eq!(first, stop.is_some(), "a stop leaves with the first request after the hold-up");
         }
         b.assert_grid();
@@ -182,7 +182,7 @@ fn there_are_no_bursts_to_catch_up() {
         b.assert_grid();
         assert!(b.status().skipped > 100);
         let tape = b.tape(0);
-        let least = tape.heard.windows(2).map(|pair| pair[1].at.since(pair[0].at)).min().unwrap();
+        let least = tape.received.windows(2).map(|pair| pair[1].at.since(pair[0].at)).min().unwrap();
         // A period less the latest begin of the first and the readings of the clock.
         assert!(least >= MS / 2 - US, "seed {seed}: {least} ns between two requests");
         // The loop was held up: some came late in their slots, or the bound above proves nothing.
@@ -193,8 +193,8 @@ fn there_are_no_bursts_to_catch_up() {
 /// The positions of the streamed rows that the drive heard, in order.
 fn rows_heard(b: &Bench, index: usize) -> Vec<i32> {
     let mut rows: Vec<(u16, i32)> = Vec::new();
-    for heard in &b.tape(index).heard {
-        let Some(motion) = heard.request.motion else { continue };
+    for received in &b.tape(index).received {
+        let Some(motion) = received.request.motion else { continue };
         if StreamCommand::from_id(motion.header >> 4).is_none() {
             continue;
         }
@@ -227,7 +227,7 @@ fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
                 let position = 50.0 + f64::from(n) * 0.01;
                 b.sim.axis(index).push_row(Row { last: n == ROWS, ..row(position) }).unwrap();
             }
-            b.tape(index).heard.clear();
+            b.tape(index).received.clear();
             follows.push(b.post(index, Command::Follow));
         }
         for _ in 0..ROWS * divisor as i32 * 2 {
@@ -281,7 +281,7 @@ fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
     for index in 0..2 {
         b.done(index, Command::Reset);
         b.done(index, Command::Enable);
-        b.tape(index).heard.clear();
+        b.tape(index).received.clear();
     }
     b.run(K - b.feedback(0).cycle - 1);
     // Posted before cycle K begins: taken in its exchange, as the task's is.
@@ -290,7 +290,7 @@ fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
     let next: Time = grids.lock().unwrap()[K as usize + 1];
     for index in 0..2 {
         let tape = b.tape(index);
-        let first = tape.heard.iter().find(|heard| heard.request.motion.is_some()).unwrap();
+        let first = tape.received.iter().find(|received| received.request.motion.is_some()).unwrap();
         let late_ns = first.at.since(next);
         assert!(
             first.at > next && late_ns < 30 * US,

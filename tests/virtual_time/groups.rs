@@ -26,19 +26,19 @@ fn joined(count: usize, members: &[usize]) -> Bench {
 }
 
 /// How many requests each of the first drives has received.
-fn heard(b: &Bench, count: usize) -> Vec<usize> {
-    (0..count).map(|index| b.tape(index).heard.len()).collect()
+fn received(b: &Bench, count: usize) -> Vec<usize> {
+    (0..count).map(|index| b.tape(index).received.len()).collect()
 }
 
 /// When the drive heard each new motion command, by its header without the count.
 fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
     let mut last: Option<MotionBlock> = None;
     let mut motions = Vec::new();
-    for heard in &b.tape(index).heard[from..] {
-        if let Some(motion) = heard.request.motion
+    for received in &b.tape(index).received[from..] {
+        if let Some(motion) = received.request.motion
             && last != Some(motion)
         {
-            motions.push((heard.at, motion.header & 0xFFF0));
+            motions.push((received.at, motion.header & 0xFFF0));
             last = Some(motion);
         }
     }
@@ -48,7 +48,7 @@ fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
 #[test]
 fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     let mut b = joined(4, &[2, 0, 3]);
-    let from = heard(&b, 4);
+    let from = received(&b, 4);
     b.group_done(&[to(10.0), to(20.0), to(30.0)]);
     let sent: Vec<Time> = [2, 0, 3].map(|index| motions(&b, index, from[index])[0].0).to_vec();
     assert!(sent.iter().all(|at| *at == sent[0]), "{sent:?}");
@@ -63,8 +63,8 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     assert!(b.group_ended(&second).iter().all(|outcome| *outcome == Outcome::Done));
     let begun: Vec<Time> = [2, 0, 3]
         .map(|index| {
-            let homes = |heard: &&Heard| heard.request.control == Some(ControlWord::HOME);
-            b.tape(index).heard[from[index]..].iter().find(homes).unwrap().at
+            let homes = |received: &&Delivery| received.request.control == Some(ControlWord::HOME);
+            b.tape(index).received[from[index]..].iter().find(homes).unwrap().at
         })
         .to_vec();
     assert!(begun.iter().all(|at| *at == begun[0]), "{begun:?}");
@@ -74,7 +74,7 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
 fn one_member_that_cannot_keeps_all_others_from_it() {
     let mut b = joined(3, &[0, 1, 2]);
     b.group_done(&[to(100.0), to(100.0), to(100.0)]);
-    let from = heard(&b, 3);
+    let from = received(&b, 3);
     // Refused in the loop: member 1 would leave its range. The others are told why they stay.
     let command = b.group().post(&[Command::Disable, Command::Disable, Command::Disable]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
@@ -252,12 +252,12 @@ fn streaming(b: &mut Bench, steps: u32) -> fieldbeat::axis::GroupCommand {
 fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
     let mut rows = Vec::new();
     let mut count = None;
-    for heard in &b.tape(index).heard[from..] {
-        if let Some(motion) = heard.request.motion.filter(|motion| motion.header & 0xFF00 == 0x0300)
+    for received in &b.tape(index).received[from..] {
+        if let Some(motion) = received.request.motion.filter(|motion| motion.header & 0xFF00 == 0x0300)
             && count.replace(motion.header & 0xF) != Some(motion.header & 0xF)
         {
             let bytes = motion.parameters[..4].try_into().unwrap();
-            rows.push((heard.at, i32::from_le_bytes(bytes)));
+            rows.push((received.at, i32::from_le_bytes(bytes)));
         }
     }
     rows
@@ -267,7 +267,7 @@ fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
 fn rows_are_taken_by_all_members_or_by_none() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 50);
-    let from = heard(&b, 2);
+    let from = received(&b, 2);
     b.run(30);
     for step in 50..200 {
         // Rows come in bursts with gaps, but never run out.
@@ -297,24 +297,24 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
         for _ in 0..3 {
             b.sim.axis(0).push_row(start[0]).unwrap();
         }
-        let from = heard(&b, 2);
+        let from = received(&b, 2);
         b.join(&[0, 1]);
         for step in 0..40 {
             b.group().push_rows(&circle(step)).unwrap();
         }
         let command = b.group().follow().unwrap();
         b.run(60);
-        let told =
+        let reported =
             |b: &Bench, index| b.kinds(index).iter().filter(|kind| **kind == EventKind::Underrun).count();
-        assert_eq!((told(&b, 0), told(&b, 1)), (1, 1));
-        let heard = |b: &Bench, index: usize| {
+        assert_eq!((reported(&b, 0), reported(&b, 1)), (1, 1));
+        let received = |b: &Bench, index: usize| {
             let mut rows: Vec<i32> = rows(b, index, from[index]).into_iter().map(|(_, row)| row).collect();
             rows.dedup();
             rows
         };
         for index in 0..2 {
             let path: Vec<i32> = (0..40).map(|step| counts(step, index)).collect();
-            assert_eq!(heard(&b, index), path, "axis {index}");
+            assert_eq!(received(&b, index), path, "axis {index}");
         }
         if held {
             for step in 40..80 {
@@ -322,7 +322,7 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
             }
             b.run(30);
             assert!(b.feedback(0).stopped.is_none() && b.outcome(0, command.ids()[0]).is_none());
-            assert!(heard(&b, 1).len() > 40, "it goes on when both have rows again");
+            assert!(received(&b, 1).len() > 40, "it goes on when both have rows again");
         } else {
             assert!((0..2).all(|index| b.feedback(index).stopped.is_some()));
         }
@@ -334,7 +334,7 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
     // The first row is far from the demand of member 1: only the loop can know.
     let mut b = joined(2, &[0, 1]);
     b.group_done(&[to(120.0), to(50.0)]);
-    let from = heard(&b, 2);
+    let from = received(&b, 2);
     for step in 0..10 {
         b.group().push_rows(&circle(step)).unwrap();
     }
@@ -353,7 +353,7 @@ fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
     let homing = b.group().post_all(Command::Home).unwrap();
     b.run(100);
-    let from = heard(&b, 2);
+    let from = received(&b, 2);
     let stop = b.group().post_all(Command::Stop { deceleration: None }).unwrap();
     assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
     for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
@@ -466,7 +466,7 @@ fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 400);
     b.run(20);
-    let from = heard(&b, 2);
+    let from = received(&b, 2);
     b.tape(1).jammed = true;
     b.run(1);
     b.tape(1).jammed = false;
@@ -499,7 +499,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
     let mut b = patient().ready();
     b.join(&[0, 1]);
     streaming(&mut b, 600);
-    let from = heard(&b, 2);
+    let from = received(&b, 2);
     for turn in 0..200 {
         if turn % 20 == 5 {
             b.world().delay_next_wake(1_000_000 + turn * 10_000);

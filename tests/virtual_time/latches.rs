@@ -219,11 +219,12 @@ fn try_cause(cause: StopCause, case: &Case) {
     assert_eq!(b.stopped(0, 2_000), cause);
 
     // What runs may fail, then comes the stop, then the end of everything else, in order and in the same cycle.
-    let told: Vec<_> = (b.events[before..].iter().filter(|(axis, _)| *axis == 0).map(|(_, event)| *event))
-        .filter(|event| matches!(event.kind, EventKind::Stopped(_) | EventKind::Ended { .. }))
-        .collect();
-    assert!(told.iter().all(|event| event.cycle == told[0].cycle), "{cause}: {told:?}");
-    let mut told = told.into_iter().map(|event| match event.kind {
+    let reported: Vec<_> =
+        (b.events[before..].iter().filter(|(axis, _)| *axis == 0).map(|(_, event)| *event))
+            .filter(|event| matches!(event.kind, EventKind::Stopped(_) | EventKind::Ended { .. }))
+            .collect();
+    assert!(reported.iter().all(|event| event.cycle == reported[0].cycle), "{cause}: {reported:?}");
+    let mut reported = reported.into_iter().map(|event| match event.kind {
         EventKind::Ended { id, outcome, .. } => (Some(id), outcome),
         _ => (None, Outcome::Aborted(Abort::Stopped(cause))),
     });
@@ -231,12 +232,12 @@ fn try_cause(cause: StopCause, case: &Case) {
     let mut expected = vec![(None, aborted)];
     match b.outcome(0, running) {
         Some(Outcome::Failed(failure)) if (case.fails)(&failure) => {
-            assert_eq!(told.next(), Some((Some(running), Outcome::Failed(failure))), "{cause}");
+            assert_eq!(reported.next(), Some((Some(running), Outcome::Failed(failure))), "{cause}");
         }
         _ => expected.push((Some(running), aborted)),
     }
     expected.extend(waiting.map(|id| (Some(id), aborted)));
-    assert!(told.eq(expected), "{cause}: {:?}", &b.events[before..]);
+    assert!(reported.eq(expected), "{cause}: {:?}", &b.events[before..]);
     // A stop for a row comes after the judging; the group is told in the next one.
     b.step();
     assert_eq!([1, 2].map(|index| b.feedback(index).stopped), case.others, "{cause}");
@@ -292,10 +293,10 @@ fn assert_opens(b: &mut Bench, cause: StopCause) {
 
 /// The end of the master: nothing is taken any more.
 fn assert_ends(mut b: Bench, cause: StopCause) {
-    let asked = [Command::Reset, Command::Enable, to(5.0)].map(|command| b.post(0, command));
+    let requested = [Command::Reset, Command::Enable, to(5.0)].map(|command| b.post(0, command));
     let ended = (0..1_000).any(|_| b.step() == Flow::End);
     assert!(ended, "{cause}");
-    for id in asked {
+    for id in requested {
         assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(cause))));
     }
     assert!((0..3).all(|index| b.feedback(index).stopped == Some(cause)));

@@ -8,7 +8,7 @@ use crate::virtual_time::support::*;
 #[test]
 fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
     let mut b = Rig::new(1).ready();
-    let before = b.tape(0).heard.len();
+    let before = b.tape(0).received.len();
     let refused =
         |b: &mut Bench, command: Command| b.sim.axis(0).post(command).expect_err("refused").to_string();
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
@@ -21,8 +21,8 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
             Command::Jog(Jog { velocity: 1.0, acceleration: value }),
             Command::Stop { deceleration: Some(value) },
         ] {
-            let told = refused(&mut b, command);
-            assert!(told.contains("finite"), "{command:?}: {told}");
+            let reported = refused(&mut b, command);
+            assert!(reported.contains("finite"), "{command:?}: {reported}");
         }
         let rows = [
             row(value),
@@ -51,15 +51,15 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
         Command::Stop { deceleration: Some(0.0) },
         Command::Stop { deceleration: Some(-5.0) },
     ] {
-        let told = refused(&mut b, command);
-        let named = told.contains("outside its limit") || told.contains("must be above 0");
-        assert!(named, "{command:?}: {told}");
+        let reported = refused(&mut b, command);
+        let named = reported.contains("outside its limit") || reported.contains("must be above 0");
+        assert!(named, "{command:?}: {reported}");
     }
     for row in [row(-0.001), row(200.1), fieldbeat::axis::Row { velocity: -1_000.1, ..row(5.0) }] {
         assert!(b.sim.axis(0).push_row(row).is_err());
     }
     b.run(10);
-    assert!(b.tape(0).heard[before..].iter().all(|heard| heard.request.motion.is_none()));
+    assert!(b.tape(0).received[before..].iter().all(|received| received.request.motion.is_none()));
     b.done(0, with(Target::Absolute(200.0), 1_000.0, 20_000.0));
     b.done(0, to(0.0));
 }
@@ -90,7 +90,7 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
                 drive.simulate.range = (-10_100_000, 10_100_000);
             })
             .ready();
-        b.tape(0).heard.clear();
+        b.tape(0).received.clear();
         let id = b.post(0, jog(velocity));
         b.run(100);
         for _ in 0..20 {
@@ -99,11 +99,11 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
             assert!(b.feedback(0).status.moving);
         }
         assert_eq!(b.outcome(0, id), None);
-        for heard in b.tape(0).heard.iter() {
-            let Some(motion) = heard.request.motion else { continue };
+        for received in b.tape(0).received.iter() {
+            let Some(motion) = received.request.motion else { continue };
             assert_eq!(motion.header >> 4, 0x010, "go to position");
             let target = f64::from(i32::from_le_bytes(motion.parameters[..4].try_into().unwrap())) / PER_MM;
-            let demand = f64::from(heard.reply.unwrap().demand.unwrap()) / PER_MM;
+            let demand = f64::from(received.reply.unwrap().demand.unwrap()) / PER_MM;
             assert!((target - demand).abs() <= LEASH, "{target} is more than a leash from {demand}");
         }
         // The master dies: the drive hears nothing any more.

@@ -21,7 +21,7 @@ fn vertical(held_by: HeldBy) -> Rig {
 
 /// The drive was never told to take the power off while its demand moved.
 fn assert_never_dropped(b: &Bench) {
-    for pair in b.tape(0).heard.windows(2) {
+    for pair in b.tape(0).received.windows(2) {
         let off = pair[1].request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
         let moving =
             pair[0].reply.and_then(|reply| reply.status).is_some_and(|status| status.motion_active());
@@ -32,9 +32,9 @@ fn assert_never_dropped(b: &Bench) {
 #[test]
 fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
     // By the loss of its link, by the end of the master, and by an impatient end.
-    for (lose, asked) in [(false, 1), (true, 1), (false, 2), (true, 2)] {
+    for (lose, requested) in [(false, 1), (true, 1), (false, 2), (true, 2)] {
         let mut b = vertical(HeldBy::Drive).ready();
-        let from = b.tape(0).heard.len();
+        let from = b.tape(0).received.len();
         b.post(0, slowly_to(150.0));
         b.run(200);
         if lose {
@@ -45,11 +45,12 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
             b.online();
             b.until("standstill", 1_000, |b| !b.feedback(0).status.moving);
         }
-        (1..asked).for_each(|_| b.sim.stop());
+        (1..requested).for_each(|_| b.sim.stop());
         b.shut_down(10_000);
-        let off =
-            |heard: &Heard| heard.request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
-        assert!(!b.tape(0).heard[from..].iter().any(off), "lost {lose}, asked {asked} times");
+        let off = |received: &Delivery| {
+            received.request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON))
+        };
+        assert!(!b.tape(0).received[from..].iter().any(off), "lost {lose}, asked {requested} times");
         assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
         assert!(b.feedback(0).status.velocity.abs() < 1.0);
     }
@@ -97,9 +98,9 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     b.until("the hardware enable is back", 400, |b| !b.feedback(0).status.inhibited);
     b.run(100);
     assert!(!b.feedback(0).status.state.is_powered(), "and nothing comes on by itself");
-    let told: Vec<EventKind> =
+    let reported: Vec<EventKind> =
         b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::HardwareEnable(_))).collect();
-    assert_eq!(told, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
+    assert_eq!(reported, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
     b.done(0, Command::Enable);
     b.done(0, to(20.0));
 }
@@ -120,8 +121,8 @@ fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
             true => b.done(0, Command::Enable),
             false => assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "{what}"),
         }
-        let told = b.kinds(0).into_iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_)));
-        assert_eq!(told, !enabled, "{what}");
+        let reported = b.kinds(0).into_iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_)));
+        assert_eq!(reported, !enabled, "{what}");
     }
 }
 

@@ -325,15 +325,15 @@ fn the_summary_says_who_leads_and_how_well() {
     let granted = Granted { policy: "", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
     let summary = Summary::of(&plan, &numbers, &measured, &granted, None);
     let json = serde_json::to_value(&summary).unwrap();
-    let told = &json["cycle"]["reference"];
-    assert_eq!((told["bus"].as_str(), told["locked"].as_bool()), (Some("line0"), Some(true)));
+    let reported = &json["cycle"]["reference"];
+    assert_eq!((reported["bus"].as_str(), reported["locked"].as_bool()), (Some("line0"), Some(true)));
     for (key, count) in
         [("samples", reference.samples), ("silent", reference.silent), ("step_max_ns", reference.step_max.ns)]
     {
-        assert_eq!(told[key].as_u64(), Some(count), "{told}");
+        assert_eq!(reported[key].as_u64(), Some(count), "{reported}");
     }
-    assert_eq!(told["error_ns"]["max"].as_u64(), Some(reference.error_max.ns));
-    let count = told["error_ns"]["count"].as_u64().unwrap();
+    assert_eq!(reported["error_ns"]["max"].as_u64(), Some(reference.error_max.ns));
+    let count = reported["error_ns"]["count"].as_u64().unwrap();
     assert!(count < reference.samples, "what was before the lock is not in it");
     assert!(
         summary.to_string().contains("\ngrid synchronised to bus line0: locked, largest step "),

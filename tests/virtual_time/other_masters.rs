@@ -136,8 +136,8 @@ fn a_linmot_that_a_living_master_moves_is_not_taken_over() {
         b.run(1);
     }
     assert_eq!((b.feedback(0).link, b.feedback(0).stopped), (Link::Online, Some(StopCause::OtherMaster)));
-    let written = |heard: &Heard| heard.request.control.is_some();
-    assert!(!b.tape(0).heard.iter().any(written), "nothing was written");
+    let written = |received: &Delivery| received.request.control.is_some();
+    assert!(!b.tape(0).received.iter().any(written), "nothing was written");
     assert!(b.feedback(0).status.moving);
     assert!(b.world().now() > Time(200 * MS));
 }

@@ -13,7 +13,8 @@ use super::support::*;
 fn last_motion(b: &Bench) -> Vec<u8> {
     let mut bytes = [0; REQUEST_MAX];
     let tape = b.tape(0);
-    let motion = tape.heard.iter().rev().map(|heard| heard.request).find(|request| request.motion.is_some());
+    let motion =
+        tape.received.iter().rev().map(|received| received.request).find(|request| request.motion.is_some());
     let length = motion.expect("a motion was commanded").emit(&mut bytes);
     bytes[..length].to_vec()
 }
@@ -109,7 +110,7 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
         b.run(20);
         assert_eq!(stops(&b), [StopCause::StopTimeout]);
         let quick = |request: &Request| request.control.is_some_and(|word| !word.has(ControlWord::NO_ABORT));
-        assert!(b.tape(0).heard.iter().any(|heard| quick(&heard.request)));
+        assert!(b.tape(0).received.iter().any(|received| quick(&received.request)));
         b.run(400);
         assert_eq!(b.feedback(0).status.state.is_powered(), powered);
     }

@@ -47,7 +47,7 @@ fn events_that_find_no_room_are_counted() {
     for _ in 0..50 {
         b.sim.step();
     }
-    let told = b.sim.status().lost_events;
+    let reported = b.sim.status().lost_events;
     for _ in 0..40 {
         b.sim.axis(0).post(Command::Enable).unwrap();
     }
@@ -64,7 +64,7 @@ fn events_that_find_no_room_are_counted() {
     }
     assert_eq!((others, ends), (4, 40), "the ends of commands have their own places");
     // The states on the way up; and what came before.
-    assert!(lost > told, "{lost}");
+    assert!(lost > reported, "{lost}");
     b.step();
     assert_eq!(b.sim.status().lost_events, lost);
 }

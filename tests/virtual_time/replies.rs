@@ -73,10 +73,11 @@ fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
     for late in 1..20 {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.axis.health.bucket = 10_000));
         b.tape(0).mute = true;
-        b.tape(0).heard.clear();
+        b.tape(0).received.clear();
         b.run(late);
         b.tape(0).mute = false;
-        let waiting: Vec<Response> = b.tape(0).heard.iter().filter_map(|heard| heard.reply).collect();
+        let waiting: Vec<Response> =
+            b.tape(0).received.iter().filter_map(|received| received.reply).collect();
         for (n, reply) in (0_u64..).zip(&waiting) {
             let mut bytes = [0; 64];
             let size = reply.emit(&mut bytes);
@@ -164,18 +165,19 @@ fn a_request_carries_exactly_what_is_needed() {
     for tag in [ReplyTag::Definition, ReplyTag::Off] {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = tag));
         b.run(8);
-        let heard: Vec<Request> = b.tape(0).heard.iter().rev().take(8).map(|heard| heard.request).collect();
-        assert!(heard.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
-        let asked: Vec<ResponseDef> = heard.iter().map(|request| request.response_def).collect();
+        let received: Vec<Request> =
+            b.tape(0).received.iter().rev().take(8).map(|received| received.request).collect();
+        assert!(received.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
+        let requested: Vec<ResponseDef> = received.iter().map(|request| request.response_def).collect();
         if tag == ReplyTag::Off {
-            assert_eq!(asked, [ResponseDef::CYCLIC; 8]);
+            assert_eq!(requested, [ResponseDef::CYCLIC; 8]);
             continue;
         }
         // Any four in a row have four definitions, without a block that nothing needs but those in turn.
-        assert_eq!(asked[..4], asked[4..]);
-        for (n, definition) in asked[..4].iter().enumerate() {
+        assert_eq!(requested[..4], requested[4..]);
+        for (n, definition) in requested[..4].iter().enumerate() {
             assert_eq!(definition.0 & !turns.0, needed.0);
-            assert!(!asked[..n].contains(definition), "{asked:?}");
+            assert!(!requested[..n].contains(definition), "{requested:?}");
         }
     }
 }

@@ -28,7 +28,7 @@ struct Case {
     /// The latch afterwards.
     stopped: Option<StopCause>,
     /// The drive had been heard before, so that the restart is seen and told.
-    told: bool,
+    reported: bool,
 }
 
 const STOPPED_BY_DROP: Option<Outcome> = Some(Outcome::Aborted(Abort::Stopped(StopCause::DriveDropped)));
@@ -41,7 +41,7 @@ const MOVING: Case = Case {
     lasts: 100,
     ends: STOPPED_BY_DROP,
     stopped: Some(StopCause::DriveDropped),
-    told: true,
+    reported: true,
 };
 
 /// No command, no latch.
@@ -58,7 +58,7 @@ const CASES: [Case; 23] = [
             b.run(50);
             None
         },
-        told: false,
+        reported: false,
         ..CALM
     },
     Case {
@@ -284,7 +284,7 @@ enum Blow {
 }
 
 fn restart(b: &mut Bench, blow: Blow) {
-    b.tape(0).heard.clear();
+    b.tape(0).received.clear();
     let reached = b.world().set_faults(address(0), FaultPlan { restart: 1.0, ..FaultPlan::default() });
     assert!(reached);
     let mut hit = false;
@@ -305,16 +305,16 @@ fn restart(b: &mut Bench, blow: Blow) {
 /// It stays off, it is told to be off, and it has lost its reference.
 fn assert_lies_still(b: &Bench, what: &str) {
     let tape = b.tape(0);
-    for (n, heard) in tape.heard.iter().enumerate() {
-        let Some(reply) = heard.reply else { continue };
+    for (n, received) in tape.received.iter().enumerate() {
+        let Some(reply) = received.reply else { continue };
         assert!(reply.state.unwrap().main() < MainState::HW_TESTS, "{what}: power in answer {n}");
         assert!(!reply.status.unwrap().homed(), "{what}: homed in answer {n}");
     }
     // What the master has heard before it sent is none of its first requests.
-    let learned = tape.heard.iter().skip(3);
-    let go = learned.filter(|heard| {
-        heard.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON))
-            || heard.request.motion.is_some_and(|motion| motion.header >> 4 != 0)
+    let learned = tape.received.iter().skip(3);
+    let go = learned.filter(|received| {
+        received.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON))
+            || received.request.motion.is_some_and(|motion| motion.header >> 4 != 0)
     });
     assert_eq!(go.count(), 0, "{what}");
     drop(tape);
@@ -353,8 +353,8 @@ fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
     b.online().run(400);
     assert_eq!(b.feedback(0).stopped, case.stopped, "{what}");
     assert_eq!(command.and_then(|id| b.outcome(0, id)), case.ends, "{what}");
-    let told = b.kinds(0).iter().filter(|kind| **kind == EventKind::Restarted).count();
-    assert_eq!(told, usize::from(case.told), "{what}");
+    let reported = b.kinds(0).iter().filter(|kind| **kind == EventKind::Restarted).count();
+    assert_eq!(reported, usize::from(case.reported), "{what}");
     assert_lies_still(&b, &what);
 
     // The way back, step by step, and no other.
@@ -397,7 +397,7 @@ fn a_restart_while_the_master_ends_does_not_delay_the_end() {
         b.run(200);
         b.sim.stop();
         b.run(after);
-        b.tape(0).heard.clear();
+        b.tape(0).received.clear();
         b.world().restart(address(0));
         let took = (after..1_000).find(|_| b.step() == Flow::End).expect("an end");
         assert!((215..=240).contains(&took), "{took} cycles, restarted after {after}");

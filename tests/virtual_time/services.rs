@@ -77,13 +77,16 @@ fn the_lists_name_all_parameters_and_those_that_were_changed() {
     assert!(monitor.usage.has(Usage::RAM_READ | Usage::RAM_WRITE | Usage::ROM_WRITE));
     let some = services.upids(Upid(0x2000), &mut go_on).unwrap();
     assert_eq!(some[..], all[all.len() - some.len()..]);
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     let broken = services.upids(Upid(0x1000), &mut |progress| {
-        told.push(progress);
-        if told.len() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        reported.push(progress);
+        if reported.len() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     assert!(matches!(broken, Err(ServiceError::BrokenOff { .. })), "{broken:?}");
-    assert!(told.len() == 2 && told[0].done >= 0x1000 && told[1].done > told[0].done, "{told:?}");
+    assert!(
+        reported.len() == 2 && reported[0].done >= 0x1000 && reported[1].done > reported[0].done,
+        "{reported:?}"
+    );
     let article = services.text(Upid(0x000C)).unwrap();
     assert!(article.len() > 8 && article.is_ascii(), "{article}");
     let before = services.modified_upids(Upid(0), &mut go_on).unwrap();

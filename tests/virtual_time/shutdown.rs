@@ -20,11 +20,11 @@ use crate::virtual_time::support::*;
 fn assert_braked_before_power_off(b: &Bench, index: usize) {
     let tape = b.tape(index);
     let last_on = tape
-        .heard
+        .received
         .iter()
         .rposition(|h| h.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON)));
     let Some(last_on) = last_on else { return };
-    let status = tape.heard[last_on].reply.unwrap().status.unwrap();
+    let status = tape.received[last_on].reply.unwrap().status.unwrap();
     assert!(!status.has(StatusWord::MOTION_ACTIVE), "axis {index} lost its power in motion");
 }
 

@@ -47,7 +47,7 @@ pub fn address(index: usize) -> SocketAddrV4 {
 
 /// One exchange as the drive saw it.
 #[derive(Clone, Copy, Debug)]
-pub struct Heard {
+pub struct Delivery {
     pub at: Time,
     pub request: Request,
     pub reply: Option<Response>,
@@ -65,7 +65,7 @@ type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 /// What one drive heard and said, and what is to befall it.
 #[derive(Default)]
 pub struct Tape {
-    pub heard: Vec<Heard>,
+    pub received: Vec<Delivery>,
     /// Write nothing down, only follow the extremes.
     pub paused: bool,
     /// What went out to it since somebody asked for it, by `Some`.
@@ -92,7 +92,7 @@ pub struct Tape {
 impl Tape {
     /// The last answer that the drive gave.
     pub fn last(&self) -> Response {
-        self.heard.iter().rev().find_map(|heard| heard.reply).expect("the drive has answered")
+        self.received.iter().rev().find_map(|received| received.reply).expect("the drive has answered")
     }
 }
 
@@ -129,7 +129,7 @@ impl SimDrive for Taped {
         if !tape.paused
             && let Ok(request) = Request::parse(bytes)
         {
-            tape.heard.push(Heard { at: now, request, reply: answer });
+            tape.received.push(Delivery { at: now, request, reply: answer });
         }
         if let (Some(tamper), Some(_)) = (&mut tape.tamper, to) {
             tamper(reply);
@@ -465,9 +465,9 @@ impl Bench {
             }
             self.step();
         }
-        let told: Vec<_> =
+        let reported: Vec<_> =
             self.events.iter().rev().take(12).map(|(axis, e)| format!("{axis}: {e}")).collect();
-        panic!("not within {most} turns: {what}; the last events, newest first: {told:#?}");
+        panic!("not within {most} turns: {what}; the last events, newest first: {reported:#?}");
     }
 
     pub fn world(&self) -> World {
@@ -596,12 +596,12 @@ impl Bench {
         let feedback = self.feedback(index);
         let since = self.grid() - u64::from(feedback.age) * self.period_ns;
         let tape = self.tape(index);
-        let given = |heard: &Heard| {
-            let reply = heard.reply?;
+        let given = |received: &Delivery| {
+            let reply = received.reply?;
             let demand = f64::from(reply.demand?) / PER_MM;
-            (demand == feedback.status.demand).then_some(heard.at)
+            (demand == feedback.status.demand).then_some(received.at)
         };
-        let at = tape.heard.iter().rev().find_map(given).expect("no value that the drive did not give");
+        let at = tape.received.iter().rev().find_map(given).expect("no value that the drive did not give");
         assert!(at >= since, "age {} in {}, but given {} ns before", feedback.age, since, since.since(at));
     }
 

@@ -55,7 +55,7 @@ fn run(plan: &Plan, mut telemetry: impl FnMut(&mut Consumer<Record>)) -> Numbers
 }
 
 /// All that `records` holds.
-fn told(records: &mut Consumer<Record>) -> impl Iterator<Item = Record> {
+fn reported(records: &mut Consumer<Record>) -> impl Iterator<Item = Record> {
     std::iter::from_fn(|| records.pop().ok())
 }
 
@@ -69,7 +69,7 @@ fn records_that_nobody_takes_cost_detail_and_no_truth() {
     let mut measured = Measured::new(3, &plan.cycle, false);
     let mut shown = [None; MONITOR_CHANNELS];
     let mut taken = run(&plan, |records| {
-        for record in told(records) {
+        for record in reported(records) {
             measured.enter(&record);
             let Record::Monitor(record) = record else { continue };
             for (extent, value) in shown.iter_mut().zip(record.shown.values()) {
@@ -151,9 +151,10 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     engine.begin();
     for index in 0..50 {
         engine.step();
-        let told: Vec<Record> = told(&mut records).collect();
-        let [Record::Drive(a), Record::Drive(b), Record::Drive(c), Record::Cycle(cycle)] = told[..] else {
-            panic!("{told:?}")
+        let reported: Vec<Record> = reported(&mut records).collect();
+        let [Record::Drive(a), Record::Drive(b), Record::Drive(c), Record::Cycle(cycle)] = reported[..]
+        else {
+            panic!("{reported:?}")
         };
         assert_eq!([a.index, b.index, c.index, cycle.index], [index; 4]);
         assert_eq!([a.axis, b.axis, c.axis], [0, 1, 2]);
@@ -165,7 +166,7 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
     let plan = plan();
     let (mut drive, mut at, mut fresh, mut silent) = (None, 0.0, 0, 0);
     let end = run(&plan, |records| {
-        for record in told(records) {
+        for record in reported(records) {
             match record {
                 Record::Drive(record) => {
                     silent += u64::from(record.axis == 1 && record.reply == Reply::Answered);

@@ -192,8 +192,8 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
     assert_eq!(b.outcome(0, home), Some(Outcome::Aborted(Abort::Stopped(StopCause::Heartbeat))));
     b.run(1_000);
     assert!(!b.feedback(0).status.state.is_powered());
-    assert!(b.tape(0).heard.iter().all(|heard| {
-        heard.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
+    assert!(b.tape(0).received.iter().all(|received| {
+        received.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
     }));
 }
 

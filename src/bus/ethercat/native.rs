@@ -258,7 +258,7 @@ pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
     let (writer, reader) = cell::cell(Image::EMPTY);
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let (told, emergencies) = rt::ring(EMERGENCIES, &mut regions);
+    let (reported, emergencies) = rt::ring(EMERGENCIES, &mut regions);
     let sizes = (outputs.min(TERMINAL_MAX), inputs.min(TERMINAL_MAX));
     let newest = [0; TERMINAL_MAX];
     let terminals = Terminals { inputs: reader, outputs: producer, emergencies, sizes };
@@ -267,7 +267,7 @@ pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
         TerminalPort {
             inputs: writer,
             outputs: consumer,
-            emergencies: told,
+            emergencies: reported,
             newest,
             taken: false,
             written: false,

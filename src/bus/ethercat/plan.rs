@@ -184,7 +184,7 @@ pub struct Scaling {
     pub rpm_per_count: f64,
     /// Per mille of the rated torque or current of a count of the torque setpoint (assumed: 1).
     pub permille_per_count: f64,
-    /// Motor current of 1000 per mille, A; to tell the current. Default: not told.
+    /// Motor current of 1000 per mille, A; to report the current. Default: not reported.
     pub rated_current: Option<f64>,
 }
 

@@ -68,7 +68,7 @@ impl ModbusBus {
             let handshake = UnidriveHandshake::new(drive, direct, menu_0, Arc::clone(&found));
             peers.push(StreamPeer {
                 bind: plan.bind,
-                greeting_ns: handshake.longest_ns(),
+                handshake_ns: handshake.longest_ns(),
                 unacknowledged_ns: 2 * drive.reply_within_ns,
                 ..StreamPeer::new(drive.address, Box::new(handshake))
             });

@@ -16,7 +16,7 @@ use super::plan::UnidriveDrive;
 use super::setup::{Purpose, Setting, settings};
 use super::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, frame};
 use super::words::{ControlWord, StatusWord};
-use crate::net::{Greeted, Greeting};
+use crate::net::{Handshake, HandshakeState};
 use crate::time::{S, Time};
 
 /// The findings of the handshake, for the station.
@@ -149,7 +149,7 @@ impl UnidriveHandshake {
     }
 
     /// The request of the present step.
-    fn request(&mut self, out: &mut Vec<u8>) -> Greeted {
+    fn request(&mut self, out: &mut Vec<u8>) -> HandshakeState {
         self.transaction = self.transaction.wrapping_add(1);
         let mut data = RegistersBuffer::new();
         let read = |parameter: Parameter, width: Width| {
@@ -174,17 +174,17 @@ impl UnidriveHandshake {
                 .map(|setting| (setting.parameter, setting.write(setting.value, &mut data))),
         };
         let Some((parameter, request)) = request else {
-            return Greeted::Failed("a parameter of its configuration has no address".into());
+            return HandshakeState::Failed("a parameter of its configuration has no address".into());
         };
         let header = Header { transaction: self.transaction, unit: parameter.unit(drive_unit) };
         let begin = out.len();
         out.resize(begin + request.size(), 0);
         request.emit(header, &mut out[begin..]);
-        Greeted::More
+        HandshakeState::More
     }
 
     /// Takes the answer of the present step, and continues with the next one.
-    fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> Greeted {
+    fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> HandshakeState {
         let refused = match response {
             Response::Exception { code, .. } => Some(code),
             _ => None,
@@ -199,7 +199,9 @@ impl UnidriveHandshake {
                 Some(Step::Unit)
             }
             (Step::Unit, Some(code)) => {
-                return Greeted::Failed(format!("the drive refuses to report its status word: {code}"));
+                return HandshakeState::Failed(format!(
+                    "the drive refuses to report its status word: {code}"
+                ));
             }
             (Step::Unit, None) => {
                 self.finding.unit = self.units[self.unit];
@@ -207,7 +209,7 @@ impl UnidriveHandshake {
             }
             (Step::Look(index), Some(code)) => {
                 let block = &self.direct.reads()[index];
-                return Greeted::Failed(format!(
+                return HandshakeState::Failed(format!(
                     "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and \
                     also_read, and at the addressing",
                     block.first, block.registers
@@ -253,7 +255,7 @@ impl UnidriveHandshake {
                 self.next_setting(index + 1)
             }
             (Step::Menu0, Some(code)) => {
-                return Greeted::Failed(format!(
+                return HandshakeState::Failed(format!(
                     "the drive does not give its menu 0 as it was set up: {code}; use via = \"direct\""
                 ));
             }
@@ -306,9 +308,9 @@ impl UnidriveHandshake {
             .map(|index| &self.settings[index])
     }
 
-    fn end(&mut self) -> Greeted {
+    fn end(&mut self) -> HandshakeState {
         if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
-            return Greeted::Failed(format!(
+            return HandshakeState::Failed(format!(
                 "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \"direct\"",
                 setting.parameter, setting.value
             ));
@@ -317,7 +319,7 @@ impl UnidriveHandshake {
         // Where nothing is to be set, nothing watches.
         self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
         self.found.set(self.finding);
-        Greeted::Done
+        HandshakeState::Done
     }
 }
 
@@ -325,12 +327,12 @@ fn look(block: &Block) -> Request<'static> {
     Request::Read { address: block.address, count: block.registers }
 }
 
-fn surprised() -> Greeted {
-    Greeted::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
+fn surprised() -> HandshakeState {
+    HandshakeState::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
 }
 
-impl Greeting for UnidriveHandshake {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for UnidriveHandshake {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.inbox.clear();
         self.finding = Finding::default();
         self.image = Image::default();
@@ -343,10 +345,10 @@ impl Greeting for UnidriveHandshake {
         self.request(out)
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
         self.inbox.extend_from_slice(bytes);
         match frame(&self.inbox) {
-            Ok(None) => Greeted::More,
+            Ok(None) => HandshakeState::More,
             Ok(Some(size)) if size < self.inbox.len() => surprised(),
             Ok(Some(_)) => {
                 let inbox = std::mem::take(&mut self.inbox);
@@ -360,7 +362,7 @@ impl Greeting for UnidriveHandshake {
                 self.inbox.clear();
                 greeted
             }
-            Err(error) => Greeted::Failed(error.to_string()),
+            Err(error) => HandshakeState::Failed(error.to_string()),
         }
     }
 }

@@ -168,7 +168,7 @@ impl Alone {
     }
 
     /// All events since the last look.
-    pub fn told(&mut self) -> Vec<EventKind> {
+    pub fn reported(&mut self) -> Vec<EventKind> {
         std::iter::from_fn(|| self.events.pop().ok()).map(|event| event.kind).collect()
     }
 }
@@ -240,13 +240,13 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
         (true, true, true),
     ] {
         let mut x = Alone::new(plan()).online();
-        x.told();
+        x.reported();
         let notices = &mut x.slot.notices;
         notices.restarted = restarted;
         notices.monitor_refused = refused.then_some((2, 7));
         notices.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
         x.turn();
-        let told = x.told();
+        let told = x.reported();
         let holds = |kind| told.contains(&kind);
         assert_eq!(holds(EventKind::Restarted), restarted, "{told:?}");
         assert_eq!(holds(EventKind::MonitorRefused { channel: 2, status: 7 }), refused, "{told:?}");
@@ -791,13 +791,13 @@ fn a_report_has_an_age_while_the_link_is_up() {
 #[test]
 fn each_change_of_the_drive_is_told_once() {
     let mut x = Alone::new(plan()).online();
-    x.told();
+    x.reported();
     let status = &mut x.slot.status;
     (status.state, status.fault, status.warning, status.inhibited) = (State::Fault, 5, 6, true);
     x.turns(3);
     let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
     let inhibited = EventKind::HardwareEnable(false);
-    assert_eq!(x.told(), [[inhibited].as_slice(), &told].concat());
+    assert_eq!(x.reported(), [[inhibited].as_slice(), &told].concat());
 }
 
 #[test]

@@ -8,7 +8,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::words::{During, broken, no_answer, no_greeting};
-use crate::net::stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer};
+use crate::net::stream::{Broken, Handshake, HandshakeState, LinkNotes, StreamPeer};
 use crate::time::{MS, Time};
 
 /// The shortest pause, ns: a setting of 0 shall not turn into a storm of connections.
@@ -50,7 +50,7 @@ enum Phase {
         until: Time,
     },
     /// `done`: only bytes to be sent are left of it.
-    Greeting {
+    Handshake {
         until: Time,
         done: bool,
     },
@@ -86,13 +86,13 @@ pub struct Connection {
 #[derive(Debug)]
 struct Nothing;
 
-impl Greeting for Nothing {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+impl Handshake for Nothing {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 }
 
@@ -142,7 +142,7 @@ impl Connection {
 
     fn phase_due(&self) -> Option<Time> {
         match self.phase {
-            Phase::Pausing { until } | Phase::Connecting { until } | Phase::Greeting { until, .. } => {
+            Phase::Pausing { until } | Phase::Connecting { until } | Phase::Handshake { until, .. } => {
                 Some(until)
             }
             Phase::HandedOver { .. } | Phase::Kept { .. } => None,
@@ -150,7 +150,7 @@ impl Connection {
     }
 
     fn session_due(&self) -> Option<Time> {
-        self.peer.greeting.next_due().map(|due| due.max(self.rests_until))
+        self.peer.handshake.next_due().map(|due| due.max(self.rests_until))
     }
 
     /// Time passes: a pause ends, what takes too long is given up, or a session runs. What else is due is done by the
@@ -165,8 +165,8 @@ impl Connection {
             Phase::Connecting { until } if until <= now => {
                 self.refused(now, no_answer(address, self.peer.connect_ns))
             }
-            Phase::Greeting { until, .. } if until <= now => {
-                self.refused(now, no_greeting(address, self.peer.greeting_ns))
+            Phase::Handshake { until, .. } if until <= now => {
+                self.refused(now, no_greeting(address, self.peer.handshake_ns))
             }
             _ if self.session_due().is_some_and(|due| due <= now) => self.run(now),
             _ => Action::Wait,
@@ -176,8 +176,8 @@ impl Connection {
     /// Its session runs, if it has one: it is due, or somebody has posted something.
     pub fn run(&mut self, now: Time) -> Action {
         self.rests_until = now + SHORTEST_RUN_NS;
-        let greeted = self.peer.greeting.run(now, &mut self.out);
-        if let Phase::Greeting { .. } | Phase::Kept { .. } = self.phase {
+        let greeted = self.peer.handshake.run(now, &mut self.out);
+        if let Phase::Handshake { .. } | Phase::Kept { .. } = self.phase {
             return self.greeted(now, greeted);
         }
         self.out.clear();
@@ -189,8 +189,8 @@ impl Connection {
         let Phase::Connecting { .. } = self.phase else { return Action::Wait };
         self.out.clear();
         self.sent = 0;
-        self.phase = Phase::Greeting { until: now + self.peer.greeting_ns, done: false };
-        let greeted = self.peer.greeting.begin(now, &mut self.out);
+        self.phase = Phase::Handshake { until: now + self.peer.handshake_ns, done: false };
+        let greeted = self.peer.handshake.begin(now, &mut self.out);
         self.greeted(now, greeted)
     }
 
@@ -198,7 +198,7 @@ impl Connection {
     pub fn failed(&mut self, now: Time, why: Broken) -> Action {
         let when = match self.phase {
             Phase::Connecting { .. } => During::Opening,
-            Phase::Greeting { .. } => During::Handshake,
+            Phase::Handshake { .. } => During::Handshake,
             Phase::Kept { .. } => During::Session,
             Phase::Pausing { .. } | Phase::HandedOver { .. } => return Action::Wait,
         };
@@ -208,11 +208,11 @@ impl Connection {
     /// Bytes arrived, split anywhere.
     pub fn received(&mut self, now: Time, bytes: &[u8]) -> Action {
         match self.phase {
-            Phase::Greeting { done: true, .. } if !bytes.is_empty() => {
+            Phase::Handshake { done: true, .. } if !bytes.is_empty() => {
                 self.refused(now, format!("{} sends something that nobody requested", self.peer.address))
             }
-            Phase::Greeting { done: false, .. } | Phase::Kept { .. } => {
-                let greeted = self.peer.greeting.take(now, bytes, &mut self.out);
+            Phase::Handshake { done: false, .. } | Phase::Kept { .. } => {
+                let greeted = self.peer.handshake.take(now, bytes, &mut self.out);
                 self.greeted(now, greeted)
             }
             _ => Action::Wait,
@@ -236,11 +236,13 @@ impl Connection {
         self.refused(now, format!("{} given up: {why}", self.name))
     }
 
-    fn greeted(&mut self, now: Time, greeted: Greeted) -> Action {
+    fn greeted(&mut self, now: Time, greeted: HandshakeState) -> Action {
         match (greeted, &mut self.phase) {
-            (Greeted::Failed(why), _) => return self.refused(now, format!("{}: {why}", self.peer.address)),
-            (Greeted::Done, Phase::Greeting { done, .. }) => *done = true,
-            (Greeted::Kept, Phase::Greeting { .. }) => {
+            (HandshakeState::Failed(why), _) => {
+                return self.refused(now, format!("{}: {why}", self.peer.address));
+            }
+            (HandshakeState::Done, Phase::Handshake { done, .. }) => *done = true,
+            (HandshakeState::Kept, Phase::Handshake { .. }) => {
                 self.phase = Phase::Kept { since: now };
                 self.notes.set(self.index, None);
             }
@@ -252,8 +254,8 @@ impl Connection {
     fn go_on(&mut self, now: Time) -> Action {
         let all_sent = self.to_send().is_empty();
         match self.phase {
-            Phase::Greeting { .. } | Phase::Kept { .. } if !all_sent => Action::Send,
-            Phase::Greeting { done: true, .. } => {
+            Phase::Handshake { .. } | Phase::Kept { .. } if !all_sent => Action::Send,
+            Phase::Handshake { done: true, .. } => {
                 self.phase = Phase::HandedOver { since: now };
                 self.notes.set(self.index, None);
                 Action::HandOver
@@ -278,8 +280,8 @@ impl Connection {
             }
             _ => {}
         }
-        if let Phase::Greeting { .. } | Phase::Kept { .. } = self.phase {
-            self.peer.greeting.closed(now, &why);
+        if let Phase::Handshake { .. } | Phase::Kept { .. } = self.phase {
+            self.peer.handshake.closed(now, &why);
         }
         self.notes.set(self.index, Some(why));
         self.phase = Phase::Pausing { until: now + (self.pause_ns - self.spread(self.pause_ns)) };

@@ -12,7 +12,7 @@ use nix::sys::socket::{
 };
 use nix::unistd::Pid;
 
-use crate::net::{Broken, Carriers, Greeted, Greeting, Os, StreamPeer, Streams};
+use crate::net::{Broken, Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use crate::rt::testing::in_own_process;
 use crate::rt::thread::default_core;
 use crate::time::{MS, S, Time};
@@ -29,22 +29,22 @@ fn address(x: u8, host: u8) -> SocketAddrV4 {
 #[derive(Debug, Default)]
 struct Hello(Vec<u8>);
 
-impl Greeting for Hello {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Hello {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.0.clear();
         out.extend_from_slice(b"hello");
-        Greeted::More
+        HandshakeState::More
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
         self.0.extend_from_slice(bytes);
         match &self.0[..] {
             b"welcome" => {
                 out.extend_from_slice(b"bye");
-                Greeted::Done
+                HandshakeState::Done
             }
-            part if b"welcome".starts_with(part) => Greeted::More,
-            other => Greeted::Failed(format!("says {}", String::from_utf8_lossy(other))),
+            part if b"welcome".starts_with(part) => HandshakeState::More,
+            other => HandshakeState::Failed(format!("says {}", String::from_utf8_lossy(other))),
         }
     }
 }
@@ -53,13 +53,13 @@ impl Greeting for Hello {
 #[derive(Debug)]
 struct Panics;
 
-impl Greeting for Panics {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Panics {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
         panic!("a handshake that panics, on purpose");
     }
 
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        Greeted::More
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::More
     }
 }
 
@@ -67,24 +67,24 @@ impl Greeting for Panics {
 #[derive(Debug)]
 pub(in crate::net) struct Silent;
 
-impl Greeting for Silent {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+impl Handshake for Silent {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Done
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Done
     }
 }
 
 /// A peer that is given all the time, and asked often.
-pub(in crate::net) fn patient(address: SocketAddrV4, greeting: impl Greeting + 'static) -> StreamPeer {
+pub(in crate::net) fn patient(address: SocketAddrV4, handshake: impl Handshake + 'static) -> StreamPeer {
     StreamPeer {
         connect_ns: 600 * S,
-        greeting_ns: 600 * S,
+        handshake_ns: 600 * S,
         least_pause_ns: MS,
         most_pause_ns: 5 * MS,
-        ..StreamPeer::new(address, Box::new(greeting))
+        ..StreamPeer::new(address, Box::new(handshake))
     }
 }
 
@@ -235,7 +235,7 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
     let _hole = BlackHole::new(address(3, 11));
     let short = |host| StreamPeer {
         connect_ns: 30 * MS,
-        greeting_ns: 30 * MS,
+        handshake_ns: 30 * MS,
         ..patient(address(3, host), Hello::default())
     };
     let streams = Os::default().streams(vec![short(10), short(11)]).unwrap();
@@ -246,11 +246,11 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
         assert_eq!(taken.read(&mut [0; 8]).unwrap_err().kind(), ErrorKind::ConnectionReset);
     }
     let notes = streams.notes();
-    let told = |index, words: &str| notes.get(index).is_some_and(|note| note.starts_with(words));
+    let reported = |index, words: &str| notes.get(index).is_some_and(|note| note.starts_with(words));
     until("told of silence", || {
-        told(0, "127.74.3.10:1502 accepts connections, but does not answer within 30 ms")
+        reported(0, "127.74.3.10:1502 accepts connections, but does not answer within 30 ms")
     });
-    until("told of nobody", || told(1, "no answer from 127.74.3.11:1502 within 30 ms"));
+    until("told of nobody", || reported(1, "no answer from 127.74.3.11:1502 within 30 ms"));
 }
 
 #[test]
@@ -287,13 +287,13 @@ fn a_peer_that_resets_its_connections_is_asked_until_it_keeps_one() {
 #[derive(Debug)]
 struct Listens;
 
-impl Greeting for Listens {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::More
+impl Handshake for Listens {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::More
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        if bytes.ends_with(b"\n") { Greeted::Done } else { Greeted::More }
+    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        if bytes.ends_with(b"\n") { HandshakeState::Done } else { HandshakeState::More }
     }
 }
 

@@ -177,7 +177,7 @@ struct Counter {
     address: SocketAddrV4,
     faults: FaultPlan,
     most: usize,
-    asked: u8,
+    requested: u8,
     peers: Peers,
 }
 
@@ -205,8 +205,8 @@ impl SimDrive for Counter {
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4> {
         for [number, length] in self.peers.requests(from, bytes) {
-            self.asked = self.asked.wrapping_add(1);
-            reply.extend([number, self.asked]);
+            self.requested = self.requested.wrapping_add(1);
+            reply.extend([number, self.requested]);
             reply.resize(reply.len() + usize::from(length) * 1_024, 0);
         }
         (!reply.is_empty()).then_some(from)
@@ -217,7 +217,7 @@ impl SimDrive for Counter {
     }
 
     fn hangs_up(&mut self, _from: SocketAddrV4) -> bool {
-        self.asked == BYE
+        self.requested == BYE
     }
 
     fn disconnected(&mut self, _now: Time, from: SocketAddrV4) {
@@ -232,12 +232,12 @@ impl SimDrive for Counter {
 
     fn restart(&mut self, _now: Time) {
         assert_eq!(self.peers.count(), 0, "a restart ends all connections");
-        self.asked = 0;
+        self.requested = 0;
     }
 }
 
 fn counter(x: u8, faults: FaultPlan) -> Counter {
-    Counter { address: address(x, 10), faults, most: 4, asked: 0, peers: Peers::default() }
+    Counter { address: address(x, 10), faults, most: 4, requested: 0, peers: Peers::default() }
 }
 
 fn serve(drive: Counter) -> SimServer {
@@ -313,7 +313,7 @@ fn a_drive_that_never_refuses_has_a_bound_all_the_same() {
 #[test]
 fn a_drive_hangs_up_behind_its_answer() {
     let faults = FaultPlan { answer_ns: 20 * MS, split: 1.0, ..FaultPlan::default() };
-    let server = serve(Counter { asked: BYE - 1, ..counter(9, faults) });
+    let server = serve(Counter { requested: BYE - 1, ..counter(9, faults) });
     let mut socket = connect(9);
     assert_eq!(ask(&mut socket, 5).unwrap(), [5, BYE]);
     assert_eq!(socket.read(&mut [0; 8]).unwrap(), 0);

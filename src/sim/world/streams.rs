@@ -543,7 +543,7 @@ impl Drop for StreamCarrier {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::{Carriers, Greeted, Greeting};
+    use crate::net::{Carriers, Handshake, HandshakeState};
     use crate::rt::{Clock, PollSet};
     use crate::sim::fault::{Datagram, Injector, Queue, RETRANSMISSION_NS};
     use crate::sim::testing::Peers;
@@ -626,19 +626,19 @@ mod tests {
     #[derive(Debug)]
     struct Ask(Vec<u8>);
 
-    impl Greeting for Ask {
-        fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+    impl Handshake for Ask {
+        fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
             self.0.clear();
             out.extend([77, !77]);
-            Greeted::More
+            HandshakeState::More
         }
 
-        fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
+        fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
             self.0.extend_from_slice(bytes);
             match self.0[..] {
-                [77, _] => Greeted::Done,
-                [_, _, ..] => Greeted::Failed("this is no line".into()),
-                _ => Greeted::More,
+                [77, _] => HandshakeState::Done,
+                [_, _, ..] => HandshakeState::Failed("this is no line".into()),
+                _ => HandshakeState::More,
             }
         }
     }

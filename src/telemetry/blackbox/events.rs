@@ -76,7 +76,7 @@ pub fn events(header: &Header, records: &[Record]) -> Vec<Event> {
                     None => vec![News::change(format!("{}, {}{}", drive.link, drive.state, running(drive)))],
                 };
                 let fault = |code| header.axes[axis].fault(code);
-                let emergency = drive.emergency().map(|one| one.told(fault(one.code.into())));
+                let emergency = drive.emergency().map(|one| one.described(fault(one.code.into())));
                 news.extend(emergency.map(News::change));
                 (drive.index, axis, news)
             }

@@ -107,22 +107,24 @@ impl LedgerDrive {
         let Ok(mut request) = Request::parse(bytes) else {
             return self.drive.receive(now, from, bytes, reply);
         };
-        let asked = request.config;
-        let plain = asked.filter(|block| !GRAVE.contains(&RtcCommand(block.code)));
+        let requested = request.config;
+        let plain = requested.filter(|block| !GRAVE.contains(&RtcCommand(block.code)));
         if let Some(block) = plain {
             request.config = Some(RtcBlock { code: RtcCommand::NO_OPERATION.0, ..block });
         }
         let mut quiet = bytes.to_vec();
         request.emit(&mut quiet);
         let to = self.drive.receive(now, from, &quiet, reply)?;
-        let (Some(asked), Ok(mut response)) = (asked, Response::parse(reply)) else { return Some(to) };
+        let (Some(requested), Ok(mut response)) = (requested, Response::parse(reply)) else {
+            return Some(to);
+        };
         let Some(answer) = &mut response.config else { return Some(to) };
         let mut ledger = self.ledger.lock().unwrap();
         // Not taken if it is busy with the one before.
-        if answer.count() == asked.count() && ledger.stored.count() != asked.count() {
-            ledger.stored = asked;
-            ledger.carried_out.insert(asked.value());
-            match RtcCommand(asked.code) {
+        if answer.count() == requested.count() && ledger.stored.count() != requested.count() {
+            ledger.stored = requested;
+            ledger.carried_out.insert(requested.value());
+            match RtcCommand(requested.code) {
                 RtcCommand::RESTART => {
                     (ledger.stored, ledger.restarts) = (RtcBlock::default(), ledger.restarts + 1);
                 }
@@ -159,9 +161,9 @@ impl SimDrive for LedgerDrive {
     ) -> Option<SocketAddrV4> {
         let to = self.ask(now, from, bytes, reply)?;
         let mut ledger = self.ledger.lock().unwrap();
-        let heard = ledger.silence == 0;
+        let received = ledger.silence == 0;
         ledger.silence = ledger.silence.saturating_sub(1);
-        heard.then_some(to)
+        received.then_some(to)
     }
 
     fn restart(&mut self, now: Time) {
@@ -456,9 +458,9 @@ impl Bench {
 
     fn look_at_wire(&mut self) {
         let wire = self.bus.wire.lock().unwrap();
-        assert!(wire.asked.len() <= 1, "the channel sends nothing of its own");
-        for asked in &wire.asked {
-            let Some(block) = Request::parse(&asked.bytes).unwrap().config else { continue };
+        assert!(wire.requested.len() <= 1, "the channel sends nothing of its own");
+        for requested in &wire.requested {
+            let Some(block) = Request::parse(&requested.bytes).unwrap().config else { continue };
             if let Some(last) = self.last_block.filter(|_| !self.native_used) {
                 // A drive takes no notice of another block with the same count, which is what is wanted after a silence
                 // only.

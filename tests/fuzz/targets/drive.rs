@@ -191,9 +191,9 @@ impl Bench {
     }
 
     /// Learns the stored count from an answer.
-    fn heard(&mut self, asked: RtcBlock, answer: RtcBlock) {
-        let taken = answer.count() == asked.count() && self.count != asked.count();
-        let restarts = taken && asked.code == RtcCommand::RESTART.0;
+    fn received(&mut self, requested: RtcBlock, answer: RtcBlock) {
+        let taken = answer.count() == requested.count() && self.count != requested.count();
+        let restarts = taken && requested.code == RtcCommand::RESTART.0;
         self.count = if restarts { 0 } else { answer.count() };
     }
 
@@ -213,18 +213,18 @@ impl Bench {
         );
         assert_eq!(response.config.is_some(), request.config.is_some(), "{request:?}");
         check_states(&response);
-        if let (Some(asked), Some(answer)) = (request.config, response.config) {
-            self.heard(asked, answer);
+        if let (Some(requested), Some(answer)) = (request.config, response.config) {
+            self.received(requested, answer);
         }
         // At the same instant the same again changes nothing, and gets the same stored answer.
-        if let (Some(asked), Some(answer)) = (request.config, response.config)
+        if let (Some(requested), Some(answer)) = (request.config, response.config)
             && request.motion.is_none()
-            && asked.count() == answer.count()
+            && requested.count() == answer.count()
             && !matches!(answer.status(), RtcStatus::Running | RtcStatus::Busy)
-            && asked.code != RtcCommand::RESTART.0
+            && requested.code != RtcCommand::RESTART.0
         {
             let again = self.send(MASTER_PORT, &bytes[..size]).and_then(|reply| Response::parse(&reply).ok());
-            assert_eq!(again.and_then(|response| response.config), Some(answer), "{asked:?}");
+            assert_eq!(again.and_then(|response| response.config), Some(answer), "{requested:?}");
         }
         Some(response)
     }
@@ -248,8 +248,8 @@ impl Bench {
             assert_eq!(reply, None, "{request:?} from port {port}");
         }
         let answer = reply.as_deref().and_then(|reply| Response::parse(reply).ok()?.config);
-        if let (Some(asked), Some(answer)) = (request.ok().and_then(|request| request.config), answer) {
-            self.heard(asked, answer);
+        if let (Some(requested), Some(answer)) = (request.ok().and_then(|request| request.config), answer) {
+            self.received(requested, answer);
         }
     }
 

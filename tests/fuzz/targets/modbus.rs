@@ -21,7 +21,9 @@ use fieldbeat::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
 use fieldbeat::bus::modbus::words::ControlWord;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
-use fieldbeat::net::{Broken, Carriers, Datagrams, Greeted, LinkNotes, StreamPeer, Streams, UdpOptions};
+use fieldbeat::net::{
+    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, StreamPeer, Streams, UdpOptions,
+};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::{MS, Time, US};
@@ -79,18 +81,18 @@ impl Pipe {
         self.replies.clear();
         let Some(mut peer) = self.peer.take() else { return };
         let mut out = Vec::new();
-        let mut greeted = peer.greeting.begin(self.now, &mut out);
+        let mut greeted = peer.handshake.begin(self.now, &mut out);
         // Bounded: a greeting has so many steps at most.
         for _ in 0..100 {
-            if greeted != Greeted::More {
+            if greeted != HandshakeState::More {
                 break;
             }
             let mut reply = Vec::new();
             self.drive.receive(self.now, MASTER, &std::mem::take(&mut out), &mut reply);
-            greeted = peer.greeting.take(self.now, &reply, &mut out);
+            greeted = peer.handshake.take(self.now, &reply, &mut out);
         }
         self.peer = Some(peer);
-        self.open = greeted == Greeted::Done;
+        self.open = greeted == HandshakeState::Done;
         (self.news, self.broken) = (self.open, None);
     }
 
@@ -207,7 +209,7 @@ struct Rig {
     slots: [Slot; 1],
     before: Slot,
     /// What was desired when the first byte of the last request left.
-    asked: Desired,
+    requested: Desired,
     /// The last control word that the drive has.
     control: ControlWord,
     index: u64,
@@ -261,7 +263,7 @@ impl Rig {
             machine: Commanded::new(&plan, 0, PERIOD_NS),
             before: slot.clone(),
             slots: [slot],
-            asked: Desired::default(),
+            requested: Desired::default(),
             control: ControlWord::default(),
             index: 1_001,
             writable,
@@ -373,7 +375,7 @@ impl Rig {
         let sent = self.slots[0].counters.sent;
         self.bus.send(&cycle, &mut self.slots);
         if self.slots[0].counters.sent > sent {
-            self.asked = self.slots[0].desired;
+            self.requested = self.slots[0].desired;
         }
         self.machine.commit(&mut self.slots[0]);
         {
@@ -441,7 +443,7 @@ impl Rig {
     }
 
     fn check_write(&mut self, address: u16, data: &[u8]) {
-        let Desired { power, motion, setpoint, .. } = self.asked;
+        let Desired { power, motion, setpoint, .. } = self.requested;
         assert!(power.serial != 0, "nothing is written before something is desired");
         assert!(self.writable.contains(&address) && data.len() <= 8, "{address:#06x}, {data:?}");
         let word = |at: usize| u16::from_be_bytes([data[at], data[at + 1]]);
@@ -460,21 +462,21 @@ impl Rig {
         let runs = power.value == Power::EnableOperation && motion.value != Motion::Halt;
         if let Some(control) = control.map(ControlWord) {
             let before = std::mem::replace(&mut self.control, control);
-            assert!(runs || !control.has_any(ControlWord::ANY_RUN), "{control:?} for {:?}", self.asked);
+            assert!(runs || !control.has_any(ControlWord::ANY_RUN), "{control:?} for {:?}", self.requested);
             // RUN goes off before ENABLE does.
             let releases = power.value == Power::Off && before.has(ControlWord::ENABLE);
             let on = matches!(power.value, Power::EnableOperation | Power::QuickStop) || releases;
             assert!(
                 on || !control.has(ControlWord::ENABLE),
                 "{control:?} after {before:?} for {:?}",
-                self.asked
+                self.requested
             );
             let resets = power.value == Power::FaultReset;
-            assert_eq!(control.has(ControlWord::RESET), resets, "{control:?} for {:?}", self.asked);
+            assert_eq!(control.has(ControlWord::RESET), resets, "{control:?} for {:?}", self.requested);
         }
         if reference.is_some_and(|reference| reference != 0) {
             let native = matches!(motion.value, Motion::Native(_));
-            assert!(native || runs && setpoint.velocity != 0.0, "{reference:?} for {:?}", self.asked);
+            assert!(native || runs && setpoint.velocity != 0.0, "{reference:?} for {:?}", self.requested);
         }
     }
 }

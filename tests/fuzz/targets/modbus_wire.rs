@@ -46,9 +46,9 @@ fn message(adu: &[u8]) {
     let is_one = frame(adu) == Ok(Some(adu.len()));
     let header = Header::parse(adu);
     match Request::parse(adu) {
-        Ok((told, request)) => {
-            assert!(is_one && Some(told) == header);
-            same(adu, request.size(), |out| request.emit(told, out));
+        Ok((reported, request)) => {
+            assert!(is_one && Some(reported) == header);
+            same(adu, request.size(), |out| request.emit(reported, out));
             if let Request::Write { data, .. } | Request::ReadWrite { data, .. } = request {
                 registers(data);
             }
@@ -60,9 +60,9 @@ fn message(adu: &[u8]) {
         }
     }
     match Response::parse(adu) {
-        Ok((told, response)) => {
-            assert!(is_one && Some(told) == header);
-            same(adu, response.size(), |out| response.emit(told, out));
+        Ok((reported, response)) => {
+            assert!(is_one && Some(reported) == header);
+            same(adu, response.size(), |out| response.emit(reported, out));
             match response {
                 Response::Read { data } | Response::ReadWritten { data } => registers(data),
                 Response::Exception { function, code } => {

@@ -51,7 +51,7 @@ struct Rig {
     request: [u8; REQUEST_MAX],
     length: usize,
     /// The requests that went out, newest first.
-    asked: Vec<Request>,
+    requested: Vec<Request>,
     /// What the drive says, but for its echoes.
     says: Response,
     /// The count of the last motion command that the drive heard.
@@ -108,7 +108,7 @@ impl Rig {
             index: 0,
             request: [0; REQUEST_MAX],
             length: 0,
-            asked: Vec::new(),
+            requested: Vec::new(),
             says: Response {
                 status: Some(StatusWord(0x0032)),
                 state: Some(StateVar(0x0100)),
@@ -189,11 +189,11 @@ impl Rig {
         }
         if self.drive.reply_tag == ReplyTag::Definition {
             let turns = if self.drive.monitor == MonitorPlan::Off { 3 } else { 1 };
-            let like = |asked: &&Request| asked.response_def == request.response_def;
-            assert_eq!(self.asked.iter().take(turns).find(like), None, "no two in a row look alike");
+            let like = |requested: &&Request| requested.response_def == request.response_def;
+            assert_eq!(self.requested.iter().take(turns).find(like), None, "no two in a row look alike");
         }
-        self.asked.insert(0, request);
-        self.asked.truncate(REMEMBERED);
+        self.requested.insert(0, request);
+        self.requested.truncate(REMEMBERED);
         self.now = self.now + PERIOD_NS / 4;
         replies(self);
         self.judge(sent_at);
@@ -238,7 +238,7 @@ impl Rig {
     /// A reply that is somehow wrong, or comes to something else, or is right.
     fn reply(&mut self, input: &mut Input<'_>, in_window: bool) {
         let age = input.below(REMEMBERED);
-        let mut bytes = self.telegram(age.min(self.asked.len().saturating_sub(1)));
+        let mut bytes = self.telegram(age.min(self.requested.len().saturating_sub(1)));
         match input.byte() % 8 {
             0..=2 => {}
             3 => bytes[input.below(8)] ^= 1 << input.below(8),
@@ -262,14 +262,14 @@ impl Rig {
 
     /// What the drive says now, as the reply to the request of so many requests ago.
     fn telegram(&self, age: usize) -> Vec<u8> {
-        let asked = self.asked.get(age).copied().unwrap_or_default();
+        let requested = self.requested.get(age).copied().unwrap_or_default();
         let state = self.says.state.unwrap_or_default();
         let counted = StateVar(state.0 & !0xF | u16::from(self.count));
         let response = Response {
-            request_def: asked.definition(),
-            response_def: asked.response_def,
+            request_def: requested.definition(),
+            response_def: requested.response_def,
             state: Some(if self.counts && state.count().is_some() { counted } else { state }),
-            config: asked.config,
+            config: requested.config,
             ..self.says
         };
         let mut bytes = vec![0; RESPONSE_MAX];
@@ -304,17 +304,17 @@ impl Rig {
             return;
         };
         let tag = |config: Option<RtcBlock>| config.filter(|_| self.counted()).map(|block| block.count());
-        let echoes = self.asked.first().is_some_and(|asked| {
-            (asked.definition(), asked.response_def, tag(asked.config))
+        let echoes = self.requested.first().is_some_and(|requested| {
+            (requested.definition(), requested.response_def, tag(requested.config))
                 == (response.request_def, response.response_def, tag(response.config))
         });
         // Before the first request nothing is echoed but by chance: of two empty definitions.
-        let echoes = echoes || self.asked.is_empty() && response.request_def == RequestDef::NONE;
+        let echoes = echoes || self.requested.is_empty() && response.request_def == RequestDef::NONE;
         assert_eq!(
             c.answered - b.answered,
             u64::from(owed && echoes),
             "{response:?} to {:?}",
-            self.asked.first()
+            self.requested.first()
         );
         if (self.slot.status, self.slot.notices) == (before.status, before.notices) {
             assert!(c.answered == b.answered || !self.slot.notices.fresh);

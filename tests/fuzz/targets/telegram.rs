@@ -47,8 +47,8 @@ fn response(data: &[u8]) {
     let size = response.emit(&mut bytes);
     assert_eq!(size, response.size());
     // A drive may leave the block out that it was asked for; here it is written as zeros.
-    let asked = response.request_def.contains(RequestDef::CONFIG);
-    let whole = Response { config: response.config.or(asked.then(RtcBlock::default)), ..response };
+    let requested = response.request_def.contains(RequestDef::CONFIG);
+    let whole = Response { config: response.config.or(requested.then(RtcBlock::default)), ..response };
     let said = if whole == response { size } else { size - 8 };
     assert_eq!(bytes[..said], data[..said]);
     assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "nothing is written behind the telegram");

@@ -82,15 +82,16 @@ fn judge(file: &Path) {
     assert!(in_op.count() > 150);
     let messages: Vec<&Message> = back.iter().flat_map(|frame| &frame.messages).collect();
     let vendor = Some((0x1018, 1));
-    let told = messages.iter().filter(|message| (message.service, message.object) == (3, vendor));
-    assert_eq!(told.map(|message| message.data).collect::<Vec<_>>(), [Some(0x6A); 2]);
+    let reported = messages.iter().filter(|message| (message.service, message.object) == (3, vendor));
+    assert_eq!(reported.map(|message| message.data).collect::<Vec<_>>(), [Some(0x6A); 2]);
     let aborts = messages.iter().filter(|message| (message.service, message.command) == (3, ABORT));
     assert_eq!(aborts.count(), 2);
     // What the drives' fixed PDOs are made of.
     let mapped = |object, data| {
-        let told = messages.iter().filter(|message| (message.service, message.object) == (3, Some(object)));
-        assert!(told.clone().count() >= 2, "{object:?}");
-        assert!(told.into_iter().all(|message| message.data == Some(data)), "{object:?}");
+        let reported =
+            messages.iter().filter(|message| (message.service, message.object) == (3, Some(object)));
+        assert!(reported.clone().count() >= 2, "{object:?}");
+        assert!(reported.into_iter().all(|message| message.data == Some(data)), "{object:?}");
     };
     mapped((0x1702, 1), 0x606B_0020);
     mapped((0x1B03, 3), 0x6041_0010);

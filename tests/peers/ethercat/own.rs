@@ -52,9 +52,9 @@ const OP: u16 = 8;
 /// A frame, and what came back.
 type Exchange = (Frame, Option<Frame>);
 /// Command, register, bytes, and the state that is asked for.
-type Asked = (u64, u64, u64, Option<u64>);
+type Requested = (u64, u64, u64, Option<u64>);
 /// What one slot asked.
-type Slot = Vec<Asked>;
+type Slot = Vec<Requested>;
 
 /// Whose affair a slot is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -272,12 +272,12 @@ fn slot(sent: &Frame) -> (Affair, Slot) {
         Address::Slave(station, _) if matches!(datagram.command, FPRD | FPWR) => Affair::Of(station),
         _ => panic!("{datagram:?}"),
     };
-    let asked = |datagram: &Datagram| {
+    let requested = |datagram: &Datagram| {
         let Address::Slave(_, register) = datagram.address else { panic!("{sent:?}") };
         (datagram.command, register, datagram.length, sent.state.filter(|_| register == AL_CONTROL))
     };
     let datagrams = &sent.datagrams[FIXED..];
-    let slot: Slot = datagrams.iter().map(asked).collect();
+    let slot: Slot = datagrams.iter().map(requested).collect();
     let affairs: Vec<Affair> = datagrams.iter().map(affair).collect();
     assert!(affairs.iter().all(|affair| *affair == affairs[0]), "{sent:?}");
     (if slot == times_at_latch() { Affair::Clock } else { affairs[0] }, slot)
@@ -296,8 +296,8 @@ fn judge_counters(affair: Affair, is_repeated: bool, sent: &Frame, back: &Frame)
 }
 
 /// A slot in which nobody is asked for a state.
-fn slot_of<const N: usize>(asked: [(u64, u64, u64); N]) -> Slot {
-    asked.map(|(command, register, bytes)| (command, register, bytes, None)).to_vec()
+fn slot_of<const N: usize>(requested: [(u64, u64, u64); N]) -> Slot {
+    requested.map(|(command, register, bytes)| (command, register, bytes, None)).to_vec()
 }
 
 /// The times of a slave at a latch, up to its offset, and which of its ports are open: of the reference, and of the one
@@ -381,13 +381,13 @@ fn clock(station: u64) -> Vec<Slot> {
 /// Which memory of each slave stands where in the logical address space, as the dissector reads its FMMUs: outputs,
 /// inputs, AL status.
 fn judge_fmmus(file: &Path, run: Run, base: u64) {
-    let told = capture::dissect(
+    let reported = capture::dissect(
         file,
         "ecat.fmmu.activate == 1 && ecat.cnt == 1",
         &[],
         &["ecat.adp", "ecat.fmmu.lstart", "ecat.fmmu.llen", "ecat.fmmu.pstart", "ecat.fmmu.type"],
     );
-    let told: BTreeSet<&str> = told
+    let reported: BTreeSet<&str> = reported
         .iter()
         .map(|line| {
             let station = line.find('|').unwrap() - "0x1001".len();
@@ -410,7 +410,7 @@ fn judge_fmmus(file: &Path, run: Run, base: u64) {
         line(1, [1, 6, 0x1100], [3, inputs, 0x1140]),
         line(2, [1 + 6, 6, 0x1100], [3 + 2 + inputs, inputs, 0x1140]),
     ];
-    assert_eq!(told, lines.iter().map(String::as_str).collect());
+    assert_eq!(reported, lines.iter().map(String::as_str).collect());
 }
 
 /// From the last slave in OP to the first one that is taken down.
@@ -475,21 +475,21 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
         assert!((responses.len()..=responses.len() + 1).contains(&requests.len()));
         for (request, response) in requests.iter().zip(&responses) {
             assert_eq!(request.counter, response.counter, "{request:?} {response:?}");
-            let told = (response.command, response.object, response.data);
+            let reported = (response.command, response.object, response.data);
             match (request.command, request.object) {
-                (DOWNLOAD, object) => assert_eq!(told, (DOWNLOADED, object, None)),
-                (UPLOAD, Some((0x5FFF, 1))) => assert_eq!(told, (ABORT, None, None)),
-                (UPLOAD, object @ Some((0x1018, 1))) => assert_eq!(told, (UPLOADED, object, Some(0x6A))),
-                (UPLOAD, object) => assert_eq!((told.0, told.1), (UPLOADED, object)),
+                (DOWNLOAD, object) => assert_eq!(reported, (DOWNLOADED, object, None)),
+                (UPLOAD, Some((0x5FFF, 1))) => assert_eq!(reported, (ABORT, None, None)),
+                (UPLOAD, object @ Some((0x1018, 1))) => assert_eq!(reported, (UPLOADED, object, Some(0x6A))),
+                (UPLOAD, object) => assert_eq!((reported.0, reported.1), (UPLOADED, object)),
                 _ => panic!("{request:?}"),
             }
         }
         // How it counts a turn, as it starts; its mode and whether it has its reference, as it is up; and what the
         // application asks.
         let uploads = requests.iter().filter(|request| request.command == UPLOAD);
-        let asked: BTreeSet<_> = uploads.clone().filter_map(|request| request.object).collect();
+        let requested: BTreeSet<_> = uploads.clone().filter_map(|request| request.object).collect();
         let once = [(0x608F, 1), (0x608F, 2), (0x6061, 0), (0x1002, 0), (0x1018, 1), (0x5FFF, 1)];
-        assert_eq!((asked, uploads.count()), (once.into(), once.len()), "{station:#x}");
+        assert_eq!((requested, uploads.count()), (once.into(), once.len()), "{station:#x}");
     }
 }
 

@@ -29,9 +29,9 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
     let ended = ended.unwrap();
     ended.expect(0);
     let slaves = ended.json()["slaves"].clone();
-    let told = |key: &str| [0, 1, 2].map(|place: usize| slaves[place]["sii"][key].clone());
-    assert_eq!(told("vendor"), [2, 0x6A, 0x6A]);
-    assert_eq!(told("serial"), [0, 101, 102]);
+    let reported = |key: &str| [0, 1, 2].map(|place: usize| slaves[place]["sii"][key].clone());
+    assert_eq!(reported("vendor"), [2, 0x6A, 0x6A]);
+    assert_eq!(reported("serial"), [0, 101, 102]);
     assert_eq!(slaves[1]["clock_bits"], 32);
 
     let exchanges = exchanges(&dissect(&file));

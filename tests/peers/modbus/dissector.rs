@@ -198,8 +198,8 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         let block =
             |request: &Message, function, block| (request.function, request.block) == (function, Some(block));
         assert!(has(&|request| block(request, 16, parameter) && request.values == [0, 12_345]));
-        let told = cyclic.iter().find(|(request, _)| block(request, 3, parameter)).unwrap();
-        assert_eq!(told.1.as_ref().unwrap().values, [0, 12_345]);
+        let reported = cyclic.iter().find(|(request, _)| block(request, 3, parameter)).unwrap();
+        assert_eq!(reported.1.as_ref().unwrap().values, [0, 12_345]);
         let both = |request: &Message, read, write, data: &str| {
             (request.read, request.write) == (Some(read), Some(write)) && request.data.starts_with(data)
         };

@@ -62,13 +62,13 @@ fn counters(master: &Master) -> Counters {
 }
 
 /// How many requests the master greets a new server with. They are counted by the server only.
-fn greeting(library: Library, machine: &Machine, options: &[&str]) -> u64 {
+fn handshake(library: Library, machine: &Machine, options: &[&str]) -> u64 {
     let (mut peer, address) = server(library, machine, options);
     let mut drive = machine_drive(address);
     // So seldom that both ends are counted in between.
     drive.axis.divisor = 200;
     let master = Master::from_plan(plan(drive)).start().unwrap();
-    let mut greeting = None;
+    let mut handshake = None;
     let found = until(LONG, || {
         let before = counters(&master);
         std::thread::sleep(Duration::from_millis(20));
@@ -76,12 +76,12 @@ fn greeting(library: Library, machine: &Machine, options: &[&str]) -> u64 {
         std::thread::sleep(Duration::from_millis(20));
         let after = counters(&master);
         let is_settled = before == after && after.sent == after.answered && after.sent >= 2;
-        greeting = is_settled.then(|| total - after.sent);
+        handshake = is_settled.then(|| total - after.sent);
         is_settled
     });
     assert!(found, "{:?}", counters(&master));
     master.finish();
-    greeting.unwrap()
+    handshake.unwrap()
 }
 
 /// Waits until the server's registers hold these values from here on.
@@ -148,7 +148,7 @@ fn calls(peer: &mut Peer, axis: &Axis) {
 
 fn exchange(test: u8, library: Library, options: &[&str], read_write: bool) {
     let machine = Machine::new(test);
-    let greeting = greeting(library, &machine, options);
+    let handshake = handshake(library, &machine, options);
     let (mut peer, address) = server(library, &machine, options);
     let master = Master::from_plan(plan(machine_drive(address))).start().unwrap();
     let mut axis = master.axis("m").unwrap();
@@ -178,10 +178,10 @@ fn exchange(test: u8, library: Library, options: &[&str], read_write: bool) {
     // Sent, arrived, answered: all of it once.
     let closes = options.contains(&"closes-on-read-write");
     let silent = closes || options.contains(&"ignores-read-write");
-    let greeting = greeting * (1 + u64::from(closes));
-    let all = until(LONG, || peer.numbers("counts")[0] == greeting + end.sent);
+    let handshake = handshake * (1 + u64::from(closes));
+    let all = until(LONG, || peer.numbers("counts")[0] == handshake + end.sent);
     let counts = peer.numbers("counts");
-    assert!(all, "{counts:?}, {greeting} of them greet: {end:?}");
+    assert!(all, "{counts:?}, {handshake} of them greet: {end:?}");
     assert!(end.sent - end.answered - end.missed <= 1, "one may be under way at the end: {end:?}");
     let mut expected =
         Counters { sent: end.sent, unsent: end.unsent, answered: end.answered, ..Counters::default() };

@@ -32,7 +32,7 @@ fn line(drives: Vec<KollmorgenDrive>, devices: Vec<Device>) -> EthercatPlan {
 }
 
 /// What is told of the slaves in the end.
-fn told(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
+fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
     let end = machine.sim.finish();
     let drives = end.drives.into_iter().map(|drive| drive.not_connected);
     assert!(end.devices.iter().all(|device| device.name == "io"));
@@ -48,21 +48,21 @@ fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
     let mut machine = Machine::on(left, CyclePlan::default(), WorldOptions::default());
     machine.online();
     machine.run(2_000);
-    let (drives, devices) = told(machine);
+    let (drives, devices) = reported(machine);
     assert_eq!(drives, [None]);
     let why = devices[0].clone().expect("it is refused");
     assert!(why.starts_with("place 1: its product is 0x") && why.contains("correct product"), "{why}");
 
     let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
     machine.run(3);
-    let (_, devices) = told(machine);
+    let (_, devices) = reported(machine);
     assert_eq!(devices, [Some("place 1: it is being brought up".to_owned())]);
 
     let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
     machine.online();
     let io = machine.sim.device::<Terminals>("io").unwrap();
     machine.until("operational", 3_000, |_| io.inputs().operational);
-    assert_eq!(told(machine), (vec![None], vec![None]));
+    assert_eq!(reported(machine), (vec![None], vec![None]));
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
         let mut machine = Machine::new(line(vec![odd], Vec::new()));
         machine.run(4_000);
         let link = machine.feedback(0).link;
-        let (drives, _) = told(machine);
+        let (drives, _) = reported(machine);
         assert_eq!(link == Link::Online, drives[0].is_none(), "{drives:?}");
         drives.into_iter().next().flatten()
     };
@@ -171,7 +171,7 @@ fn a_device_is_taken_once_by_its_name_and_type() {
     ] {
         let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan("di", other))];
         let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
-        let told = plan.check().unwrap_err().to_string();
-        assert!(told.lines().any(|line| line == refused), "{told}");
+        let reported = plan.check().unwrap_err().to_string();
+        assert!(reported.lines().any(|line| line == refused), "{reported}");
     }
 }

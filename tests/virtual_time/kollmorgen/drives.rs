@@ -181,8 +181,8 @@ fn a_fault_stops_the_axis_by_its_name_and_is_reset() {
         } else {
             assert!(matches!(reset, Outcome::Failed(Failure::Unsupported(_))), "{reset:?}");
         }
-        let told = machine.end()[0].own[Own::Emergencies as usize];
-        assert_eq!(told, if heals { 2 } else { 1 }, "the fault, and the end of it");
+        let reported = machine.end()[0].own[Own::Emergencies as usize];
+        assert_eq!(reported, if heals { 2 } else { 1 }, "the fault, and the end of it");
     }
 }
 
@@ -192,11 +192,11 @@ fn emergencies(machine: &mut Machine) -> Vec<(usize, Emergency)> {
     for index in 0..machine.count {
         all.extend(std::iter::from_fn(|| machine.sim.axis(index).event()).map(|event| (index, event)));
     }
-    let told = all.into_iter().filter_map(|(index, event)| match event.kind {
+    let reported = all.into_iter().filter_map(|(index, event)| match event.kind {
         EventKind::Emergency(emergency) => Some((index, emergency)),
         _ => None,
     });
-    told.collect()
+    reported.collect()
 }
 
 #[test]
@@ -205,9 +205,9 @@ fn an_emergency_is_an_event_with_code_and_register_and_so_is_its_end() {
     assert_eq!(emergencies(&mut machine), []);
     machine.drive(1, |drive| drive.provoke(Fault::MOTOR_TEMPERATURE));
     machine.run(100);
-    let told = Emergency { code: 0x4310, register: 8 };
-    assert_eq!(emergencies(&mut machine), [(1, told)]);
-    assert_eq!(machine.sim.axis(1).fault(told.code.into()).name, Some("motor temperature"));
+    let reported = Emergency { code: 0x4310, register: 8 };
+    assert_eq!(emergencies(&mut machine), [(1, reported)]);
+    assert_eq!(machine.sim.axis(1).fault(reported.code.into()).name, Some("motor temperature"));
     assert_eq!(machine.ended(1, Command::ResetFault), Outcome::Done);
     machine.run(100);
     let over = emergencies(&mut machine);
@@ -215,7 +215,7 @@ fn an_emergency_is_an_event_with_code_and_register_and_so_is_its_end() {
     // The telemetry has the same.
     let kept: Vec<_> =
         machine.sim.measured().emergencies.iter().map(|one| (one.axis, one.emergency)).collect();
-    assert_eq!(kept, [(1, told), over[0]]);
+    assert_eq!(kept, [(1, reported), over[0]]);
 }
 
 #[test]
@@ -225,15 +225,15 @@ fn an_emergency_before_the_first_exchange_is_an_event_too() {
         machine.look(|line| line.slave(0).unwrap().state() == AlState::PreOp)
     });
     machine.drive(0, |drive| drive.provoke(Fault::OVERVOLTAGE));
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for _ in 0..500 {
         machine.run(1);
-        told.extend(emergencies(&mut machine));
-        if !told.is_empty() {
+        reported.extend(emergencies(&mut machine));
+        if !reported.is_empty() {
             break;
         }
     }
-    assert_eq!(told, [(0, Emergency { code: 0x3110, register: 4 })]);
+    assert_eq!(reported, [(0, Emergency { code: 0x3110, register: 4 })]);
     assert_eq!(machine.feedback(0).link, Link::Unseen);
 }
 

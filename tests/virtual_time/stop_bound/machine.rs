@@ -213,13 +213,13 @@ impl Machine {
             let wire = std::mem::take(self.b.tape(axis).wire.as_mut().unwrap());
             let (feedback, watch) = (self.b.feedback(axis), &mut self.watches[axis]);
             for Spoken { at, request } in wire {
-                if let Err(what) = watch.told(self.b.slot(at), &request) {
+                if let Err(what) = watch.reported(self.b.slot(at), &request) {
                     panic!("axis {axis} was told {what}");
                 }
             }
-            for heard in std::mem::take(&mut self.b.tape(axis).heard) {
+            for received in std::mem::take(&mut self.b.tape(axis).received) {
                 if let Some(stopped) = &mut watch.stopped {
-                    stopped.off |= says(&heard.request).off;
+                    stopped.off |= says(&received.request).off;
                 }
             }
             if feedback.status.at != watch.good.0 {
@@ -251,7 +251,7 @@ impl Machine {
     fn push_rows(&mut self) {
         for (axis, watch) in self.watches.iter_mut().enumerate() {
             let Some(stream) = watch.stream.as_mut().filter(|_| watch.stopped.is_none()) else { continue };
-            while !stream.starving && stream.pushed < stream.told + 4 {
+            while !stream.starving && stream.pushed < stream.reported + 4 {
                 // Its drive interpolates by the velocity, too.
                 let row = Row { position: stream.next, velocity: stream.velocity, ..Row::default() };
                 self.b.sim.axis(axis).push_row(row).unwrap();
@@ -397,8 +397,16 @@ impl Machine {
 
     fn stream(&mut self, axis: usize, from: f64, velocity: f64) {
         let step = velocity * (self.b.period_ns * self.divisor(axis)) as f64 * 1e-9;
-        let stream =
-            Stream { next: from, step, velocity, pushed: 0, starving: false, told: 0, told_at: 0, header: 0 };
+        let stream = Stream {
+            next: from,
+            step,
+            velocity,
+            pushed: 0,
+            starving: false,
+            reported: 0,
+            told_at: 0,
+            header: 0,
+        };
         self.watches[axis].stream = Some(stream);
         self.push_rows();
         self.post(axis, Command::Follow);
@@ -483,25 +491,25 @@ impl Machine {
                 Dropping | Late => self.watches[axis].stopped.map(|stopped| stopped.good_at),
                 Starved => {
                     let stream = self.watches[axis].stream.as_ref().unwrap();
-                    (stream.told == stream.pushed).then(|| stream.told_at + self.divisor(axis) - 1)
+                    (stream.reported == stream.pushed).then(|| stream.told_at + self.divisor(axis) - 1)
                 }
                 BadRow => Some(self.own_slot(axis, acted_at?) + self.divisor(axis) - 1),
                 _ => acted_at,
             }
         });
-        let told =
+        let reported =
             |axis: &usize| Some((*axis, self.watches[*axis].stopped?, self.watches[*axis].stopped?.told_at?));
-        let Some(told) = axes.iter().map(told).collect::<Option<Vec<_>>>() else { return false };
+        let Some(reported) = axes.iter().map(reported).collect::<Option<Vec<_>>>() else { return false };
         let from = strike.from.expect("stopped, so its cause is known");
         // A stream that loses rows, or goes on without power, becomes a fault of the drive, and that may be told first.
         let told_first = |(axis, stopped, _): &(usize, Stopped, u64)| {
             Some(*axis) == struck && stopped.cause == StopCause::DriveFault
         };
-        let may = matches!(fault, Dropping | Late | PowerCut) && told.iter().any(told_first);
+        let may = matches!(fault, Dropping | Late | PowerCut) && reported.iter().any(told_first);
         let fault = if may { DriveError } else { fault };
         let tally = self.table.entry(fault).or_default();
         tally.faults += 1;
-        for (axis, stopped, told_at) in told {
+        for (axis, stopped, told_at) in reported {
             let own = struck.is_none_or(|struck| struck == axis);
             let cause = if own { fault.cause() } else { StopCause::Group };
             let bound = fault.bound(own, &self.b.drives[axis].axis, self.stated[struck.unwrap_or(axis)]);

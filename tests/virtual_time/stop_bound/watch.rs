@@ -69,21 +69,21 @@ pub struct Stream {
     /// No more of them.
     pub starving: bool,
     /// Those that went out, the cycle of the last one, and its header: each row has another count.
-    pub told: u32,
+    pub reported: u32,
     pub told_at: u64,
     pub header: u16,
 }
 
 impl Watch {
     /// The master has sent `request` in `cycle`.
-    pub fn told(&mut self, cycle: u64, request: &Request) -> Result<(), String> {
+    pub fn reported(&mut self, cycle: u64, request: &Request) -> Result<(), String> {
         let Says { stop, on, go, .. } = says(request);
         self.ours |= request.control.is_some();
         if let (Some(stream), Some(motion)) = (&mut self.stream, request.motion)
             && StreamCommand::from_id(motion.header >> 4).is_some()
             && motion.header != std::mem::replace(&mut stream.header, motion.header)
         {
-            (stream.told, stream.told_at) = (stream.told + 1, cycle);
+            (stream.reported, stream.told_at) = (stream.reported + 1, cycle);
         }
         let Some(stopped) = &mut self.stopped else { return Ok(()) };
         let first = stopped.told_at.is_none();

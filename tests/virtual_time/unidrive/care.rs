@@ -15,7 +15,7 @@ fn left_to_run(shared: &mut Shared, now: Time) {
     let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
     shared.ask(now, Request::Write { address, data: data.registers() });
     assert!(!shared.status(now + S).active());
-    shared.heard.clear();
+    shared.received.clear();
 }
 
 #[test]
@@ -28,7 +28,7 @@ fn neither_a_connection_nor_an_enable_runs_what_was_left_in_the_control_word() {
         if via == Via::Direct {
             let reads = b
                 .tap(0)
-                .heard
+                .received
                 .iter()
                 .all(|request| matches!(request[7], function::READ | function::READ_WRITE));
             assert!(reads, "nothing is written before the first order");
@@ -98,13 +98,13 @@ fn each_native_output_goes_out_however_often_the_wire_takes_none() {
     let mut native = b.sim.axis(0).native::<Native>().unwrap();
     b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
     b.until("native mode", 100, |_| native.inputs().running);
-    b.tap(0).heard.clear();
+    b.tap(0).received.clear();
     for reference in 1..=10 {
         native.write(NativeOutput { control: ControlWord::FORWARD, reference }).unwrap();
     }
     b.run(100);
     let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
-    let mut written: Vec<i32> = (b.tap(0).heard.iter())
+    let mut written: Vec<i32> = (b.tap(0).received.iter())
         .filter_map(|request| match Request::parse(request).unwrap().1 {
             Request::ReadWrite { write, data, .. } if write == address => data.long(0),
             _ => None,
@@ -198,12 +198,12 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         b.turning(0, 4.0);
         b.tap(0).request = Some(Box::new(|request| without_function_23(request)));
         b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
-        b.tap(0).heard.clear();
+        b.tap(0).received.clear();
         b.run(500);
-        let heard = std::mem::take(&mut b.tap(0).heard);
-        let refused = heard.iter().filter(|request| request[7] == NO_FUNCTION).count();
+        let received = std::mem::take(&mut b.tap(0).received);
+        let refused = received.iter().filter(|request| request[7] == NO_FUNCTION).count();
         assert!((1..=2).contains(&refused), "{via:?}: {refused}, one may be on its way");
-        let with = |function| heard.iter().any(|request| request[7] == function);
+        let with = |function| received.iter().any(|request| request[7] == function);
         assert!(with(function::READ) && with(function::WRITE), "{via:?}");
         assert!((b.feedback(0).status.velocity - 4.0).abs() < 0.1, "{via:?}: {:?}", b.feedback(0));
         b.turning(0, -3.0);

@@ -39,7 +39,7 @@ impl Subject for Unidrive {
             Ok((_, Request::Write { address: written, .. })) => written == address,
             _ => false,
         };
-        let heard = std::mem::take(&mut self.bench.tap(0).heard);
+        let heard = std::mem::take(&mut self.bench.tap(0).received);
         self.received += heard.iter().filter(is_one).count();
         self.received
     }

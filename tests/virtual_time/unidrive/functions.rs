@@ -17,7 +17,7 @@ fn bench(via: Via, server: ReadWrite) -> Bench {
 
 /// The requests that were sent to it by FC23.
 fn both(b: &Bench) -> usize {
-    b.tap(0).heard.iter().filter(|request| request[7] == function::READ_WRITE).count()
+    b.tap(0).received.iter().filter(|request| request[7] == function::READ_WRITE).count()
 }
 
 /// The control words that a drive carries out, each once, if it has FC23 or not.
@@ -27,7 +27,7 @@ fn commanded(b: &Bench, has_both: bool) -> Vec<u16> {
         (matches!(parameter, Parameter::CONTROL_WORD) || parameter == Parameter::new(0, 11)).then_some(width)
     };
     let tap = b.tap(0);
-    let written = tap.heard.iter().filter_map(|request| match Request::parse(request).unwrap().1 {
+    let written = tap.received.iter().filter_map(|request| match Request::parse(request).unwrap().1 {
         Request::Write { address, data } => Some((control(address)?, data)),
         Request::ReadWrite { write, data, .. } if has_both => Some((control(write)?, data)),
         _ => None,
@@ -69,7 +69,7 @@ fn a_server_without_function_23_is_commanded_as_one_that_has_it() {
             }
             // Another connection, and the drive is another one.
             assert!(b.sim.world().restart(address(0)), "{what}");
-            b.tap(0).heard.clear();
+            b.tap(0).received.clear();
             b.stopped(0, 2_000);
             b.online();
             // The stop sequence runs to its end before anything else is taken.
@@ -127,7 +127,7 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
         b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
-        b.tap(0).heard.clear();
+        b.tap(0).received.clear();
         let mut lacks = false;
         b.tap(0).request = Some(Box::new(move |request| {
             // From the first of them on.
@@ -141,7 +141,8 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
             native.write(NativeOutput { control: ControlWord::FORWARD, reference }).unwrap();
         }
         b.run(100);
-        let mut written: Vec<i32> = b.tap(0).heard.iter().filter_map(|request| reference(request)).collect();
+        let mut written: Vec<i32> =
+            b.tap(0).received.iter().filter_map(|request| reference(request)).collect();
         written.dedup();
         written.retain(|reference| *reference > 0);
         assert_eq!(written, [1, 2, 3], "{via:?}");

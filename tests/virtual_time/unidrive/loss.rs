@@ -38,7 +38,7 @@ fn a_lost_segment_costs_no_link_in_the_usual_settings() {
 fn a_stop_behind_a_lost_segment_leaves_when_it_was_repeated() {
     let mut b = bench(250 * MS);
     b.turning(0, 4.0);
-    b.tap(0).heard.clear();
+    b.tap(0).received.clear();
     losing(&b, 0, 0.3);
     let segments = |b: &Bench| b.sim.world().injected(address(0)).unwrap().segments;
     b.until("a lost one", 100, |b| segments(b) > 0);
@@ -48,7 +48,7 @@ fn a_stop_behind_a_lost_segment_leaves_when_it_was_repeated() {
     losing(&b, 0, 0.0);
     b.sim.axis(0).post(STOP).unwrap();
     let slower = |b: &Bench| {
-        b.tap(0).heard.iter().any(|request| reference(request).is_some_and(|count| count < 2_400))
+        b.tap(0).received.iter().any(|request| reference(request).is_some_and(|count| count < 2_400))
     };
     b.until("the stop", 1_000, slower);
     let after = b.now().since(begin);

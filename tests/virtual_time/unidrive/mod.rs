@@ -41,7 +41,7 @@ type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 struct Shared {
     drive: UnidriveSim,
     /// Every request, the greeting's too.
-    heard: Vec<Vec<u8>>,
+    received: Vec<Vec<u8>>,
     /// Changes what the drive hears, and what it answers.
     request: Option<Tamper>,
     reply: Option<Tamper>,
@@ -102,7 +102,7 @@ impl SimDrive for Tap {
         if let Some(tamper) = &mut shared.request {
             tamper(&mut bytes);
         }
-        shared.heard.push(bytes.clone());
+        shared.received.push(bytes.clone());
         let to = shared.drive.receive(now, from, &bytes, reply);
         if let Some(tamper) = &mut shared.reply {
             tamper(reply);
@@ -192,7 +192,7 @@ impl Bench {
             let mut settings = drive.simulate.clone();
             settings.address = drive.address;
             let drive = UnidriveSim::new(settings);
-            let mut shared = Shared { drive, heard: Vec::new(), request: None, reply: None };
+            let mut shared = Shared { drive, received: Vec::new(), request: None, reply: None };
             prepare(&mut shared, Time(options.start.0 - 2 * S));
             Tap(Arc::new(Mutex::new(shared)))
         };
@@ -300,7 +300,7 @@ fn both_mappings_turn_a_motor_with_function_23_and_without() {
             let what = format!("{via:?}, {functions:?}");
             let mut b = Bench::new(1, via, |_, drive| drive.functions = functions);
             b.online();
-            b.tap(0).heard.clear();
+            b.tap(0).received.clear();
             b.ready();
             for velocity in [4.0, -6.0] {
                 b.turning(0, velocity);
@@ -317,7 +317,7 @@ fn both_mappings_turn_a_motor_with_function_23_and_without() {
                 places.contains(&parameter)
             };
             let (mut both, mut alone) = (0, 0);
-            for request in &b.tap(0).heard {
+            for request in &b.tap(0).received {
                 match Request::parse(request) {
                     Ok((_, Request::ReadWrite { write, .. })) if is_cyclic(write) => both += 1,
                     Ok((_, Request::Write { address, .. })) if is_cyclic(address) => alone += 1,
@@ -407,12 +407,12 @@ fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() 
     b.stopped(0, 100);
     // The stop sequence runs to its end before anything else is taken.
     b.run(100);
-    b.tap(0).heard.clear();
+    b.tap(0).received.clear();
     b.done(0, Command::ResetFault);
     let took = b.now().since(begin);
     assert!((10 * S..11 * S).contains(&took), "after {took} ns");
-    let heard = std::mem::take(&mut b.tap(0).heard);
-    let resets = heard.iter().filter(|request| {
+    let received = std::mem::take(&mut b.tap(0).received);
+    let resets = received.iter().filter(|request| {
         let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
         match Request::parse(request) {
             Ok((_, Request::ReadWrite { write, data, .. })) if Some(write) == control => {
@@ -451,7 +451,7 @@ fn by_terminals(shared: &mut Shared, now: Time) {
     shared.write(now, Parameter::new(6, 30), 1);
     let status = shared.status(now + 2 * S);
     assert!(status.active() && !status.zero_speed(), "{status:?}");
-    shared.heard.clear();
+    shared.received.clear();
 }
 
 #[test]
@@ -466,13 +466,13 @@ fn a_restart_between_two_connections_is_noticed_though_nothing_was_acknowledged_
                 reply.clear();
             }
         }));
-        let heard = |b: &Bench| {
-            let heard = &b.tap(0).heard;
-            heard.iter().filter(|request| request[7] == function::READ_WRITE && request[11] > 0).count()
+        let received = |b: &Bench| {
+            let received = &b.tap(0).received;
+            received.iter().filter(|request| request[7] == function::READ_WRITE && request[11] > 0).count()
         };
         b.run(2);
-        let before = heard(&b);
-        b.until("a request on another connection", 2_000, |b| heard(b) > before);
+        let before = received(&b);
+        b.until("a request on another connection", 2_000, |b| received(b) > before);
         assert!(b.sim.world().restart(address(0)));
         b.tap(0).reply = None;
         b.until("what was lost is known", 5_000, |b| b.feedback(0).stopped.is_some());
@@ -646,14 +646,14 @@ fn the_drives_own_watchdog_is_set_before_it_is_enabled() {
     let b = Bench::enabled(1, Via::Direct, |_, _| {});
     let timeout = Parameter::new(15, 9).address(Addressing::Standard, Width::Word);
     let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
-    let heard = b.tap(0).heard.clone();
-    let set = heard.iter().position(|request| match Request::parse(request) {
+    let received = b.tap(0).received.clone();
+    let set = received.iter().position(|request| match Request::parse(request) {
         Ok((header, Request::Write { address, data })) => {
             header.unit == 4 && Some(address) == timeout && data.word(0) == Some(500)
         }
         _ => false,
     });
-    let enabled = heard.iter().position(|request| match Request::parse(request) {
+    let enabled = received.iter().position(|request| match Request::parse(request) {
         Ok((_, Request::ReadWrite { write, data, .. })) if Some(write) == control => {
             ControlWord(data.word(0).unwrap()).has(ControlWord::ENABLE)
         }

@@ -84,8 +84,12 @@ fn a_drive_that_a_living_master_commands_is_not_taken_over() {
         assert_eq!(b.feedback(0).stopped, Some(StopCause::OtherMaster), "{via:?}");
         assert!(b.tap(0).status(b.now()).active(), "{via:?}: it runs on");
         let writes = |request: &Vec<u8>| matches!(request[7], function::READ_WRITE);
-        let wrote =
-            b.tap(0).heard.iter().filter(|request| writes(request)).any(|request| request[10..12] != [0, 0]);
+        let wrote = b
+            .tap(0)
+            .received
+            .iter()
+            .filter(|request| writes(request))
+            .any(|request| request[10..12] != [0, 0]);
         assert!(!wrote, "{via:?}: nothing was written");
     }
 }

@@ -309,7 +309,7 @@ impl EthercatBus {
     }
 
     /// Opens the exchanges of the drives that are due with frame `number`.
-    fn asked(&mut self, number: usize, sent_at: Option<Time>, cycle: &Cycle, slots: &mut [Slot]) {
+    fn requested(&mut self, number: usize, sent_at: Option<Time>, cycle: &Cycle, slots: &mut [Slot]) {
         let settled = self.segment.is_settled();
         for (DriveEnd { station, built, offsets, slave, .. }, slot) in self.drives.iter_mut().zip(slots) {
             if !slot.due || offsets.frame != number {
@@ -477,7 +477,7 @@ impl Bus for EthercatBus {
         self.finish(cycle, slots);
         for number in 0..self.flights.len() {
             let sent_at = self.send_frame(number, cycle);
-            self.asked(number, sent_at, cycle, slots);
+            self.requested(number, sent_at, cycle, slots);
         }
         self.prepared = false;
         self.devices.iter_mut().for_each(|device| device.port.sent());

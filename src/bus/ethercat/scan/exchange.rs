@@ -60,7 +60,7 @@ pub(super) struct Answer {
 
 /// The meaning of a received frame.
 #[derive(Debug, PartialEq, Eq)]
-enum Heard {
+enum Delivery {
     Answers(Vec<Answer>),
     /// Of no use, and not another master's.
     Nothing,
@@ -139,30 +139,30 @@ impl<'a> Exchange<'a> {
                 continue;
             };
             match self.judge(&room[..length.min(FRAME_MAX)], asks) {
-                Heard::Answers(answers) => return Ok(Some(answers)),
-                Heard::Foreign(mac) => return Err(ScanError::Foreign(mac)),
-                Heard::Nothing if self.now() >= until => return Ok(None),
-                Heard::Nothing => {}
+                Delivery::Answers(answers) => return Ok(Some(answers)),
+                Delivery::Foreign(mac) => return Err(ScanError::Foreign(mac)),
+                Delivery::Nothing if self.now() >= until => return Ok(None),
+                Delivery::Nothing => {}
             }
         }
     }
 
-    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Heard {
+    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Delivery {
         let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
-            return Heard::Nothing;
+            return Delivery::Nothing;
         };
-        let Some((_, rest)) = read.split_first() else { return Heard::Nothing };
+        let Some((_, rest)) = read.split_first() else { return Delivery::Nothing };
         let mark = Mark::of(frame);
         if mark.is_none_or(|mark| mark.master != self.mark.master) {
-            return source(frame).map_or(Heard::Nothing, Heard::Foreign);
+            return source(frame).map_or(Delivery::Nothing, Delivery::Foreign);
         }
         let is_whole = rest.len() == asks.len()
             && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
         if mark != Some(self.mark) || !is_whole || asks.is_empty() {
-            return Heard::Nothing;
+            return Delivery::Nothing;
         }
         let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
-        Heard::Answers(rest.iter().map(answer).collect())
+        Delivery::Answers(rest.iter().map(answer).collect())
     }
 }
 
@@ -215,7 +215,7 @@ mod tests {
         let mark = exchange.mark.bytes();
         let good = frame(&mark, &asks);
         let answer = Answer { data: vec![0, 0], count: 0 };
-        assert_eq!(exchange.judge(&good, &asks), Heard::Answers(vec![answer]));
+        assert_eq!(exchange.judge(&good, &asks), Delivery::Answers(vec![answer]));
         // Late, of another shape, circulated, broken, or no datagrams at all.
         let mut late = mark;
         late[4] = 2;
@@ -236,7 +236,7 @@ mod tests {
             &vec![0; FRAME_MIN],
             &vec![],
         ] {
-            assert_eq!(exchange.judge(nothing, &asks), Heard::Nothing, "{nothing:02x?}");
+            assert_eq!(exchange.judge(nothing, &asks), Delivery::Nothing, "{nothing:02x?}");
         }
     }
 
@@ -248,7 +248,10 @@ mod tests {
         let mut other = exchange.mark.bytes();
         other[0] ^= 1;
         for frame in [frame(&other, &asks), frame(&[0; 4], &asks)] {
-            assert_eq!(exchange.judge(&frame, &asks), Heard::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]));
+            assert_eq!(
+                exchange.judge(&frame, &asks),
+                Delivery::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12])
+            );
         }
     }
 }

@@ -59,7 +59,7 @@ enum Item {
 #[derive(Clone, Copy, Debug)]
 pub struct Reader {
     item: Item,
-    asked: bool,
+    requested: bool,
     looks: u8,
     askings: u8,
     contents: Contents,
@@ -78,7 +78,7 @@ pub enum Reading {
 
 impl Default for Reader {
     fn default() -> Reader {
-        Reader { item: Item::Head(0), asked: false, looks: 0, askings: 0, contents: Contents::default() }
+        Reader { item: Item::Head(0), requested: false, looks: 0, askings: 0, contents: Contents::default() }
     }
 }
 
@@ -100,7 +100,7 @@ impl Reader {
     /// Requests the next part, with commands that reach the slave at a register.
     pub fn request(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
         let Some(word) = self.word() else { return };
-        if self.asked {
+        if self.requested {
             ask.read(read(address::SII_CONTROL), POLL);
         } else {
             ask.write(write(address::SII_CONTROL), &sii::read(word));
@@ -111,8 +111,8 @@ impl Reader {
     pub fn receive(&mut self, answers: &Answers<'_>) -> Reading {
         // A lost frame: the same is requested again.
         let Some(answer) = answers[0] else { return Reading::On };
-        if !self.asked {
-            self.asked = true;
+        if !self.requested {
+            self.requested = true;
             return Reading::On;
         }
         let Some([low, high]) = answer.data.first_chunk::<2>().copied() else { return Reading::On };
@@ -127,13 +127,13 @@ impl Reader {
         let Some(data) = answer.data.get(DATA_AT..).and_then(<[u8]>::first_chunk::<4>) else {
             return Reading::Failed;
         };
-        (self.asked, self.looks, self.askings) = (false, 0, 0);
+        (self.requested, self.looks, self.askings) = (false, 0, 0);
         self.take(*data);
         if self.item == Item::Done { Reading::Done } else { Reading::On }
     }
 
     fn again(&mut self) -> Reading {
-        (self.asked, self.looks) = (false, 0);
+        (self.requested, self.looks) = (false, 0);
         self.askings += 1;
         if self.askings > ASKINGS { Reading::Failed } else { Reading::On }
     }

@@ -78,7 +78,7 @@ struct Rig {
     image: Image,
     sim: EthercatSim,
     drives: usize,
-    told: Told,
+    reported: Told,
     cycle: Cycle,
     number: u32,
     /// Frames are lost.
@@ -106,7 +106,7 @@ impl Rig {
             line: Segment::new(plan, offsets, MS),
             image,
             sim: EthercatSim::new(whole),
-            told: Told::default(),
+            reported: Told::default(),
             drives: plan.drives.len(),
             cycle: Cycle { index: 0, grid, period_ns: MS, deadline: grid + MS / 2 },
             number: 0,
@@ -122,7 +122,7 @@ impl Rig {
         let late = u64::from(self.number % 250) * 131;
         let at = self.cycle.grid + late;
         let first = &mut self.image.frames_mut()[0];
-        self.line.prepare(&self.cycle, first, &mut self.told);
+        self.line.prepare(&self.cycle, first, &mut self.reported);
         for (number, frame) in self.image.frames_mut().iter_mut().enumerate() {
             frame.load_outputs();
             frame.number(Mark { master: 7, number: self.number });
@@ -134,7 +134,7 @@ impl Rig {
             let mut received = frame.bytes().to_vec();
             let came = self.sim.pass(at, &mut received);
             if !came || self.lossy && self.number.is_multiple_of(7) {
-                self.line.lost(at, number == 0, &mut self.told);
+                self.line.lost(at, number == 0, &mut self.reported);
                 continue;
             }
             let Read::Good(counter) = frame.read(&received) else { panic!("a frame of our own") };
@@ -144,7 +144,7 @@ impl Rig {
                 continue;
             }
             let back = Back { sent, frame, at: at + 30 * US, received: &received, counter, in_window: true };
-            self.line.receive(&back, number, &mut self.told);
+            self.line.receive(&back, number, &mut self.reported);
         }
     }
 
@@ -152,7 +152,7 @@ impl Rig {
         let (sent, received, counter) = self.held.take().unwrap();
         let frame = &self.image.frames()[0];
         let back = Back { sent, frame, at: sent.at, received: &received, counter, in_window: false };
-        self.line.receive(&back, 0, &mut self.told);
+        self.line.receive(&back, 0, &mut self.reported);
     }
 
     fn run(&mut self, cycles: usize) {
@@ -234,14 +234,14 @@ fn coupler(place: u16) -> Device {
 impl Rig {
     /// Runs so many cycles, and how often each drive was heard in them.
     fn receive(&mut self, cycles: usize) -> Vec<usize> {
-        self.told.taken.clear();
+        self.reported.taken.clear();
         self.run(cycles);
-        let count = |index| self.told.taken.iter().filter(|owner| **owner == Owner::Drive(index)).count();
+        let count = |index| self.reported.taken.iter().filter(|owner| **owner == Owner::Drive(index)).count();
         (0..self.drives).map(count).collect()
     }
 
     fn wrong_counts(&self) -> u64 {
-        self.told.wrong_counts
+        self.reported.wrong_counts
     }
 
     fn note(&self, index: usize) -> Note {
@@ -255,7 +255,7 @@ fn a_line_comes_up_to_op_and_every_frame_counts() {
     rig.all_up(3_000);
     assert!((0..3).all(|place| rig.al(place) == AlState::Op));
     assert_eq!(rig.receive(500), [500; 3]);
-    assert!(rig.told.passed_by.is_empty() && rig.told.restarted.is_empty());
+    assert!(rig.reported.passed_by.is_empty() && rig.reported.restarted.is_empty());
     assert_eq!(rig.wrong_counts(), 0);
     assert!((0..3).all(|index| rig.note(index) == Note::None));
 }
@@ -276,11 +276,11 @@ fn a_drive_that_hears_nothing_costs_no_other_one_a_frame_and_comes_back() {
     assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 1_000, 1_000]);
     // It is not counted: at its place there is the one behind it, and is left alone.
     assert_eq!((rig.wrong_counts(), rig.note(2)), (0, Note::WrongPlace(3)));
-    assert_eq!(rig.told.states.last(), Some(&(Owner::Drive(2), None)));
+    assert_eq!(rig.reported.states.last(), Some(&(Owner::Drive(2), None)));
     rig.sim.deafen(2, false);
-    let frames = rig.told.taken.len();
+    let frames = rig.reported.taken.len();
     let cycles = rig.all_up(4_000);
-    assert_eq!(rig.told.taken.len() - frames, 4 * cycles, "the others went on");
+    assert_eq!(rig.reported.taken.len() - frames, 4 * cycles, "the others went on");
     assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
 }
 
@@ -291,12 +291,12 @@ fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
     rig.sim.cut(Some(2));
     assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 0, 0]);
     rig.sim.cut(None);
-    rig.told.taken.clear();
+    rig.reported.taken.clear();
     let cycles = rig.all_up(6_000);
-    let upstream = rig.told.taken.iter().filter(|owner| matches!(owner, Owner::Drive(0 | 1))).count();
+    let upstream = rig.reported.taken.iter().filter(|owner| matches!(owner, Owner::Drive(0 | 1))).count();
     assert_eq!(upstream, 2 * cycles, "they went on while the others came back");
     assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
-    assert!(rig.told.restarted.is_empty(), "nothing was switched off");
+    assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
 }
 
 #[test]
@@ -308,7 +308,7 @@ fn a_drive_that_was_switched_off_and_on_is_told_and_comes_back() {
     let [first, _, last] = rig.receive(10)[..] else { panic!() };
     assert_eq!((first, last), (10, 10));
     rig.all_up(4_000);
-    assert_eq!(rig.told.restarted, [Owner::Drive(1)]);
+    assert_eq!(rig.reported.restarted, [Owner::Drive(1)]);
     assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 3]));
 }
 
@@ -320,7 +320,7 @@ fn a_coupler_takes_part_with_its_bytes() {
     let mut rig = Rig::new(&plan);
     rig.all_up(4_000);
     rig.receive(10);
-    assert_eq!(rig.told.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
+    assert_eq!(rig.reported.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
     let offsets = rig.line.slaves[1].offsets.clone();
     rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
     rig.run(2);
@@ -371,10 +371,10 @@ fn two_drives_that_changed_places_are_not_taken_for_each_other() {
     for (place, station) in [(0, 0x1002_u16), (1, 0x1003), (2, 0x1001)] {
         rig.poke(place, address::STATION, &station.to_le_bytes());
     }
-    rig.told.taken.clear();
+    rig.reported.taken.clear();
     rig.run(40);
     assert_eq!([0, 1, 2].map(|index| rig.note(index)), [1, 2, 0].map(Note::WrongPlace));
-    assert!(rig.told.taken.is_empty());
+    assert!(rig.reported.taken.is_empty());
 }
 
 #[test]
@@ -449,13 +449,13 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     rig.all_up(4_000);
     assert!(!rig.line.slaves[0].has_al);
     rig.run(200);
-    rig.told.states.clear();
+    rig.reported.states.clear();
     // Its state is asked for by itself, and told before anything is done about it.
     rig.poke(0, address::AL_CONTROL, &[4, 0]);
     rig.until("it was asked", 200, |rig| !rig.line.slaves[0].is_settled());
-    assert_eq!(rig.told.states, [(Owner::Device(0), Some(AlState::SafeOp))]);
+    assert_eq!(rig.reported.states, [(Owner::Device(0), Some(AlState::SafeOp))]);
     rig.run(400);
-    assert_eq!(rig.told.states.last(), Some(&(Owner::Device(0), Some(AlState::Op))));
+    assert_eq!(rig.reported.states.last(), Some(&(Owner::Device(0), Some(AlState::Op))));
 }
 
 #[test]

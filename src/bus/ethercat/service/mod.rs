@@ -376,8 +376,8 @@ impl Service {
     pub fn receive(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
         counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
-        let heard = self.mailbox.as_mut().map(|mailbox| mailbox.receive(now, answers, counters));
-        match heard {
+        let received = self.mailbox.as_mut().map(|mailbox| mailbox.receive(now, answers, counters));
+        match received {
             None | Some(Received::Nothing) => {}
             Some(Received::Full) => {
                 counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());

@@ -337,8 +337,8 @@ fn an_emergency_in_place_of_an_answer_is_kept_and_the_answer_waited_for() {
     let first = coe(0, 1, &emergency);
     server.shared().twist = Some(Box::new(move |answer| vec![first.clone(), ethernet.clone(), answer]));
     assert_eq!(bench.read(MODE), Ok(7));
-    let told = Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] };
-    assert_eq!((bench.service.take_emergency(), bench.service.take_emergency()), (Some(told), None));
+    let reported = Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] };
+    assert_eq!((bench.service.take_emergency(), bench.service.take_emergency()), (Some(reported), None));
     assert_eq!((bench.own(Own::Emergencies), bench.own(Own::MailboxStrays)), (1, 1));
 }
 
@@ -701,20 +701,20 @@ proptest! {
             end = end.or(ticket.poll());
             let mut ask = Ask::default();
             service.request(now, &mut ask);
-            let mut heard: Answers<'_> = [None; slot::DATAGRAMS];
+            let mut received: Answers<'_> = [None; slot::DATAGRAMS];
             let came = &answers[step as usize % answers.len()];
             let mut fitted: Vec<Option<(u16, Vec<u8>)>> = Vec::new();
-            for ((_, asked), came) in ask.datagrams().zip(came) {
+            for ((_, requested), came) in ask.datagrams().zip(came) {
                 fitted.push(came.clone().map(|(count, mut data)| {
                     // Most often as long as it was asked for.
-                    if step % 7 != 0 { data.resize(asked.len(), 0xEE) }
+                    if step % 7 != 0 { data.resize(requested.len(), 0xEE) }
                     (count, data)
                 }));
             }
-            for (place, came) in heard.iter_mut().zip(&fitted) {
+            for (place, came) in received.iter_mut().zip(&fitted) {
                 *place = came.as_ref().map(|(counter, data)| slot::Answer { working_counter: *counter, data });
             }
-            service.receive(now, &heard, &mut counters);
+            service.receive(now, &received, &mut counters);
         }
         let Some(end) = end else { panic!("it has no end") };
         prop_assert!(end.is_err(), "{:?}", end);

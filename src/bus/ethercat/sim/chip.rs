@@ -68,7 +68,7 @@ pub(super) struct Chip {
     clock: Clock,
     passage: Passage,
     /// AL control was written, and when.
-    asked: Option<Time>,
+    requested: Option<Time>,
     /// When the mailbox was filled.
     filled: Option<Time>,
     /// Outputs were written.
@@ -96,7 +96,7 @@ impl Chip {
                 settings.settling,
             ),
             passage: Passage::default(),
-            asked: None,
+            requested: None,
             filled: None,
             outputs: false,
             events: 0,
@@ -178,13 +178,13 @@ impl Chip {
     }
 
     /// When AL control was written, until it is read.
-    pub(super) fn asked(&self) -> Option<Time> {
-        self.asked
+    pub(super) fn requested(&self) -> Option<Time> {
+        self.requested
     }
 
     /// Reads AL control.
     pub(super) fn take_request(&mut self) -> AlStatus {
-        self.asked = None;
+        self.requested = None;
         AlStatus(self.word(address::AL_CONTROL))
     }
 
@@ -231,11 +231,11 @@ impl Chip {
 
     /// The master requests the last message again; returned once.
     pub(super) fn takes_repeat(&mut self) -> bool {
-        let asked = self.managers.get_mut(1).is_some_and(Manager::takes_repeat);
-        if asked {
+        let requested = self.managers.get_mut(1).is_some_and(Manager::takes_repeat);
+        if requested {
             self.show();
         }
-        asked
+        requested
     }
 
     /// The outputs of all SyncManagers, in order; without those that were not written yet.
@@ -337,7 +337,7 @@ impl Chip {
 
     fn requests(&self) -> u32 {
         let managers = self.managers.iter().take(16).enumerate();
-        managers.fold(u32::from(self.asked.is_some()), |bits, (n, manager)| {
+        managers.fold(u32::from(self.requested.is_some()), |bits, (n, manager)| {
             bits | u32::from(manager.event()) << (8 + n)
         })
     }

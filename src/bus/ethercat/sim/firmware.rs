@@ -96,7 +96,7 @@ impl Firmware {
     pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
         self.application.live(now);
         self.stay(chip, now);
-        if chip.asked().is_some_and(|asked| now.since(asked) >= self.reaction_ns) {
+        if chip.requested().is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
             let request = chip.take_request();
             self.take(chip, request, now);
         }
@@ -307,7 +307,7 @@ mod tests {
         for state in way {
             assert_eq!(bench.go(0, *state), (*state, None));
         }
-        script(&bench).asked.clear();
+        script(&bench).requested.clear();
         bench
     }
 
@@ -327,8 +327,12 @@ mod tests {
                 let mut bench = at(from);
                 let expected = if refused.contains(&to) { (from, invalid) } else { (to, None) };
                 assert_eq!(bench.go(0, to), expected, "{from} -> {to}");
-                let told = from != to && expected.1.is_none();
-                assert_eq!(script(&bench).asked, if told { vec![to] } else { vec![] }, "{from} -> {to}");
+                let reported = from != to && expected.1.is_none();
+                assert_eq!(
+                    script(&bench).requested,
+                    if reported { vec![to] } else { vec![] },
+                    "{from} -> {to}"
+                );
             }
         }
     }
@@ -450,7 +454,7 @@ mod tests {
             assert_eq!(bench.state(0), (S::Op, None));
             bench.idle(1);
             let fallen = (S::SafeOp, Some(AlCode::WATCHDOG));
-            assert_eq!(script(&bench).asked.last(), Some(if armed { &S::SafeOp } else { &S::Op }));
+            assert_eq!(script(&bench).requested.last(), Some(if armed { &S::SafeOp } else { &S::Op }));
             assert_eq!(bench.state(0), if armed { fallen } else { (S::Op, None) });
         }
     }

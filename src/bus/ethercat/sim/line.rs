@@ -266,7 +266,11 @@ mod tests {
         }
         let states = [0, 1].map(|n| bench.line.slave(n).unwrap().state());
         assert_eq!(states, [AlState::Op, AlState::SafeOp]);
-        assert_eq!(bench.scripts[1].script().asked.last(), Some(&AlState::SafeOp), "it was reported at once");
+        assert_eq!(
+            bench.scripts[1].script().requested.last(),
+            Some(&AlState::SafeOp),
+            "it was reported at once"
+        );
         assert!(bench.line.slave(2).is_none());
     }
 

@@ -154,8 +154,8 @@ impl Manager {
 
     /// The master requests the last message again; returned once.
     pub(super) fn takes_repeat(&mut self) -> bool {
-        let asked = self.setting.activate & REPEAT != 0;
-        std::mem::replace(&mut self.repeated, asked) != asked
+        let requested = self.setting.activate & REPEAT != 0;
+        std::mem::replace(&mut self.repeated, requested) != requested
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) struct Script {
     pub(super) refuses: Option<(AlState, AlCode)>,
     pub(super) drops: Option<AlCode>,
     pub(super) messages: Vec<Vec<u8>>,
-    pub(super) asked: Vec<AlState>,
+    pub(super) requested: Vec<AlState>,
     pub(super) requests: Vec<Vec<u8>>,
     /// When it ran, and with which outputs.
     pub(super) cycles: Vec<(Time, Vec<u8>)>,
@@ -51,7 +51,7 @@ impl Application for Scripted {
 
     fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
         let mut script = self.script();
-        script.asked.push(state);
+        script.requested.push(state);
         script.refuses.filter(|(refused, _)| *refused == state).map_or(Ok(()), |(_, code)| Err(code))
     }
 

@@ -358,9 +358,9 @@ impl Station {
             return;
         }
         let since = *self.faulted_at.get_or_insert(at);
-        let told = counts.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
+        let reported = counts.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
         let waited = at.since(since) > self.named_within_ns;
-        inputs.fault = if told == 0 && waited { ANY_ERROR } else { told };
+        inputs.fault = if reported == 0 && waited { ANY_ERROR } else { reported };
         inputs.named = inputs.fault != 0;
         let clearing = Clearing::of(&self.emergency);
         inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));

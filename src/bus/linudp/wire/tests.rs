@@ -69,7 +69,7 @@ fn full_response() -> Response {
 }
 
 /// `full_response`, cut down to what its definitions ask for.
-fn asked(request_def: RequestDef, response_def: ResponseDef) -> Response {
+fn requested(request_def: RequestDef, response_def: ResponseDef) -> Response {
     let full = full_response();
     let has = |block| response_def.contains(block);
     Response {
@@ -170,7 +170,7 @@ fn every_combination_of_blocks_round_trips() {
             assert_eq!(request.definition(), request_def);
             assert_eq!(Request::parse(&emitted(&request)), Ok(request));
 
-            let response = asked(request_def, response_def);
+            let response = requested(request_def, response_def);
             let bytes = answered(&Response { request_def, response_def, ..full_response() });
             assert_eq!(Response::parse(&bytes), Ok(response));
 

@@ -11,23 +11,23 @@ struct Hello {
     got: Vec<u8>,
 }
 
-impl Greeting for Hello {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Hello {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.got.clear();
         out.extend_from_slice(self.say);
-        if self.expect.is_empty() { Greeted::Done } else { Greeted::More }
+        if self.expect.is_empty() { HandshakeState::Done } else { HandshakeState::More }
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
         self.got.extend_from_slice(bytes);
         if !self.expect.starts_with(&self.got) {
-            return Greeted::Failed("speaks another language".into());
+            return HandshakeState::Failed("speaks another language".into());
         }
         if self.got.len() < self.expect.len() {
-            return Greeted::More;
+            return HandshakeState::More;
         }
         out.extend_from_slice(b"bye");
-        Greeted::Done
+        HandshakeState::Done
     }
 }
 

@@ -26,7 +26,7 @@ struct Log {
 }
 
 impl Toy {
-    fn serve(&mut self, out: &mut Vec<u8>) -> Greeted {
+    fn serve(&mut self, out: &mut Vec<u8>) -> HandshakeState {
         while self.under_way.is_none()
             && let Some(posted) = self.calls.take()
         {
@@ -38,18 +38,18 @@ impl Toy {
                 }
             }
         }
-        if self.registered { Greeted::Kept } else { Greeted::More }
+        if self.registered { HandshakeState::Kept } else { HandshakeState::More }
     }
 }
 
-impl Greeting for Toy {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Toy {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.log.opened.fetch_add(1, Ordering::Relaxed);
         out.push(b'R');
-        Greeted::More
+        HandshakeState::More
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
         for byte in bytes {
             match (self.registered, self.under_way.take()) {
                 (false, _) if *byte == b'r' => self.registered = true,
@@ -57,13 +57,13 @@ impl Greeting for Toy {
                     let answer = Answer { value: u64::from(*byte), ..Answer::default() };
                     self.calls.end(&posted, Ok(answer));
                 }
-                _ => return Greeted::Failed(format!("sends {byte}")),
+                _ => return HandshakeState::Failed(format!("sends {byte}")),
             }
         }
         self.serve(out)
     }
 
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.serve(out)
     }
 
@@ -178,16 +178,16 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
 #[derive(Debug)]
 struct Panicking;
 
-impl Greeting for Panicking {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Kept
+impl Handshake for Panicking {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Kept
     }
 
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
-        Greeted::Kept
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
+        HandshakeState::Kept
     }
 
-    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
         panic!("a session that panics, on purpose");
     }
 }

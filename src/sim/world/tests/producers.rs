@@ -1,7 +1,7 @@
 //! A drive with three sockets and a clock of its own, its session and its packets.
 
 use super::*;
-use crate::net::{Greeted, Greeting};
+use crate::net::{Handshake, HandshakeState};
 use crate::sim::testing::Producer;
 
 const LATENCY: u64 = 20 * US;
@@ -27,23 +27,23 @@ impl Requests {
     }
 }
 
-impl Greeting for Requests {
-    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Requests {
+    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| log.opened += 1);
         self.run(now, out)
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| log.got.extend_from_slice(bytes));
-        Greeted::Kept
+        HandshakeState::Kept
     }
 
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         match self.with(|log| log.say.pop_front()) {
-            Some(b'.') => Greeted::Failed("that is all".into()),
+            Some(b'.') => HandshakeState::Failed("that is all".into()),
             request => {
                 out.extend(request);
-                Greeted::Kept
+                HandshakeState::Kept
             }
         }
     }

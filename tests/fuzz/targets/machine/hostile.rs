@@ -178,7 +178,7 @@ impl SimDrive for HostileDrive {
 
 /// One request as it left.
 #[derive(Clone, Debug)]
-pub struct Asked {
+pub struct Requested {
     pub axis: usize,
     pub at: Time,
     pub bytes: Vec<u8>,
@@ -197,7 +197,7 @@ pub struct Came {
 /// What passed the master's socket since it was last looked at.
 #[derive(Debug, Default)]
 pub struct Wire {
-    pub asked: Vec<Asked>,
+    pub requested: Vec<Requested>,
     pub came: Vec<Came>,
     /// Requests that the operating system refused, by axis.
     pub refused: Vec<u64>,
@@ -208,7 +208,7 @@ pub struct Wire {
 
 impl Wire {
     pub fn clear(&mut self) {
-        self.asked.clear();
+        self.requested.clear();
         self.came.clear();
         self.sent = false;
     }
@@ -293,7 +293,9 @@ impl Datagrams for TappedCarrier {
         wire.sent = true;
         for axis in posted {
             match outbox.sent(axis) {
-                Sent::At(at) => wire.asked.push(Asked { axis, at, bytes: outbox.bytes(axis).to_vec() }),
+                Sent::At(at) => {
+                    wire.requested.push(Requested { axis, at, bytes: outbox.bytes(axis).to_vec() })
+                }
                 _ => wire.refused[axis] += 1,
             }
         }

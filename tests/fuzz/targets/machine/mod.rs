@@ -374,8 +374,8 @@ impl Machine {
         let status = *self.sim.status();
         assert_eq!(status.planned, status.executed + status.skipped, "{status:?}");
         let wire = self.wire.lock().unwrap();
-        for asked in &wire.asked {
-            self.watches[asked.axis].asked(asked);
+        for requested in &wire.requested {
+            self.watches[requested.axis].requested(requested);
         }
         for (axis, id, command) in self.task.lock().unwrap().accepted.drain(..) {
             self.watches[axis].accepted(id, command);

@@ -15,7 +15,7 @@ use fieldbeat::bus::linudp::{LinUdpDrive, ReplyTag};
 use fieldbeat::cycle::status::DriveEnd;
 use fieldbeat::time::Time;
 
-use super::hostile::{Asked, Came};
+use super::hostile::{Came, Requested};
 
 #[derive(Debug)]
 pub struct Watch {
@@ -32,7 +32,7 @@ pub struct Watch {
     /// Enabled, and neither stopped nor disabled since.
     armed: bool,
     /// The last request that went out.
-    asked: Option<Request>,
+    requested: Option<Request>,
     asked_at: Time,
     /// The last control word that went out.
     word: Option<ControlWord>,
@@ -62,7 +62,7 @@ impl Watch {
             stopped_at: 0,
             reset_at: 0,
             armed: false,
-            asked: None,
+            requested: None,
             asked_at: Time(0),
             word: None,
             wild: false,
@@ -90,11 +90,11 @@ impl Watch {
     }
 
     /// A request went out. It was built from what was known before this step.
-    pub fn asked(&mut self, asked: &Asked) {
+    pub fn requested(&mut self, requested: &Requested) {
         self.sent += 1;
-        let request = Request::parse(&asked.bytes).expect("what the master sends is a request");
+        let request = Request::parse(&requested.bytes).expect("what the master sends is a request");
         let said = self.word;
-        (self.asked, self.asked_at) = (Some(request), asked.at);
+        (self.requested, self.asked_at) = (Some(request), requested.at);
         self.word = request.control.or(said);
         let on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
         if self.deaf {
@@ -103,7 +103,7 @@ impl Watch {
         let native = self.runs(|command| matches!(command, Command::Native(_)));
         self.wild |= self.runs(|command| *command == Command::Native(NativeOwner::Application));
         if on(self.word) && !on(said) && !self.wild {
-            self.check_switch_on(asked.at, said);
+            self.check_switch_on(requested.at, said);
         }
         let only_read = self.accepted == 0 && self.drive.axis.on_found_running == FoundRunning::Refuse;
         assert!(!only_read || request.control.is_none(), "nobody has asked for anything: {request:?}");
@@ -277,7 +277,7 @@ impl Watch {
         assert!(
             self.reply.is_some(),
             "{feedback:?} is in none of {replies:?}, the replies to {:?}",
-            self.asked
+            self.requested
         );
         assert!(
             [feedback.status.position, feedback.status.demand, feedback.status.velocity]
@@ -293,8 +293,8 @@ impl Watch {
     fn is_echo(&self, reply: &Response) -> bool {
         let counted = self.drive.reply_tag == ReplyTag::Count;
         let tag = |config: Option<RtcBlock>| config.filter(|_| counted).map(|block| block.count());
-        self.asked.is_some_and(|asked| {
-            (asked.definition(), asked.response_def, tag(asked.config))
+        self.requested.is_some_and(|requested| {
+            (requested.definition(), requested.response_def, tag(requested.config))
                 == (reply.request_def, reply.response_def, tag(reply.config))
         })
     }

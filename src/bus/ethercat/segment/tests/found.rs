@@ -129,21 +129,21 @@ fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
     write(&mut rig, 0xA5);
     rig.all_up(2_000);
     rig.run(3);
-    assert_eq!(rig.told.inputs, [0xA5]);
+    assert_eq!(rig.reported.inputs, [0xA5]);
     // Another master, with an image of its own.
     let next = Rig::based(&plan, &plan, 0x2000_0000);
     (rig.line, rig.image) = (next.line, next.image);
-    rig.told = Told::default();
+    rig.reported = Told::default();
     for _ in 0..1_000 {
         rig.run(1);
         assert_eq!(rig.al(0), AlState::Op);
-        assert!(rig.told.inputs.is_empty() || rig.told.inputs == [0xA5], "{:?}", rig.told.inputs);
+        assert!(rig.reported.inputs.is_empty() || rig.reported.inputs == [0xA5], "{:?}", rig.reported.inputs);
     }
-    assert!(rig.line.is_operational(0) && !rig.line.outputs_count(0) && rig.told.taken.len() > 900);
+    assert!(rig.line.is_operational(0) && !rig.line.outputs_count(0) && rig.reported.taken.len() > 900);
     write(&mut rig, 0x5A);
-    rig.told.wants_outputs = true;
+    rig.reported.wants_outputs = true;
     rig.run(5);
-    assert_eq!((rig.al(0), rig.told.inputs.as_slice()), (AlState::Op, &[0x5A][..]));
+    assert_eq!((rig.al(0), rig.reported.inputs.as_slice()), (AlState::Op, &[0x5A][..]));
     assert!(rig.line.slaves[0].wants_nothing());
 }
 

@@ -22,7 +22,7 @@ impl Chip {
     pub(super) fn may_write(&self, at: usize) -> bool {
         let is_open = match at {
             0x0010..0x0012 | 0x0100..0x0104 | 0x0200..0x0202 | 0x0300..0x0314 => true,
-            0x0120..0x0122 => self.asked.is_none(),
+            0x0120..0x0122 => self.requested.is_none(),
             0x0400..0x0402 | 0x0410..0x0412 | 0x0420..0x0422 | 0x0442..0x0444 | 0x0500 => true,
             0x0502..0x0510 => !self.eeprom.is_busy() && self.memory[usize::from(address::SII_OWNER)] & 1 == 0,
             0x0600..0x0800 => true,

@@ -38,7 +38,7 @@ impl Chip {
     fn registers_written(&mut self, range: &Range<usize>) {
         let hit = |at: u16, size: usize| meets(range, at, size);
         if hit(address::AL_CONTROL, 2) {
-            self.asked = Some(self.passage.at);
+            self.requested = Some(self.passage.at);
         }
         if hit(address::ERRORS, 0x14) {
             self.put(address::ERRORS, &[0; 0x14]);

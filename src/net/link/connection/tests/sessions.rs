@@ -17,7 +17,7 @@ struct Log {
     runs: Vec<Time>,
     /// What it does next.
     due: Option<Time>,
-    next: Option<Greeted>,
+    next: Option<HandshakeState>,
     say: Vec<u8>,
 }
 
@@ -30,21 +30,21 @@ impl Toy {
     }
 
     /// A session from the beginning, where nothing else is to come.
-    fn next(&self, out: &mut Vec<u8>) -> Greeted {
+    fn next(&self, out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| {
             out.append(&mut log.say);
-            log.next.take().unwrap_or(Greeted::Kept)
+            log.next.take().unwrap_or(HandshakeState::Kept)
         })
     }
 }
 
-impl Greeting for Toy {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+impl Handshake for Toy {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| log.opened += 1);
         self.next(out)
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| log.got.extend_from_slice(bytes));
         self.next(out)
     }
@@ -53,7 +53,7 @@ impl Greeting for Toy {
         self.with(|log| log.due)
     }
 
-    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted {
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.with(|log| log.runs.push(now));
         self.next(out)
     }
@@ -136,7 +136,7 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
     for (round, (end, why)) in ends.into_iter().enumerate() {
         let now = open(&mut connection);
         if (2..4).contains(&round) {
-            toy.with(|log| log.next = Some(Greeted::Failed("session refused".into())));
+            toy.with(|log| log.next = Some(HandshakeState::Failed("session refused".into())));
         }
         assert_eq!(end(&mut connection, now), Action::Close);
         assert_about(pause(&connection, now), [100, 200, 400, 800, 1_600][round] * MS);
@@ -156,7 +156,7 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
 #[test]
 fn a_session_that_is_not_established_in_time_is_closed() {
     let (mut connection, toy, notes) = session();
-    toy.with(|log| log.next = Some(Greeted::More));
+    toy.with(|log| log.next = Some(HandshakeState::More));
     let now = open(&mut connection);
     assert_eq!(connection.next_due(), Some(now + 2 * S));
     assert_eq!(connection.poll(now + 2 * S), Action::Close);
@@ -178,7 +178,7 @@ proptest! {
         let (mut now, mut socket, mut out, mut handed_over) = (START, false, false, 0);
         for (step, will, pass) in steps {
             now = now + pass;
-            let next = [Greeted::Kept, Greeted::More, Greeted::Failed("no".into()), Greeted::Done][will].clone();
+            let next = [HandshakeState::Kept, HandshakeState::More, HandshakeState::Failed("no".into()), HandshakeState::Done][will].clone();
             toy.with(|log| {
                 log.due = (will == 2).then_some(now);
                 log.say = vec![7; usize::from(step)];
