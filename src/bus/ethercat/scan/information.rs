@@ -76,13 +76,14 @@ impl Information {
 }
 
 /// Why the reading has ended.
-#[derive(Debug, Error)]
+#[derive(Error)]
 enum End {
     #[error(transparent)]
     Scan(#[from] ScanError),
     #[error(transparent)]
     Sii(#[from] Unread),
 }
+crate::errors::debug_as_display!(End);
 
 impl Visit<'_, '_> {
     /// Reads the SII. One that the slave's processor owns is taken, and given back.
