@@ -123,6 +123,14 @@ impl Rig {
         rig
     }
 
+    /// In operation and homed, with these position limits.
+    fn within(can: Capabilities, low: f64, high: f64) -> Rig {
+        let mut rig = Rig::with(can, |plan| plan.limits.position = Some((low, high)));
+        rig.drive.homed = true;
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+        rig
+    }
+
     /// The velocity, or torque, of the application; it begins a motion with it.
     fn set(&mut self, value: f64) {
         self.machine.input.level = value;

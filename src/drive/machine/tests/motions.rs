@@ -355,3 +355,107 @@ fn a_drive_in_another_mode_takes_no_motion() {
         assert!(matches!(rig.end(), Some(Err(Failure::Unsupported(_)))), "{can:?}: {:?}", rig.end());
     }
 }
+
+#[test]
+fn the_rows_at_standstill_end_once_the_drive_has_taken_enough_of_them() {
+    let can = Capabilities { arrival: 0.5, ..kinds()[0] };
+    for (lost, off, count) in [(0, 0.0, 5), (60, 0.0, 5), (60, 0.5, 5), (60, -0.75, 52)] {
+        let mut rig = Rig::enabled(can);
+        rig.start(Command::Follow);
+        rig.row(1, 10.0, false);
+        rig.turns(3);
+        let row = Row { position: 10.0, velocity: 5.0, acceleration: 7.0, last: true };
+        rig.machine.input.row = Some(NumberedRow { number: 2, row });
+        rig.propose();
+        (0..lost).for_each(|_| rig.see(Fate::RequestLost, false));
+        let from = rig.gone.len();
+        while rig.motion() == Motion::Follow && rig.gone.len() < from + 99 {
+            rig.turn();
+            rig.drive.reports[0].evidence.demand += off;
+        }
+        let rows: Vec<_> = rig.gone[from..].iter().map(|gone| gone.setpoint).collect();
+        let still = |row: &Setpoint| (row.position, row.velocity, row.acceleration) == (10.0, 0.0, 0.0);
+        assert!(rows.len() == count && rows[1..].iter().all(still), "{lost} {off}: {rows:?}");
+        assert_eq!(rig.finish(), Ok(()));
+    }
+}
+
+#[test]
+fn a_stream_of_the_masters_setpoints_ends_once_its_last_row_was_taken_at_standstill() {
+    let mut rig = Rig::enabled(Capabilities { still_reports: 1, ..kinds()[1] });
+    rig.start(Command::Follow);
+    rig.row(1, 10.01, false);
+    rig.turns(3);
+    rig.row(2, 10.02, true);
+    rig.propose();
+    for (fate, moving) in [(Fate::Unsent, false), (Fate::RequestLost, false), (Fate::Good, true)] {
+        (0..10).for_each(|_| rig.see(fate, moving));
+        assert_eq!(rig.end(), None, "{fate:?}");
+    }
+    assert_eq!(rig.finish(), Ok(()));
+}
+
+#[test]
+fn a_velocity_ends_at_its_limit_once_enough_reports_in_a_row_show_that_the_drive_stands_there() {
+    let mut rig = Rig::within(Capabilities { still_reports: 3, ..kinds()[0] }, -15.0, 15.0);
+    rig.start(jog(50.0));
+    (0..5).for_each(|_| rig.see(Fate::RequestLost, false));
+    for moving in [true, true, true, false, true, false] {
+        rig.see(Fate::ReplyLost, moving);
+        assert_eq!(rig.end(), None);
+    }
+    (0..2).for_each(|_| rig.see(Fate::ReplyLost, false));
+    let limit = Failure::Limit { what: "position", value: 15.0, low: -15.0, high: 15.0 };
+    assert_eq!(rig.end(), Some(Err(limit)));
+}
+
+#[test]
+fn a_jog_towards_a_limit_that_is_reached_or_passed_is_refused_at_once_and_back_from_there_it_runs() {
+    for can in kinds().into_iter().take(3) {
+        let ahead = if quantity(&can).is_none() { 20.0 } else { 0.0 };
+        for side in [1.0, -1.0] {
+            for (beyond, way, runs) in [(0.0, 1.0, false), (10.0, 1.0, false), (0.0, -1.0, true)] {
+                let mut rig = Rig::within(can, -60.0, 60.0);
+                assert_eq!(rig.run(Command::Disable), Ok(()));
+                rig.drive.stay();
+                rig.drive.point.position = (60.0 + beyond) * side;
+                assert_eq!(rig.run(Command::Enable), Ok(()));
+                rig.start(jog(way * side));
+                let value = (60.0 + beyond + ahead) * side;
+                let refused = Failure::Limit { what: "position", value, low: -60.0, high: 60.0 };
+                assert_eq!(rig.end(), (!runs).then_some(Err(refused)), "{beyond} {way} {side} {can:?}");
+            }
+        }
+    }
+    // Faster than it can brake within its leash of 20 units.
+    let most = 20_000_f64.sqrt();
+    let limit = Failure::Limit { what: "velocity within the leash", value: -200.0, low: -most, high: most };
+    assert_eq!(Rig::enabled(kinds()[0]).run(jog(-200.0)), Err(limit));
+}
+
+#[test]
+fn a_jog_takes_other_velocities_and_stands_just_before_the_limit_by_the_reported_position() {
+    for (can, side) in kinds()[1..3].iter().flat_map(|can| [(*can, 1.0), (*can, -1.0)]) {
+        let mut rig = Rig::within(can, -60.0, 60.0);
+        rig.start(jog(50.0 * side));
+        for velocity in [50.0 * side, -30.0 * side, 80.0 * side] {
+            rig.set(velocity);
+            rig.turns(150);
+            assert_eq!((rig.end(), rig.slot.desired.setpoint.velocity), (None, velocity), "{can:?}");
+        }
+        // A drive that follows velocities slips.
+        rig.drive.point.position += 20.0 * side;
+        let limit = Failure::Limit { what: "position", value: 60.0 * side, low: -60.0, high: 60.0 };
+        assert_eq!((rig.finish(), rig.slot.status.moving), (Err(limit), false), "{can:?}");
+        let room = 60.0 - rig.drive.point.position * side;
+        let way = rig.slot.desired.setpoint.position - rig.drive.point.position;
+        assert!((-1e-6..0.3).contains(&room) && way.abs() < 0.5, "{room} {way} {can:?}");
+    } // What counts is its present direction, whatever is wanted.
+    let mut rig = Rig::within(kinds()[2], -60.0, 60.0);
+    rig.start(jog(80.0));
+    rig.turns(100);
+    rig.drive.point.position = 58.0;
+    rig.turn();
+    rig.set(-80.0);
+    assert!(matches!(rig.finish(), Err(Failure::Limit { value: 60.0, .. })));
+}

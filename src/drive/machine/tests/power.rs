@@ -297,3 +297,120 @@ fn a_command_waits_until_the_state_of_its_drive_is_known_whatever_leaves_meanwhi
         );
     }
 }
+
+/// A drive that has failed and is being reset; its reports come at once.
+fn resetting(can: Capabilities, resettable: Resettable) -> Rig {
+    let can = Capabilities { power_reports: 3, ..can };
+    let mut rig = Rig::with(can, |plan| plan.enable_timeout = Duration::from_secs(2));
+    rig.drive.trip(5);
+    (rig.drive.delay, rig.drive.fault.resettable) = (0, resettable);
+    rig.turn();
+    rig.start(Command::ResetFault);
+    rig
+}
+
+#[test]
+fn an_enable_leaves_a_quick_stop_at_standstill_only() {
+    for can in kinds().into_iter().filter(|can| can.leaves_quick_stop) {
+        let mut rig = found(can, Cia402::QuickStopActive);
+        rig.drive.point.velocity = -5.0;
+        rig.turns(3);
+        rig.start(Command::Enable);
+        rig.turns(20);
+        assert_eq!((rig.power(), rig.end()), (Power::QuickStop, None), "{can:?}");
+        // The threshold of standstill.
+        rig.drive.point.velocity = -0.1;
+        assert_eq!(rig.finish(), Ok(()), "{can:?}");
+    }
+}
+
+#[test]
+fn a_take_over_runs_from_where_the_axis_is_by_now_unless_it_stands() {
+    for can in &kinds()[1..3] {
+        for (velocity, expected) in [(0.1, 0.0), (-0.1, 0.0), (0.2, 0.2), (-30.0, -30.0)] {
+            let mut rig = found(*can, Cia402::OperationEnabled);
+            rig.drive.point.velocity = velocity;
+            rig.turns(3);
+            rig.start(None);
+            let Setpoint { position, velocity, .. } = rig.slot.desired.setpoint;
+            // The age of the report, and the interval until the next send.
+            let way = position - rig.slot.evidence.position;
+            assert!((way - 2e-3 * expected).abs() < 1e-9 && velocity == expected, "{way} {velocity} {can:?}");
+        }
+    }
+}
+
+#[test]
+fn a_fault_that_stays_or_follows_a_reset_fails_it_once_its_code_is_known() {
+    for (can, persists) in kinds().into_iter().flat_map(|can| [(can, true), (can, false)]) {
+        let mut rig = resetting(can, Resettable::At(Time(1_030 * T)));
+        rig.drive.persists = persists;
+        rig.until("its time", |rig| rig.now == Time(1_030 * T));
+        assert_eq!(rig.power(), Power::Off, "{can:?}");
+        rig.turn();
+        assert_eq!(rig.power(), Power::FaultReset, "{can:?}");
+        if persists {
+            let since = rig.now;
+            assert_eq!((rig.finish(), rig.now.since(since) / MS), (Err(Failure::DriveFault(7)), 501));
+            continue;
+        }
+        rig.turns(2);
+        rig.drive.fault.named = false;
+        rig.drive.trip(9);
+        rig.turns(20);
+        assert_eq!(rig.end(), None, "{can:?}");
+        rig.drive.fault.named = true;
+        rig.turn();
+        assert_eq!(rig.end(), Some(Err(Failure::DriveFault(9))), "{can:?}");
+    }
+}
+
+#[test]
+fn a_state_is_proved_by_so_many_reports_in_a_row() {
+    for can in kinds() {
+        let mut rig = Rig::new(Capabilities { power_reports: 3, ..can });
+        rig.drive.delay = 0;
+        for (command, on) in [(Command::Enable, true), (Command::Disable, false)] {
+            rig.start(command);
+            rig.until("its state", |rig| (rig.state() == Cia402::OperationEnabled) == on);
+            rig.turn();
+            assert_eq!(rig.end(), None, "{command:?} {can:?}");
+            rig.turn();
+            assert_eq!(rig.end(), Some(Ok(())), "{command:?} {can:?}");
+        }
+        let mut rig = resetting(can, Resettable::Now);
+        rig.drive.fault.named = false;
+        for active in [true, true, false, false, true, false, false] {
+            rig.drive.fault.active = active;
+            rig.turn();
+            assert_eq!(rig.end(), None, "{can:?}");
+        }
+        assert!(!rig.drive.powers.contains(&Power::FaultReset));
+        rig.turn();
+        assert_eq!(rig.end(), Some(Ok(())), "{can:?}");
+    }
+}
+
+#[test]
+fn an_enable_goes_on_from_the_state_that_was_found_unless_it_was_switched_off() {
+    for can in kinds() {
+        let next = if can.switches_on_at_once { Power::EnableOperation } else { Power::SwitchOn };
+        for (state, found_on, rest) in [
+            (Cia402::SwitchedOn, next, Power::SwitchOn),
+            (Cia402::QuickStopActive, Power::QuickStop, Power::Off),
+            (Cia402::OperationEnabled, Power::EnableOperation, Power::Off),
+        ] {
+            for (off, first, rest) in [(false, found_on, rest), (true, Power::Shutdown, Power::Off)] {
+                let mut rig = found(can, state);
+                if off {
+                    rig.start(Command::Disable);
+                    rig.exchange(Fate::ReplyLost);
+                }
+                rig.start(Command::Enable);
+                assert_eq!(rig.power(), first, "{state:?} {off} {can:?}");
+                (0..310).for_each(|_| rig.exchange(Fate::RequestLost));
+                assert_eq!(rig.power(), rest, "{state:?} {off} {can:?}");
+            }
+        }
+    }
+}

@@ -3,6 +3,7 @@
 use super::*;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{Follows, ModeIs};
+use crate::drive::planner::Point;
 
 #[test]
 fn a_stop_brakes_along_its_ramp_and_ends_at_standstill_with_power_on() {
@@ -38,6 +39,10 @@ fn a_quick_stop_is_released_at_standstill_and_not_before() {
         let mut halts = 0;
         while rig.end().is_none() {
             rig.turn();
+            // 5 units/s in an exchange; the others follow no setpoint while they halt.
+            let [.., before, last] = rig.gone[..] else { panic!() };
+            let step = (before.setpoint.velocity - last.setpoint.velocity).abs();
+            assert!(step < 5.001 || quantity(&can) != Some(Quantity::Position), "{step}");
             if rig.motion() == Motion::Halt {
                 halts += 1;
             } else {
@@ -242,5 +247,57 @@ fn a_halt_goes_on_to_its_end_if_what_replaces_it_fails_as_it_begins() {
         rig.turns(20);
         assert!(!rig.drive.is_moving(), "{can:?}");
         assert_eq!((rig.run(Command::Enable), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
+    }
+}
+
+#[test]
+fn a_stop_that_waits_for_its_drive_ends_with_what_a_new_report_says() {
+    let (on, why) = (Cia402::OperationEnabled, "a key switch");
+    for can in kinds() {
+        for (state, fault, follows, power, end) in [
+            (on, true, Follows::NotYet, Power::Off, Ok(())),
+            (Cia402::SwitchedOn, false, Follows::NotYet, Power::Off, Ok(())),
+            (on, false, Follows::Never(why), Power::EnableOperation, Err(Failure::Unsupported(why))),
+        ] {
+            let mut rig = Rig::new(can);
+            (rig.drive.state, rig.drive.follows) = (on, Follows::NotYet);
+            rig.turns(3);
+            rig.start(STOP);
+            (rig.drive.state, rig.drive.fault.active, rig.drive.follows) = (state, fault, follows);
+            // What is no report ends nothing.
+            (rig.slot.status.state, rig.slot.evidence.fault.active) = (state, fault);
+            rig.slot.evidence.follows = follows;
+            rig.exchange(Fate::ReplyLost);
+            assert_eq!((rig.power(), rig.end()), (Power::EnableOperation, None), "{state:?} {can:?}");
+            rig.turns(3);
+            assert_eq!(rig.power(), power, "{state:?} {follows:?} {can:?}");
+            rig.drive.follows = Follows::Yes;
+            assert_eq!(rig.finish(), end, "{state:?} {follows:?} {can:?}");
+        }
+    }
+}
+
+#[test]
+fn a_stop_waits_for_no_drive_that_is_out_of_operation_or_was_switched_off() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        (rig.slot.status.state, rig.slot.evidence.follows) = (Cia402::SwitchedOn, Follows::NotYet);
+        rig.start(STOP);
+        assert_eq!(rig.power(), Power::SwitchOn, "{can:?}");
+        let mut rig = Rig::enabled(can);
+        rig.drive.follows = Follows::NotYet;
+        rig.turns(2);
+        rig.start(Command::Disable);
+        rig.turn();
+        assert_eq!(rig.run(STOP), Err(Failure::TimedOut(Cia402::OperationEnabled)), "{can:?}");
+    }
+}
+
+#[test]
+fn the_needed_deceleration_counts_the_way_that_is_lost_until_it_begins() {
+    let rig = Rig::with(kinds()[0], |plan| plan.limits.position = Some((0.0, 60.0)));
+    for (position, velocity, expected) in [(40.0, 1e2, 500.0), (20.0, -1e2, 500.0), (50.0, 9.0, 1e3)] {
+        let from = Point { position, velocity };
+        assert_eq!(rig.machine.rules.braking(100.0, from, 10.0), expected, "{from:?}");
     }
 }
