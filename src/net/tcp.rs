@@ -12,7 +12,7 @@
 //! A serial port is a single connection, with `write` and `read` on its descriptor.
 
 use std::io;
-use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+use std::os::fd::{AsRawFd, RawFd};
 use std::sync::Arc;
 use std::task::Waker;
 
@@ -24,6 +24,7 @@ use nix::unistd::{read, write};
 use super::link::{Ends, GivenBack, LinkThread, Opened};
 use super::serial::{Serial, SerialLine};
 use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
+use super::tty::Descriptor;
 use super::{local, tty};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
@@ -38,7 +39,7 @@ pub struct Tcp {
     /// `None`: a single connection is read itself.
     epoll: Option<Epoll>,
     /// The open sockets.
-    sockets: Box<[Option<OwnedFd>]>,
+    sockets: Box<[Option<Descriptor>]>,
     /// The result of the last look, and how much of it was read. Room for all, so that none waits behind busier
     /// ones.
     events: Box<[EpollEvent]>,
@@ -73,18 +74,18 @@ impl Tcp {
         })
     }
 
-    fn socket(&self, index: usize) -> Result<&OwnedFd, Broken> {
+    fn socket(&self, index: usize) -> Result<&Descriptor, Broken> {
         self.sockets.get(index).and_then(Option::as_ref).ok_or(Broken::Absent)
     }
 
     /// Adds it to the epoll, if there is one.
-    fn watch(&self, index: usize, socket: &OwnedFd) -> nix::Result<()> {
+    fn watch(&self, index: usize, socket: &Descriptor) -> nix::Result<()> {
         let event = EpollEvent::new(EpollFlags::EPOLLIN, index as u64);
         self.epoll.as_ref().map_or(Ok(()), |epoll| epoll.add(socket, event))
     }
 
     /// Writes to an eventfd that is never full: it wakes up the link thread and does not wait for it.
-    fn give_back(&mut self, index: usize, socket: OwnedFd, why: &'static str) {
+    fn give_back(&mut self, index: usize, socket: Descriptor, why: &'static str) {
         // Never full: it has room for every connection.
         let _ = self.link.given_back.push(GivenBack { index, socket, why });
         self.link.bell.ring();
@@ -222,16 +223,6 @@ fn last_error() -> Broken {
     Broken::Failed(Errno::last_raw())
 }
 
-/// Others may use a port again, one on its way included.
-impl Drop for Tcp {
-    fn drop(&mut self) {
-        if self.is_tty {
-            self.opened();
-            self.sockets.iter().flatten().for_each(tty::release);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -293,7 +284,7 @@ mod tests {
     }
 
     /// An option of TCP that is a number; `None`: the kernel does not know it.
-    fn integer(socket: &OwnedFd, option: libc::c_int) -> Option<libc::c_int> {
+    fn integer(socket: &Descriptor, option: libc::c_int) -> Option<libc::c_int> {
         let (mut value, mut length) = (0, size_of::<libc::c_int>() as libc::socklen_t);
         let (at, fd) = ((&raw mut value).cast(), socket.as_raw_fd());
         // SAFETY: the kernel writes one integer and its length, which outlive the call.

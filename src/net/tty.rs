@@ -7,7 +7,7 @@
 use std::fs::OpenOptions;
 use std::io;
 use std::mem::zeroed;
-use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 
 use super::serial::{Parity, SerialLine};
@@ -83,13 +83,53 @@ pub(crate) fn open(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
 }
 
 /// The other program may open it again. A pseudo-terminal would remember otherwise that it was one's own.
-pub(crate) fn release(port: &OwnedFd) {
+fn release(port: &OwnedFd) {
     // SAFETY: a request without an argument. It cannot fail on a port that is there.
     unsafe { libc::ioctl(port.as_raw_fd(), libc::TIOCNXCL) };
 }
 
+/// The descriptor of a connection: a socket, or a port, which others may use again wherever it is dropped.
+#[derive(Debug)]
+pub(crate) struct Descriptor {
+    fd: OwnedFd,
+    is_port: bool,
+}
+
+impl Descriptor {
+    /// That of a port.
+    pub fn of_port(fd: OwnedFd) -> Descriptor {
+        Descriptor { fd, is_port: true }
+    }
+}
+
+impl From<OwnedFd> for Descriptor {
+    fn from(fd: OwnedFd) -> Descriptor {
+        Descriptor { fd, is_port: false }
+    }
+}
+
+impl AsFd for Descriptor {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+}
+
+impl AsRawFd for Descriptor {
+    fn as_raw_fd(&self) -> RawFd {
+        self.fd.as_raw_fd()
+    }
+}
+
+impl Drop for Descriptor {
+    fn drop(&mut self) {
+        if self.is_port {
+            release(&self.fd);
+        }
+    }
+}
+
 /// Drops what was received and not read, and what was written and has not left. False: the port is gone.
-pub(crate) fn flush(port: &OwnedFd) -> bool {
+pub(crate) fn flush(port: &impl AsRawFd) -> bool {
     // SAFETY: plain numbers.
     unsafe { libc::ioctl(port.as_raw_fd(), libc::TCFLSH, libc::TCIOFLUSH) >= 0 }
 }

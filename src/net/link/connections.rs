@@ -20,6 +20,7 @@ use super::connection::{Action, Connection};
 use super::thread::{Bell, Duty, Hand, LinkThread};
 use crate::net::serial::SerialLine;
 use crate::net::stream::{Broken, LinkNotes, StreamPeer};
+use crate::net::tty::Descriptor;
 use crate::net::{local, set_option, tty};
 use crate::rt::{self, MonotonicClock, Regions};
 use crate::time::{MS, Time};
@@ -43,14 +44,14 @@ pub(in crate::net) const TCP_RTO_MIN_US: libc::c_int = 45;
 #[derive(Debug)]
 pub(in crate::net) struct Opened {
     pub index: usize,
-    pub socket: OwnedFd,
+    pub socket: Descriptor,
 }
 
 /// A connection that the loop gave up, on its way back.
 #[derive(Debug)]
 pub(in crate::net) struct GivenBack {
     pub index: usize,
-    pub socket: OwnedFd,
+    pub socket: Descriptor,
     pub why: &'static str,
 }
 
@@ -172,7 +173,7 @@ struct Line {
     /// A serial port with its settings.
     port: Option<(String, SerialLine)>,
     /// While it is this thread's.
-    socket: Option<OwnedFd>,
+    socket: Option<Descriptor>,
     /// The events waited for on it.
     interest: EpollFlags,
 }
@@ -203,7 +204,7 @@ impl Line {
     /// Opens a socket that begins to connect; true if it is connected already.
     fn begin(&mut self, epoll: &Epoll, token: u64) -> nix::Result<bool> {
         let peer = self.connection.peer();
-        let socket = self.socket.insert(open(peer)?);
+        let socket = self.socket.insert(open(peer)?.into());
         let connected = match connect(socket.as_raw_fd(), &SockaddrIn::from(peer.address)) {
             Ok(()) => true,
             Err(Errno::EINPROGRESS) => false,
@@ -261,7 +262,6 @@ impl Line {
             if local::name(path).is_none() {
                 // Otherwise the driver's close waits for what is not sent, up to 30 s.
                 tty::flush(&socket);
-                tty::release(&socket);
             }
         } else {
             // Without it the end is an orderly one, and TCP_USER_TIMEOUT bounds it.
@@ -294,10 +294,10 @@ fn open(peer: &StreamPeer) -> nix::Result<OwnedFd> {
     Ok(socket)
 }
 
-fn open_port(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
+fn open_port(path: &str, line: &SerialLine) -> io::Result<Descriptor> {
     match local::name(path) {
-        Some(name) => local_wire(name),
-        None => tty::open(path, line),
+        Some(name) => local_wire(name).map(Descriptor::from),
+        None => tty::open(path, line).map(Descriptor::of_port),
     }
 }
 
