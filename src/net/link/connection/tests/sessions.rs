@@ -178,7 +178,12 @@ proptest! {
         let (mut now, mut socket, mut out, mut handed_over) = (START, false, false, 0);
         for (step, will, pass) in steps {
             now = now + pass;
-            let next = [HandshakeState::Kept, HandshakeState::More, HandshakeState::Failed("no".into()), HandshakeState::Done][will].clone();
+            let next = match will {
+                0 => HandshakeState::Kept,
+                1 => HandshakeState::More,
+                2 => HandshakeState::Failed("no".into()),
+                _ => HandshakeState::Done,
+            };
             toy.with(|log| {
                 log.due = (will == 2).then_some(now);
                 log.say = vec![7; usize::from(step)];
