@@ -756,7 +756,7 @@ impl Station {
             (Power::EnableOperation, _) if before.0 != power.serial && !is_on => (ENABLE, [0.0; 4]),
             (Power::EnableOperation, Motion::Move { position, profile: p }) => {
                 let [v, a, d] = [p.velocity, p.acceleration, p.deceleration].map(scale);
-                (MOVE, [(position * counts).round(), v, a, d])
+                (MOVE, [((position - self.axis.units.offset) * counts).round(), v, a, d])
             }
             (Power::EnableOperation, Motion::Ramp { deceleration }) => stop(deceleration),
             (Power::QuickStop, _) | (Power::EnableOperation, Motion::Halt) => stop(4.0 * usual),
