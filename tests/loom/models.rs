@@ -41,6 +41,8 @@ pub mod axis {
 }
 #[path = "../../src/errors.rs"]
 mod errors;
+#[path = "../../src/named.rs"]
+mod named;
 #[path = "../../src/time.rs"]
 pub mod time;
 
