@@ -160,14 +160,15 @@ mod tests {
             state: State::Fault,
             moving: true,
             inhibited: true,
-            fault: 1,
-            warning: 2,
-            current: 0.25,
-            velocity: 0.5,
-            position: 3.0,
-            demand: 4.0,
-            ..DriveStatus::default()
+            ..DriveStatus {
+                current: 0.25,
+                velocity: 0.5,
+                position: 3.0,
+                demand: 4.0,
+                ..DriveStatus::default()
+            }
         };
+        let status = DriveStatus { fault: 1, warning: 2, ..status };
         let before = DriveRecord { index: 7, rtt_ns: measured(0), ..DriveRecord::default() };
         let shown = before.showing(&status);
         assert_eq!((shown.index, shown.rtt_ns), (7, NonZeroU32::new(1)));

@@ -5,12 +5,10 @@ use std::path::PathBuf;
 
 use super::testing::Pty;
 use super::*;
-use crate::net::link::LinkThread;
 use crate::net::link::tests::{breaks, descriptors, opened, receive, until};
-use crate::net::tcp::Tcp;
 use crate::net::{Carriers, Os};
 use crate::rt::testing::in_own_process;
-use crate::rt::{Clock, MonotonicClock, PollSet, Regions};
+use crate::rt::{Clock, MonotonicClock, PollSet};
 
 const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even };
 
@@ -191,14 +189,4 @@ fn a_port_that_is_dropped_at_any_moment_leaves_nothing_behind() {
         drop(pty);
         assert_eq!(descriptors(), before);
     });
-}
-
-#[test]
-fn its_memory_is_named() {
-    let pty = Pty::new();
-    let thread = LinkThread::start(None).unwrap();
-    let port = Tcp::of_port(&thread, &pty.path, &LINE).unwrap();
-    let mut regions = Regions::new();
-    port.memory(&mut regions);
-    assert!(regions.covers(std::slice::from_ref(&port)));
 }
