@@ -82,7 +82,7 @@ impl State {
         )
     }
 
-    pub(super) fn roll(&mut self, rolling: Rolling, view: &View) -> End {
+    pub(super) fn roll(&mut self, rolling: Rolling, settled: bool, view: &View) -> End {
         if !self.is_accepted(view) {
             return None;
         }
@@ -90,7 +90,7 @@ impl State {
             return self.roll_on(Rolling { velocity: view.input.level, ..rolling }, view);
         }
         if rolling.at_limit {
-            if self.agrees(!view.status.moving, view.rules.can.still_reports, view) {
+            if settled {
                 let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
                 return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
             }

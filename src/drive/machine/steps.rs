@@ -183,8 +183,13 @@ impl State {
         if matches!(self.step, Step::Turning(_) | Step::FollowWaiting | Step::Following) {
             return None;
         }
-        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
-        let settled = self.agrees(still, view.rules.can.still_reports, view);
+        let has_it = match self.step {
+            // Its rows are its course.
+            Step::FollowEnding { .. } => self.sent > 0 && view.evidence.accepted.row >= self.setpoint.row,
+            _ => self.is_accepted(view) && self.course.stands(),
+        };
+        // Each report counts once.
+        let settled = self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view);
         match self.step {
             Step::Moving(target) if settled => {
                 let demand = view.evidence.demand;
@@ -203,14 +208,14 @@ impl State {
                 let (low, high) = view.rules.limits.position.unwrap_or((limit, limit));
                 self.fail(Failure::Limit { what: "position", value: limit, low, high })
             }
-            Step::Rolling(rolling) => self.roll(rolling, view),
-            Step::FollowEnding { .. } => self.end_rows(view),
+            Step::Rolling(rolling) => self.roll(rolling, settled, view),
+            Step::FollowEnding { .. } => self.end_rows(settled, view),
             _ => None,
         }
     }
 
     /// The last row has gone out.
-    fn end_rows(&mut self, view: &View) -> End {
+    fn end_rows(&mut self, settled: bool, view: &View) -> End {
         let accepted = view.evidence.accepted.row;
         if view.drive_makes_setpoints() {
             // Rows at standstill follow, until it has taken enough of them.
@@ -221,8 +226,7 @@ impl State {
             }
             return None;
         }
-        let has_it = self.sent > 0 && accepted >= self.setpoint.row;
-        if self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view) {
+        if settled {
             self.hold(self.course.demand_position());
             return self.done();
         }

@@ -382,7 +382,7 @@ fn the_rows_at_standstill_end_once_the_drive_has_taken_enough_of_them() {
 
 #[test]
 fn a_stream_of_the_masters_setpoints_ends_once_its_last_row_was_taken_at_standstill() {
-    let mut rig = Rig::enabled(Capabilities { still_reports: 1, ..kinds()[1] });
+    let mut rig = Rig::enabled(Capabilities { still_reports: 2, ..kinds()[1] });
     rig.start(Command::Follow);
     rig.row(1, 10.01, false);
     rig.turns(3);
@@ -404,7 +404,9 @@ fn a_velocity_ends_at_its_limit_once_enough_reports_in_a_row_show_that_the_drive
         rig.see(Fate::ReplyLost, moving);
         assert_eq!(rig.end(), None);
     }
-    (0..2).for_each(|_| rig.see(Fate::ReplyLost, false));
+    rig.see(Fate::ReplyLost, false);
+    assert_eq!(rig.end(), None, "each report counts once");
+    rig.see(Fate::ReplyLost, false);
     let limit = Failure::Limit { what: "position", value: 15.0, low: -15.0, high: 15.0 };
     assert_eq!(rig.end(), Some(Err(limit)));
 }
