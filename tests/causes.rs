@@ -75,18 +75,18 @@ fn spin(ns: u64) {
     }
 }
 
-/// A machine of two drives in another process, and a master over them that does in its task what it is told.
+/// A machine of two drives in another process, and a master over them that does in its task what a test wants.
 struct Bench {
     _machine: Machine,
     _first: Program,
     second: Program,
     master: Master,
-    reported: Arc<Told>,
+    tasks: Arc<Tasks>,
 }
 
 /// What the in-loop task is to do in its next cycle, once.
 #[derive(Default)]
-struct Told {
+struct Tasks {
     work: AtomicBool,
     work_ns: AtomicU64,
     touch: AtomicBool,
@@ -131,9 +131,9 @@ impl Bench {
             sim.await_text("listening");
             sim
         });
-        let reported = Arc::new(Told::default());
-        reported.work_ns.store(DISTURBANCE_NS, Ordering::Relaxed);
-        let telling = Arc::clone(&reported);
+        let tasks = Arc::new(Tasks::default());
+        tasks.work_ns.store(DISTURBANCE_NS, Ordering::Relaxed);
+        let telling = Arc::clone(&tasks);
         let mut slack = 0;
         let master = Master::from_plan(plan)
             .with_task(move |_, _| {
@@ -163,7 +163,7 @@ impl Bench {
             .unwrap();
         helper_thread(master.granted().core);
         master.wait_online(LONG).unwrap();
-        Bench { _machine: machine, _first, second, master, reported }
+        Bench { _machine: machine, _first, second, master, tasks }
     }
 
     /// Brings `what` about again and again; it returns the time in which it did.
@@ -209,10 +209,10 @@ impl Bench {
     }
 
     /// Asks the task to do something, and waits until it has.
-    fn tell(&self, what: fn(&Told) -> &AtomicBool) -> (Time, Time) {
+    fn tell(&self, what: fn(&Tasks) -> &AtomicBool) -> (Time, Time) {
         let from = MonotonicClock::read();
-        what(&self.reported).store(true, Ordering::Relaxed);
-        while what(&self.reported).load(Ordering::Relaxed) {
+        what(&self.tasks).store(true, Ordering::Relaxed);
+        while what(&self.tasks).load(Ordering::Relaxed) {
             sleep(Duration::from_micros(50));
         }
         (from, MonotonicClock::read() + DISTURBANCE_NS)
@@ -298,7 +298,7 @@ fn page_fault() -> Found {
         )
     };
     assert_ne!(memory, libc::MAP_FAILED);
-    bench.reported.memory.store(memory as u64, Ordering::Relaxed);
+    bench.tasks.memory.store(memory as u64, Ordering::Relaxed);
     bench.disturb(ROUNDS, |bench| {
         // SAFETY: unlocks and drops pages of the mapping above, which nobody else uses.
         let refused = unsafe {
@@ -306,7 +306,7 @@ fn page_fault() -> Found {
                 || libc::madvise(memory, PAGES * PAGE, libc::MADV_DONTNEED) != 0
         };
         assert!(!refused, "{}", std::io::Error::last_os_error());
-        bench.tell(|reported| &reported.touch)
+        bench.tell(|tasks| &tasks.touch)
     })
 }
 
@@ -314,8 +314,8 @@ fn page_fault() -> Found {
 fn short_work() -> Found {
     let usual = |cycle: &mut CyclePlan| (cycle.period_ns, cycle.late_ns) = (MS, None);
     let bench = Bench::with(7, Realtime::Require, Guard::Off, usual);
-    bench.reported.work_ns.store(250 * US, Ordering::Relaxed);
-    bench.disturb(ROUNDS, |bench| bench.tell(|reported| &reported.work))
+    bench.tasks.work_ns.store(250 * US, Ordering::Relaxed);
+    bench.disturb(ROUNDS, |bench| bench.tell(|tasks| &tasks.work))
 }
 
 /// While the thread that takes the samples is held up for 150 ms at a time.
@@ -331,15 +331,14 @@ fn unwatched_work() -> Found {
             sleep(Duration::from_millis(20));
         }
     });
-    let row = bench.disturb(ROUNDS / 2, |bench| bench.tell(|reported| &reported.work));
+    let row = bench.disturb(ROUNDS / 2, |bench| bench.tell(|tasks| &tasks.work));
     end.store(true, Ordering::Relaxed);
     thread.join().unwrap();
     row
 }
 
 fn work() -> Found {
-    Bench::start(3, Realtime::Require, Guard::Off)
-        .disturb(ROUNDS, |bench| bench.tell(|reported| &reported.work))
+    Bench::start(3, Realtime::Require, Guard::Off).disturb(ROUNDS, |bench| bench.tell(|tasks| &tasks.work))
 }
 
 /// The loop's thread is held by a debugger, unseen by the scheduler, while it is awake: it spins for the half of each
@@ -396,7 +395,7 @@ fn hold(tid: libc::pid_t) {
 /// A normal thread, whose sleeps the kernel may stretch if it is told so.
 fn timer() -> Found {
     Bench::start(5, Realtime::Off, Guard::Off).disturb(ROUNDS, |bench| {
-        let (from, to) = bench.tell(|reported| &reported.slack);
+        let (from, to) = bench.tell(|tasks| &tasks.slack);
         (from, to + SLACK_CYCLES * PERIOD_NS)
     })
 }

@@ -64,7 +64,7 @@ pub struct NullLine {
     now: fn() -> Time,
     sim: Option<EthercatSim>,
     drives: usize,
-    reported: Settled,
+    exchange: Settled,
     settled: u32,
     canned: Option<Canned>,
     frame: Box<[u8; FRAME_MAX]>,
@@ -74,12 +74,12 @@ pub struct NullLine {
 
 impl NullLine {
     /// The line of `plan`, by this clock. When it is settled it tells so.
-    pub fn new(plan: &EthercatPlan, now: fn() -> Time, reported: Settled) -> NullLine {
+    pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullLine {
         NullLine {
             now,
             sim: Some(EthercatSim::new(plan)),
             drives: plan.drives.len(),
-            reported,
+            exchange,
             settled: 0,
             canned: None,
             frame: Box::new([0; FRAME_MAX]),
@@ -94,7 +94,7 @@ impl NullLine {
             now,
             sim: None,
             drives: 0,
-            reported: Settled::default(),
+            exchange: Settled::default(),
             settled: SETTLED,
             canned,
             frame: Box::new([0; FRAME_MAX]),
@@ -119,7 +119,7 @@ impl NullLine {
         self.settled += 1;
         let is_typical = !canned.asks || self.settled >= SETTLED + QUIET;
         if self.settled >= SETTLED && is_typical {
-            let _ = self.reported.set((sent.to_vec(), canned.clone()));
+            let _ = self.exchange.set((sent.to_vec(), canned.clone()));
             (self.canned, self.sim) = (Some(canned), None);
         }
     }

@@ -331,14 +331,14 @@ impl Rig {
     /// Turns until nothing is owed: all that was sent is judged.
     pub fn settle(&mut self) {
         for _ in 0..1_000 {
-            let (mut reported, mut owed) = (false, false);
+            let (mut requested, mut owed) = (false, false);
             self.turn(|record| {
                 if let Record::Drive(drive) = record {
-                    reported = true;
+                    requested = true;
                     owed |= drive.reply == Reply::Owed;
                 }
             });
-            if reported && !owed {
+            if requested && !owed {
                 return;
             }
         }

@@ -143,7 +143,7 @@ fn row(slave: &Slave) -> [String; 14] {
     let number = |number: u32| format!("{number:#010x}");
     let none = || "-".to_owned();
     let sii = slave.sii.as_ref().ok();
-    let of = |reported: fn(&Information) -> u32| sii.map_or_else(none, |sii| number(reported(sii)));
+    let of = |read: fn(&Information) -> u32| sii.map_or_else(none, |sii| number(read(sii)));
     let (outputs, inputs) = slave.process_data();
     [
         slave.place.to_string(),

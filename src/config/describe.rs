@@ -24,9 +24,9 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         let mut before: Option<(&str, Vec<String>)> = None;
         for drive in drives.by_ref().take(bus.axes().len()) {
             let paragraph = own.next().unwrap_or_default();
-            let mut reported = paragraph.lines().map(str::to_owned);
-            let first = reported.next().unwrap_or_default();
-            let rest: Vec<String> = reported.chain(axis(drive, &paced, &plan.cycle)).collect();
+            let mut own_lines = paragraph.lines().map(str::to_owned);
+            let first = own_lines.next().unwrap_or_default();
+            let rest: Vec<String> = own_lines.chain(axis(drive, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -125,11 +125,11 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
 
 /// Which of a bus and the grid follows the other, if the bus has a clock.
 fn clock(bus: &dyn BusPlan, reference: Option<&str>) -> Option<String> {
-    let reported = match reference == Some(bus.name()) {
+    let role = match reference == Some(bus.name()) {
         true => "leads: the grid follows it ([cycle] reference)",
         false => "follows the grid ([cycle] reference would let it lead)",
     };
-    bus.has_clock().then(|| format!("  its clock {reported}"))
+    bus.has_clock().then(|| format!("  its clock {role}"))
 }
 
 fn black_box(plan: &Plan) -> String {

@@ -26,8 +26,8 @@ pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject)
     assert_eq!(line.slots[1].counters, counters);
     let all = line.requests(1);
     if line.can.shared {
-        // The frame goes all the same, with what the drive was told before.
-        assert!(all[received..].iter().all(|request| *request == all[received - 1]), "told something");
+        // The frame goes all the same, with what the drive got before.
+        assert!(all[received..].iter().all(|request| *request == all[received - 1]), "it got something");
     } else {
         assert_eq!(all.len(), received);
     }
@@ -279,7 +279,7 @@ fn a_flood_on_a_connection(mut line: Line) {
     line.settle();
     let (old, address) = (line.reply(0), line.wire.address(0));
     let (taken, before) = (line.wire.log().drives[0].taken, line.slots[0].counters);
-    let beside = line.slots[1].counters;
+    let neighbour = line.slots[1].counters;
     line.prepare();
     for _ in 0..FLOOD {
         line.inject(0, address, &old, 0);
@@ -297,7 +297,7 @@ fn a_flood_on_a_connection(mut line: Line) {
         line.slots[0].counters.duplicate - before.duplicate == FLOOD
     });
     line.heal(0);
-    assert_neighbour_untroubled(&line, &beside);
+    assert_neighbour_untroubled(&line, &neighbour);
 }
 
 pub fn a_cycle_that_begins_late_ends_when_it_always_does(subject: &'static dyn Subject) {
@@ -327,7 +327,7 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     let mut line = Line::made_ready(subject, 2);
     line.settle();
     let (before, received) = (line.slots[0].counters, line.received(0));
-    let beside = line.slots[1].counters;
+    let neighbour = line.slots[1].counters;
     line.wire.log().drives[0].jammed = true;
     // The order is given while nothing goes out.
     let at = line.slots[0].status.demand;
@@ -351,7 +351,7 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
         line.until("its velocity", 1_000, |line| near_velocity(line, 0, velocity));
     }
     let refused = if line.can.shared { 4 } else { 0 };
-    assert_neighbour_untroubled(&line, &Counters { unsent: beside.unsent + refused, ..beside });
+    assert_neighbour_untroubled(&line, &Counters { unsent: neighbour.unsent + refused, ..neighbour });
 }
 
 pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: &'static dyn Subject) {
@@ -360,7 +360,7 @@ pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: 
         return not_applicable(subject, "pieces of a request", "a datagram goes whole or not at all");
     }
     line.settle();
-    let (before, beside, received) = (line.slots[0].counters, line.slots[1].counters, line.received(0));
+    let (before, neighbour, received) = (line.slots[0].counters, line.slots[1].counters, line.received(0));
     line.wire.log().drives[0].halved = true;
     // The rest goes with the next cycle: what then comes in time is answered, and all else late.
     line.turns(60);
@@ -374,7 +374,7 @@ pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: 
     assert!(requests.iter().all(|request| matches!(subject.message(request), Ok(Some(_)))));
     assert_eq!(after.missed - before.missed, after.late - before.late, "each answered, sooner or later");
     assert_eq!((after.malformed, after.foreign, after.duplicate), (0, 0, 0));
-    assert_neighbour_untroubled(&line, &beside);
+    assert_neighbour_untroubled(&line, &neighbour);
     line.move_about(0);
 }
 

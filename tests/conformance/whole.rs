@@ -172,8 +172,8 @@ pub fn divisor_and_phase_choose_the_slots(subject: &'static dyn Subject) {
         let every = u64::from(divisor * least);
         if m.can.shared {
             // The frames go in each of them: what they tell the drive is another from slot to slot.
-            let reported = m.tape(index, |tape| tape.received[received[index] - 1..].to_vec());
-            let mut anew = reported.windows(2).map(|pair| pair[0].request != pair[1].request);
+            let requests = m.tape(index, |tape| tape.received[received[index] - 1..].to_vec());
+            let mut anew = requests.windows(2).map(|pair| pair[0].request != pair[1].request);
             requested.retain(|_| anew.next() == Some(true));
         }
         assert!(

@@ -246,11 +246,11 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
         notices.monitor_refused = refused.then_some((2, 7));
         notices.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
         x.turn();
-        let told = x.reported();
-        let holds = |kind| told.contains(&kind);
-        assert_eq!(holds(EventKind::Restarted), restarted, "{told:?}");
-        assert_eq!(holds(EventKind::MonitorRefused { channel: 2, status: 7 }), refused, "{told:?}");
-        assert_eq!(holds(EventKind::Emergency(Emergency { code: 1, register: 0 })), emergency, "{told:?}");
+        let events = x.reported();
+        let holds = |kind| events.contains(&kind);
+        assert_eq!(holds(EventKind::Restarted), restarted, "{events:?}");
+        assert_eq!(holds(EventKind::MonitorRefused { channel: 2, status: 7 }), refused, "{events:?}");
+        assert_eq!(holds(EventKind::Emergency(Emergency { code: 1, register: 0 })), emergency, "{events:?}");
     }
 }
 
@@ -795,9 +795,9 @@ fn each_change_of_the_drive_is_told_once() {
     let status = &mut x.slot.status;
     (status.state, status.fault, status.warning, status.inhibited) = (State::Fault, 5, 6, true);
     x.turns(3);
-    let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
+    let changes = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
     let inhibited = EventKind::HardwareEnable(false);
-    assert_eq!(x.reported(), [[inhibited].as_slice(), &told].concat());
+    assert_eq!(x.reported(), [[inhibited].as_slice(), &changes].concat());
 }
 
 #[test]

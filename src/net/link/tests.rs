@@ -247,17 +247,17 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
     }
     let notes = streams.notes();
     let reported = |index, words: &str| notes.get(index).is_some_and(|note| note.starts_with(words));
-    until("told of silence", || {
+    until("silence is noted", || {
         reported(0, "127.74.3.10:1502 accepts connections, but does not answer within 30 ms")
     });
-    until("told of nobody", || reported(1, "no answer from 127.74.3.11:1502 within 30 ms"));
+    until("nobody is noted", || reported(1, "no answer from 127.74.3.11:1502 within 30 ms"));
 }
 
 #[test]
 fn a_refused_connection_is_tried_again_until_somebody_listens() {
     let mut streams = Os::default().streams(vec![patient(address(4, 10), Silent)]).unwrap();
     let notes = streams.notes();
-    until("told", || notes.get(0).is_some());
+    until("noted", || notes.get(0).is_some());
     assert!(notes.get(0).unwrap().starts_with("refused: nobody listens at 127.74.4.10:1502"));
     assert_eq!(streams.send(0, b"request"), Err(Broken::Absent));
     let listener = listener(address(4, 10));
@@ -272,7 +272,7 @@ fn a_peer_that_resets_its_connections_is_asked_until_it_keeps_one() {
     let notes = streams.notes();
     for _ in 0..4 {
         reset(accept(&listener));
-        until("told", || notes.get(0).is_some_and(|note| note.contains("ends the connection at once")));
+        until("noted", || notes.get(0).is_some_and(|note| note.contains("ends the connection at once")));
     }
     // In the middle of a greeting, orderly.
     let mut drive = accept(&listener);

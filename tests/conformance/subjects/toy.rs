@@ -89,18 +89,18 @@ const OFF: u8 = 0;
 const ON: u8 = 1;
 const FAULT: u8 = 2;
 
-/// What the drive is told: done once for each new number. Its values are in counts and seconds.
+/// What the drive is to do, once for each new number. Its values are in counts and seconds.
 #[derive(Clone, Copy, Debug, Default)]
-struct Told {
+struct Instruction {
     number: u8,
     what: u8,
     values: [f64; 4],
 }
 
-fn request(sequence: u8, reported: Told) -> [u8; REQUEST] {
+fn request(sequence: u8, instruction: Instruction) -> [u8; REQUEST] {
     let mut bytes = [0; REQUEST];
-    bytes[..4].copy_from_slice(&[b'?', sequence, reported.number, reported.what]);
-    for (at, value) in bytes[4..].chunks_exact_mut(8).zip(reported.values) {
+    bytes[..4].copy_from_slice(&[b'?', sequence, instruction.number, instruction.what]);
+    for (at, value) in bytes[4..].chunks_exact_mut(8).zip(instruction.values) {
         at.copy_from_slice(&value.to_le_bytes());
     }
     bytes
@@ -213,7 +213,7 @@ impl Subject for Toy {
 
     fn fault(&self, reply: &[u8]) -> Option<Vec<u8>> {
         let number = Answer::parse(reply)?.number.wrapping_add(1);
-        Some(request(0, Told { number, what: BREAK, ..Told::default() }).into())
+        Some(request(0, Instruction { number, what: BREAK, ..Instruction::default() }).into())
     }
 
     fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
@@ -519,7 +519,7 @@ impl Bus for ToyBus {
                     slot.counters.unsent += 1;
                     slot.exchange = Exchange::Unsent;
                     if self.defect == Some(Defect::ForgetsARefusedSend) {
-                        station.reported.what = READ;
+                        station.instruction.what = READ;
                         slot.gone.grid = Some(station.built_for);
                     }
                 }
@@ -545,11 +545,11 @@ impl Bus for ToyBus {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             let queued = slot.exchange == Exchange::Queued && !station.is(Defect::KeepsTheOldRequest);
             if (slot.due || queued) && !(missed && station.is(Defect::SharesItsMisses)) {
-                station.reported.number += u8::from(station.is(Defect::BuildsAnewEachTime));
+                station.instruction.number += u8::from(station.is(Defect::BuildsAnewEachTime));
                 station.advance(cycle.grid, slot);
                 self.outbox
                     .room(index)
-                    .copy_from_slice(&request(station.sequence.wrapping_add(1), station.reported));
+                    .copy_from_slice(&request(station.sequence.wrapping_add(1), station.instruction));
                 self.outbox.set_length(index, REQUEST);
             }
         }
@@ -593,7 +593,7 @@ struct Station {
     fresh_until: Time,
     seen: bool,
     answer: Answer,
-    reported: Told,
+    instruction: Instruction,
     /// The drive has what it was told.
     taken: bool,
     /// What it is told stands for these serials, of its power and of its motion.
@@ -620,7 +620,7 @@ impl Station {
             fresh_until: Time(0),
             seen: false,
             answer: Answer::default(),
-            reported: Told::default(),
+            instruction: Instruction::default(),
             taken: true,
             carried: (0, 0),
             built_for: Time(0),
@@ -696,9 +696,9 @@ impl Station {
             self.taken = true;
         }
         (self.seen, self.answer) = (true, *answer);
-        self.taken |= answer.number == self.reported.number;
+        self.taken |= answer.number == self.instruction.number;
         if self.taken {
-            self.reported = Told { number: answer.number, ..Told::default() };
+            self.instruction = Instruction { number: answer.number, ..Instruction::default() };
         }
         notices.fresh = true;
         report.at = at;
@@ -727,8 +727,8 @@ impl Station {
 
     /// From here on the drive is told this.
     fn tell(&mut self, what: u8, values: [f64; 4]) {
-        let last = if self.taken { self.answer.number } else { self.reported.number };
-        self.reported = Told { number: last.wrapping_add(1), what, values };
+        let last = if self.taken { self.answer.number } else { self.instruction.number };
+        self.instruction = Instruction { number: last.wrapping_add(1), what, values };
         self.taken = false;
     }
 

@@ -16,14 +16,14 @@ impl EthercatPlan {
             lines.extend(drive.describe(period_ns, self.ahead_ns(period_ns)));
             lines.join("\n")
         };
-        let mut reported: Vec<String> = self.drives.iter().map(drive).collect();
-        reported.extend(self.devices.iter().map(|device| {
+        let mut paragraphs: Vec<String> = self.drives.iter().map(drive).collect();
+        paragraphs.extend(self.devices.iter().map(|device| {
             format!("  device {}: {}; {}", device.name, self.address(&device.slave), device.describe())
         }));
-        reported.extend(self.unlisted());
-        reported.extend(self.describe_frame(period_ns));
-        reported.push(self.describe_clock(period_ns));
-        reported
+        paragraphs.extend(self.unlisted());
+        paragraphs.extend(self.describe_frame(period_ns));
+        paragraphs.push(self.describe_clock(period_ns));
+        paragraphs
     }
 
     /// How long before SYNC0 a frame leaves the master.

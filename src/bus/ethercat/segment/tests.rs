@@ -15,9 +15,9 @@ use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimLine;
 use crate::time::{MS, S, US};
 
-/// What the line told its handler.
+/// What the segment reported to its handler.
 #[derive(Default)]
-struct Told {
+struct Reports {
     states: Vec<(Owner, Option<AlState>)>,
     taken: Vec<Owner>,
     passed_by: Vec<Owner>,
@@ -28,7 +28,7 @@ struct Told {
     wrong_counts: u64,
 }
 
-impl Handler for Told {
+impl Handler for Reports {
     fn service(&mut self, _owner: Owner) -> Option<&mut Service> {
         None
     }
@@ -78,7 +78,7 @@ struct Rig {
     image: Image,
     sim: EthercatSim,
     drives: usize,
-    reported: Told,
+    reported: Reports,
     cycle: Cycle,
     number: u32,
     /// Frames are lost.
@@ -106,7 +106,7 @@ impl Rig {
             line: Segment::new(plan, offsets, MS),
             image,
             sim: EthercatSim::new(whole),
-            reported: Told::default(),
+            reported: Reports::default(),
             drives: plan.drives.len(),
             cycle: Cycle { index: 0, grid, period_ns: MS, deadline: grid + MS / 2 },
             number: 0,

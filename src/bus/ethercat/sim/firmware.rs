@@ -327,10 +327,10 @@ mod tests {
                 let mut bench = at(from);
                 let expected = if refused.contains(&to) { (from, invalid) } else { (to, None) };
                 assert_eq!(bench.go(0, to), expected, "{from} -> {to}");
-                let reported = from != to && expected.1.is_none();
+                let notified = from != to && expected.1.is_none();
                 assert_eq!(
                     script(&bench).requested,
-                    if reported { vec![to] } else { vec![] },
+                    if notified { vec![to] } else { vec![] },
                     "{from} -> {to}"
                 );
             }

@@ -329,15 +329,15 @@ fn enable_goes_from_state_to_state_each_seen() {
     for plan in [velocity(), position(), planned(0x1703, 0x1B03)] {
         let mut rig = Rig::new(plan);
         rig.order(Command::Enable);
-        let mut reported = vec![];
+        let mut sent = vec![];
         while rig.end().is_none() {
             rig.turn();
-            if reported.last() != Some(&rig.control()) {
-                reported.push(rig.control());
+            if sent.last() != Some(&rig.control()) {
+                sent.push(rig.control());
             }
         }
         assert_eq!(rig.end(), Some(Ok(())));
-        assert_eq!(reported, [6, 7, 0x0F]);
+        assert_eq!(sent, [6, 7, 0x0F]);
         assert_eq!((rig.state(), rig.drive.axis_state()), (State::OperationEnabled, State::OperationEnabled));
         rig.assert_standing();
         rig.order(Command::Enable);

@@ -133,7 +133,7 @@ fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
     // Another master, with an image of its own.
     let next = Rig::based(&plan, &plan, 0x2000_0000);
     (rig.line, rig.image) = (next.line, next.image);
-    rig.reported = Told::default();
+    rig.reported = Reports::default();
     for _ in 0..1_000 {
         rig.run(1);
         assert_eq!(rig.al(0), AlState::Op);
