@@ -10,13 +10,13 @@ use std::time::Duration;
 use fieldbeat::axis::{Limits, State};
 use fieldbeat::bus::ethercat::cia402::StatusWord;
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimLine;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::Time;
 
 use super::rig;

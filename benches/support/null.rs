@@ -8,13 +8,13 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, MainState, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, StateVar,
     StatusWord,
 };
-use fieldbeat::bus::modbus::sim::UnidriveSim;
 use fieldbeat::net::{
     Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
     UdpOptions,
 };
 use fieldbeat::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;
 
 use super::count::resumed;

@@ -10,7 +10,6 @@
 //! | `profile` | what is desired as process data, and what the replies prove | commands, sockets |
 //! | `station` | the master's view of one drive: identity of replies, its reports, the next request | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
-//! | `sim` | the simulated drive: the same wire from the other end | the master's station |
 //!
 //! `tests/conformance` tests this contract clause by clause, for every protocol.
 

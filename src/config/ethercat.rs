@@ -10,10 +10,10 @@ use crate::axis::Unit;
 use crate::bus::BusPlan;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::Family;
-use crate::bus::ethercat::sim::{Dialect, DriveSettings, LineSettings, MotorSettings};
 use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive, Mapping, Owner, PROTOCOL, Scaling, SlavePlan};
 use crate::cycle::CyclePlan;
 use crate::sim::Carrier;
+use crate::sim::ethercat::{Dialect, DriveSettings, LineSettings, MotorSettings};
 use crate::time::{MS, S, US};
 
 /// The last place of a slave.

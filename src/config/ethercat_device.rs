@@ -5,8 +5,8 @@ use super::drive::name;
 use super::ethercat::slave;
 use super::ethercat_values::start;
 use super::reader::Table;
-use crate::bus::ethercat::sim::coupler::{Coupler, Terminals};
 use crate::bus::ethercat::{Area, Device, SlavePlan, TERMINAL_MAX};
+use crate::sim::ethercat::coupler::{Coupler, Terminals};
 use crate::time::MS;
 
 /// The most bytes of process data, each way.

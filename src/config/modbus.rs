@@ -13,12 +13,12 @@ use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
 use crate::bus::modbus::parameter::{Addressing, Parameter, Width, catalogue};
-use crate::bus::modbus::sim::{Interface, MotorSettings, ReadWrite, SimSettings, Start};
 use crate::bus::modbus::{
     Functions, Map, Mapped, ModbusPlan, PORT, PROTOCOL, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
 };
 use crate::cycle::CyclePlan;
 use crate::sim::Carrier;
+use crate::sim::modbus::{Interface, MotorSettings, ReadWrite, SimSettings, Start};
 use crate::time::{MS, S, US};
 
 const COUNTS: Counts =

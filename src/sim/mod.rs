@@ -1,7 +1,10 @@
-//! Common parts of all simulated drives.
+//! Simulated drives: what all of them share, and a folder for each protocol.
+//!
+//! A simulated drive knows the wire of its protocol and the manuals, not the master's station.
 //!
 //! | file | what |
 //! |---|---|
+//! | `linudp`, `modbus`, `ethercat` | the drives of a protocol: its wire from the other end |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
 //! | `wire` | a segment and the faults of its wire |
@@ -11,7 +14,10 @@
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
 mod drives;
+pub mod ethercat;
 pub mod fault;
+pub mod linudp;
+pub mod modbus;
 pub mod physics;
 pub mod serial;
 pub mod server;

@@ -398,8 +398,8 @@ fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
 fn a_line_built_in_code_is_checked_by_the_same_rules() {
     use fieldbeat::bus::BusPlan;
     use fieldbeat::bus::ethercat::object::Family;
-    use fieldbeat::bus::ethercat::sim::Coupler;
     use fieldbeat::bus::ethercat::{Device, EthercatPlan, KollmorgenDrive, SlavePlan};
+    use fieldbeat::sim::ethercat::Coupler;
     let drive = |place| KollmorgenDrive::new(format!("k{place}"), place, Family::S700);
     let mut plan = EthercatPlan::new("local:line", vec![drive(0), drive(1)]);
     assert_eq!(BusPlan::faults(&plan, 1_000 * US), []);

@@ -1,8 +1,8 @@
 //! `fieldbeat ethercat scan`: of a line on this host, without any right, and of what is none.
 
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, KollmorgenDrive, SlavePlan};
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{FaultPlan, SimLine, Simulated};
 use fieldbeat::time::MS;

@@ -8,7 +8,6 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::registers::AlState;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::linudp::LinUdpPlan;
@@ -18,6 +17,7 @@ use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::rt::Granted;
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::simulation::Simulation;
 use fieldbeat::telemetry::Summary;

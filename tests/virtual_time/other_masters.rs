@@ -3,13 +3,13 @@
 
 use fieldbeat::axis::{FoundRunning, Link, StopCause};
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
 use fieldbeat::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::wire::Request;
 use fieldbeat::net::frames::MAC;
 use fieldbeat::sim::SimLine;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::{MS, Time};
 
 use super::faults::inject;

@@ -12,7 +12,6 @@ use fieldbeat::axis::{
     GroupCommand, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen,
     StopTimeout, Target, Units,
 };
-use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
 use fieldbeat::bus::linudp::{
     DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, ReplyTag, SimPlan,
@@ -28,6 +27,7 @@ use fieldbeat::net::{
     Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::rt::Regions;
+use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;

@@ -17,14 +17,12 @@
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
 //! | `scan` | lists the slaves of a segment, for people |
-//! | `sim` | a simulated segment: slave controllers, and the drives and I/O behind them |
 
 pub mod cia402;
 pub mod counters;
 pub mod faults;
 pub mod object;
 pub mod scan;
-pub mod sim;
 pub mod wire;
 
 mod bus;

@@ -22,7 +22,7 @@
 
 pub mod catalogue;
 pub mod long;
-pub(super) mod number;
+pub(crate) mod number;
 pub mod pdo;
 
 use super::wire::mailbox::MailboxError;

@@ -13,12 +13,12 @@ mod frame;
 use super::cia402::Mode;
 use super::object::pdo::{self, Layout};
 use super::object::{Family, Object, Type};
-use super::sim::coupler::Coupler;
-use super::sim::{DriveSettings, LineSettings};
 use super::wire::sii::Identity;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::cycle::plan::is_plain_name;
+use crate::sim::ethercat::coupler::Coupler;
+use crate::sim::ethercat::{DriveSettings, LineSettings};
 use crate::time::MS;
 
 /// The slaves of one line, behind one interface.

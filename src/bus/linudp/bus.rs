@@ -8,7 +8,6 @@ use std::sync::Arc;
 use super::native::Native;
 use super::plan::{LinUdpPlan, MonitorPlan};
 use super::profile;
-use super::sim::LinMotSim;
 use super::station::Station;
 use super::upid::Upids;
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
@@ -21,6 +20,7 @@ use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
+use crate::sim::linudp::LinMotSim;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
 /// a telegram of this protocol.

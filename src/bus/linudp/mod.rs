@@ -15,7 +15,6 @@
 //! | `native` | unscaled process data for the application |
 //! | `bus` | all drives on one socket |
 //! | `plan` | the bus as configured |
-//! | `sim` | the simulated drive |
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
 
@@ -31,7 +30,6 @@ pub mod plan;
 mod profile;
 mod rtc;
 pub mod service;
-pub mod sim;
 pub mod station;
 pub mod table;
 pub mod upid;

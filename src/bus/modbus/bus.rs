@@ -11,7 +11,6 @@ use super::native::Native;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
-use super::sim::UnidriveSim;
 use super::station::Station;
 use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
@@ -22,6 +21,7 @@ use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Sl
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
+use crate::sim::modbus::UnidriveSim;
 use crate::time::Time;
 
 /// Connections and their drives.

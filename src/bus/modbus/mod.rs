@@ -13,14 +13,12 @@
 //! | `setup`, `echo` | settings before the first request to move, values that the drive has accepted |
 //! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
-//! | `sim` | the simulated drive |
 
 pub mod counters;
 pub mod mapping;
 pub mod native;
 pub mod notation;
 pub mod parameter;
-pub mod sim;
 pub mod trips;
 pub mod wire;
 pub mod words;

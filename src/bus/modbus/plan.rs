@@ -4,10 +4,10 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::mapping::Mapping;
 use super::parameter::{Addressing, Parameter, Width};
-use super::sim::{Interface, SimSettings};
 use super::station::REFERENCES_IN_A_ROW;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, HeldBy, Load, MonitorChannel, PlanFault, Unit, Units};
+use crate::sim::modbus::{Interface, SimSettings};
 use crate::time::{MS, Ns, S};
 
 /// Where a drive listens unless Pr S.15.005 says otherwise (SI-Ethernet guide).

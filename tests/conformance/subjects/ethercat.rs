@@ -12,7 +12,6 @@ use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::ethercat::cia402::{ControlCommand as Operation, ControlWord, StatusWord};
 use fieldbeat::bus::ethercat::faults::Fault;
 use fieldbeat::bus::ethercat::object::{Family, Object, Target, Type, pdo};
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat::bus::ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat::bus::ethercat::wire::sdo::AbortCode;
@@ -21,6 +20,7 @@ use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::{SimDrive, SimLine};
 
 use crate::conformance::line::PERIOD;

@@ -9,7 +9,6 @@ use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::modbus::notation::Target;
 use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
-use fieldbeat::bus::modbus::sim::Start;
 use fieldbeat::bus::modbus::wire::{self, ExceptionCode, Header, Registers, Request, Response};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via, Watchdog};
@@ -17,6 +16,7 @@ use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::{self, Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::Start;
 use fieldbeat::time::US;
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};

@@ -6,13 +6,13 @@ use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::bus::linudp::motion::CATALOGUE;
-use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, MainState, MotionBlock, REQUEST_MAX, Request, RequestDef, Response, ResponseDef,
     RtcBlock, RtcCommand, RtcStatus, StatusWord,
 };
 use fieldbeat::bus::linudp::{FlashMode, LinUdpDrive, MASTER_PORT, SimPlan, UnknownCommands};
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::time::{MS, S, Time};
 
 use super::input::Input;
@@ -239,7 +239,7 @@ impl Bench {
         let before = self.drive.ignored();
         let reply = self.send(port, bytes);
         let after = self.drive.ignored();
-        let counted = |ignored: fieldbeat::bus::linudp::sim::Ignored| {
+        let counted = |ignored: fieldbeat::sim::linudp::Ignored| {
             ignored.wrong_port + ignored.malformed + ignored.filtered + ignored.deaf
         };
         assert_eq!(reply.is_none(), counted(after) == counted(before) + 1, "{before:?}, {after:?}");

@@ -17,7 +17,6 @@ use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::desired::{Desired, Motion, Power};
 use fieldbeat::bus::ethercat::cia402::ControlWord;
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::ethercat::{Returned, returned};
@@ -26,6 +25,7 @@ use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimLine;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;

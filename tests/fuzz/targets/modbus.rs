@@ -15,7 +15,6 @@ use fieldbeat::axis::Link;
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::bus::desired::{Desired, Motion, Power};
 use fieldbeat::bus::modbus::counters::Own;
-use fieldbeat::bus::modbus::sim::ReadWrite;
 use fieldbeat::bus::modbus::wire::function::READ_WRITE;
 use fieldbeat::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
 use fieldbeat::bus::modbus::words::ControlWord;
@@ -26,6 +25,7 @@ use fieldbeat::net::{
 };
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::ReadWrite;
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;

@@ -3,12 +3,12 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock, StateVar, WarnWord,
 };
 use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT};
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::time::Time;
 
 pub fn telegram(data: &[u8]) {

@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::coupler::{Coupler, Terminals};
-use fieldbeat::bus::ethercat::sim::{EthercatSim, LineSettings};
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan};
 use fieldbeat::net::{Carriers, Frames, Os};
+use fieldbeat::sim::ethercat::coupler::{Coupler, Terminals};
+use fieldbeat::sim::ethercat::{EthercatSim, LineSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{SimLine, Simulated};
 use nix::sched::{CloneFlags, setns};

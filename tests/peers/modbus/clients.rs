@@ -5,8 +5,8 @@ use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use fieldbeat::bus::modbus::sim::{SimSettings, UnidriveSim};
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::{SimSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::Library::{Libmodbus, Pymodbus};

@@ -4,11 +4,11 @@ use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 
 use fieldbeat::axis::Command;
 use fieldbeat::axis::command::Jog;
-use fieldbeat::bus::modbus::sim::{ReadWrite, SimSettings, UnidriveSim};
 use fieldbeat::bus::modbus::{ModbusPlan, Via};
 use fieldbeat::cycle::Plan;
 use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::{ReadWrite, SimSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::{PORT, drive, plan};

@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use fieldbeat::axis::Health;
 use fieldbeat::bus::modbus::UnidriveDrive;
-use fieldbeat::bus::modbus::sim::{SimSettings, UnidriveSim};
 use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::{SimSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
 use nix::sys::socket::{SockaddrIn, getpeername, getsockname};

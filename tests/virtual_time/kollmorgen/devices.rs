@@ -7,13 +7,13 @@ use fieldbeat::axis::{Emergency, FoundRunning, Link};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::faults::Fault;
 use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Target, Type};
-use fieldbeat::bus::ethercat::sim::coupler::Terminals as Simulated;
-use fieldbeat::bus::ethercat::sim::{Coupler, EthercatSim};
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan, Start, Terminals,
 };
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::MasterError;
+use fieldbeat::sim::ethercat::coupler::Terminals as Simulated;
+use fieldbeat::sim::ethercat::{Coupler, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
 
 use super::drives::{Left, answer};

@@ -13,7 +13,6 @@ use fieldbeat::bus::ethercat::counters::Own;
 use fieldbeat::bus::ethercat::faults::Fault;
 use fieldbeat::bus::ethercat::object::pdo::Layout;
 use fieldbeat::bus::ethercat::object::{self, Family, Object, Type};
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::wire::registers::AlState;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Native, SlavePlan, Terminals,
@@ -21,6 +20,7 @@ use fieldbeat::bus::ethercat::{
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::CyclePlan;
 use fieldbeat::net::Carriers;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
 use fieldbeat::time::MS;
@@ -395,8 +395,8 @@ fn native_process_data_are_the_applications() {
 fn terminals_between_drives_exchange_in_the_same_cycle() {
     let area = |start, length| Area { start, length };
     let slave = SlavePlan { outputs: area(0x1000, 4), inputs: area(0x1100, 4), ..SlavePlan::new(1) };
-    let terminals = fieldbeat::bus::ethercat::sim::coupler::Terminals { digital: 16, analogue: 1 };
-    let simulate = fieldbeat::bus::ethercat::sim::Coupler { outputs: terminals, inputs: terminals };
+    let terminals = fieldbeat::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
+    let simulate = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
     let io = Device { name: "io".into(), slave, simulate };
     let drives = vec![drive(0, Family::S700), drive(2, Family::S700)];
     let mut machine = Machine::new(EthercatPlan { devices: vec![io], ..line(drives) });

@@ -18,12 +18,12 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::ethercat::object::{Family, pdo};
-use fieldbeat::bus::ethercat::sim::{Drive, EthercatSim};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::{BusPlan, Counters};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
+use fieldbeat::sim::ethercat::{Drive, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::simulation::Simulation;
 

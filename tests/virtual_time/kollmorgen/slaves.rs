@@ -3,9 +3,9 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::counters::Own;
-use fieldbeat::bus::ethercat::sim::Coupler;
-use fieldbeat::bus::ethercat::sim::coupler::Terminals as Wired;
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, SlavePlan, Terminals};
+use fieldbeat::sim::ethercat::Coupler;
+use fieldbeat::sim::ethercat::coupler::Terminals as Wired;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::MS;
 

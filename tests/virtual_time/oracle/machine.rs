@@ -10,18 +10,18 @@ use fieldbeat::axis::{
     AxisPlan, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
 };
 use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, ReplyTag};
-use fieldbeat::bus::modbus::sim::UnidriveSim;
 use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::{Carriers, SendMode};
+use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::linudp::LinMotSim;
+use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimLine, Truth};
 use fieldbeat::simulation::Simulation;

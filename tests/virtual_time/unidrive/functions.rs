@@ -1,6 +1,6 @@
 //! Servers with FC23 and without: which functions the master uses, and what the drive carries out by them.
 
-use fieldbeat::bus::modbus::sim::ReadWrite;
+use fieldbeat::sim::modbus::ReadWrite;
 
 use super::*;
 

@@ -16,7 +16,6 @@ use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, S
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::modbus::counters::{OWN, Own};
 use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
-use fieldbeat::bus::modbus::sim::{Start, UnidriveSim};
 use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
@@ -26,6 +25,7 @@ use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::{Carriers, SendMode};
+use fieldbeat::sim::modbus::{Start, UnidriveSim};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;

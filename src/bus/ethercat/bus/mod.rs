@@ -28,7 +28,6 @@ use super::profile;
 use super::scan::{Busy, Shown, require_idle};
 use super::segment::{Back, Segment, Sent};
 use super::service::Service;
-use super::sim::EthercatSim;
 use super::start_up::{last_written, start_up, verify, verify_found};
 use super::station::Station;
 use super::wire::frame::{self, ETHERTYPE, FRAME_MAX, FrameError, datagrams};
@@ -44,6 +43,7 @@ use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
 use crate::net::{Carriers, Frames, Lock, Place};
 use crate::rt::Regions;
+use crate::sim::ethercat::EthercatSim;
 use crate::sim::{SimDrive, SimLine};
 use crate::time::{Time, US};
 

@@ -10,9 +10,9 @@ use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type};
-use crate::bus::ethercat::sim::coupler::Terminals;
 use crate::bus::ethercat::start_up::cycle_time;
 use crate::cycle::plan::is_plain_name;
+use crate::sim::ethercat::coupler::Terminals;
 use crate::time::{Ns, US};
 
 /// What a master must map to drive it.

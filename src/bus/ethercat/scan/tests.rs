@@ -8,12 +8,12 @@ use proptest::prelude::*;
 use super::*;
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::plan::Area;
-use crate::bus::ethercat::sim::coupler::Terminals;
-use crate::bus::ethercat::sim::sii::{Access, Contents, Mailboxes};
-use crate::bus::ethercat::sim::{Coupler, Drive, DriveSettings, Esc, Line, Settings};
 use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, FRAME_MAX, datagrams, position};
 use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::rt::Regions;
+use crate::sim::ethercat::coupler::Terminals;
+use crate::sim::ethercat::sii::{Access, Contents, Mailboxes};
+use crate::sim::ethercat::{Coupler, Drive, DriveSettings, Esc, Line, Settings};
 use crate::time::{MS, Time, US};
 
 const S700: Identity = Identity { vendor: 0x6A, product: 0x0300_0600, revision: 3 };

@@ -7,12 +7,12 @@ use super::*;
 use crate::bus::ethercat::image::{Image, Mark, Read};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, KollmorgenDrive, SlavePlan};
-use crate::bus::ethercat::sim::coupler::{Coupler, Terminals};
-use crate::bus::ethercat::sim::{self, Esc, EthercatSim, Settings};
 use crate::bus::ethercat::wire::frame::{Builder, Command, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimLine;
+use crate::sim::ethercat::coupler::{Coupler, Terminals};
+use crate::sim::ethercat::{self, Esc, EthercatSim, Settings};
 use crate::time::{MS, S, US};
 
 /// What the segment reported to its handler.
@@ -443,7 +443,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     // Two FMMUs, and none to spare.
     let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
     let io = plan.devices[0].simulate.slave("I/O", Identity::default(), settings);
-    *rig.sim.line() = sim::Line::new(vec![io]);
+    *rig.sim.line() = ethercat::Line::new(vec![io]);
     let offsets = rig.line.slaves[0].offsets.clone();
     rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
     rig.all_up(4_000);

@@ -12,11 +12,11 @@ use crate::axis::acyclic::{Acyclic, CallTicket, both, both_of};
 use crate::bus::ethercat::object::number::{DEVICE_NAME as NAME, MODE, STATUS_WORD};
 use crate::bus::ethercat::object::{READ, WRITE};
 use crate::bus::ethercat::plan::Area;
-use crate::bus::ethercat::sim::sii::{Contents, Mailboxes};
-use crate::bus::ethercat::sim::{Application, Dialect, Drive, DriveSettings, Esc, Line, Settings};
 use crate::bus::ethercat::slot;
 use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
 use crate::bus::ethercat::wire::registers::{SyncManager, address};
+use crate::sim::ethercat::sii::{Contents, Mailboxes};
+use crate::sim::ethercat::{Application, Dialect, Drive, DriveSettings, Esc, Line, Settings};
 use crate::time::S;
 
 const STATION: u16 = 0x1001;

@@ -11,13 +11,13 @@ use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::{Family, Object, Type, pdo};
 use crate::bus::ethercat::profile::capabilities;
-use crate::bus::ethercat::sim::{Application, Drive, DriveSettings};
 use crate::bus::ethercat::slot::{Answer, Ask};
 use crate::bus::ethercat::start_up::start_up;
 use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
 use crate::drive::machine::Machine;
+use crate::sim::ethercat::{Application, Drive, DriveSettings};
 use crate::time::S;
 
 const PERIOD: u64 = MS;

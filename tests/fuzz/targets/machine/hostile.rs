@@ -7,7 +7,6 @@ use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
     ErrorCode, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, StateVar, StatusWord, WarnWord,
 };
@@ -15,6 +14,7 @@ use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::time::Time;
 
 use super::super::input::Input;

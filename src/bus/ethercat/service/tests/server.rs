@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use crate::bus::ethercat::sim::Application;
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::bus::ethercat::wire::sdo::Object;
+use crate::sim::ethercat::Application;
 use crate::time::Time;
 
 /// What is done with an answer before it is sent: any number of messages in its place.

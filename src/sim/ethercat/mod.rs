@@ -68,7 +68,7 @@ pub use drive::Drive;
 pub use settings::{Dialect, DriveSettings, LineSettings, MotorSettings};
 pub use simulation::EthercatSim;
 
-use super::wire::registers::{AlCode, AlState};
+use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::time::Time;
 
 /// The part of a slave's firmware behind its controller.

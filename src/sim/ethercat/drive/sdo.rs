@@ -1,9 +1,9 @@
 //! The effects of SDOs on a drive: reading and writing its objects, one by one or all subindices at once.
 
 use super::*;
-use crate::bus::ethercat::sim::mailbox::Request;
-use crate::bus::ethercat::sim::objects::abort;
 use crate::bus::ethercat::wire::sdo::AbortCode;
+use crate::sim::ethercat::mailbox::Request;
+use crate::sim::ethercat::objects::abort;
 
 const COUNT: u8 = 0;
 

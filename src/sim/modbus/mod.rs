@@ -40,7 +40,7 @@ pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, SimSettings
 
 use self::drive::Drive;
 use self::server::Server;
-use super::trips::Trip;
+use crate::bus::modbus::trips::Trip;
 use crate::sim::{Carrier, FaultPlan, SimDrive, Truth};
 use crate::time::{MS, S, Time};
 

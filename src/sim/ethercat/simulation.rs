@@ -5,12 +5,12 @@ use super::sii::{Access, Contents, Mailboxes, Pdo};
 use super::{Coupler, Drive, DriveSettings, Esc, Line, LineSettings, Settings};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::Layout;
-use crate::bus::ethercat::plan::{
-    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan,
-};
 use crate::bus::ethercat::wire::frame::ETHERTYPE;
 use crate::bus::ethercat::wire::registers::{Features, Fmmu, SyncManager};
 use crate::bus::ethercat::wire::sii::{Identity, Use};
+use crate::bus::ethercat::{
+    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan,
+};
 use crate::sim::{FaultPlan, SimLine};
 use crate::time::{MS, Time, US};
 

@@ -3,10 +3,10 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::bus::ethercat::sim::objects::abort;
-use crate::bus::ethercat::sim::{Dialect, MotorSettings};
 use crate::bus::ethercat::wire::mailbox::{Counter, Message, SDO_SIZE, emit, parse};
 use crate::bus::ethercat::wire::sdo::{AbortCode, Request, Response};
+use crate::sim::ethercat::objects::abort;
+use crate::sim::ethercat::{Dialect, MotorSettings};
 
 /// Counts a turn.
 const TURN: i32 = 1 << 20;

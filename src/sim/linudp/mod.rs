@@ -50,8 +50,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
-use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter, SimPlan};
-use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
+use crate::bus::linudp::plan::{LinUdpDrive, MASTER_PORT, MasterFilter, SimPlan};
+use crate::bus::linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
 use crate::sim::{FaultPlan, SimDrive, Truth};
 use crate::time::{MS, S, Time, US};
 
