@@ -9,8 +9,8 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fieldbeat::axis::{Move, Target};
+use fieldbeat::bus::linudp::curve::file as curve_file;
 use fieldbeat::bus::linudp::service::Services;
-use fieldbeat::config::linmot_curve;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::{Command, Master};
 
@@ -56,7 +56,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // Any thread may do the same for any drive. This curve goes to one that stands still, switched off.
-    let curve = linmot_curve::load("rt-config/linmot-curve.csv")?;
+    let curve = curve_file::load("rt-config/linmot-curve.csv")?;
     let y = master.parameter("a2")?;
     let services = Services::of(y.acyclic())?;
     services.require_off("writing a curve")?;

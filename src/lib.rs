@@ -94,6 +94,8 @@ pub mod cycle;
 pub mod doctor;
 pub mod drive;
 mod errors;
+#[cfg(feature = "config")]
+mod keys;
 pub mod master;
 mod named;
 pub mod net;

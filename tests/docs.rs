@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::{self, Child, Output, Stdio};
 
 use fieldbeat::axis::{Command, Link, Outcome};
+use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
 use fieldbeat::config;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::{Master, Simulation};
@@ -139,7 +140,7 @@ fn every_configuration_is_accepted() {
                     whole += 1;
                     config::parse(&text, &place).map(drop)
                 }
-                Some("table") => config::linmot_table::parse(&text, &place).map(drop),
+                Some("table") => table_file::parse(&text, &place).map(drop),
                 Some(part) => {
                     let known = PARTS.iter().find(|(name, _)| *name == part);
                     let before = known.unwrap_or_else(|| panic!("{place}: {part}")).1;
@@ -149,7 +150,7 @@ fn every_configuration_is_accepted() {
             result.unwrap_or_else(|mistakes| panic!("{mistakes}"));
         }
         for block in page.blocks().iter().filter(|block| block.is("csv")) {
-            config::linmot_curve::parse(&block.lines.join("\n"), &block.place()).unwrap();
+            curve_file::parse(&block.lines.join("\n"), &block.place()).unwrap();
         }
     }
     assert!(whole > 1, "{whole}");

@@ -46,7 +46,7 @@ pub use handle::{Axis, AxisEnds, AxisError, Observer};
 pub use limits::{Cannot, Lacks};
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
-    StopThen, StopTimeout, Underrun,
+    StopThen, StopTimeout, Underrun, is_plain_name,
 };
 pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

@@ -6,6 +6,12 @@ use super::command::Profile;
 use super::units::{Unit, Units};
 use crate::time::{Ns, S, nanos};
 
+/// Names stand in messages, file names and arguments, so they are kept plain.
+pub fn is_plain_name(name: &str) -> bool {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    (1..=32).contains(&name.chars().count()) && name.chars().all(plain)
+}
+
 /// What the loop and the application need to know of one axis. Settings that only its protocol needs are in the
 /// protocol's own drive plan.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,6 +10,7 @@
 //! | `profile` | what is desired as process data, and what the replies prove | commands, sockets |
 //! | `station` | the master's view of one drive: identity of replies, its reports, the next request | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
+//! | `config` | its keys in a configuration | other protocols |
 //!
 //! `tests/conformance` tests this contract clause by clause, for every protocol.
 
@@ -31,11 +32,28 @@ use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, DriveStatus, Emergency, FaultNames, Link, MonitorChannel, Observer, PlanFault};
 use crate::errors::no_descriptor;
+#[cfg(feature = "config")]
+use crate::keys::{machine::Machine, table::Table};
 use crate::net::lock::Refused;
 use crate::net::{Carriers, LinkNotes, Lock, Place};
 use crate::rt::Regions;
 use crate::sim::{SimDrive, SimLine};
 use crate::time::Time;
+
+/// A protocol, as the rest of the program finds it: what it is called, and what it adds.
+#[derive(Debug)]
+pub struct Protocol {
+    /// Its name in configurations.
+    pub name: &'static str,
+    /// The drives that have it, for people.
+    pub drives: &'static str,
+    /// Reads the keys of a `[[bus]]`. What is wrong is noted on the table.
+    #[cfg(feature = "config")]
+    pub(crate) read: fn(&mut Table<'_>, &mut Machine) -> Box<dyn BusPlan>,
+}
+
+/// All protocols; the next one is a folder, and one line more.
+pub const PROTOCOLS: [Protocol; 3] = [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED];
 
 /// A bus as configured and checked, before any socket is open.
 pub trait BusPlan: Debug + Send + Sync {

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use fieldbeat::bus::linudp::curve::Curve;
 use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, ServiceError, Services};
-use fieldbeat::config::{ConfigErrors, linmot_curve, linmot_table};
+use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
+use fieldbeat::config::ConfigErrors;
 use fieldbeat::telemetry::file::save;
 use serde_json::json;
 
@@ -190,14 +191,14 @@ impl CurveDoes {
                         let drive = services.drive();
                         return Err(Stop::failed(format!("drive {drive} has no curve {id}")));
                     };
-                    let text = linmot_curve::to_text(&curve).map_err(Stop::failed)?;
+                    let text = curve_file::to_text(&curve).map_err(Stop::failed)?;
                     get.write(&text)?;
                     let setpoints = curve.setpoints.len();
                     print(format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
                 })
             }
             CurveDoes::Put(put) => {
-                let curve = put.read(linmot_curve::load)?;
+                let curve = put.read(curve_file::load)?;
                 with(&put.drive, interrupt, |services| put_curve(services, &curve, &put, interrupt))
             }
             CurveDoes::Delete(drive) => with(&drive, interrupt, |services| {
@@ -221,12 +222,12 @@ impl TableDoes {
                 get.check()?;
                 with(&get.drive, interrupt, |services| {
                     let table = services.table(&mut Meter::new(interrupt).watch())?;
-                    get.write(&linmot_table::to_text(&table))?;
+                    get.write(&table_file::to_text(&table))?;
                     print(format_args!("{} entries: {}", table.len(), get.file.display()))
                 })
             }
             TableDoes::Put(put) => {
-                let table = put.read(linmot_table::load)?;
+                let table = put.read(table_file::load)?;
                 with(&put.drive, interrupt, |services| {
                     services.require_off("writing its command table")?;
                     services.put_table(&table, &mut Meter::new(interrupt).watch())?;

@@ -1,10 +1,9 @@
 //! `[cycle]`, and what of it cannot work.
 
-use super::drive::plain_name;
-use super::reader::{Table, time};
-use super::value::alternatives;
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
+use crate::keys::table::{Table, time};
+use crate::keys::value::{alternatives, plain_name};
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, S, US};
 

@@ -3,12 +3,12 @@
 use serde_json::{Value, json};
 
 use super::cycle::{MEMORIES, REALTIMES, WAITS};
-use super::drive::{HOLDERS, HOWS, THENS, TIMEOUTS};
-use super::error::ConfigError;
 use crate::axis::{AxisPlan, Load};
 use crate::bus::BusPlan;
 use crate::cycle::bound::{stop_bound, stopping_with};
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan};
+use crate::keys::drive::{HOLDERS, HOWS, THENS, TIMEOUTS};
+use crate::keys::error::ConfigError;
 use crate::time::nanos;
 
 /// The plan as one object. Times are in ns, lengths in the drive's `unit`; what is not set is null. The keys are

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use super::record::Record;
 use crate::axis::group::out_of_step;
-use crate::axis::{AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault};
+use crate::axis::{
+    AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, is_plain_name,
+};
 use crate::bus::{BusPlan, OwnCounter};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
@@ -31,12 +33,6 @@ pub struct GroupPlan {
     pub name: String,
     /// Its members' names, two or more, in the order of its rows.
     pub axes: Vec<String>,
-}
-
-/// Names stand in messages, file names and arguments, so they are kept plain.
-pub fn is_plain_name(name: &str) -> bool {
-    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
-    (1..=32).contains(&name.chars().count()) && name.chars().all(plain)
 }
 
 /// What is wrong with a plan that was built in code: one line each.

@@ -7,6 +7,7 @@
 //! | `linudp`, `modbus`, `ethercat` | the drives of a protocol: its wire from the other end |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
+//! | `keys` | how a configuration writes faults |
 //! | `wire` | a segment and the faults of its wire |
 //! | `serial` | drives on one serial wire, and the faults of that |
 //! | `drives` | drives with an address of their own, their sockets and clocks |
@@ -16,6 +17,8 @@
 mod drives;
 pub mod ethercat;
 pub mod fault;
+#[cfg(feature = "config")]
+pub(crate) mod keys;
 pub mod linudp;
 pub mod modbus;
 pub mod physics;

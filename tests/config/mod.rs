@@ -11,8 +11,7 @@ use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Unde
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
-    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, linmot_curve, load, parse,
-    starvation,
+    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, load, parse, starvation,
 };
 use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
@@ -245,7 +244,7 @@ fn files_that_cannot_be_read_say_so() {
         let said = error(&path("long.toml"));
         assert!(said.contains(&what) && (what.is_empty() == said.contains(":1: not UTF-8")), "{said}");
     }
-    let curve = linmot_curve::load(path("pipe")).unwrap_err().to_string();
+    let curve = fieldbeat::bus::linudp::curve::file::load(path("pipe")).unwrap_err().to_string();
     assert!(curve.contains("it is a pipe"), "{curve}");
     symlink(std::fs::canonicalize("rt-config/demo.toml").unwrap(), path("demo.toml")).unwrap();
     assert!(load(path("demo.toml")).is_ok() && is_demo(path("demo.toml")));

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fieldbeat::Master;
+use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
 use libc::{SIGCONT, SIGINT, SIGSTOP, SIGTERM};
 
 use super::support::onlooker::Onlooker;
@@ -56,12 +57,7 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
     let config = machine.plain(1);
     let _sim = simulation(&config);
     for (what, file, own, reported) in [
-        (
-            "curve",
-            CURVE,
-            fieldbeat::config::linmot_curve::load(checkout(CURVE)).unwrap().id.to_string(),
-            "curve 1, 21 setpoints",
-        ),
+        ("curve", CURVE, curve_file::load(checkout(CURVE)).unwrap().id.to_string(), "curve 1, 21 setpoints"),
         ("table", TABLE, String::new(), " entries"),
     ] {
         let (first, second) = (machine.path(&format!("{what}-1")), machine.path(&format!("{what}-2")));
@@ -80,12 +76,10 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
         let text = fs::read_to_string(&first).unwrap();
         let written = match what {
             "curve" => {
-                let curve = fieldbeat::config::linmot_curve::load(checkout(file)).unwrap();
-                fieldbeat::config::linmot_curve::to_text(&curve).unwrap()
+                let curve = curve_file::load(checkout(file)).unwrap();
+                curve_file::to_text(&curve).unwrap()
             }
-            _ => fieldbeat::config::linmot_table::to_text(
-                &fieldbeat::config::linmot_table::load(checkout(file)).unwrap(),
-            ),
+            _ => table_file::to_text(&table_file::load(checkout(file)).unwrap()),
         };
         assert_eq!(text, written);
         // There is a file now: it is kept, unless it is said otherwise.

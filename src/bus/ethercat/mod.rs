@@ -6,6 +6,7 @@
 //! | `cia402`, `faults` | control word, status word, states, transitions; numbers of faults |
 //! | `object` | objects of a drive: what is known of them, how people write them, the contents of its PDOs |
 //! | `plan` | the segment as configured |
+//! | `config` | its keys in a configuration |
 //! | `counters` | counters that only EtherCAT has |
 //! | `bus` | stations, devices and frames as one bus |
 //! | `image` | the process data of the segment, and its frames |
@@ -17,6 +18,9 @@
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
 //! | `scan` | lists the slaves of a segment, for people |
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-ethercat.md"))]
 
 pub mod cia402;
 pub mod counters;
@@ -26,6 +30,8 @@ pub mod scan;
 pub mod wire;
 
 mod bus;
+#[cfg(feature = "config")]
+mod config;
 mod image;
 mod native;
 mod other;
@@ -37,6 +43,7 @@ mod slot;
 mod start_up;
 mod station;
 
+use super::Protocol;
 pub use bus::EthercatBus;
 #[doc(hidden)]
 pub use image::{Returned, returned};
@@ -50,3 +57,11 @@ pub use plan::{
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "ethercat";
+
+/// This protocol, for the list of all of them.
+pub(super) const REGISTERED: Protocol = Protocol {
+    name: PROTOCOL,
+    drives: "Kollmorgen S300 ... S700",
+    #[cfg(feature = "config")]
+    read: config::bus,
+};

@@ -6,6 +6,9 @@
 //! Facts: "Drive Configuration over Fieldbus Interfaces" manual, curve info block; confirmed by an independent
 //! master on real drives. That the setpoints are equidistant is inferred.
 
+#[cfg(feature = "config")]
+pub mod file;
+
 use thiserror::Error;
 
 /// Bytes of the info block.

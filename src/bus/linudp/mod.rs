@@ -15,13 +15,16 @@
 //! | `native` | unscaled process data for the application |
 //! | `bus` | all drives on one socket |
 //! | `plan` | the bus as configured |
+//! | `config` | its keys in a configuration |
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
-
-/// Its name in a configuration.
-pub const PROTOCOL: &str = "linudp-v2";
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-linudp.md"))]
 
 pub mod bus;
+#[cfg(feature = "config")]
+mod config;
 pub mod curve;
 pub mod motion;
 pub mod native;
@@ -35,9 +38,21 @@ pub mod table;
 pub mod upid;
 pub mod wire;
 
+use super::Protocol;
 pub use rtc::UNACKNOWLEDGED;
 
 pub use plan::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
     ReplyTag, SimPlan, StreamCommand, UnknownCommands,
+};
+
+/// The protocol's name in configurations.
+pub const PROTOCOL: &str = "linudp-v2";
+
+/// This protocol, for the list of all of them.
+pub(super) const REGISTERED: Protocol = Protocol {
+    name: PROTOCOL,
+    drives: "LinMot LinUDP V2",
+    #[cfg(feature = "config")]
+    read: config::bus,
 };

@@ -6,6 +6,9 @@
 //! Facts: "Drive Configuration over Fieldbus Interfaces" manual, command table entry; confirmed by an independent
 //! master on real drives.
 
+#[cfg(feature = "config")]
+pub mod file;
+
 use std::collections::BTreeMap;
 use std::collections::btree_map::Iter;
 

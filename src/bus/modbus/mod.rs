@@ -6,6 +6,7 @@
 //! | `parameter`, `notation` | parameters of a drive: addresses, what is known of them, how people write them |
 //! | `words`, `trips` | control word and status word, trip numbers |
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
+//! | `config` | its keys in a configuration |
 //! | `handshake` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
 //! | `identity`, `pace`, `calls`, `native`, `counters` | matching of replies, whether they come in the window, calls, native data, counts |
@@ -13,6 +14,9 @@
 //! | `setup`, `echo` | settings before the first request to move, values that the drive has accepted |
 //! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-modbus.md"))]
 
 pub mod counters;
 pub mod mapping;
@@ -25,6 +29,8 @@ pub mod words;
 
 mod bus;
 mod calls;
+#[cfg(feature = "config")]
+mod config;
 mod echo;
 mod handshake;
 mod identity;
@@ -36,6 +42,7 @@ mod read_write;
 mod setup;
 mod station;
 
+use super::Protocol;
 pub use bus::ModbusBus;
 pub use handshake::{Finding, Found};
 pub use native::{Native, NativeInputs, NativeOutput};
@@ -44,3 +51,11 @@ pub use station::{Station, Why};
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "modbus-tcp";
+
+/// This protocol, for the list of all of them.
+pub(super) const REGISTERED: Protocol = Protocol {
+    name: PROTOCOL,
+    drives: "Nidec Unidrive",
+    #[cfg(feature = "config")]
+    read: config::bus,
+};

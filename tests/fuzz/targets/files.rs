@@ -4,17 +4,17 @@
 use fieldbeat::bus::linudp::curve::{Curve, INFO_SIZE};
 use fieldbeat::bus::linudp::motion::EntryId;
 use fieldbeat::bus::linudp::table::{ENTRY_SIZE, Entry, Table};
-use fieldbeat::config::{linmot_curve, linmot_table};
+use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
 
 pub fn files(data: &[u8]) {
     let Some((kind, bytes)) = data.split_first() else { return };
     let text = String::from_utf8_lossy(bytes);
     match kind % 4 {
-        0 => match linmot_curve::parse(&text, "curve.csv") {
+        0 => match curve_file::parse(&text, "curve.csv") {
             Ok(curve) => curve_survives(&curve),
             Err(errors) => assert_says_something(&errors.to_string(), "curve.csv"),
         },
-        1 => match linmot_table::parse(&text, "table.toml") {
+        1 => match table_file::parse(&text, "table.toml") {
             Ok(table) => table_survives(&table),
             Err(errors) => assert_says_something(&errors.to_string(), "table.toml"),
         },
@@ -49,16 +49,16 @@ fn assert_says_something(errors: &str, file: &str) {
 fn curve_survives(curve: &Curve) {
     let (info, data) = curve.encode().unwrap_or_else(|error| panic!("{error}: {curve:?}"));
     assert_eq!(Curve::decode(&info, &data).as_ref(), Ok(curve));
-    let text = linmot_curve::to_text(curve).unwrap_or_else(|error| panic!("{error}: {curve:?}"));
-    match linmot_curve::parse(&text, "again.csv") {
+    let text = curve_file::to_text(curve).unwrap_or_else(|error| panic!("{error}: {curve:?}"));
+    match curve_file::parse(&text, "again.csv") {
         Ok(again) => assert_eq!(again, *curve, "{text}"),
         Err(errors) => panic!("{errors}\n{text}"),
     }
 }
 
 fn table_survives(table: &Table) {
-    let text = linmot_table::to_text(table);
-    match linmot_table::parse(&text, "again.toml") {
+    let text = table_file::to_text(table);
+    match table_file::parse(&text, "again.toml") {
         Ok(again) => assert_eq!(again, *table, "{text}"),
         Err(errors) => panic!("{errors}\n{text}"),
     }

@@ -5,13 +5,13 @@ use std::ops::Range;
 use super::{
     Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Owner, Setpoint, SlavePlan, frame, is_interface,
 };
+use crate::axis::is_plain_name;
 use crate::axis::{HeldBy, Load, PlanFault};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type};
 use crate::bus::ethercat::start_up::cycle_time;
-use crate::cycle::plan::is_plain_name;
 use crate::sim::ethercat::coupler::Terminals;
 use crate::time::{Ns, US};
 

@@ -2,11 +2,12 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use crate::axis::is_plain_name;
 use crate::time::{MS, S, US};
 
 /// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
 /// `"250us"`, `"0.5s"`, `"1 ms"`.
-pub(super) fn duration(text: &str) -> Option<u64> {
+pub fn duration(text: &str) -> Option<u64> {
     let text = text.trim_matches(' ');
     let (number, unit) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
     let unit = match unit.trim_start_matches(' ') {
@@ -31,7 +32,7 @@ pub(super) fn duration(text: &str) -> Option<u64> {
 }
 
 /// `count` times `10^-decimals`, without loss and without zeros at its end: the shortest decimal number that says it.
-pub(super) fn decimal(count: i128, decimals: u32) -> String {
+pub fn decimal(count: i128, decimals: u32) -> String {
     let one = 10_i128.pow(decimals);
     let (sign, whole, fraction) = (if count < 0 { "-" } else { "" }, count / one, count % one);
     let fraction = format!("{:0width$}", fraction.abs(), width = decimals as usize);
@@ -42,7 +43,7 @@ pub(super) fn decimal(count: i128, decimals: u32) -> String {
 }
 
 /// `192.168.1.10` or `192.168.1.10:49360`.
-pub(super) fn endpoint(text: &str, default_port: u16) -> Option<SocketAddrV4> {
+pub fn endpoint(text: &str, default_port: u16) -> Option<SocketAddrV4> {
     match text.parse::<Ipv4Addr>() {
         Ok(address) => Some(SocketAddrV4::new(address, default_port)),
         Err(_) => text.parse().ok(),
@@ -50,12 +51,12 @@ pub(super) fn endpoint(text: &str, default_port: u16) -> Option<SocketAddrV4> {
 }
 
 /// One that a packet can be sent to or from.
-pub(super) fn station(text: &str, default_port: u16) -> Option<SocketAddrV4> {
+pub fn station(text: &str, default_port: u16) -> Option<SocketAddrV4> {
     endpoint(text, default_port).filter(|e| !e.ip().is_multicast() && !e.ip().is_broadcast() && e.port() != 0)
 }
 
 /// `"a", "b" or "c"`.
-pub(super) fn alternatives<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+pub fn alternatives<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let quoted: Vec<String> = words.into_iter().map(|word| format!("\"{word}\"")).collect();
     match quoted.split_last() {
         Some((last, rest)) if !rest.is_empty() => format!("{} or {last}", rest.join(", ")),
@@ -64,7 +65,7 @@ pub(super) fn alternatives<'a>(words: impl IntoIterator<Item = &'a str>) -> Stri
 }
 
 /// The known word that `word` was probably meant to be.
-pub(super) fn closest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+pub fn closest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let length = word.chars().count();
     if length > 40 {
         return None;
@@ -96,6 +97,11 @@ fn distance(a: &str, b: &str) -> usize {
         }
     }
     cost[a.len()][b.len()]
+}
+
+/// A name as machines have them.
+pub fn plain_name(text: &str) -> Option<String> {
+    is_plain_name(text).then(|| text.to_owned())
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::*;
 use crate::bus::linudp::motion::{Bits, MotionCommand};
 use crate::bus::linudp::table::ENTRY_SIZE;
 
-const SAMPLE: &str = include_str!("../../../rt-config/linmot-table.toml");
+const SAMPLE: &str = include_str!("../../../../../rt-config/linmot-table.toml");
 
 /// The keys of an entry (`;;` is a line end), and in the next line what is said about them.
 const MISTAKES: &str = include_str!("mistakes.txt");

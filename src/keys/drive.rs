@@ -2,36 +2,36 @@
 
 use std::time::Duration;
 
-use super::Machine;
-use super::reader::{POSITIVE, Table, integer, time as time_of};
+use super::machine::Machine;
+use super::table::{POSITIVE, Table, integer, time as time_of};
+use super::value::plain_name;
 use crate::axis::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
     Underrun, Unit, Units,
 };
-use crate::cycle::plan::is_plain_name;
 use crate::time::{MS, S};
 
-pub(super) const HOWS: [(&str, StopHow); 3] =
+pub const HOWS: [(&str, StopHow); 3] =
     [("ramp", StopHow::Ramp), ("quick", StopHow::Quick), ("coast", StopHow::Coast)];
-pub(super) const THENS: [(&str, StopThen); 2] = [("hold", StopThen::Hold), ("disable", StopThen::Disable)];
-pub(super) const TIMEOUTS: [(&str, StopTimeout); 2] =
+pub const THENS: [(&str, StopThen); 2] = [("hold", StopThen::Hold), ("disable", StopThen::Disable)];
+pub const TIMEOUTS: [(&str, StopTimeout); 2] =
     [("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)];
-pub(super) const HOLDERS: [(&str, HeldBy); 2] = [("brake", HeldBy::Brake), ("drive", HeldBy::Drive)];
+pub const HOLDERS: [(&str, HeldBy); 2] = [("brake", HeldBy::Brake), ("drive", HeldBy::Drive)];
 
 /// What the drives of a protocol count.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Counts {
+pub struct Counts {
     /// In words.
-    pub(super) what: &'static str,
+    pub what: &'static str,
     /// The unit that nobody needs to name, and how many of them are one.
-    pub(super) unit: Unit,
-    pub(super) per_unit: f64,
+    pub unit: Unit,
+    pub per_unit: f64,
     /// What the drive itself counts in one of them.
-    pub(super) wire: f64,
+    pub wire: f64,
 }
 
 /// Reads the common keys of a drive that counts `counts`.
-pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
+pub fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
     let name = name(table, machine, "drive", "every drive needs a name for programs and messages");
     let units = units(table, counts);
     let default = AxisPlan::new(name, units);
@@ -118,15 +118,11 @@ fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, defau
 }
 
 /// The name of a `kind`, a drive or a device.
-pub(super) fn name(table: &mut Table<'_>, machine: &mut Machine, kind: &'static str, why: &str) -> String {
+pub fn name(table: &mut Table<'_>, machine: &mut Machine, kind: &'static str, why: &str) -> String {
     table.require("name", why);
     let name = table.text("name", "1 to 32 letters, digits, - _ or .", plain_name).unwrap_or_default();
     machine.claim_name(table, kind, &name);
     name
-}
-
-pub(super) fn plain_name(text: &str) -> Option<String> {
-    is_plain_name(text).then(|| text.to_owned())
 }
 
 fn units(table: &mut Table<'_>, counts: Counts) -> Units {

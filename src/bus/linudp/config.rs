@@ -3,31 +3,32 @@
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
-use super::drive::{Counts, axis};
-use super::faults::faults;
-use super::reader::{POSITIVE, Table, integer};
-use super::value::{closest, station};
-use super::{Claim, Machine, NOWHERE, drives, reachable};
+use super::PROTOCOL;
+use super::plan::{
+    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
+    ReplyTag, SimPlan, StreamCommand, UnknownCommands,
+};
+use super::upid::{KNOWN, Upid};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, Unit, Units};
 use crate::bus::BusPlan;
-use crate::bus::linudp::upid::{KNOWN, Upid};
-use crate::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    PROTOCOL, ReplyTag, SimPlan, StreamCommand, UnknownCommands,
-};
-use crate::cycle::CyclePlan;
+use crate::keys::bus::{NOWHERE, drives, reachable};
+use crate::keys::drive::{Counts, axis};
+use crate::keys::machine::{Claim, Machine};
+use crate::keys::table::{POSITIVE, Table, integer};
+use crate::keys::value::{closest, station};
 use crate::net::SendMode;
 use crate::sim::Carrier;
+use crate::sim::keys::faults;
 use crate::time::S;
 
 /// Reads a `[[bus]]`.
-pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
+pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let bind = bind(table, machine);
     let send =
         table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
-    let drives = drives(table, |table, index| drive(table, machine, cycle, bind, index));
+    let drives = drives(table, |table, index| drive(table, machine, bind, index));
     Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
 }
 
@@ -56,13 +57,12 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddr
 fn drive(
     table: &mut Table<'_>,
     machine: &mut Machine,
-    cycle: &CyclePlan,
     bind: Option<SocketAddrV4>,
     index: usize,
 ) -> LinUdpDrive {
     let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
-    let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
+    let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let drive = LinUdpDrive {
         address,
         stream: stream(table, period_ns),
@@ -162,7 +162,7 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
         faults: faults(table, Carrier::Datagrams, period_ns, index),
         padding: table
             .read("padding", |value| {
-                let padding = super::reader::integer(value).and_then(|padding| usize::try_from(padding).ok());
+                let padding = integer(value).and_then(|padding| usize::try_from(padding).ok());
                 padding
                     .filter(|padding| [0, 14, 64].contains(padding))
                     .ok_or("must be 0, 14 or 64 bytes".into())

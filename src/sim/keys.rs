@@ -1,11 +1,11 @@
 //! The faults on the wire of a simulated drive: the same keys for every protocol.
 
-use super::reader::Table;
-use crate::sim::{Carrier, FaultPlan};
+use super::{Carrier, FaultPlan};
+use crate::keys::table::Table;
 use crate::time::{MS, S};
 
 /// Reads those of drive `index` of its bus, with an exchange every `period_ns`.
-pub(super) fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, index: usize) -> FaultPlan {
+pub(crate) fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, index: usize) -> FaultPlan {
     let (what, stream) = match carrier {
         Carrier::Datagrams => ("datagram", false),
         Carrier::Stream => ("message", true),

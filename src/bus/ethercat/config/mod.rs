@@ -1,19 +1,24 @@
 //! `protocol = "ethercat"`: the line and its drives.
 
-use super::drive::{Counts, axis};
-use super::ethercat_device::device;
-use super::ethercat_values::{identity, layout, mailbox, shown, start, start_up};
-use super::faults::faults;
-use super::reader::{POSITIVE, Table, integer, number, time};
-use super::{Machine, drive_tables};
+mod device;
+mod values;
+
+use device::device;
+use values::{identity, layout, mailbox, shown, start, start_up};
+
+use super::PROTOCOL;
+use super::cia402::Mode;
+use super::object::Family;
+use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlavePlan};
 use crate::axis::Unit;
 use crate::bus::BusPlan;
-use crate::bus::ethercat::cia402::Mode;
-use crate::bus::ethercat::object::Family;
-use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive, Mapping, Owner, PROTOCOL, Scaling, SlavePlan};
-use crate::cycle::CyclePlan;
+use crate::keys::bus::drive_tables;
+use crate::keys::drive::{Counts, axis};
+use crate::keys::machine::Machine;
+use crate::keys::table::{POSITIVE, Table, integer, number, time};
 use crate::sim::Carrier;
 use crate::sim::ethercat::{Dialect, DriveSettings, LineSettings, MotorSettings};
+use crate::sim::keys::faults;
 use crate::time::{MS, S, US};
 
 /// The last place of a slave.
@@ -22,7 +27,7 @@ const LAST_PLACE: u16 = 255;
 const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * 100 * US;
 
 /// Reads a `[[bus]]`.
-pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
+pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let interface = interface(table, machine).unwrap_or_default();
     let is_known = !interface.is_empty();
@@ -35,13 +40,13 @@ pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePla
             "the time between the departure of a frame and SYNC0",
         ),
         lrw: table.flag("lrw").unwrap_or(true),
-        simulate: table.table("simulate", |table| line(table, cycle.period_ns)),
+        simulate: table.table("simulate", |table| line(table, machine.period_ns)),
         drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
         devices: devices.iter_mut().map(|table| device(table, machine)).collect(),
         ..EthercatPlan::new(interface, Vec::new())
     };
     place(&mut plan, &mut drives, &mut devices);
-    for (owner, fault) in plan.findings(cycle.period_ns) {
+    for (owner, fault) in plan.findings(machine.period_ns) {
         match owner {
             Some(Owner::Drive(index)) => drives[index].fault(fault.key, fault.message),
             Some(Owner::Device(index)) => devices[index].fault(fault.key, fault.message),

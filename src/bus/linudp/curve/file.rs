@@ -3,15 +3,17 @@
 //! No CSV library reads this: two columns of numbers have no quotes, and a mistake has to name its line.
 //!
 //! What follows is the reference of docs/.
-#![doc = include_str!("../../docs/src/linmot-curve.md")]
+#![doc = include_str!("../../../../docs/src/linmot-curve.md")]
 
 use std::fmt::Write;
 use std::path::Path;
 
-use super::error::ConfigErrors;
-use super::reader::{Page, Place, Table, integer, number};
-use super::{value, whole_file};
-use crate::bus::linudp::curve::{Curve, CurveError, CurveKind, Dimension, NAME_SIZE};
+use super::{Curve, CurveError, CurveKind, Dimension, NAME_SIZE};
+use crate::keys::error::ConfigErrors;
+use crate::keys::file::{self, whole_file};
+use crate::keys::page::{Page, Place};
+use crate::keys::table::{Table, integer, number};
+use crate::keys::value;
 
 /// The column of an axis, and the decimals of one wire count in its unit.
 type Column = (&'static str, u32);
@@ -24,7 +26,7 @@ const MOST_MISTAKES: usize = 10;
 
 /// Reads the curve at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<Curve, ConfigErrors> {
-    let (file, text) = super::read(path.as_ref(), "a curve, for example rt-config/linmot-curve.csv")?;
+    let (file, text) = file::read(path.as_ref(), "a curve, for example rt-config/linmot-curve.csv")?;
     parse(&text, &file)
 }
 

@@ -4,142 +4,22 @@
 //! [`Page`]: reading goes on with the default, and all mistakes are found in one pass. The keys that were asked for are
 //! the keys that exist; [`Table::finish`] reports all others. Knows nothing of drives.
 
-use std::cell::RefCell;
-use std::fmt::{self, Display};
-use std::ops::{Bound, Range, RangeBounds};
+use std::fmt;
+use std::ops::{Bound, RangeBounds};
 
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::error::{ConfigError, ConfigErrors};
+use super::page::{Page, Place, shorten};
 use super::value;
 use crate::time::Ns;
 
 /// Everything above zero.
-pub(super) const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
-
-/// One file while it is read: its text, and the mistakes found so far.
-#[derive(Debug)]
-pub(super) struct Page<'a> {
-    file: &'a str,
-    text: &'a str,
-    /// Offsets of the line ends.
-    line_ends: Vec<usize>,
-    mistakes: RefCell<Vec<ConfigError>>,
-}
-
-/// Where something stands, for a message.
-#[derive(Clone, Debug)]
-pub(super) struct Place {
-    pub(super) line: usize,
-    key: String,
-    value: Option<String>,
-}
-
-impl<'a> Page<'a> {
-    pub(super) fn new(file: &'a str, text: &'a str) -> Page<'a> {
-        let line_ends =
-            text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
-        Page { file, text, line_ends, mistakes: RefCell::default() }
-    }
-
-    /// Parses the text. With a mistake of syntax nothing behind it can be trusted, so the first one of each line is
-    /// reported, and nothing else. A file that is wrong in most of its lines is no TOML at all, and only its first
-    /// mistake is reported.
-    pub(super) fn parse(&self) -> Result<DeTable<'a>, ConfigErrors> {
-        let (root, errors) = DeTable::parse_recoverable(self.text);
-        if errors.is_empty() {
-            return Ok(root.into_inner());
-        }
-        let mut mistakes: Vec<(usize, bool, &toml::de::Error)> = errors
-            .iter()
-            // A second key of one name may only be the echo of a broken line.
-            .map(|error| {
-                (self.line(error.span().unwrap_or(0..0).start), error.message() == "duplicate key", error)
-            })
-            .collect();
-        mistakes.sort_by_key(|(line, echo, _)| (*line, *echo));
-        mistakes.dedup_by_key(|(line, ..)| *line);
-        let lines = self
-            .text
-            .lines()
-            .map(str::trim)
-            .filter(|line| !line.is_empty() && !line.starts_with('#'))
-            .count();
-        if let [(_, _, first), .., _] = mistakes[..]
-            && mistakes.len() * 2 > lines
-        {
-            let mut error = self.syntax(first);
-            error.message += "; most lines are wrong: is this a TOML file?";
-            return Err(error.into());
-        }
-        Err(ConfigErrors::new(mistakes.into_iter().map(|(.., error)| self.syntax(error)).collect()))
-    }
-
-    /// In the words of `toml`, but for the slips that happen to everybody.
-    fn syntax(&self, error: &toml::de::Error) -> ConfigError {
-        let span = error.span().unwrap_or(0..0);
-        let line = self.line(span.start);
-        let reason = error.message().split(", expected").next().unwrap_or_default();
-        let message = match (reason, self.snippet(span)) {
-            ("duplicate key", Some(found)) => format!("{found} is set twice; keep one"),
-            ("key with no value", _) => "a key needs a value: key = value".into(),
-            ("string values must be quoted", None) => "a value is missing after =".into(),
-            ("string values must be quoted", Some(found)) => {
-                format!("{found} is not a value; write text in quotes")
-            }
-            (_, Some(found)) => format!("{found}: {}", error.message()),
-            (_, None) => error.message().to_owned(),
-        };
-        ConfigError { file: self.file.to_owned(), line: Some(line), key: None, value: None, message }
-    }
-
-    pub(super) fn report(&self, place: Place, message: impl Into<String>) {
-        self.mistakes.borrow_mut().push(ConfigError {
-            file: self.file.to_owned(),
-            line: Some(place.line),
-            key: Some(place.key),
-            value: place.value,
-            message: message.into(),
-        });
-    }
-
-    /// `Err` with all mistakes, if there are any.
-    pub(super) fn verdict(self) -> Result<(), ConfigErrors> {
-        let mistakes = self.mistakes.into_inner();
-        if mistakes.is_empty() { Ok(()) } else { Err(ConfigErrors::new(mistakes)) }
-    }
-
-    fn line(&self, offset: usize) -> usize {
-        self.line_ends.partition_point(|end| *end < offset) + 1
-    }
-
-    /// A piece of the file as one short printable line.
-    fn snippet(&self, span: Range<usize>) -> Option<String> {
-        let words: Vec<&str> = self.text.get(span)?.split_whitespace().collect();
-        shorten(&words.join(" "))
-    }
-}
-
-/// At most 40 characters on one line, none of them able to play with a terminal; `None` if nothing is left.
-fn shorten(text: &str) -> Option<String> {
-    let mut short: String = text.chars().take(40).flat_map(printable).collect();
-    if text.chars().nth(40).is_some() {
-        short.push_str("...");
-    }
-    (!short.is_empty()).then_some(short)
-}
-
-fn printable(c: char) -> impl Iterator<Item = char> {
-    // The quotes that `escape_debug` also escapes are harmless here.
-    let keep = matches!(c, '"' | '\'' | '\\');
-    let escaped = (!keep).then(|| c.escape_debug());
-    keep.then_some(c).into_iter().chain(escaped.into_iter().flatten())
-}
+pub const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
 
 /// A table, and behind it the tables that fill in what it leaves out, key by key.
 #[derive(Debug)]
-pub(super) struct Table<'a> {
+pub struct Table<'a> {
     page: &'a Page<'a>,
     /// The first one is the table itself, present or not.
     layers: Vec<Layer<'a>>,
@@ -181,7 +61,7 @@ impl<'a> Layer<'a> {
 
 impl<'a> Table<'a> {
     /// The file as a whole.
-    pub(super) fn root(page: &'a Page<'a>, entries: &'a DeTable<'a>) -> Table<'a> {
+    pub fn root(page: &'a Page<'a>, entries: &'a DeTable<'a>) -> Table<'a> {
         Table::new(page, Layer { path: String::new(), line: 1, entries: Some(entries) })
     }
 
@@ -190,14 +70,14 @@ impl<'a> Table<'a> {
     }
 
     /// Lets `defaults` fill in what this table leaves out, sub-tables key by key, all but the keys in `own`.
-    pub(super) fn over(mut self, defaults: &Table<'a>, own: &'static [&'static str]) -> Table<'a> {
+    pub fn over(mut self, defaults: &Table<'a>, own: &'static [&'static str]) -> Table<'a> {
         self.layers.extend(defaults.layers.iter().cloned());
         self.own = own;
         self
     }
 
     /// Where `key` (dots lead into sub-tables) has its value from, or would have to stand.
-    pub(super) fn place(&self, key: &str) -> Place {
+    pub fn place(&self, key: &str) -> Place {
         let found = self.layers.iter().find_map(|layer| Some(self.place_in(layer, key, layer.get(key)?)));
         found.unwrap_or_else(|| self.place_without(key))
     }
@@ -220,27 +100,27 @@ impl<'a> Table<'a> {
     }
 
     /// Where it stands.
-    pub(super) fn line(&self) -> usize {
+    pub fn line(&self) -> usize {
         self.layers[0].line
     }
 
     /// Notes a mistake at `key` (dots lead into sub-tables).
-    pub(super) fn fault(&self, key: &str, message: impl Into<String>) {
+    pub fn fault(&self, key: &str, message: impl Into<String>) {
         self.page.report(self.place(key), message);
     }
 
     /// Notes a mistake at a place found earlier.
-    pub(super) fn report(&self, place: &Place, message: impl Into<String>) {
+    pub fn report(&self, place: &Place, message: impl Into<String>) {
         self.page.report(place.clone(), message);
     }
 
     /// Whether any layer gives `key`, right or wrong.
-    pub(super) fn gives(&self, key: &str) -> bool {
+    pub fn gives(&self, key: &str) -> bool {
         self.layers.iter().any(|layer| layer.get(key).is_some())
     }
 
     /// Notes a mistake if `key` is absent.
-    pub(super) fn require(&mut self, key: &'static str, why: &str) {
+    pub fn require(&mut self, key: &'static str, why: &str) {
         if self.find(key).is_none() {
             self.page.report(self.place_without(key), format!("missing; {why}"));
         }
@@ -255,7 +135,7 @@ impl<'a> Table<'a> {
     }
 
     /// A value of any form; `Err` says what it must be.
-    pub(super) fn read<T>(
+    pub fn read<T>(
         &mut self,
         key: &'static str,
         read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
@@ -271,12 +151,12 @@ impl<'a> Table<'a> {
     }
 
     /// `true` or `false`.
-    pub(super) fn flag(&mut self, key: &'static str) -> Option<bool> {
+    pub fn flag(&mut self, key: &'static str) -> Option<bool> {
         self.read(key, |value| value.as_bool().ok_or("must be true or false".into()))
     }
 
     /// Text that passes `check`.
-    pub(super) fn text<T>(
+    pub fn text<T>(
         &mut self,
         key: &'static str,
         hint: &str,
@@ -286,7 +166,7 @@ impl<'a> Table<'a> {
     }
 
     /// One of a few words.
-    pub(super) fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
+    pub fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
         let list = value::alternatives(words.iter().map(|(word, _)| *word));
         self.text(key, &list, |text| {
             words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
@@ -294,7 +174,7 @@ impl<'a> Table<'a> {
     }
 
     /// A whole number.
-    pub(super) fn integer<T: TryFrom<i128>>(
+    pub fn integer<T: TryFrom<i128>>(
         &mut self,
         key: &'static str,
         range: impl RangeBounds<i128>,
@@ -308,7 +188,7 @@ impl<'a> Table<'a> {
     }
 
     /// A count, or the time that so many of what comes every `every_ns` take, rounded up.
-    pub(super) fn count<T: TryFrom<i128>>(
+    pub fn count<T: TryFrom<i128>>(
         &mut self,
         key: &'static str,
         range: impl RangeBounds<i128>,
@@ -326,7 +206,7 @@ impl<'a> Table<'a> {
     }
 
     /// A list of whole numbers up to `highest`, at most so many; none if the key is absent or wrong.
-    pub(super) fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
+    pub fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
         let one = |value: &DeValue<'_>| {
             integer(value).and_then(|value| u16::try_from(value).ok()).filter(|value| *value <= highest)
         };
@@ -341,7 +221,7 @@ impl<'a> Table<'a> {
     }
 
     /// Bytes, zeros behind them; `None` if the key is absent.
-    pub(super) fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
+    pub fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
         let list = self.integers(key, N, u16::from(u8::MAX));
         let mut bytes = [0; N];
         for (place, byte) in bytes.iter_mut().zip(list) {
@@ -351,12 +231,7 @@ impl<'a> Table<'a> {
     }
 
     /// A finite number, with or without a decimal point.
-    pub(super) fn number(
-        &mut self,
-        key: &'static str,
-        range: impl RangeBounds<f64>,
-        hint: &str,
-    ) -> Option<f64> {
+    pub fn number(&mut self, key: &'static str, range: impl RangeBounds<f64>, hint: &str) -> Option<f64> {
         self.read(key, |value| {
             let number = number(value).ok_or_else(|| format!("must be a number; {hint}"))?;
             inside(number, &range, hint, |bound| bound)
@@ -364,7 +239,7 @@ impl<'a> Table<'a> {
     }
 
     /// Two rising numbers, `[lowest, highest]`.
-    pub(super) fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
+    pub fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
         self.read(key, |value| {
             let pair = value.as_array().and_then(|array| match (array.first(), array.get(1), array.len()) {
                 (Some(low), Some(high), 2) => Some((number(low.get_ref())?, number(high.get_ref())?)),
@@ -379,17 +254,12 @@ impl<'a> Table<'a> {
     }
 
     /// A time in ns.
-    pub(super) fn time(
-        &mut self,
-        key: &'static str,
-        range: impl RangeBounds<u64>,
-        hint: &str,
-    ) -> Option<u64> {
+    pub fn time(&mut self, key: &'static str, range: impl RangeBounds<u64>, hint: &str) -> Option<u64> {
         self.read(key, |value| time(value, &range, hint))
     }
 
     /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
-    pub(super) fn table<T>(&mut self, key: &'static str, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+    pub fn table<T>(&mut self, key: &'static str, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
         let mut table = self.sub_table(key);
         let result = read(&mut table);
         table.finish();
@@ -397,7 +267,7 @@ impl<'a> Table<'a> {
     }
 
     /// A sub-table whose keys are read elsewhere.
-    pub(super) fn sub_table(&mut self, key: &'static str) -> Table<'a> {
+    pub fn sub_table(&mut self, key: &'static str) -> Table<'a> {
         self.find(key);
         let mut layers = Vec::new();
         for layer in &self.layers {
@@ -422,7 +292,7 @@ impl<'a> Table<'a> {
     }
 
     /// The tables under `[[key]]`, in order.
-    pub(super) fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
+    pub fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
         let Some((layer, entry)) = self.find(key) else { return Vec::new() };
         let path = self.layers[layer].path_to(key);
         let elements = entry.1.get_ref().as_array().map_or(&[][..], |array| array);
@@ -442,7 +312,7 @@ impl<'a> Table<'a> {
     }
 
     /// Reports every key that nobody asked for.
-    pub(super) fn finish(self) {
+    pub fn finish(self) {
         for (index, layer) in self.layers.iter().enumerate() {
             for (key, _) in layer.entries.into_iter().flat_map(|entries| entries.iter()) {
                 let place = Place {
@@ -472,7 +342,7 @@ fn unknown(key: &str, valid: Vec<&str>) -> String {
 }
 
 /// A time in ns within `range`.
-pub(super) fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
+pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
     let ns = value
         .as_str()
         .and_then(value::duration)
@@ -481,13 +351,13 @@ pub(super) fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &st
 }
 
 /// A whole number within `range`.
-pub(super) fn integer(value: &DeValue<'_>) -> Option<i128> {
+pub fn integer(value: &DeValue<'_>) -> Option<i128> {
     let integer = value.as_integer()?;
     i128::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
 /// A finite number.
-pub(super) fn number(value: &DeValue<'_>) -> Option<f64> {
+pub fn number(value: &DeValue<'_>) -> Option<f64> {
     let number = match value {
         DeValue::Float(float) => float.as_str().parse().ok()?,
         _ => integer(value)? as f64,
@@ -509,17 +379,4 @@ fn inside<T: PartialOrd + Copy, D: fmt::Display>(
         _ => return Ok(value),
     };
     Err(format!("{wrong}; {hint}"))
-}
-
-impl Place {
-    /// A place outside of any table: a row of a list.
-    pub(super) fn in_row(line: usize, column: &str, value: &str) -> Place {
-        Place { line, key: column.to_owned(), value: shorten(value) }
-    }
-}
-
-impl Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "line {}", self.line)
-    }
 }

@@ -2,12 +2,12 @@
 
 use toml::de::DeValue;
 
-use super::reader::{Table, integer};
-use super::value::closest;
 use crate::axis::acyclic::Notation;
 use crate::bus::ethercat::object::pdo::{self, Entry, Layout};
 use crate::bus::ethercat::object::{Family, Object, Objects, Target, Type, catalogue};
 use crate::bus::ethercat::{Area, Expected, Start};
+use crate::keys::table::{Table, integer};
+use crate::keys::value::closest;
 
 /// The most objects in a PDO: what its subindices count comfortably.
 const MOST_OBJECTS: usize = 32;

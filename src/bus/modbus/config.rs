@@ -4,20 +4,19 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use toml::de::DeValue;
 
-use super::drive::{Counts, axis};
-use super::faults::faults;
-use super::reader::{Table, integer, time};
-use super::value::{closest, station};
-use super::{Claim, Machine, NOWHERE, drives, reachable};
+use super::PROTOCOL;
+use super::parameter::{Addressing, Parameter, Width, catalogue};
+use super::plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
 use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
-use crate::bus::modbus::parameter::{Addressing, Parameter, Width, catalogue};
-use crate::bus::modbus::{
-    Functions, Map, Mapped, ModbusPlan, PORT, PROTOCOL, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
-};
-use crate::cycle::CyclePlan;
+use crate::keys::bus::{NOWHERE, drives, reachable};
+use crate::keys::drive::{Counts, axis};
+use crate::keys::machine::{Claim, Machine};
+use crate::keys::table::{Table, integer, time};
+use crate::keys::value::{closest, station};
 use crate::sim::Carrier;
+use crate::sim::keys::faults;
 use crate::sim::modbus::{Interface, MotorSettings, ReadWrite, SimSettings, Start};
 use crate::time::{MS, S, US};
 
@@ -25,10 +24,10 @@ const COUNTS: Counts =
     Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
 
 /// Reads a `[[bus]]`.
-pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
+pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let bind = bind(table);
-    let drives = drives(table, |table, index| drive(table, machine, cycle, bind, index));
+    let drives = drives(table, |table, index| drive(table, machine, bind, index));
     Box::new(ModbusPlan { name, bind, drives })
 }
 
@@ -43,13 +42,12 @@ fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
 fn drive(
     table: &mut Table<'_>,
     machine: &mut Machine,
-    cycle: &CyclePlan,
     bind: Option<Ipv4Addr>,
     index: usize,
 ) -> UnidriveDrive {
     let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
-    let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
+    let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let default = UnidriveDrive::new("", *address.ip());
     let mut drive = UnidriveDrive {
         axis,

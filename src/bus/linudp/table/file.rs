@@ -1,22 +1,23 @@
 //! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units. Knows no drive.
 //!
 //! What follows is the reference of docs/.
-#![doc = include_str!("../../docs/src/linmot-table.md")]
+#![doc = include_str!("../../../../docs/src/linmot-table.md")]
 
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 
-use super::error::ConfigErrors;
-use super::reader::{Page, Place, Table, integer, number};
-use super::value;
+use super::{self as table, Entry, NAME_SIZE, PARAMETERS_SIZE, RESERVED_SIZE};
 use crate::bus::linudp::motion::{CATALOGUE, CommandInfo, EntryId, Field, Kind};
-use crate::bus::linudp::table::{self, Entry, NAME_SIZE, PARAMETERS_SIZE, RESERVED_SIZE};
+use crate::keys::error::ConfigErrors;
+use crate::keys::file;
+use crate::keys::page::{Page, Place};
+use crate::keys::table::{Table, integer, number};
+use crate::keys::value;
 
 /// Reads the command table at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<table::Table, ConfigErrors> {
-    let (file, text) =
-        super::read(path.as_ref(), "a command table, for example rt-config/linmot-table.toml")?;
+    let (file, text) = file::read(path.as_ref(), "a command table, for example rt-config/linmot-table.toml")?;
     parse(&text, &file)
 }
 

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-const SAMPLE: &str = include_str!("../../../rt-config/linmot-curve.csv");
+const SAMPLE: &str = include_str!("../../../../../rt-config/linmot-curve.csv");
 
 /// What of [`CURVE`] becomes what (`;;` is a line end), and in the next line what is said about it.
 const MISTAKES: &str = include_str!("mistakes.txt");

@@ -1,11 +1,11 @@
 //! `[[bus.device]]` of `protocol = "ethercat"`: a slave that is no drive.
 
-use super::Machine;
-use super::drive::name;
-use super::ethercat::slave;
-use super::ethercat_values::start;
-use super::reader::Table;
+use super::slave;
+use super::values::start;
 use crate::bus::ethercat::{Area, Device, SlavePlan, TERMINAL_MAX};
+use crate::keys::drive::name;
+use crate::keys::machine::Machine;
+use crate::keys::table::Table;
 use crate::sim::ethercat::coupler::{Coupler, Terminals};
 use crate::time::MS;
 
