@@ -426,7 +426,7 @@ fn talk(streams: &mut dyn Streams, enough: Talks) -> Talks {
             let _ = streams.send(index, b"request");
         }
         let until = clock.now() + MS;
-        set.fill(streams.fd());
+        set.fill([streams.fd()]);
         clock.wait(&mut set, until);
         streams.look();
         while let Some(index) = streams.ready() {

@@ -271,8 +271,9 @@ pub trait Bus: Send {
     /// several sockets returns an epoll descriptor over them.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Empties the sockets of replies that came too late, then hands the prepared requests of the due slots to the
-    /// kernel and opens their exchanges, one each, with the stamp of its own sending. Where replies may come cycles
+    /// Empties the sockets of replies that came too late, if there can be any that would pass for others later. Then
+    /// hands the prepared requests of the due slots to the kernel and opens their exchanges, one each, with the stamp
+    /// of its own sending. Where replies may come cycles
     /// later, a reply that came since the last window still closes an owed exchange here, and a due slot whose
     /// exchange is still owed is passed over. A due slot whose drive has no connection ends as unsent.
     ///
@@ -283,7 +284,8 @@ pub trait Bus: Send {
 
     /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose
     /// window waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
-    /// [`poll_at`](Bus::poll_at). What it does not wait for, as the reply of a slow drive, is taken in by the next
+    /// [`poll_at`](Bus::poll_at). Nor is it called where a wait has found nothing to read, or while only other buses
+    /// miss a reply. What the window does not wait for, as the reply of a slow drive, is taken in by the next
     /// `receive` or `send`.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 

@@ -22,6 +22,8 @@ pub struct Window {
     /// One of the buses wants to be polled.
     polls: bool,
     poll_set: PollSet,
+    /// How many exchanges of each bus the window still waits for.
+    missing: Box<[usize]>,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
     nap_ns: u64,
@@ -83,6 +85,7 @@ impl Window {
             wait,
             polls: buses.iter().any(|open| open.is_polled),
             poll_set: PollSet::with_room(buses.len()),
+            missing: vec![0; buses.len()].into(),
             nap_ns: 4 * SHORTEST_NAP_NS,
         }
     }
@@ -90,6 +93,7 @@ impl Window {
     /// Adds the memory that it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.poll_set.memory(regions);
+        regions.add(&*self.missing);
     }
 
     /// Runs the window of `cycle`.
@@ -110,8 +114,8 @@ impl Window {
         buses: &mut [OpenBus],
         slots: &mut [Slot],
     ) {
-        let owed = missing(cycle, slots);
-        let (mut left, mut poll_at) = (owed, poll_at::<POLLS>(buses));
+        let (mut left, mut poll_at) = (self.count(cycle, buses, slots), poll_at::<POLLS>(buses));
+        let owed = left;
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
         while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
@@ -123,7 +127,7 @@ impl Window {
                 for open in buses.iter_mut().filter(due) {
                     open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
                 }
-                (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
+                (left, poll_at) = (self.count(cycle, buses, slots), self::poll_at::<POLLS>(buses));
                 continue;
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
@@ -138,16 +142,26 @@ impl Window {
                     clock.sleep_until((now + self.nap_ns).min(cycle.deadline));
                 }
                 Wait::Poll => {
-                    self.poll_set.fill(buses.iter().filter_map(|open| open.bus.fd()));
+                    self.poll_set.fill(buses.iter().map(|open| open.bus.fd()));
                     let until = poll_at.map_or(cycle.deadline, |at| at.min(cycle.deadline));
                     clock.wait(&mut self.poll_set, until);
                 }
             }
-            // Replies that are in the sockets at the deadline still count.
-            for open in buses.iter_mut() {
-                open.work(slots, |bus, slots| bus.receive(cycle, slots));
+            // Replies that are in the sockets at the deadline still count. No bus is read that has nothing: the wait
+            // says which have, and after a nap and at the deadline only missing replies are looked for.
+            let waited = !over && !nap;
+            for (place, open) in buses.iter_mut().enumerate() {
+                let reads = match self.wait {
+                    Wait::Poll if waited => self.poll_set.is_readable(place),
+                    Wait::Poll => self.missing[place] > 0 || open.is_polled,
+                    Wait::Spin => true,
+                };
+                if reads {
+                    open.work(slots, |bus, slots| bus.receive(cycle, slots));
+                    self.missing[place] = missing(cycle, &slots[open.first..open.end]);
+                }
             }
-            (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
+            (left, poll_at) = (self.missing.iter().sum(), self::poll_at::<POLLS>(buses));
             if nap {
                 self.learn(left == 0, cycle);
             }
@@ -157,6 +171,14 @@ impl Window {
         }
     }
 
+    /// Counts the missing exchanges of each bus; returns those of all.
+    fn count(&mut self, cycle: &Cycle, buses: &[OpenBus], slots: &[Slot]) -> usize {
+        for (missing, open) in self.missing.iter_mut().zip(buses) {
+            *missing = self::missing(cycle, &slots[open.first..open.end]);
+        }
+        self.missing.iter().sum()
+    }
+
     fn learn(&mut self, enough: bool, cycle: &Cycle) {
         let longest = (cycle.deadline.since(cycle.grid) / 4).max(SHORTEST_NAP_NS);
         let nap = if enough { self.nap_ns - self.nap_ns / 16 } else { self.nap_ns + self.nap_ns / 4 };
@@ -164,7 +186,7 @@ impl Window {
     }
 }
 
-/// How many exchanges this window still waits for.
+/// For how many exchanges of these the window still waits.
 fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
     slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
@@ -181,13 +203,18 @@ fn poll_at<const POLLS: bool>(buses: &[OpenBus]) -> Option<Time> {
 #[cfg(test)]
 mod tests {
     use std::any::Any;
-    use std::os::fd::RawFd;
+    use std::ops::Range;
+    use std::os::fd::{AsRawFd, RawFd};
+    use std::os::unix::net::UnixDatagram;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
     use crate::axis::acyclic::AcyclicEnds;
     use crate::axis::cell::cell;
     use crate::bus::{Exchange, Unmatched};
-    use crate::time::MS;
+    use crate::rt::MonotonicClock;
+    use crate::time::{MS, S};
 
     /// A clock on which only sleeps and waits take time. Something arrives at `arrives`.
     struct Steps {
@@ -273,6 +300,20 @@ mod tests {
         }
     }
 
+    /// An open bus of these slots.
+    fn open_bus(bus: Box<dyn Bus>, slots: Range<usize>, is_polled: bool) -> OpenBus {
+        OpenBus {
+            bus,
+            info: BusInfo { name: String::new(), devices: Vec::new(), notes: None },
+            first: slots.start,
+            end: slots.end,
+            is_at_work: false,
+            is_polled,
+            unmatched: cell(Unmatched::default()).0,
+            clock: cell(None).0,
+        }
+    }
+
     /// What a window until 500 us does, until when in us, with so many replies owed, the first of which comes at
     /// `arrives_us`.
     fn steps(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Vec<(&'static str, u64)> {
@@ -280,20 +321,9 @@ mod tests {
         let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
         let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
         let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
-        let is_polled = poll_at_us.is_some();
-        let mut buses = [OpenBus {
-            bus: Box::new(bus),
-            info: BusInfo { name: String::new(), devices: Vec::new(), notes: None },
-            first: 0,
-            end: owed,
-            is_at_work: false,
-            is_polled,
-            unmatched: cell(Unmatched::default()).0,
-            clock: cell(None).0,
-        }];
         let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
         slots.resize(owed.max(1), Slot::default());
-        buses[0].end = slots.len();
+        let mut buses = [open_bus(Box::new(bus), 0..slots.len(), poll_at_us.is_some())];
         Window::new(wait, &buses).run(&mut clock, &cycle, &mut buses, &mut slots);
         clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
     }
@@ -309,6 +339,77 @@ mod tests {
         assert_eq!(steps(Wait::Poll, 0, 0, Some(0)), [("wait", 200), ("wait", 400)]);
         assert_eq!(steps(Wait::Poll, 0, 0, Some(500)), [], "that is for the next window");
         assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+    }
+
+    /// A reply of one byte comes on its socket, if it misses one. How often it was read.
+    struct OnSocket {
+        socket: UnixDatagram,
+        reads: Arc<AtomicU64>,
+    }
+
+    impl Bus for OnSocket {
+        fn name(&self) -> &str {
+            "on a socket"
+        }
+
+        fn memory(&self, _: &mut Regions) {}
+
+        fn fd(&self) -> Option<RawFd> {
+            Some(self.socket.as_raw_fd())
+        }
+
+        fn send(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn receive(&mut self, _: &Cycle, slots: &mut [Slot]) {
+            self.reads.fetch_add(1, Ordering::Relaxed);
+            if self.socket.recv(&mut [0]).is_ok() {
+                slots[0].exchange = Exchange::Idle;
+            }
+        }
+
+        fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn shut_down(&mut self, _: &Cycle, _: &mut [Slot]) -> bool {
+            true
+        }
+
+        fn unmatched(&self) -> Unmatched {
+            Unmatched::default()
+        }
+
+        fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {
+            None
+        }
+
+        fn acyclic(&mut self, _: usize) -> Option<AcyclicEnds> {
+            None
+        }
+    }
+
+    #[test]
+    fn a_bus_without_anything_to_read_is_not_read() {
+        // The first misses a reply, which is there; the second owes nothing; on the third there is something although
+        // nothing is missing.
+        let reads: [_; 3] = std::array::from_fn(|_| Arc::new(AtomicU64::new(0)));
+        let begin = MonotonicClock::read();
+        let cycle = Cycle { index: 0, grid: begin, period_ns: 40 * S, deadline: begin + 20 * S };
+        let owed = Exchange::Owed { sent_at: begin, reply_by: cycle.deadline, awaited: false };
+        let mut slots = vec![Slot::default(); 3];
+        slots[0].exchange = owed;
+        let mut far_ends = Vec::new();
+        let mut open = |place: usize| {
+            let (socket, far_end) = UnixDatagram::pair().unwrap();
+            socket.set_nonblocking(true).unwrap();
+            if place != 1 {
+                far_end.send(&[7]).unwrap();
+            }
+            far_ends.push(far_end);
+            open_bus(Box::new(OnSocket { socket, reads: Arc::clone(&reads[place]) }), place..place + 1, false)
+        };
+        let mut buses = [open(0), open(1), open(2)];
+        Window::new(Wait::Poll, &buses).run(&mut MonotonicClock, &cycle, &mut buses, &mut slots);
+        assert_eq!(slots[0].exchange, Exchange::Idle);
+        assert_eq!(reads.map(|reads| reads.load(Ordering::Relaxed)), [1, 0, 1]);
     }
 
     #[test]

@@ -259,7 +259,7 @@ mod tests {
     /// Whether the descriptor of the carrier becomes readable within `ns`.
     fn wakes(tcp: &Tcp, ns: u64) -> bool {
         let mut set = PollSet::default();
-        set.fill(tcp.fd());
+        set.fill([tcp.fd()]);
         MonotonicClock.wait(&mut set, MonotonicClock::read() + ns)
     }
 

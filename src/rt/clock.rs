@@ -24,11 +24,17 @@ impl PollSet {
         regions.add(&*self.fds);
     }
 
-    /// Waits on these for reading, and on none of before.
-    pub fn fill(&mut self, descriptors: impl IntoIterator<Item = RawFd>) {
-        let poll = |fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
+    /// Waits on these for reading, and on none of before. The place of one that is not there is kept.
+    pub fn fill(&mut self, descriptors: impl IntoIterator<Item = Option<RawFd>>) {
+        let poll = |fd: Option<RawFd>| libc::pollfd { fd: fd.unwrap_or(-1), events: libc::POLLIN, revents: 0 };
         self.fds.clear();
         self.fds.extend(descriptors.into_iter().map(poll));
+    }
+
+    /// Whether the last wait found the descriptor at this place readable, or broken; true without a descriptor, of
+    /// which it says nothing.
+    pub fn is_readable(&self, place: usize) -> bool {
+        self.fds.get(place).is_none_or(|poll| poll.fd < 0 || poll.revents != 0)
     }
 }
 

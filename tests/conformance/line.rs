@@ -298,7 +298,7 @@ impl Line {
                 continue;
             }
             if !over {
-                self.poll_set.fill(self.bus.fd());
+                self.poll_set.fill([self.bus.fd()]);
                 self.clock.wait(&mut self.poll_set, poll_at.unwrap_or(deadline));
             }
             open = !self.receive() && !over;

@@ -110,6 +110,13 @@ impl Identity {
         ResponseDef(blocks.fold(usual.0, |definition, (_, block)| definition ^ block.0))
     }
 
+    /// A datagram may wait in the socket that looks like the reply to the next request.
+    #[inline]
+    fn is_in_doubt(&self) -> bool {
+        let distinguished = self.turns > 1 << (IN_TURN.len() - 1) || self.requested.tag.is_some();
+        self.open || self.suspect || self.under_way > 0 || !distinguished
+    }
+
     /// What the echoes of all requests of this kind have in common.
     fn kind(&self, echo: Echo) -> Echo {
         Echo { response: ResponseDef(echo.response.0 & !self.varies.0), tag: None, ..echo }
@@ -240,6 +247,13 @@ impl Station {
             tag: tag.map(|block| block.count()),
         };
         request.emit(out)
+    }
+
+    /// What is in the socket has to be taken in before the next request leaves: in its window it might pass for the
+    /// reply to it.
+    #[inline]
+    pub fn is_in_doubt(&self) -> bool {
+        self.identity.is_in_doubt()
     }
 
     /// The request was handed to the wire.
@@ -538,6 +552,7 @@ mod tests {
                 response_def: request.response_def,
                 status: Some(StatusWord(0x0037)),
                 state: Some(fields),
+                config: request.config.map(|block| RtcBlock::answer(block.count(), 0)),
                 ..Response::default()
             };
             let size = response.emit(&mut bytes);
@@ -565,6 +580,32 @@ mod tests {
                 before.push(request);
             }
             assert_eq!((b.slot.counters.late, b.slot.counters.foreign, b.slot.counters.suspect), (0, 0, 0));
+        }
+    }
+
+    #[test]
+    fn only_what_may_pass_for_the_next_reply_is_in_doubt() {
+        let quiet = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
+        for (reply_tag, monitor, settles) in [
+            (ReplyTag::Definition, MonitorPlan::Off, true),
+            (ReplyTag::Count, MonitorPlan::Off, true),
+            // Two definitions only, or one: a copy of an answered reply may look like the next one.
+            (ReplyTag::Definition, MonitorPlan::AsSet, false),
+            (ReplyTag::Off, MonitorPlan::Off, false),
+        ] {
+            let mut b = Bench::new(&LinUdpDrive { monitor, reply_tag, ..quiet.clone() });
+            for _ in 0..3 {
+                let request = b.send();
+                assert!(b.station.is_in_doubt(), "it is owed");
+                b.reply(&request, 1);
+                assert_eq!(b.station.is_in_doubt(), !settles, "{reply_tag:?} {monitor:?}");
+            }
+            let missed = b.send();
+            let request = b.send();
+            b.reply(&request, 1);
+            assert!(b.station.is_in_doubt(), "the missed one may still come");
+            b.reply(&missed, 1);
+            assert_eq!(b.station.is_in_doubt(), !settles, "{reply_tag:?} {monitor:?}");
         }
     }
 

@@ -177,10 +177,16 @@ impl Bus for ModbusBus {
             }
         }
         // Slots that are passed over: an owed exchange is not requested again, although it may be answered now.
+        let mut reads = false;
         for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
             station.passed = matches!(slot.exchange, Exchange::Owed { .. });
+            reads |= slot.due || station.owes();
         }
-        self.take_in(slots);
+        // The end of a connection on which nothing is sent or owed can wait: that is not worth a system call in each
+        // cycle.
+        if reads {
+            self.take_in(slots);
+        }
         for (index, slot) in slots.iter_mut().enumerate() {
             self.go_on(index, slot);
             self.request(index, cycle, slot);

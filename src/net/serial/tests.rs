@@ -42,7 +42,7 @@ fn every_byte_passes_as_it_is_and_wakes_the_waiting() {
     assert_eq!(port.receive(0, &mut [0; 8]), Ok(None));
     pty.end.write_all(&all).unwrap();
     let mut set = PollSet::default();
-    set.fill(port.fd());
+    set.fill([port.fd()]);
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
     assert_eq!(receive(&mut *port, 0, 256), all);
     assert_eq!(port.receive(0, &mut []), Ok(None));
@@ -99,7 +99,7 @@ fn what_is_discarded_is_never_received() {
     let mut port = open(&pty.path);
     pty.end.write_all(b"old").unwrap();
     let mut set = PollSet::default();
-    set.fill(port.fd());
+    set.fill([port.fd()]);
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
     port.discard().unwrap();
     pty.end.write_all(b"new").unwrap();
@@ -157,7 +157,7 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
         }
         drop(pty);
         let mut set = PollSet::default();
-        set.fill(port.fd());
+        set.fill([port.fd()]);
         assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S), "a hang-up wakes");
         let why = breaks(&mut *port, 0);
         assert!(matches!(why, Broken::Closed | Broken::Failed(libc::EIO)), "{why:?}");

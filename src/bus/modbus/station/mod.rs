@@ -304,6 +304,12 @@ impl Station {
         self.calls.lost();
     }
 
+    /// A request was not answered yet, or half a message has come.
+    #[inline]
+    pub(super) fn owes(&self) -> bool {
+        self.identity.is_open() || self.conn.filled > 0
+    }
+
     /// The open request writes and reads: FC23.
     fn reads_and_writes(&self) -> bool {
         self.identity.is_open() && matches!(self.requested, What::Cyclic(blocks) if blocks.is_both())

@@ -38,7 +38,7 @@ fn what_is_sent_to_a_group_is_received_from_the_join_to_the_leave() {
     assert_eq!(receive(&mut udp, 1), [(from, vec![1], false)]);
     drive.send_to(&[2], first).unwrap();
     let mut set = PollSet::default();
-    set.fill(udp.fd());
+    set.fill([udp.fd()]);
     assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * crate::time::S));
     drive.send_to(&[3], address(20, 1)).unwrap();
     drive.send_to(&[4], second).unwrap();
