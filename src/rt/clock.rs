@@ -26,7 +26,8 @@ impl PollSet {
 
     /// Waits on these for reading, and on none of before. The place of one that is not there is kept.
     pub fn fill(&mut self, descriptors: impl IntoIterator<Item = Option<RawFd>>) {
-        let poll = |fd: Option<RawFd>| libc::pollfd { fd: fd.unwrap_or(-1), events: libc::POLLIN, revents: 0 };
+        let poll =
+            |fd: Option<RawFd>| libc::pollfd { fd: fd.unwrap_or(-1), events: libc::POLLIN, revents: 0 };
         self.fds.clear();
         self.fds.extend(descriptors.into_iter().map(poll));
     }

@@ -1,7 +1,7 @@
 //! All drives of one LinUDP bus on one socket: stations and their carrier, as a [`Bus`].
 
 use std::any::Any;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -36,8 +36,7 @@ pub struct LinUdpBus {
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
-    /// Addresses of the drives in order, each with the index of its station and its port.
-    by_address: Vec<(Ipv4Addr, u16, usize)>,
+    senders: Senders,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
     unmatched: Unmatched,
@@ -74,15 +73,12 @@ impl LinUdpBus {
             natives.push(Some(native));
             acyclics.push(Some(acyclic));
         }
-        let mut by_address: Vec<_> =
-            peers.iter().enumerate().map(|(index, peer)| (*peer.ip(), peer.port(), index)).collect();
-        by_address.sort_unstable();
         Ok(LinUdpBus {
             name: plan.name.clone(),
             net,
             outbox: Outbox::new(&peers, REQUEST_MAX),
             stations,
-            by_address,
+            senders: Senders::new(&peers),
             natives,
             acyclics,
             unmatched: Unmatched::default(),
@@ -92,18 +88,17 @@ impl LinUdpBus {
 
     /// Takes in what is in the socket and hands each datagram to the station of its sender.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
-        let LinUdpBus { net, stations, by_address, unmatched, .. } = self;
+        let LinUdpBus { net, stations, senders, unmatched, .. } = self;
         for _ in 0..MOST_BATCHES {
             let taken = net.receive(&mut |datagram| {
-                let found = by_address.binary_search_by_key(datagram.from.ip(), |(ip, _, _)| *ip);
-                let Some((_, port, index)) = found.ok().and_then(|place| by_address.get(place)) else {
+                let Some((index, is_its_port)) = senders.find(&datagram.from) else {
                     unmatched.datagrams += 1;
                     return;
                 };
-                let (Some(station), Some(slot)) = (stations.get_mut(*index), slots.get_mut(*index)) else {
+                let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
                     return;
                 };
-                if datagram.from.port() != *port {
+                if !is_its_port {
                     slot.counters.foreign += 1;
                 } else if datagram.truncated {
                     slot.counters.malformed += 1;
@@ -120,6 +115,45 @@ impl LinUdpBus {
                 }
             }
         }
+    }
+}
+
+/// The drives by their addresses.
+#[derive(Debug)]
+struct Senders {
+    /// Those of the drives, in slot order.
+    peers: Box<[SocketAddrV4]>,
+    /// In order, each with its drive.
+    by_address: Box<[(Ipv4Addr, usize)]>,
+    /// The drive after the last one that was found: replies mostly come in the order of their requests.
+    next: usize,
+}
+
+impl Senders {
+    fn new(peers: &[SocketAddrV4]) -> Senders {
+        let mut by_address: Box<[_]> =
+            peers.iter().enumerate().map(|(index, peer)| (*peer.ip(), index)).collect();
+        by_address.sort_unstable();
+        Senders { peers: peers.into(), by_address, next: 0 }
+    }
+
+    /// The drive with this address, and whether it is its port.
+    #[inline]
+    fn find(&mut self, from: &SocketAddrV4) -> Option<(usize, bool)> {
+        let found = match self.peers.get(self.next) {
+            Some(peer) if peer == from => (self.next, true),
+            _ => self.search(from)?,
+        };
+        let behind = found.0 + 1;
+        self.next = if behind < self.peers.len() { behind } else { 0 };
+        Some(found)
+    }
+
+    #[inline(never)]
+    fn search(&self, from: &SocketAddrV4) -> Option<(usize, bool)> {
+        let place = self.by_address.binary_search_by_key(from.ip(), |(ip, _)| *ip).ok()?;
+        let (_, index) = *self.by_address.get(place)?;
+        Some((index, self.peers.get(index)?.port() == from.port()))
     }
 }
 
@@ -146,7 +180,8 @@ impl Bus for LinUdpBus {
         self.net.memory(regions);
         self.outbox.memory(regions);
         regions.add(&*self.stations);
-        regions.add(&*self.by_address);
+        regions.add(&*self.senders.peers);
+        regions.add(&*self.senders.by_address);
         for station in &self.stations {
             station.memory(regions);
         }

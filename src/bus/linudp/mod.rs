@@ -7,7 +7,8 @@
 //! | `curve` | time curves and encoder cams |
 //! | `table` | the drive's command table |
 //! | `station` | the master's view of one drive: identity of replies, feedback |
-//! | `profile` | what is desired as blocks of a request, counts and their echo, and what replies prove |
+//! | `profile` | what is desired as blocks of a request, and what replies prove |
+//! | `channel` | the motion command interface: counts and their echo |
 //! | `other` | another master's commands, by their counts |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
@@ -23,6 +24,7 @@
 #![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-linudp.md"))]
 
 pub mod bus;
+mod channel;
 #[cfg(feature = "config")]
 mod config;
 pub mod curve;

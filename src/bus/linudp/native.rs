@@ -59,7 +59,7 @@ pub(super) struct NativePort {
 
 /// Both ends.
 pub(super) fn native() -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(Telegram::of(Time(0), false, &[]));
+    let (writer, reader) = cell::cell(Telegram { at: Time(0), running: false, length: 0, bytes: [0; ROOM] });
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
     let port = NativePort { inputs: writer, outputs: consumer, running: false, regions };
@@ -94,8 +94,16 @@ impl NativePort {
         self.running = running;
     }
 
+    #[inline]
     pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
-        self.inputs.write(&Telegram::of(at, self.running, telegram));
+        let telegram = &telegram[..telegram.len().min(ROOM)];
+        let (words, rest) = telegram.as_chunks();
+        let mut last = [0; 8];
+        last[..rest.len()].copy_from_slice(rest);
+        // Those behind its end keep their values: nobody reads them.
+        let front = Telegram::front(at, self.running, telegram.len());
+        let words = words.iter().chain((!rest.is_empty()).then_some(&last));
+        self.inputs.write_words(front.into_iter().chain(words.map(|bytes| u64::from_le_bytes(*bytes))));
     }
 
     /// The next output; one with a motion only if the motion channel is `free`.
@@ -127,22 +135,23 @@ struct Telegram {
 /// Room for the longest telegram, in whole words. Bytes after its blocks are never read.
 const ROOM: usize = RESPONSE_MAX.next_multiple_of(8);
 
+/// Words before its bytes.
+const FRONT: usize = 2;
+
 impl Telegram {
-    fn of(at: Time, running: bool, telegram: &[u8]) -> Telegram {
-        let mut bytes = [0; ROOM];
-        let length = telegram.len().min(ROOM);
-        bytes[..length].copy_from_slice(&telegram[..length]);
-        Telegram { at, running, length, bytes }
+    #[inline]
+    fn front(at: Time, running: bool, length: usize) -> [u64; FRONT] {
+        [at.0, u64::from(running) << 63 | length as u64]
     }
 }
 
 impl Packed for Telegram {
-    type Words = [u64; 3 + ROOM / 8];
+    type Words = [u64; FRONT + ROOM / 8];
 
     fn pack(&self) -> Self::Words {
         let mut words = Self::Words::default();
-        (words[0], words[1], words[2]) = (self.at.0, u64::from(self.running), self.length as u64);
-        for (word, bytes) in words[3..].iter_mut().zip(self.bytes.as_chunks().0) {
+        words[..FRONT].copy_from_slice(&Telegram::front(self.at, self.running, self.length));
+        for (word, bytes) in words[FRONT..].iter_mut().zip(self.bytes.as_chunks().0) {
             *word = u64::from_le_bytes(*bytes);
         }
         words
@@ -150,10 +159,15 @@ impl Packed for Telegram {
 
     fn unpack(words: &Self::Words) -> Telegram {
         let mut bytes = [0; ROOM];
-        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[3..]) {
+        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[FRONT..]) {
             *bytes = word.to_le_bytes();
         }
-        Telegram { at: Time(words[0]), running: words[1] != 0, length: words[2] as usize, bytes }
+        Telegram {
+            at: Time(words[0]),
+            running: words[1] >> 63 != 0,
+            length: (words[1] << 1 >> 1) as usize,
+            bytes,
+        }
     }
 }
 

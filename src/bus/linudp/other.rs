@@ -61,6 +61,11 @@ impl OtherMaster {
         self.strange > 0
     }
 
+    /// Another clean reply with the count of the newest one changes nothing.
+    pub(super) fn is_settled(&self) -> bool {
+        self.strange == 0 && (self.newest.is_none() || self.newest == self.stored)
+    }
+
     /// A clean reply with this count; `None`: the drive is not in operation. True if it proves another master.
     #[inline]
     pub(super) fn take(&mut self, count: Option<u8>) -> bool {

@@ -5,11 +5,11 @@
 //!
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
+use super::channel::MotionChannel;
 use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, Velocity};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{LinUdpDrive, StreamCommand};
 use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
-use crate::axis::Failure;
 use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;
 use crate::axis::units::Units;
@@ -28,11 +28,6 @@ const VELOCITY: f64 = 0.1;
 const ACCELERATION: f64 = 0.01;
 /// The demand ends exactly at its target; a micrometre is left to its rounding, counts.
 const ARRIVAL: f64 = 10.0;
-/// A motion command whose echo has not come after so many answered exchanges is sent again with another count (sheet,
-/// 4.1: one such case was seen on real hardware) ...
-const ECHO_WITHIN: u32 = 5;
-/// ... and given up after so many counts.
-const MOST_COUNTS: u32 = 4;
 
 /// What the drive reported last, as far as its profile needs it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -76,11 +71,18 @@ pub(super) struct Outputs {
 }
 
 /// The serials that a request carries.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Serials {
     power: u64,
     motion: u64,
     row: u64,
+}
+
+impl Serials {
+    #[inline]
+    fn of(desired: &Desired) -> Serials {
+        Serials { power: desired.power.serial, motion: desired.motion.serial, row: desired.setpoint.row }
+    }
 }
 
 /// The profile of one drive.
@@ -90,9 +92,6 @@ pub(super) struct Profile {
     stream: Option<StreamCommand>,
     inhibit_after_ns: u64,
     voltage: Voltage,
-    /// What the prepared request is built for.
-    motion: u64,
-    row: u64,
     /// What the prepared request carries, and the last one that went out.
     prepared: Serials,
     sent: Serials,
@@ -110,6 +109,11 @@ pub(super) struct Profile {
     /// The native output of the next request. It stays until that has gone out: a request may be built more than
     /// once for one send, and a send may fail.
     native: Option<NativeOutput>,
+    /// Native mode runs.
+    is_native: bool,
+    /// The newest reply was clean and proves all that was sent: the next one that says the same proves the same, and
+    /// the requests carry the control word alone, until something else is desired.
+    steady: bool,
 }
 
 /// Whether the drive lets its power stage come on, as the requests allow it.
@@ -163,8 +167,6 @@ impl Profile {
             stream: drive.stream,
             inhibit_after_ns: nanos(drive.inhibit_after),
             voltage: Voltage::Unknown,
-            motion: 0,
-            row: 0,
             prepared: Serials::default(),
             sent: Serials::default(),
             control: None,
@@ -175,29 +177,50 @@ impl Profile {
             refused: None,
             native_control: None,
             native: None,
+            is_native: false,
+            steady: false,
         }
+    }
+
+    /// Another clean reply that says the same proves the same.
+    #[inline]
+    pub(super) fn is_steady(&self) -> bool {
+        self.steady
+    }
+
+    /// The next request has the blocks of the last one: the control word alone, or none.
+    #[inline]
+    pub(super) fn repeats(&self, desired: &Desired) -> bool {
+        self.steady && self.prepared == Serials::of(desired)
+    }
+
+    /// The control word of the prepared request.
+    #[inline]
+    pub(super) fn control(&self) -> Option<ControlWord> {
+        self.control
     }
 
     /// The blocks of the next request.
     pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> Outputs {
         let Desired { power, motion, setpoint, .. } = desired;
-        if motion.serial != self.motion {
-            self.motion = motion.serial;
+        let serials = Serials::of(desired);
+        let before = std::mem::replace(&mut self.prepared, serials);
+        self.steady &= before == serials;
+        if motion.serial != before.motion {
             self.begin(motion.value, inputs, native);
         }
-        if setpoint.row != self.row {
-            self.row = setpoint.row;
+        if setpoint.row != before.row {
             // Otherwise a stream was replaced before its row left, and this is the setpoint before that.
             if setpoint.row > self.sent.row {
                 self.stream_row(setpoint, inputs);
             }
         }
-        self.prepared = Serials { power: power.serial, motion: motion.serial, row: setpoint.row };
         let owner = match motion.value {
             Motion::Native(owner) => Some(owner),
             _ => None,
         };
-        native.runs(owner.is_some());
+        self.is_native = owner.is_some();
+        native.runs(self.is_native);
         if let Some(owner) = owner {
             self.take_native(owner, inputs, native);
         }
@@ -232,7 +255,15 @@ impl Profile {
     }
 
     /// The last built request has gone out.
+    #[inline]
     pub(super) fn sent(&mut self) {
+        if !self.steady {
+            self.note_sent();
+        }
+    }
+
+    #[inline(never)]
+    fn note_sent(&mut self) {
         self.sent = self.prepared;
         self.control_before = std::mem::replace(&mut self.control_sent, self.control);
         self.native = None;
@@ -242,12 +273,17 @@ impl Profile {
     /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
     /// next command is sent.
     pub(super) fn drive_restarted(&mut self) {
+        self.steady = false;
         self.channel.clear();
         self.native_control = self.native_control.map(|_| ControlWord::BASE);
     }
 
     /// What a reply proves; `clean`: it can be no older one.
     pub(super) fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
+        self.steady = clean
+            && !self.is_native
+            && self.sent == self.prepared
+            && (self.control_before, self.control_sent) == (self.control, self.control);
         if let Some(echo) = inputs.state.count() {
             if clean && self.sent.row != 0 && self.channel.count == Some(echo) {
                 evidence.accepted.row = self.sent.row;
@@ -274,6 +310,7 @@ impl Profile {
         if !operates {
             Self::prove_state(inputs, evidence);
         }
+        self.steady &= self.channel.is_settled();
     }
 
     /// In any other state than operation.
@@ -363,7 +400,10 @@ impl Profile {
             Voltage::Present => Voltage::Missing { since: at, lost: true },
             missing @ Voltage::Missing { .. } => missing,
         };
-        matches!(self.voltage, Voltage::Missing { since, lost } if lost || at.since(since) >= self.inhibit_after_ns)
+        let Voltage::Missing { since, lost } = self.voltage else { return false };
+        // Time alone may make it true.
+        self.steady = false;
+        lost || at.since(since) >= self.inhibit_after_ns
     }
 }
 
@@ -382,111 +422,3 @@ fn control(power: Power, motion: Motion) -> Option<ControlWord> {
         },
     })
 }
-
-/// The motion command interface of one drive: a command runs only if its count differs from the last one it stored.
-///
-/// From the first agreement on the master chooses the counts by itself: the count of an older reply is no news (sheet,
-/// 2.4). The echo of a command counts only in a clean reply to a request that carried it.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct MotionChannel {
-    /// The count of the newest command; before the first one, the count that the drive has stored, as far as known.
-    pub(super) count: Option<u8>,
-    /// The count in the last reply, however old that was: no command gets this one.
-    reported: Option<u8>,
-    /// The command under way, or accepted and not over.
-    command: Option<MotionCommand>,
-    /// The command is to be repeated until its echo comes.
-    pending: bool,
-    /// A request with it has gone out.
-    sent: bool,
-    /// Clean replies with its echo, the last one included.
-    echoes: u32,
-    /// Clean replies without it since it was sent with this count.
-    answers: u32,
-    counts_used: u32,
-}
-
-impl MotionChannel {
-    /// Puts `command` into the next requests, until its echo comes.
-    pub(super) fn send(&mut self, command: MotionCommand) {
-        *self = MotionChannel { command: Some(command), pending: true, ..self.next_count() };
-    }
-
-    /// Puts a streamed setpoint into the next requests; its echo is not awaited, since the next row has the next
-    /// count.
-    pub(super) fn stream(&mut self, command: MotionCommand) {
-        *self = MotionChannel { command: Some(command), pending: false, ..self.next_count() };
-    }
-
-    fn next_count(&self) -> MotionChannel {
-        let after = |count: u8| count.wrapping_add(1) & 0xF;
-        let count = after(self.count.or(self.reported).unwrap_or(0));
-        let count = if self.reported == Some(count) { after(count) } else { count };
-        MotionChannel { count: Some(count), reported: self.reported, ..MotionChannel::default() }
-    }
-
-    /// Removes the command; the counts stay.
-    pub(super) fn clear(&mut self) {
-        *self = MotionChannel { count: self.count, reported: self.reported, ..MotionChannel::default() };
-    }
-
-    /// The request with the block has gone out.
-    pub(super) fn sent(&mut self) {
-        self.sent = self.command.is_some();
-    }
-
-    /// No command is under way: there is none, or the drive has it.
-    pub(super) fn is_free(&self) -> bool {
-        self.command.is_none() || self.is_accepted()
-    }
-
-    /// The last clean reply had the echo of the command.
-    pub(super) fn is_accepted(&self) -> bool {
-        self.pending && self.echoes > 0
-    }
-
-    /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
-    /// `Err` when the drive accepts none of the counts.
-    pub(super) fn take(&mut self, echo: u8, clean: bool, foreign: bool) -> Result<(), Failure> {
-        self.reported = Some(echo);
-        let Some(command) = self.command else {
-            // The first agreement. A reply that may be older says nothing of the present: the count after its own may
-            // be the very one that the drive has stored.
-            if clean {
-                self.count.get_or_insert(echo);
-            }
-            return Ok(());
-        };
-        if !self.sent {
-            // The drive has the chosen count already, and would ignore the command.
-            if self.count == Some(echo) {
-                self.count = self.next_count().count;
-            }
-        } else if self.pending && clean && self.count == Some(echo) {
-            (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
-        } else if self.pending && clean {
-            self.answers += 1;
-            // An old request, delivered once more, has run in the drive since it accepted the command. Another
-            // master's is answered by no motion: whether it is one, the next replies show.
-            let replaced = self.echoes > 0 && (!foreign || command.is_stop());
-            if replaced || self.answers > ECHO_WITHIN {
-                if self.counts_used + 1 >= MOST_COUNTS {
-                    self.clear();
-                    return Err(Failure::NotTaken);
-                }
-                let counts_used = self.counts_used + 1;
-                self.send(command);
-                self.counts_used = counts_used;
-            }
-        }
-        Ok(())
-    }
-
-    /// The block of the next request.
-    pub(super) fn block(&self) -> Option<MotionBlock> {
-        self.command.filter(|_| !self.is_accepted()).map(|command| command.block(self.count.unwrap_or(0)))
-    }
-}
-
-#[cfg(test)]
-mod tests;

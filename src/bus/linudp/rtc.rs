@@ -65,6 +65,8 @@ pub(super) struct RtcChannel {
     /// A call that commands the drive ended without the drive's answer: it may still be carried out, until the drive
     /// has stored a later command.
     unsettled: bool,
+    /// Calls that command the drive are refused.
+    guarded: bool,
     monitor: Monitor,
 }
 
@@ -182,6 +184,7 @@ impl RtcChannel {
             software_stopped: false,
             forgotten: false,
             unsettled: false,
+            guarded: false,
             monitor: Monitor::new(sources),
         }
     }
@@ -189,6 +192,13 @@ impl RtcChannel {
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.port.memory(regions);
+    }
+
+    /// There is nothing to send, and nothing to wait for; `guarded` is known.
+    #[inline]
+    pub(super) fn is_idle(&self, guarded: bool) -> bool {
+        let busy = self.active.is_some() | self.unsettled | self.prepared.is_some() | !self.monitor.is_done();
+        !busy && self.guarded == guarded && self.port.is_empty()
     }
 
     /// The block of the next request, if the channel has something to send. The same until the request has gone
@@ -201,6 +211,7 @@ impl RtcChannel {
         guarded: bool,
     ) -> Option<RtcBlock> {
         self.now = now;
+        self.guarded = guarded;
         self.port.guard(guarded);
         let down = matches!(link, Link::Unseen | Link::Lost);
         if down {

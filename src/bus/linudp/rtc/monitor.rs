@@ -30,6 +30,12 @@ impl Monitor {
         (self.shown, self.channel, self.writing, self.tries) = ([false; 4], 0, false, 0);
     }
 
+    /// All channels are set, or given up.
+    #[inline]
+    pub(super) fn is_done(&self) -> bool {
+        self.channel >= self.sources.len()
+    }
+
     pub(super) fn next(&mut self) -> Option<Call> {
         while let Some(source) = self.sources.get(self.channel) {
             let Some(source) = source else {

@@ -48,6 +48,8 @@ mod field {
     pub const MOTION: usize = 32;
     pub const CONFIG: usize = super::RtcBlock::SIZE;
     pub const PARAMETERS: usize = 30;
+    /// Response blocks 0 ... 3.
+    pub const FRONT: usize = 12;
 
     /// Bytes of response blocks 0 ... 7, in bit order.
     pub const RESPONSE: [u8; 8] = [2, 2, 4, 4, 2, 2, 2, 16];
@@ -154,6 +156,8 @@ impl ResponseDef {
     pub const MONITOR: ResponseDef = ResponseDef(1 << 7);
     /// Real-time config. If it is set together with [`RequestDef::CONFIG`], the exception above does not matter.
     pub const CONFIG: ResponseDef = ResponseDef(1 << 8);
+    /// Status, state and positions.
+    pub const FRONT: ResponseDef = ResponseDef(0xF);
     /// Status, state, positions, current, warnings and error: everything that a cycle needs.
     pub const CYCLIC: ResponseDef = ResponseDef(0x7F);
 
@@ -289,6 +293,20 @@ impl<'a> ResponseView<'a> {
         self.response
     }
 
+    /// Its first four blocks, which each reply to a master has; one that is missing is 0.
+    #[inline]
+    pub fn front(&self) -> Front {
+        match self.response.contains(ResponseDef::FRONT) {
+            true => chunk(self.bytes, field::HEADER).map(Front::from_bytes).unwrap_or_default(),
+            false => Front {
+                status: self.status().unwrap_or_default(),
+                state: self.state().unwrap_or_default(),
+                actual: self.actual().unwrap_or_default(),
+                demand: self.demand().unwrap_or_default(),
+            },
+        }
+    }
+
     #[inline]
     fn block<const N: usize>(&self, block: ResponseDef) -> Option<[u8; N]> {
         if !self.response.contains(block) {
@@ -359,6 +377,32 @@ impl<'a> ResponseView<'a> {
             return None;
         }
         chunk(self.bytes, self.response.config_at()).map(RtcBlock::from_bytes)
+    }
+}
+
+/// The first four blocks of a response.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Front {
+    /// Status word.
+    pub status: StatusWord,
+    /// State variable.
+    pub state: StateVar,
+    /// Actual position, 0.1 um.
+    pub actual: i32,
+    /// Demand position, 0.1 um.
+    pub demand: i32,
+}
+
+impl Front {
+    #[inline]
+    fn from_bytes(bytes: [u8; field::FRONT]) -> Front {
+        let [a, b, c, d, actual @ .., w, x, y, z] = bytes;
+        Front {
+            status: StatusWord(u16::from_le_bytes([a, b])),
+            state: StateVar(u16::from_le_bytes([c, d])),
+            actual: i32::from_le_bytes(actual),
+            demand: i32::from_le_bytes([w, x, y, z]),
+        }
     }
 }
 

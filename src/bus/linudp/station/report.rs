@@ -1,0 +1,194 @@
+//! An accepted reply: what it reports in user units, and what it proves.
+
+use super::Station;
+use crate::axis::units::Unwrap;
+use crate::axis::{State, Units};
+use crate::bus::Slot;
+use crate::bus::linudp::plan::MonitorPlan;
+use crate::bus::linudp::profile::Inputs;
+use crate::bus::linudp::wire::{Front, MainState, ResponseView, StateVar, StatusWord};
+use crate::time::Time;
+
+/// The positions since the drive started: a new one begins when it boots.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Track {
+    actual: Unwrap,
+    demand: Unwrap,
+    /// Of the last clean reply, for velocities.
+    last: Option<Counts>,
+}
+
+/// Positions of one reply, unwrapped, 0.1 um.
+#[derive(Clone, Copy, Debug)]
+struct Counts {
+    at: Time,
+    actual: i64,
+    demand: i64,
+}
+
+impl Track {
+    /// The positions of the next reply.
+    #[inline]
+    fn next(&mut self, at: Time, front: &Front, units: &Units) -> Counts {
+        // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
+        match units.modulo {
+            None => Counts { at, actual: front.actual.into(), demand: front.demand.into() },
+            Some(_) => {
+                Counts { at, actual: self.actual.next(front.actual), demand: self.demand.next(front.demand) }
+            }
+        }
+    }
+}
+
+impl Station {
+    /// The values of an accepted reply.
+    #[inline]
+    pub(super) fn read(&mut self, at: Time, view: &ResponseView<'_>, suspect: bool, slot: &mut Slot) {
+        let front = view.front();
+        let rehomed = front.status.homed() != self.inputs.status.homed();
+        let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
+        let settled = same && !suspect && self.settled && self.profile.is_steady();
+        if !settled {
+            self.watch_start(&front, slot);
+        }
+        let Slot { status: report, notices, evidence, .. } = &mut *slot;
+        let counts = self.track.next(at, &front, &self.units);
+        // A homing gives the positions another origin: that was no motion.
+        if let Some(last) = self.track.last
+            && at > last.at
+            && !suspect
+            && !rehomed
+        {
+            let rate = self.units.distance(1e9 / at.since(last.at) as f64);
+            report.velocity = (counts.actual - last.actual) as f64 * rate;
+            evidence.demand_velocity = (counts.demand - last.demand) as f64 * rate;
+        }
+        if !suspect {
+            self.track.last = Some(counts);
+        }
+        self.inputs.demand = counts.demand;
+        notices.fresh = true;
+        report.at = at;
+        let place = |count: i64| self.units.distance(count as f64) + self.units.offset;
+        (evidence.position, evidence.demand) = (place(counts.actual), place(counts.demand));
+        report.position = self.units.folded(evidence.position);
+        report.demand = self.units.folded(evidence.demand);
+        // Blocks that this reply does not have are as in the last one that had them.
+        report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
+        report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
+        if !settled {
+            self.prove(at, view, &front, suspect, slot);
+        }
+        if !suspect {
+            self.take_config(view, slot);
+        }
+        self.native.publish(at, view.bytes());
+    }
+
+    /// Whether the drive has started anew, or is about to.
+    #[inline(never)]
+    fn watch_start(&mut self, front: &Front, slot: &mut Slot) {
+        let booting = is_booting(front);
+        if booting && self.inputs.seen && !self.inputs.booting {
+            slot.notices.restarted = true;
+            self.profile.drive_restarted();
+            self.rtc.drive_restarted();
+        }
+        if !booting && self.inputs.booting {
+            self.rtc.software_runs();
+        }
+        if booting || self.inputs.booting {
+            // Earlier positions, and those reported while booting, are no base for differences.
+            self.track = Track::default();
+            (slot.status.velocity, slot.evidence.demand_velocity) = (0.0, 0.0);
+        }
+    }
+
+    /// What the states of a reply report and prove.
+    #[inline(never)]
+    fn prove(&mut self, at: Time, view: &ResponseView<'_>, front: &Front, suspect: bool, slot: &mut Slot) {
+        let Slot { status: report, notices, evidence, .. } = slot;
+        let Front { status, state, .. } = *front;
+        if !suspect {
+            notices.other_master |= self.other.take(state.count());
+        }
+        let (foreign, booting) = (self.other.is_in_doubt(), is_booting(front));
+        self.inputs = Inputs { seen: true, foreign, booting, status, state, demand: self.inputs.demand };
+        self.profile.take(&self.inputs, !suspect, evidence);
+        report.suspect = suspect;
+        report.state = drive_state(status, state, booting);
+        report.homed = status.homed();
+        if !suspect {
+            // A reply to an earlier request may answer another control word.
+            report.inhibited = self.profile.inhibited(at, &self.inputs);
+        }
+        report.moving = self.inputs.moving();
+        report.in_target = status.in_target();
+        let fault = view.error().unwrap_or_default();
+        report.fault = if status.error() { u32::from(fault.0) } else { 0 };
+        self.settled = !booting && !status.error() && self.other.is_settled();
+    }
+
+    /// The monitored values, and the answer on the real-time-config channel.
+    #[inline]
+    fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
+        // The values first: they were taken before the answer that reports the change of their sources.
+        let shown = self.monitor != MonitorPlan::Off;
+        if shown {
+            self.show(view, slot);
+        }
+        match view.config() {
+            Some(block) => self.rtc.take(block),
+            None => self.rtc.take_none(),
+        }
+        if shown && let Some(refused) = self.rtc.take_monitor_refusal() {
+            slot.notices.monitor_refused = Some(refused);
+        }
+    }
+
+    /// The monitored values.
+    #[inline(never)]
+    fn show(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
+        let Some(raw) = view.monitor() else { return };
+        let value = |channel: usize| match self.monitor {
+            MonitorPlan::Off => None,
+            MonitorPlan::AsSet => Some(f64::from(raw[channel])),
+            MonitorPlan::Sources(sources) => {
+                let source = sources[channel].filter(|_| self.rtc.monitors(channel))?;
+                Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
+            }
+        };
+        slot.status.monitor = std::array::from_fn(value);
+        slot.notices.monitor_fresh = true;
+    }
+}
+
+/// Status word and state var are 0: booting, or the motion software is stopped.
+fn is_booting(front: &Front) -> bool {
+    (front.status, front.state) == (StatusWord::default(), StateVar::default())
+}
+
+/// Maps LinMot's states onto those of CiA 402.
+///
+/// An error being logged (3) and the quick stop of an error (14 with the error bit) are the fault reaction; aborting
+/// and freezing hold the axis under control after a quick stop.
+fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
+    if booting {
+        return State::NotReadyToSwitchOn;
+    }
+    match state.main() {
+        MainState::NOT_READY => State::NotReadyToSwitchOn,
+        MainState::SWITCH_ON_DISABLED => State::SwitchOnDisabled,
+        MainState::READY_TO_SWITCH_ON => State::ReadyToSwitchOn,
+        MainState::SETUP_ERROR => State::FaultReactionActive,
+        MainState::ERROR => State::Fault,
+        MainState::HW_TESTS | MainState::READY_TO_OPERATE | MainState::BRAKE_DELAY | MainState(7) => {
+            State::SwitchedOn
+        }
+        MainState::QUICK_STOP if status.error() => State::FaultReactionActive,
+        MainState::QUICK_STOP | MainState::ABORTING | MainState::FREEZING => State::QuickStopActive,
+        MainState(8..=20) => State::OperationEnabled,
+        // A state of newer firmware: treated as powered, so that nothing is powered off because of it.
+        _ => State::SwitchedOn,
+    }
+}
