@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::fs;
 use std::io;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,7 +18,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use nix::sys::socket::{getsockopt, sockopt};
+use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt};
 use serde_json::{Value, json};
 use thiserror::Error;
 
@@ -37,6 +37,10 @@ const MOST_CONVERSATIONS: usize = 16;
 
 /// Whole requests that wait for a conversation to end; each has its descriptor.
 const MOST_WAITING: usize = 32;
+
+/// How often the server looks whether it is to end while it has no conversation: a client and the end wake it up at
+/// once.
+const LOOK_IDLE_EVERY: Duration = Duration::from_secs(60);
 
 /// Bytes of a question. The longest of this program is a series of 64 calls.
 const LONGEST_QUESTION: usize = 16 << 10;
@@ -67,6 +71,7 @@ fn remedy(error: &io::Error) -> &'static str {
 #[derive(Debug)]
 pub struct Server {
     path: PathBuf,
+    listener: Arc<UnixListener>,
     end: Arc<AtomicBool>,
     failed: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -113,13 +118,15 @@ impl Server {
         let failed = |error| ServeError::Io { path: path.to_owned(), error };
         let listener = listen(path)?;
         listener.set_nonblocking(true).map_err(failed)?;
+        let listener = Arc::new(listener);
+        let listening = Arc::clone(&listener);
         let (end, failed_flag) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
         let (ending, has_failed) = (Arc::clone(&end), Arc::clone(&failed_flag));
         let thread = std::thread::Builder::new()
             .name("fb-control".into())
             .spawn(move || {
                 prepare();
-                let go_on = || !ending.load(Ordering::Relaxed);
+                let go_on = || !ending.load(Ordering::Acquire);
                 let serve_one = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
                     // Whoever went away or talks nonsense is not answered, and that is all.
                     let work = AssertUnwindSafe(|| {
@@ -139,9 +146,11 @@ impl Server {
                         let mut clients = Clients::new(PATIENCE, LONGEST_QUESTION);
                         let (mut waiting, mut under_way) = (VecDeque::new(), Vec::<Arc<Conversation>>::new());
                         while go_on() {
-                            let accept = || listener.accept().map(|(stream, _)| stream);
+                            let accept = || listening.accept().map(|(stream, _)| stream);
                             let is_whole = |said: &[u8]| said.contains(&b'\n');
-                            waiting.extend(clients.turn(listener.as_fd(), LOOK_EVERY, accept, is_whole));
+                            let idle = under_way.is_empty() && waiting.is_empty();
+                            let timeout = if idle { LOOK_IDLE_EVERY } else { LOOK_EVERY };
+                            waiting.extend(clients.turn(listening.as_fd(), timeout, accept, is_whole));
                             waiting.truncate(MOST_WAITING);
                             under_way.retain(|one| !one.ended.load(Ordering::Relaxed));
                             while under_way.len() < MOST_CONVERSATIONS
@@ -170,7 +179,7 @@ impl Server {
                 }
             })
             .map_err(failed)?;
-        Ok(Server { path: path.to_owned(), end, failed: failed_flag, thread: Some(thread) })
+        Ok(Server { path: path.to_owned(), listener, end, failed: failed_flag, thread: Some(thread) })
     }
 
     /// Whether one of its threads panicked.
@@ -186,7 +195,9 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.end.store(true, Ordering::Relaxed);
+        self.end.store(true, Ordering::Release);
+        // Ends the wait for the listener. Its result is not needed.
+        let _ = shutdown(self.listener.as_raw_fd(), Shutdown::Both);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }

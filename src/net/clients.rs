@@ -126,6 +126,8 @@ impl<S: Stream> Clients<S> {
                 // The client went away before it was taken in.
                 Err(error)
                     if matches!(error.kind(), ErrorKind::ConnectionAborted | ErrorKind::Interrupted) => {}
+                // The listener was shut down: its server ends.
+                Err(error) if error.kind() == ErrorKind::InvalidInput => break,
                 // No descriptor or no memory, perhaps: room is made, and the kernel is called again later.
                 Err(_) => {
                     if !self.drop_oldest() {

@@ -28,8 +28,8 @@ use crate::net::clients::Clients;
 use crate::rt;
 use crate::telemetry::Monitor;
 
-/// How often the thread looks whether it is to end, at least.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often the thread looks whether it is to end, at least: a client and the end wake it up at once.
+const LOOK_EVERY: Duration = Duration::from_secs(60);
 
 /// A client has so long to ask and to take its answer.
 pub const PATIENCE: Duration = Duration::from_secs(5);
