@@ -42,6 +42,9 @@ const MOST: usize = 1_024;
 /// Wide apart, so that each has its own samples around it.
 const APART: Duration = Duration::from_millis(25);
 
+/// Longer than a late cycle is followed by closer samples.
+const QUIET: Duration = Duration::from_millis(300);
+
 /// The classes, in the order of the matrix.
 const CLASSES: [&str; 7] = ["preempted", "page fault", "work", "host", "timer", "drive", "other"];
 
@@ -318,6 +321,17 @@ fn short_work() -> Found {
     bench.disturb(ROUNDS, |bench| bench.tell(|tasks| &tasks.work))
 }
 
+/// After so much quiet that the thread which takes the samples takes few.
+fn work_after_quiet() -> Found {
+    let usual = |cycle: &mut CyclePlan| (cycle.period_ns, cycle.late_ns) = (MS, None);
+    let bench = Bench::with(9, Realtime::Require, Guard::Off, usual);
+    bench.tasks.work_ns.store(250 * US, Ordering::Relaxed);
+    bench.disturb(ROUNDS / 2, |bench| {
+        sleep(QUIET);
+        bench.tell(|tasks| &tasks.work)
+    })
+}
+
 /// While the thread that takes the samples is held up for 150 ms at a time.
 fn unwatched_work() -> Found {
     let bench = Bench::start(8, Realtime::Require, Guard::Off);
@@ -429,11 +443,12 @@ fn what_is_found_is_what_was_done() {
         }
     }
     type Row = (&'static str, usize, usize, fn() -> Found);
-    let rows: [Row; 8] = [
+    let rows: [Row; 9] = [
         ("preempted", 0, ROUNDS, preempted),
         ("page fault", 1, ROUNDS, page_fault),
         ("work", 2, ROUNDS, work),
         ("short work", 2, ROUNDS, short_work),
+        ("after quiet", 2, ROUNDS / 2, work_after_quiet),
         (UNWATCHED, 2, ROUNDS / 2, unwatched_work),
         ("host", 3, 2 * ROUNDS, host),
         ("timer", 4, ROUNDS, timer),

@@ -1,6 +1,8 @@
 //! What the kernel reports of another thread of this process, for a normal thread that watches the loop.
 //!
-//! Reads /proc, so that the watched thread pays nothing. Knows nothing of cycles.
+//! Reads /proc, so that the watched thread pays nothing. Its times cost about a microsecond and are read for each
+//! sample; the counts are in files that take the kernel some hundred times as long to write, and are read now and then.
+//! Knows nothing of cycles.
 
 use std::fs::File;
 use std::io;
@@ -18,6 +20,15 @@ pub struct ThreadSample {
     pub run_ns: u64,
     /// Time that it could have run and waited for a processor, ns.
     pub delay_ns: u64,
+    /// The newest counts, from this sample or from an earlier one.
+    pub counts: ThreadCounts,
+}
+
+/// What is read less often than the times.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ThreadCounts {
+    /// When they were read: what is counted later happened later.
+    pub at: Time,
     /// Page faults, modulo 2^32.
     pub faults: u32,
     /// Involuntary context switches, modulo 2^32.
@@ -36,7 +47,7 @@ pub struct ThreadWatch {
     core: Option<usize>,
     /// For /proc/stat up to the line of that core; with many cores it is long.
     buffer: Vec<u8>,
-    steal_ms: u64,
+    counts: ThreadCounts,
 }
 
 impl ThreadWatch {
@@ -55,23 +66,33 @@ impl ThreadWatch {
             all: File::open("/proc/stat")?,
             core,
             buffer,
-            steal_ms: 0,
+            counts: ThreadCounts::default(),
         })
     }
 
-    /// The totals now; `None` once the thread has ended, or where the kernel keeps none.
-    pub fn sample(&mut self) -> Option<ThreadSample> {
-        let mut buffer = [0; 4096];
+    /// The totals now; `None` once the thread has ended, or where the kernel keeps none. The counts are read anew if
+    /// they are as old as `counts_every_ns`.
+    pub fn sample(&mut self, counts_every_ns: u64) -> Option<ThreadSample> {
+        let now = MonotonicClock::read();
+        if self.counts.at == Time::default() || now.since(self.counts.at) >= counts_every_ns {
+            self.read_counts()?;
+        }
+        let mut buffer = [0; 128];
         let (run_ns, delay_ns) = times(read(&self.schedstat, &mut buffer)?)?;
+        Some(ThreadSample { at: MonotonicClock::read(), run_ns, delay_ns, counts: self.counts })
+    }
+
+    fn read_counts(&mut self) -> Option<()> {
+        let mut buffer = [0; 4096];
         let faults = faults(read(&self.stat, &mut buffer)?)?;
         let switches = switches(read(&self.status, &mut buffer)?)?;
+        let at = MonotonicClock::read();
         // Text after the last line break is cut off.
         let all = read(&self.all, &mut self.buffer).and_then(|stat| Some(stat.rsplit_once('\n')?.0));
-        if let Some(steal_ms) = all.and_then(|stat| host::steal_ms_of(stat, self.core)) {
-            self.steal_ms = steal_ms;
-        }
-        let steal_ms = self.steal_ms;
-        Some(ThreadSample { at: MonotonicClock::read(), run_ns, delay_ns, faults, switches, steal_ms })
+        let steal_ms =
+            all.and_then(|stat| host::steal_ms_of(stat, self.core)).unwrap_or(self.counts.steal_ms);
+        self.counts = ThreadCounts { at, faults, switches, steal_ms };
+        Some(())
     }
 }
 
@@ -135,16 +156,20 @@ mod tests {
             wait.recv().unwrap();
         });
         let mut watch = ThreadWatch::open(reported.recv().unwrap(), None).unwrap();
-        let before = watch.sample().unwrap();
+        let before = watch.sample(0).unwrap();
         go.send(()).unwrap();
         reported.recv().unwrap();
-        let after = watch.sample().unwrap();
-        assert!(after.at > before.at && after.run_ns > before.run_ns, "{before:?} {after:?}");
-        assert!(after.faults.wrapping_sub(before.faults) >= 32, "{before:?} {after:?}");
+        // Its times are new, its counts are not old enough.
+        let between = watch.sample(u64::MAX).unwrap();
+        assert!(between.at > before.at && between.run_ns > before.run_ns, "{before:?} {between:?}");
+        assert_eq!(between.counts, before.counts);
+        let after = watch.sample(0).unwrap();
+        assert!(after.counts.at > before.counts.at, "{before:?} {after:?}");
+        assert!(after.counts.faults.wrapping_sub(before.counts.faults) >= 32, "{before:?} {after:?}");
         go.send(()).unwrap();
         thread.join().unwrap();
         // The kernel wakes who joins a thread before it removes the thread's files.
-        while watch.sample().is_some() {
+        while watch.sample(u64::MAX).is_some() {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
     }

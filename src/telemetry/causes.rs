@@ -16,12 +16,16 @@
 //! | the samples around it are too far apart to assign their delays; or its record was lost | unknown |
 //!
 //! A bound of half, because the delay and what explains it are never measured between the same two instants.
+//!
+//! The times of the thread are read often: the longer a span, the less can be said of one cycle in it. Its counts, which
+//! are dearer, need only be known from some time before a late cycle. The loop reads its own after each late one, and is
+//! disturbed so seldom otherwise that a tenth of a second before is as good as right before.
 
 use std::collections::VecDeque;
 
 use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Look, Record, Reply, SkippedRecord, Stage};
 use crate::cycle::{CyclePlan, Wait};
-use crate::rt::watch::ThreadSample;
+use crate::rt::watch::{ThreadCounts, ThreadSample};
 use crate::time::{MS, S, Time};
 
 /// The cause of a late cycle.
@@ -77,7 +81,8 @@ pub struct Judged {
 /// How many of the newest judgements are kept one by one.
 const MOST_JUDGED: usize = 1024;
 
-/// How long after a late wake-up a rise of the steal time still explains it: it is counted in ticks of 10 ms.
+/// How long after a late wake-up a rise of the steal time still explains it: it is counted in ticks of 10 ms, and read
+/// some ten times a second.
 const STEAL_TELLS_NS: u64 = S;
 
 /// How fast what is usual is learned: the weight of one more value.
@@ -136,8 +141,9 @@ struct Span {
     delay_ns: u64,
     /// Ran beyond the usual, ns.
     run_ns: u64,
-    /// At its begin.
-    look: Look,
+    /// The newest counts at its begin.
+    counts: ThreadCounts,
+    /// By how much the steal time was found risen at its end, ms.
     steal_ms: u64,
 }
 
@@ -276,6 +282,11 @@ impl Causes {
         self.pending.push_back(late);
     }
 
+    /// Whether a cycle was late since the newest sample.
+    pub fn is_late(&self) -> bool {
+        self.late
+    }
+
     /// Takes a sample in, after all records from before it, and finds the causes that it shows.
     pub fn sample(&mut self, sample: ThreadSample) {
         if let Some(before) = self.newest.replace(sample) {
@@ -299,8 +310,8 @@ impl Causes {
                 to: sample.at,
                 delay_ns: delay_ns.saturating_sub(usual[1]),
                 run_ns: ran_ns.saturating_sub(usual[0]),
-                look: Look { faults: before.faults, switches: before.switches },
-                steal_ms: sample.steal_ms.saturating_sub(before.steal_ms),
+                counts: before.counts,
+                steal_ms: sample.counts.steal_ms.saturating_sub(before.counts.steal_ms),
             });
         }
         (self.cycles, self.late) = (0, false);
@@ -473,11 +484,13 @@ impl Late {
         }
     }
 
-    /// Whether a count rose since the look before, or since the sample before if that is newer.
+    /// Whether a count rose since the look before, or since the counts before if those are newer.
     fn rose(&self, span: &Span, count: fn(&Look) -> u32) -> bool {
         let (before, Some(own)) = &self.looks else { return false };
-        let before = before.as_ref().filter(|(at, _)| *at > span.from).map_or(&span.look, |(_, look)| look);
-        count(own) != count(before)
+        let ThreadCounts { at, faults, switches, .. } = span.counts;
+        let before =
+            before.filter(|(looked, _)| *looked > at).map_or(Look { faults, switches }, |(_, look)| look);
+        count(own) != count(&before)
     }
 }
 

@@ -20,10 +20,18 @@ use crate::cycle::status::Numbers;
 use crate::cycle::{CyclePlan, Plan};
 use crate::rt::Granted;
 use crate::rt::watch::ThreadWatch;
-use crate::time::S;
+use crate::time::{MS, S};
 
-/// How often the ring is emptied, and the loop's thread looked at.
-const EMPTY_EVERY: Duration = Duration::from_millis(5);
+/// How often the ring is emptied, and the times of the loop's thread are read: each wake-up has its price.
+const EMPTY_EVERY: Duration = Duration::from_millis(20);
+
+/// The same for [`CLOSELY_NS`] after a late cycle. One more is likely to follow, and what the thread usually runs in a
+/// cycle is learned between them only.
+const EMPTY_CLOSELY_EVERY: Duration = Duration::from_millis(5);
+const CLOSELY_NS: u64 = 250 * MS;
+
+/// How often what the kernel counted against the loop's thread is read: it takes some hundred microseconds.
+const COUNT_EVERY_NS: u64 = 100 * MS;
 
 /// What the ring holds: the thread is a normal one, and on a busy host it waits for its turn far longer than it sleeps.
 /// With room for 100 ms, 5 923 records of 4 s were lost next to a compiler on every core.
@@ -259,10 +267,18 @@ impl Recorder {
             prepare();
             let recording = Arc::clone(&shared);
             let work = move || {
+            let mut late_at = None;
             let mut look = || {
-                if let Some(sample) = watch.as_mut().and_then(ThreadWatch::sample) {
-                    shared.read().causes.sample(sample);
+                let Some(sample) = watch.as_mut().and_then(|watch| watch.sample(COUNT_EVERY_NS)) else {
+                    return EMPTY_EVERY;
+                };
+                let causes = &mut shared.read().causes;
+                if causes.is_late() {
+                    late_at = Some(sample.at);
                 }
+                causes.sample(sample);
+                let closely = late_at.is_some_and(|at| sample.at.since(at) < CLOSELY_NS);
+                if closely { EMPTY_CLOSELY_EVERY } else { EMPTY_EVERY }
             };
             look();
             loop {
@@ -277,7 +293,7 @@ impl Recorder {
                         }
                     }
                 }
-                look();
+                let wait = look();
                 if let Some(black_box) = &mut black_box {
                     if shared.black_box.swap(false, Ordering::AcqRel) {
                         black_box.ask();
@@ -295,7 +311,8 @@ impl Recorder {
                 if last {
                     break;
                 }
-                std::thread::sleep(EMPTY_EVERY);
+                // Until then, or until the end is requested.
+                std::thread::park_timeout(wait);
             }
             };
             if catch_unwind(AssertUnwindSafe(work)).is_err() {
@@ -336,6 +353,7 @@ impl Recorder {
     fn end(&mut self) {
         self.recording.end.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
             let _ = thread.join();
         }
     }
@@ -351,7 +369,6 @@ impl Drop for Recorder {
 mod tests {
     use super::*;
     use crate::cycle::record::DriveRecord;
-    use crate::time::MS;
 
     #[test]
     fn the_newest_emergencies_are_kept_and_all_are_numbered() {

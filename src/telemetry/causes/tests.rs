@@ -12,6 +12,8 @@ struct Loop {
     late: u64,
     /// Involuntary switches since the sample.
     switches: u32,
+    /// The counts are not read with the next samples.
+    times_only: bool,
 }
 
 const LATE_NS: u64 = 100 * US;
@@ -21,7 +23,7 @@ impl Loop {
         let mut causes = Causes::new(&CyclePlan::default(), true);
         let sample = ThreadSample::default();
         causes.sample(sample);
-        let mut one = Loop { causes, sample, index: 0, late: 0, switches: 0 };
+        let mut one = Loop { causes, sample, index: 0, late: 0, switches: 0, times_only: false };
         one.quiet(20);
         one
     }
@@ -38,8 +40,8 @@ impl Loop {
     fn enter(&mut self, mut record: CycleRecord, faults: u32) {
         if record.lateness(LATE_NS, 500 * US).is_some() {
             self.late += 1;
-            let switches = self.sample.switches + self.switches;
-            record.look = Some(Look { faults: self.sample.faults + faults, switches });
+            let switches = self.sample.counts.switches + self.switches;
+            record.look = Some(Look { faults: self.sample.counts.faults + faults, switches });
         }
         self.causes.record(&Record::Cycle(record));
         self.index += 1;
@@ -57,14 +59,21 @@ impl Loop {
 
     /// The sample after five cycles, with this much more than usual.
     fn tick(&mut self, run_ns: u64, delay_ns: u64, faults: u32, steal_ms: u64) {
+        let before = self.sample.counts;
         self.sample = ThreadSample {
             at: self.grid(),
             run_ns: self.sample.run_ns + 5 * 50 * US + run_ns,
             delay_ns: self.sample.delay_ns + 2 * US + delay_ns,
-            faults: self.sample.faults + faults,
-            switches: self.sample.switches + std::mem::take(&mut self.switches),
-            steal_ms: self.sample.steal_ms + steal_ms,
+            counts: ThreadCounts {
+                at: self.grid(),
+                faults: before.faults + faults,
+                switches: before.switches + std::mem::take(&mut self.switches),
+                steal_ms: before.steal_ms + steal_ms,
+            },
         };
+        if self.times_only {
+            self.sample.counts = before;
+        }
         self.causes.sample(self.sample);
     }
 
@@ -132,7 +141,7 @@ fn an_overrun_without_a_late_stage_is_its_longest_one_or_the_gap_behind() {
             count: 1,
             given_up_ns,
             late: true,
-            look: Some(Look { faults: one.sample.faults, switches: one.sample.switches }),
+            look: Some(Look { faults: one.sample.counts.faults, switches: one.sample.counts.switches }),
             ..SkippedRecord::default()
         };
         one.causes.record(&Record::Skipped(skipped));
@@ -174,6 +183,19 @@ fn two_late_cycles_in_one_span_have_their_own_faults() {
     (0..3).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(1_500 * US, 0, 7, 0);
     assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Commands), 1)]);
+}
+
+#[test]
+fn counts_that_are_read_seldom_show_each_fault_once() {
+    let mut one = Loop::new();
+    one.times_only = true;
+    // The loop itself has seen them since, and the counts of the samples are older than that.
+    for faults in [7, 7, 8] {
+        one.enter(took(&one, Stage::Commands, 800), faults);
+        (0..4).for_each(|_| one.enter(one.cycle(), 0));
+        one.tick(750 * US, 0, 0, 0);
+    }
+    assert_eq!(one.found(), [(Cause::PageFault, 2), (Cause::Work(Stage::Commands), 1)]);
 }
 
 #[test]
