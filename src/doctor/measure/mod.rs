@@ -3,27 +3,31 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | what is compared, and the results |
+//! | `mod` | what is compared |
+//! | `results` | what was measured |
+//! | `findings` | what follows from it |
 //! | `slice` | one slice: a thread set up in one way |
 //! | `glance` | what this host carries, in half a second |
 //!
 //! It measures wake-ups, the part of a cycle that the host decides; the loop's own work comes on top.
 
+mod findings;
 mod glance;
+mod results;
 mod slice;
 
 pub use glance::{Glance, MOST_DISTURBED, glance};
-use serde::Serialize;
 
+use self::findings::{HELPS, HURTS};
+pub(super) use self::findings::{percent, word};
+pub use self::results::{Carries, Factor, Latency, Measured, Noise, Untried};
 use super::Subject;
 use super::facts::on_a_thread;
-use super::finding::{Area, Finding};
-use super::stats::{Interval, Sample, over_rounds};
+use super::stats::{Interval, Sample};
 use crate::cycle::Guard;
 use crate::rt::thread::{fifo, permitted_cores};
 use crate::rt::{GuardTuner, Realtime, RealtimeError, host, memory};
-use crate::telemetry::summary::plural;
-use crate::time::{MS, Ns, S, US};
+use crate::time::{MS, S, US};
 use slice::Setting;
 
 /// How thoroughly.
@@ -49,151 +53,6 @@ pub struct Progress<'a> {
     pub what: &'a str,
     /// The share of all that is done.
     pub done: f64,
-}
-
-/// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample
-/// does not support is null.
-#[derive(Clone, Debug, Serialize)]
-pub struct Measured {
-    /// The wanted share of late cycles.
-    pub miss_rate: f64,
-    /// The period that the factors and cores were measured at.
-    pub period_ns: u64,
-    /// The plan had SCHED_FIFO.
-    pub fifo: bool,
-    /// What each thing is worth.
-    pub factors: Vec<Factor>,
-    /// What could not be tried.
-    pub untried: Vec<Untried>,
-    /// What takes the core from a thread that never sleeps.
-    pub noise: Noise,
-    /// The plan at its own period, over all slices that ran as planned.
-    pub plan: Carries,
-    /// The plan at other periods, shortest first; its own one among them.
-    pub periods: Vec<Carries>,
-    /// The shortest of these periods that was carried, and so were all longer ones.
-    pub shortest_period_ns: Option<u64>,
-    /// Time that the hypervisor took from all cores meanwhile, ms.
-    pub steal_ms: Option<u64>,
-}
-
-/// One thing, without and with.
-#[derive(Clone, Debug, Serialize)]
-pub struct Factor {
-    /// What.
-    pub name: String,
-    /// Wake-up latency without it.
-    pub without: Latency,
-    /// Wake-up latency with it.
-    pub with: Latency,
-    /// Median with / without.
-    pub p50_ratio: Option<Interval>,
-    /// 99 % quantile with / without.
-    pub p99_ratio: Option<Interval>,
-    /// How to have it, where it helps and the plan has it not.
-    pub fix: Option<String>,
-}
-
-impl Factor {
-    /// How to have what only `with` has.
-    fn remedy(without: &Setting, with: &Setting) -> String {
-        match () {
-            () if with.core != without.core => format!("core = {} in [cycle]", with.core),
-            () if with.awake && !without.awake => {
-                "hold /dev/cpu_dma_latency, as tuned does with the profile of rt-config/host/tuned/"
-                    .to_owned()
-            }
-            () if with.guarded && !without.guarded => {
-                "guard = \"auto\" in [cycle]; it costs its share of the core".to_owned()
-            }
-            () => "realtime = \"require\" in [cycle]".to_owned(),
-        }
-    }
-}
-
-/// Wake-up latency.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Latency {
-    /// Wake-ups.
-    pub count: usize,
-    /// Median.
-    pub p50_ns: Option<f64>,
-    /// 99 % quantile.
-    pub p99_ns: Option<f64>,
-    /// Longest.
-    pub max_ns: Option<u64>,
-}
-
-/// Something that could not be tried.
-#[derive(Clone, Debug, Serialize)]
-pub struct Untried {
-    /// What.
-    pub name: String,
-    /// Why, with the remedy.
-    pub why: String,
-}
-
-/// Interruptions of a thread that looks at the clock without pause.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Noise {
-    /// For so long it looked.
-    pub looked_ns: u64,
-    /// A longer look counts.
-    pub gap_ns: u64,
-    /// How many did.
-    pub gaps: u64,
-    /// The longest.
-    pub longest_ns: u64,
-    /// All of them.
-    pub taken_ns: u64,
-}
-
-/// How a period is carried.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Carries {
-    /// The period.
-    pub period_ns: u64,
-    /// From when on a wake-up was late.
-    pub late_ns: u64,
-    /// Wake-ups, passed-over slots among them.
-    pub cycles: usize,
-    /// Late ones.
-    pub late: usize,
-    /// Their share.
-    pub share: f64,
-    /// The share that may lie behind this sample, at most, with 95 % confidence.
-    pub at_most: f64,
-}
-
-impl Carries {
-    /// Of slices with so many late of so many cycles.
-    fn of(period_ns: u64, late_ns: u64, slices: &[(usize, usize)]) -> Carries {
-        let sum = |slices: &mut dyn Iterator<Item = (usize, usize)>| {
-            slices.fold((0, 0), |(late, cycles), (more, all)| (late + more, cycles + all))
-        };
-        let (late, cycles) = sum(&mut slices.iter().copied());
-        let share = |(late, cycles): (usize, usize)| late as f64 / cycles.max(1) as f64;
-        // Late cycles come in bursts, so that slices are drawn and not cycles; and few or none of them say less than
-        // the slices show.
-        let drawn = over_rounds(slices.len(), |chosen| {
-            share(sum(&mut chosen.iter().filter_map(|slice| slices.get(*slice).copied())))
-        });
-        let at_most = drawn.high.max(poisson_bound(late) / cycles.max(1) as f64).min(1.0);
-        Carries { period_ns, late_ns, cycles, late, share: share((late, cycles)), at_most }
-    }
-
-    /// Whether it was late no more often than wanted.
-    fn is_carried(&self, miss_rate: f64) -> bool {
-        self.cycles > 0 && self.share <= miss_rate
-    }
-}
-
-/// The upper end of a one-sided 95 % interval of a Poisson mean of which `count` were seen: 3 for none ("rule of
-/// three"). By Wilson and Hilferty's cube root, within a per cent.
-fn poisson_bound(count: usize) -> f64 {
-    const Z: f64 = 1.645;
-    let n = count as f64 + 1.0;
-    (n * (1.0 - 1.0 / (9.0 * n) + Z / (3.0 * n.sqrt())).powi(3)).max(3.0)
 }
 
 /// One way to run, and its wake-ups.
@@ -399,7 +258,7 @@ impl Bench<'_> {
     /// The plan at shorter and longer periods, with as many cycles each. What is late is the same share of each period.
     fn periods(&mut self) -> Result<Vec<Carries>, RealtimeError> {
         let (own, late_ns) = (self.subject.cycle.period_ns, self.subject.cycle.late_ns());
-        let periods = ladder(own);
+        let periods = periods_around(own);
         let all: Vec<(Setting, u64)> = periods.iter().map(|period_ns| (self.base, *period_ns)).collect();
         let contenders = self.compete("periods", &all, PERIODS)?;
         let carries = |contender: &Contender| {
@@ -442,261 +301,21 @@ impl Bench<'_> {
     }
 }
 
-/// Periods around the plan's: two shorter ones, and two longer ones where they do not take all the time.
-fn ladder(own: u64) -> Vec<u64> {
+/// Around the plan's: two shorter ones, and two longer ones where they do not take all the time.
+fn periods_around(own: u64) -> Vec<u64> {
     let shorter = [own / 4, own / 2].into_iter().filter(|period_ns| *period_ns >= 50 * US);
     let longer = [own * 2, own * 4].into_iter().filter(|period_ns| *period_ns <= LONGEST_PERIOD_NS);
     shorter.chain([own]).chain(longer).collect()
 }
 
-impl Measured {
-    /// What follows for the plan.
-    pub fn findings(&self, subject: &Subject) -> Vec<Finding> {
-        vec![self.hardware_noise(subject), self.late_cycles(), self.shortest(subject)]
-    }
-
-    fn hardware_noise(&self, subject: &Subject) -> Finding {
-        let late_ns = subject.cycle.late_ns();
-        let Noise { looked_ns, gap_ns, gaps, longest_ns, taken_ns } = self.noise;
-        let finding = Finding::about(
-            Area::Measured,
-            "hardware noise",
-            format!("no gap of {} or more", Ns(late_ns)),
-            match self.fifo {
-                true => {
-                    "interrupts, firmware and the host of a virtual machine take the core from a thread that never \
-                     sleeps, whatever its priority"
-                }
-                false => "without SCHED_FIFO, other programs take the core too",
-            },
-        );
-        let share = taken_ns as f64 * 100.0 / looked_ns.max(1) as f64;
-        let found = match gaps {
-            0 => format!("no gap above {} in {}", Ns(gap_ns), Ns(looked_ns)),
-            count => format!(
-                "{} above {} in {}, the longest {}, {share:.3} % of the time",
-                plural(count, "gap"),
-                Ns(gap_ns),
-                Ns(looked_ns),
-                Ns(longest_ns)
-            ),
-        };
-        match longest_ns < late_ns {
-            true => finding.good(found),
-            false => finding.poor(found).advise(
-                "isolate the core, and move interrupts to other cores\n\
-                 `rtla hwnoise` separates firmware (SMI) from interrupts\n\
-                 in a virtual machine, pin its processors on its host",
-            ),
-        }
-    }
-
-    fn late_cycles(&self) -> Finding {
-        let Carries { period_ns, late_ns, cycles, late, share, at_most } = self.plan;
-        let miss_rate = self.miss_rate;
-        let finding = Finding::about(
-            Area::Measured,
-            format!("late cycles at {}", Ns(period_ns)),
-            format!("{} at most", percent(miss_rate)),
-            format!(
-                "a wake-up more than {} after its grid point is late, and so is a skipped slot",
-                Ns(late_ns)
-            ),
-        );
-        let found = format!(
-            "{late} of {cycles} ({}); the true share is {} at most (95 % confidence)",
-            percent(share),
-            percent(at_most)
-        );
-        let enough = (3.0 / miss_rate).ceil();
-        match () {
-            () if share > miss_rate => {
-                let fix = match self.shortest_period_ns {
-                    Some(shortest) if shortest > period_ns => format!("period = \"{}\" in [cycle]\nor ", key(shortest)),
-                    _ => String::new(),
-                };
-                let fix = fix + "fix what is poor, use what helps below, and measure again";
-                finding.bad(found).advise(fix)
-            }
-            () if at_most > miss_rate => finding.unknown(format!(
-                "{found}; certain only after {enough} cycles without a late one (--for), or with a larger --miss-rate"
-            )),
-            () => finding.good(found),
-        }
-    }
-
-    fn shortest(&self, subject: &Subject) -> Finding {
-        let period_ns = subject.cycle.period_ns;
-        let finding = Finding::about(
-            Area::Measured,
-            "shortest period",
-            format!("{} or shorter", Ns(period_ns)),
-            format!(
-                "the shortest period tried at which, as at all longer ones, {} of the cycles at most were late",
-                percent(self.miss_rate)
-            ),
-        );
-        let carried = self
-            .shortest_period_ns
-            .and_then(|shortest| self.periods.iter().find(|period| period.period_ns == shortest));
-        match carried {
-            Some(Carries { period_ns: shortest, late_ns, cycles, late, at_most, .. }) => {
-                let found = format!(
-                    "{} (late limit {}: {late} of {cycles}, {} at most)",
-                    Ns(*shortest),
-                    Ns(*late_ns),
-                    percent(*at_most)
-                );
-                match *shortest <= period_ns {
-                    true if *at_most > self.miss_rate => finding
-                        .unknown(format!("{found}; too few cycles to be certain, a longer --for gives more")),
-                    true => finding.good(found),
-                    false => finding.poor(found).advise("as for the late cycles"),
-                }
-            }
-            None => finding.poor("none of the periods tried").advise("as for the late cycles"),
-        }
-    }
-}
-
-/// A time as the configuration has it: `4ms`.
-fn key(ns: u64) -> String {
-    Ns(ns).to_string().replace(' ', "")
-}
-
-/// A share as a person reads it: two digits, and 0 is 0.
-pub(super) fn percent(share: f64) -> String {
-    let percent = share * 100.0;
-    let digits = match percent {
-        0.0 => 0,
-        10.0.. => 0,
-        _ => (1.0 - percent.log10().floor()).clamp(0.0, 9.0) as usize,
-    };
-    let text = format!("{percent:.digits$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-    format!("{text} %")
-}
-
-const HELPS: &str = "helps";
-const HURTS: &str = "hurts";
-
-/// What a ratio with its interval says of latency.
-pub(super) fn word(ratio: &Interval) -> &'static str {
-    match ratio {
-        Interval { high, .. } if *high < 0.95 => HELPS,
-        Interval { low, .. } if *low > 1.05 => HURTS,
-        _ => "undecided",
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::facts::testing::subject;
-    use super::slice::GAP_NS;
     use super::*;
-    use crate::doctor::Verdict::{Bad, Good, Poor, Unknown};
-
-    #[test]
-    fn the_bound_of_few_is_that_of_poisson() {
-        // Tables of the Poisson distribution: 95 % one-sided upper limits.
-        for (count, bound) in [(0, 2.996), (1, 4.744), (2, 6.296), (5, 10.513), (10, 16.962), (100, 118.1)] {
-            let ours = poisson_bound(count);
-            assert!((ours / bound - 1.0).abs() < 0.01, "{count}: {ours} {bound}");
-        }
-    }
-
-    #[test]
-    fn a_sample_never_says_more_than_it_holds() {
-        let none = Carries::of(MS, 100 * US, &[(0, 500); 6]);
-        assert_eq!((none.cycles, none.late, none.share, none.at_most), (3_000, 0, 0.0, 0.001));
-        // One bad slice of six: the burst may come again.
-        let burst = Carries::of(MS, 100 * US, &[(0, 500), (60, 500), (0, 500), (0, 500), (0, 500), (0, 500)]);
-        assert_eq!((burst.late, burst.share), (60, 0.02));
-        assert!(burst.at_most > 0.03, "{}", burst.at_most);
-        let empty = Carries::of(MS, 100 * US, &[]);
-        assert!(empty.at_most == 1.0 && !empty.is_carried(1.0), "{empty:?}");
-    }
-
-    fn measured(plan: &[(usize, usize)], periods: &[(u64, usize)]) -> Measured {
-        let of =
-            |(period_ns, late): &(u64, usize)| Carries::of(*period_ns, period_ns / 10, &[(*late, 10_000)]);
-        let periods: Vec<Carries> = periods.iter().map(of).collect();
-        let shortest = periods.iter().rev().take_while(|period| period.is_carried(1e-3)).last();
-        Measured {
-            miss_rate: 1e-3,
-            period_ns: MS,
-            fifo: true,
-            factors: Vec::new(),
-            untried: Vec::new(),
-            noise: Noise { looked_ns: S, gap_ns: GAP_NS, gaps: 2, longest_ns: 30 * US, taken_ns: 50 * US },
-            plan: Carries::of(MS, 100 * US, plan),
-            shortest_period_ns: shortest.map(|period| period.period_ns),
-            periods,
-            steal_ms: Some(0),
-        }
-    }
-
-    #[test]
-    fn late_cycles_are_judged_by_what_the_sample_supports() {
-        let late = |plan: &[(usize, usize)]| measured(plan, &[(MS, 50), (2 * MS, 0)]).late_cycles();
-        let good = late(&[(0, 1_000); 10]);
-        assert_eq!((good.verdict, good.name.as_str()), (Good, "late cycles at 1 ms"));
-        assert_eq!(good.found, "0 of 10000 (0 %); the true share is 0.03 % at most (95 % confidence)");
-        let few = late(&[(0, 1_000)]);
-        assert_eq!(few.verdict, Unknown);
-        assert!(
-            few.found.contains("0.3 % at most") && few.found.contains("only after 3000 cycles"),
-            "{}",
-            few.found
-        );
-        let bad = late(&[(2, 1_000); 10]);
-        assert_eq!(
-            (bad.verdict, bad.fix.unwrap().lines().next()),
-            (Bad, Some("period = \"2ms\" in [cycle]"))
-        );
-    }
-
-    #[test]
-    fn the_shortest_period_has_no_gap_above_it() {
-        let shortest = |periods: &[(u64, usize)]| measured(&[(0, 10_000)], periods).shortest(&subject());
-        let all = shortest(&[(250 * US, 0), (500 * US, 11), (MS, 2), (2 * MS, 0)]);
-        assert_eq!(all.verdict, Good);
-        assert!(all.found.starts_with("1 ms (late limit 100 us: 2 of 10000, "), "{}", all.found);
-        // As often as wanted, but it may as well be more often.
-        let unsure = shortest(&[(MS, 10), (2 * MS, 0)]);
-        assert!(unsure.verdict == Unknown && unsure.found.contains("too few cycles"), "{unsure:?}");
-        assert_eq!(shortest(&[(MS, 11), (2 * MS, 0)]).verdict, Poor);
-        assert_eq!(shortest(&[(MS, 0), (2 * MS, 11)]).found, "none of the periods tried");
-    }
-
-    #[test]
-    fn noise_matters_from_where_cycles_are_late() {
-        let mut measured = measured(&[(0, 1)], &[]);
-        let quiet = measured.hardware_noise(&subject());
-        assert_eq!(quiet.verdict, Good);
-        assert_eq!(quiet.found, "2 gaps above 10 us in 1 s, the longest 30 us, 0.005 % of the time");
-        measured.noise.longest_ns = 100 * US;
-        assert_eq!(measured.hardware_noise(&subject()).verdict, Poor);
-    }
 
     #[test]
     fn periods_lie_around_the_plans_and_take_their_time() {
-        assert_eq!(ladder(MS), [250 * US, 500 * US, MS, 2 * MS, 4 * MS]);
-        assert_eq!(ladder(50 * US), [50 * US, 100 * US, 200 * US]);
-        assert_eq!(ladder(S), [250 * MS, 500 * MS, S]);
-    }
-
-    #[test]
-    fn shares_show_two_digits() {
-        for (share, text) in [
-            (0.0, "0 %"),
-            (1e-3, "0.1 %"),
-            (2.996e-4, "0.03 %"),
-            (0.0123, "1.2 %"),
-            (0.5, "50 %"),
-            (1.0, "100 %"),
-        ] {
-            assert_eq!(percent(share), text);
-        }
+        assert_eq!(periods_around(MS), [250 * US, 500 * US, MS, 2 * MS, 4 * MS]);
+        assert_eq!(periods_around(50 * US), [50 * US, 100 * US, 200 * US]);
+        assert_eq!(periods_around(S), [250 * MS, 500 * MS, S]);
     }
 }
