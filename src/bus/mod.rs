@@ -10,7 +10,7 @@
 //! | `profile` | what is desired as process data, and what the replies prove | commands, sockets |
 //! | `station` | the master's view of one drive: identity of replies, its reports, the next request | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
-//! | `config` | its keys in a configuration | other protocols |
+//! | `config`, `tools` | its keys in a configuration, its own commands of the program | other protocols |
 //!
 //! `tests/conformance` tests this contract clause by clause, for every protocol.
 
@@ -18,6 +18,9 @@ pub mod desired;
 pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub mod tools;
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -50,6 +53,9 @@ pub struct Protocol {
     /// Reads the keys of a `[[bus]]`. What is wrong is noted on the table.
     #[cfg(feature = "config")]
     pub(crate) read: fn(&mut Table<'_>, &mut Machine) -> Box<dyn BusPlan>,
+    /// The commands that it adds to the program.
+    #[cfg(feature = "cli")]
+    pub tools: &'static [tools::Tool],
 }
 
 /// All protocols; the next one is a folder, and one line more.

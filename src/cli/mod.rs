@@ -6,22 +6,21 @@ mod blackbox;
 mod check;
 mod demo;
 mod doctor;
-mod ethercat;
 mod handler;
 mod interrupt;
-mod linmot;
 mod live;
 mod manual;
 mod masters;
 mod meter;
-mod motion;
 mod output;
+mod own;
 mod param;
 mod reach;
 mod run;
 mod service;
 mod sim;
 mod status;
+mod tools;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -30,6 +29,7 @@ use std::time::Duration;
 use anstyle::AnsiColor;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use fieldbeat::bus::tools::Stop;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 /// A hard-real-time cyclic master for servo drives.
@@ -56,11 +56,8 @@ enum Command {
     Status(status::Status),
     /// Parameters of a drive: through its running master, or else by a master of its own that moves nothing.
     Param(param::Param),
-    /// Curves, command table, error log and software of a LinMot drive.
-    #[command(name = "linmot")]
-    LinMot(linmot::LinMot),
-    /// The slaves of an EtherCAT segment.
-    Ethercat(ethercat::Ethercat),
+    #[command(flatten)]
+    Added(tools::Added),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
     /// How well this host suits real time, and how to fix it; changes nothing.
@@ -69,25 +66,6 @@ enum Command {
     Completions(manual::Completions),
     /// The manual page of this program.
     Man(manual::Manual),
-}
-
-/// Why a command ended otherwise than well: what to print, and the exit code.
-#[derive(Debug)]
-struct Stop {
-    code: u8,
-    message: String,
-}
-
-impl Stop {
-    /// Bad arguments or configuration: nothing was sent.
-    fn usage(message: impl ToString) -> Stop {
-        Stop { code: 2, message: message.to_string() }
-    }
-
-    /// The run failed.
-    fn failed(message: impl ToString) -> Stop {
-        Stop { code: 1, message: message.to_string() }
-    }
 }
 
 /// Parses the arguments and runs the command.
@@ -104,8 +82,7 @@ pub fn main() -> ExitCode {
         Command::Check(check) => check.run(),
         Command::Status(status) => status.run(),
         Command::Param(param) => param.run(),
-        Command::LinMot(linmot) => linmot.run(),
-        Command::Ethercat(ethercat) => ethercat.run(),
+        Command::Added(added) => added.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Doctor(doctor) => doctor.run(),
         Command::Completions(completions) => completions.run(),

@@ -2,18 +2,13 @@
 
 mod list;
 
-use std::path::PathBuf;
-
 use clap::{Args, Subcommand};
-use fieldbeat::axis::acyclic::{Access, CallError, Notation, NotationError, ParameterError, Request};
-use fieldbeat::bus::ethercat;
-use fieldbeat::bus::ethercat::object::{Target, Type, long};
-use fieldbeat::cycle::Plan;
+use fieldbeat::axis::acyclic::{CallError, Notation, NotationError, ParameterError, Request};
+use fieldbeat::bus::tools::Drive;
 use serde_json::json;
 
 use super::interrupt::Interrupt;
-use super::masters::Wanted;
-use super::reach::{self, Reach};
+use super::reach::Reach;
 use super::{Stop, print};
 use list::List;
 
@@ -34,60 +29,21 @@ enum What {
     List(List),
 }
 
-/// Which drive.
-#[derive(Debug, Args)]
-pub struct Drive {
-    /// The configuration of the machine.
-    config: PathBuf,
-    /// The name of the drive.
-    drive: String,
-    /// The process id of its master, where several of this configuration run.
-    #[arg(long, value_name = "PID")]
-    pid: Option<u32>,
-}
-
-impl Drive {
-    /// Its plan without the other drives, for a master of its own that moves it; refused next to one that runs.
-    pub fn alone(&self) -> Result<(Plan, String), Stop> {
-        let (plan, _) = reach::find(&self.config, &self.drive)?;
-        let wanted = Wanted { config: Some(&self.config), pid: self.pid };
-        if reach::running(wanted, &self.drive)?.is_some() {
-            let why = "a master runs, and it alone moves its drives: end it first";
-            return Err(Stop::failed(format!("drive {}: {why}", self.drive)));
-        }
-        match plan.alone(&self.drive) {
-            Some(plan) => Ok((plan, self.drive.clone())),
-            None => Err(Stop::failed(format!("drive {} cannot be reached alone", self.drive))),
-        }
-    }
-
-    /// What it speaks.
-    fn protocol(&self) -> Result<&'static str, Stop> {
-        let (_, notation) = reach::find(&self.config, &self.drive)?;
-        Ok(notation.protocol())
-    }
-
-    /// The way to it.
-    pub fn reach(&self, interrupt: &Interrupt) -> Result<Reach, Stop> {
-        Reach::open(&self.config, &self.drive, self.pid, |_| Ok(()), interrupt)
-    }
-
-    /// The same to read or write `address`, once `check` has nothing against it.
-    fn reach_to(
-        &self,
-        access: &'static str,
-        address: &str,
-        check: impl FnOnce(&dyn Notation) -> Result<(), NotationError>,
-        interrupt: &Interrupt,
-    ) -> Result<Reach, Stop> {
-        let check = |notation: &dyn Notation| {
-            check(notation).map_err(|error| {
-                let request = Box::new(Request { access, ..Request::read(&self.drive, address) });
-                failed(ParameterError::Notation { request, error })
-            })
-        };
-        Reach::open(&self.config, &self.drive, self.pid, check, interrupt)
-    }
+/// The way to read or write `address` of a drive, once `check` has nothing against it.
+fn reach_to(
+    drive: &Drive,
+    access: &'static str,
+    address: &str,
+    check: impl FnOnce(&dyn Notation) -> Result<(), NotationError>,
+    interrupt: &Interrupt,
+) -> Result<Reach, Stop> {
+    let check = |notation: &dyn Notation| {
+        check(notation).map_err(|error| {
+            let request = Box::new(Request { access, ..Request::read(&drive.drive, address) });
+            failed(ParameterError::Notation { request, error })
+        })
+    };
+    Reach::open(drive, check, interrupt)
 }
 
 #[derive(Debug, Args)]
@@ -124,8 +80,8 @@ impl Param {
         match self.what {
             What::Get(get) => {
                 let check = |notation: &dyn Notation| notation.read(&get.address).map(drop);
-                let reach = get.drive.reach_to("read", &get.address, check, &interrupt)?;
-                let (raw, text) = read(&reach, &get.address).map_err(failed)?;
+                let reach = reach_to(&get.drive, "read", &get.address, check, &interrupt)?;
+                let (raw, text) = reach.access().read_shown(&get.address).map_err(failed)?;
                 tell(&reach, &get.address, raw, &text, get.json)
             }
             What::Set(set) => set.run(&interrupt),
@@ -140,9 +96,9 @@ impl Set {
             let raw = notation.value(&self.address, &self.value)?;
             notation.write(&self.address, raw).map(drop)
         };
-        let reach = self.drive.reach_to("write", &self.address, check, interrupt)?;
+        let reach = reach_to(&self.drive, "write", &self.address, check, interrupt)?;
         let notation = reach.notation();
-        let written = access(&reach).write(&self.address, &self.value).map_err(|error| match error {
+        let written = reach.access().write(&self.address, &self.value).map_err(|error| match error {
             // There is no axis here to disable.
             ParameterError::Failed { why: CallError::Commands, .. } if reach.is_alone() => {
                 Stop::failed(format!(
@@ -157,7 +113,7 @@ impl Set {
         })?;
         let mut values = Vec::new();
         for address in notation.read_back(&self.address) {
-            let read = match access(&reach).read(&address) {
+            let read = match reach.access().read(&address) {
                 Ok(raw) => raw,
                 // What cannot be read was written all the same.
                 Err(ParameterError::Refused { .. }) => written,
@@ -180,10 +136,6 @@ impl Set {
     }
 }
 
-fn access(reach: &Reach) -> Access<'_> {
-    Access { drive: reach.drive(), notation: reach.notation(), carrier: reach.carrier() }
-}
-
 /// What is no address and no number is a mistake of whoever wrote it; the rest is the drive's, or would be.
 fn failed(error: ParameterError) -> Stop {
     match error {
@@ -191,29 +143,6 @@ fn failed(error: ParameterError) -> Stop {
         ParameterError::Notation { .. } => Stop::usage(error),
         _ => Stop::failed(error),
     }
-}
-
-/// The raw value of a parameter, and its text.
-fn read(reach: &Reach, address: &str) -> Result<(u64, String), ParameterError> {
-    let notation = reach.notation();
-    if notation.protocol() == ethercat::PROTOCOL
-        && let Some(target) = Target::parse(address)
-        && (target.complete || target.kind == Some(Type::Text))
-    {
-        return read_long(reach, address, target);
-    }
-    let raw = access(reach).read(address)?;
-    Ok((raw, notation.show(address, raw)))
-}
-
-/// The same of an object that may be longer than a raw value: its first eight bytes are that.
-fn read_long(reach: &Reach, address: &str, target: Target) -> Result<(u64, String), ParameterError> {
-    let notation = reach.notation();
-    let limit = notation.limit(&target.read());
-    let bytes = long::read(reach.carrier(), target, limit)
-        .map_err(|why| Request::read(reach.drive(), address).failed(why, notation))?;
-    let text = if target.complete { long::octets(&bytes) } else { long::text(&bytes) };
-    Ok((long::raw(&bytes), text))
 }
 
 fn tell(reach: &Reach, address: &str, raw: u64, text: &str, as_json: bool) -> Result<(), Stop> {

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::acyclic::{Acyclic, Carrier, Notation};
+use fieldbeat::axis::acyclic::{Access, Acyclic, Carrier, Notation};
+use fieldbeat::bus::tools::Drive;
 use fieldbeat::control::{AskError, Remote};
 use fieldbeat::cycle::Plan;
 use fieldbeat::master::{Master, StartError};
@@ -38,18 +39,16 @@ enum Way {
 }
 
 impl Reach {
-    /// The way to drive `drive` of `config`. What is wrong with the question itself says `check`: nothing was sent
-    /// then.
+    /// The way to `drive`. What is wrong with the question itself says `check`: nothing was sent then.
     pub fn open(
-        config: &Path,
-        drive: &str,
-        pid: Option<u32>,
+        drive: &Drive,
         check: impl FnOnce(&dyn Notation) -> Result<(), Stop>,
         interrupt: &Interrupt,
     ) -> Result<Reach, Stop> {
+        let Drive { config, drive, pid } = drive;
         let (plan, notation) = find(config, drive)?;
         check(&*notation)?;
-        let way = match running(Wanted { config: Some(config), pid }, drive)? {
+        let way = match running(Wanted { config: Some(config), pid: *pid }, drive)? {
             Some(remote) => Way::Running(remote),
             None => alone(&plan, drive, interrupt)?,
         };
@@ -66,18 +65,14 @@ impl Reach {
         &self.drive
     }
 
-    /// Refuses a drive of another protocol.
-    pub fn require_protocol(&self, protocol: &str) -> Result<(), Stop> {
-        let own = self.notation.protocol();
-        match own == protocol {
-            true => Ok(()),
-            false => Err(Stop::usage(format!("drive {} speaks {own}, not {protocol}", self.drive))),
-        }
-    }
-
     /// How it writes addresses.
     pub fn notation(&self) -> &dyn Notation {
         &*self.notation
+    }
+
+    /// Its parameters.
+    pub fn access(&self) -> Access<'_> {
+        Access { drive: &self.drive, notation: &*self.notation, carrier: self.carrier() }
     }
 
     /// The way itself.

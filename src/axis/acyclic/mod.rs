@@ -5,10 +5,12 @@
 //! | `mod` | a call, its answer, why it has none |
 //! | `port` | the executor's end: the loop, one slice per cycle, or a thread outside the loop |
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
+//! | `list` | lists of parameters |
 //! | `parameter` | typed values at addresses in the drive's own notation |
 //!
 //! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
+mod list;
 mod parameter;
 mod port;
 mod queue;
@@ -18,6 +20,8 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+pub(crate) use list::go_on;
+pub use list::{ListError, Listed, Listing, Progress, ReadList, Wanted, Watcher};
 pub use parameter::{
     Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Request, Scalar,
 };

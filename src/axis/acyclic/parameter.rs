@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::list::{ListError, Listing, Wanted};
 use super::{Acyclic, Answer, Call, CallError, CallTicket, Carrier, PostError};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
@@ -49,6 +50,17 @@ pub trait Notation: Debug + Send + Sync {
     /// Whether a drive that returns `read` for `address` has the value that was `written`.
     fn is_same(&self, address: &str, written: u64, read: u64) -> bool {
         self.number(address, written) == self.number(address, read)
+    }
+
+    /// Reads `address` if its value may be longer than a raw value: its first eight bytes, and its text. `None`: it is
+    /// no such address.
+    fn read_long(&self, _carrier: &dyn Carrier, _address: &str) -> Option<Result<(u64, String), CallError>> {
+        None
+    }
+
+    /// How the parameters that are `wanted` are listed. An error is a mistake in what is wanted.
+    fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+        Err(ListError::Wanted(format!("drive {} does not list its parameters", wanted.drive)))
     }
 }
 
@@ -330,6 +342,15 @@ impl Access<'_> {
         let request = Request::read(self.drive, address);
         let call = self.notation.read(address).map_err(|error| request.wrong(error))?;
         self.carry_out(&request, call)
+    }
+
+    /// Reads a parameter of any length: its raw value, or the beginning of it, and its text.
+    pub fn read_shown(&self, address: &str) -> Result<(u64, String), ParameterError> {
+        if let Some(read) = self.notation.read_long(self.carrier, address) {
+            return read.map_err(|why| Request::read(self.drive, address).failed(why, self.notation));
+        }
+        let raw = self.read(address)?;
+        Ok((raw, self.notation.show(address, raw)))
     }
 
     /// Writes a parameter from its text.

@@ -416,7 +416,7 @@ impl Drop for CallTicket {
 pub(crate) mod tests {
     use super::*;
     use crate::axis::{Feedback, cell};
-    use crate::bus::linudp::upid::Upids;
+    use crate::bus::linudp::notation::Upids;
 
     /// Nothing takes this long, however busy the host.
     const LIMIT: Duration = Duration::from_secs(60);

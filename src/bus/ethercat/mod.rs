@@ -7,6 +7,7 @@
 //! | `object` | objects of a drive: what is known of them, how people write them, the contents of its PDOs |
 //! | `plan` | the segment as configured |
 //! | `config` | its keys in a configuration |
+//! | `tools` | `fieldbeat ethercat` |
 //! | `counters` | counters that only EtherCAT has |
 //! | `bus` | stations, devices and frames as one bus |
 //! | `image` | the process data of the segment, and its frames |
@@ -42,6 +43,8 @@ mod service;
 mod slot;
 mod start_up;
 mod station;
+#[cfg(feature = "cli")]
+mod tools;
 
 use super::Protocol;
 pub use bus::EthercatBus;
@@ -64,4 +67,6 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "Kollmorgen S300 ... S700",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "cli")]
+    tools: tools::TOOLS,
 };

@@ -22,15 +22,15 @@
 
 pub mod catalogue;
 pub mod long;
+mod notation;
 pub(crate) mod number;
 pub mod pdo;
 
-use super::wire::mailbox::MailboxError;
-use super::wire::sdo::AbortCode;
-use crate::axis::acyclic::{Call, CallError, Commanding, Notation, NotationError};
+use crate::axis::acyclic::{Call, CallError, Commanding};
 
 pub use super::wire::sdo::Object;
 pub use catalogue::{Access, Drives, Known};
+pub use notation::Objects;
 
 /// The service of a call that reads.
 pub const READ: u32 = 1;
@@ -288,137 +288,12 @@ const fn is_harmless(index: u16) -> bool {
     )
 }
 
-const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a \
-    type (i8, u8, i16, \
-     u16, i32, u32, text)";
-
-/// Addresses and values of drives with objects.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Objects;
-
-impl Objects {
-    fn find(text: &str) -> Result<Target, NotationError> {
-        Target::parse(text).ok_or(NotationError::Address { form: FORM })
-    }
-
-    /// With a type: nothing can be written without.
-    fn typed(text: &str, value: &str) -> Result<(Target, Type), NotationError> {
-        let target = Objects::find(text)?;
-        if target.complete {
-            return Err(NotationError::ReadOnly { instead: "each subindex by itself" });
-        }
-        let Some(kind) = target.kind else {
-            let form = format!("the type of the object behind its address, {text}.u16");
-            return Err(NotationError::Value { value: value.to_owned(), form });
-        };
-        match target.object.known() {
-            Some(known) if known.access == Access::ReadOnly => {
-                Err(NotationError::ReadOnly { instead: "an object that is no actual value" })
-            }
-            _ => Ok((target, kind)),
-        }
-    }
-}
-
-impl Notation for Objects {
-    fn protocol(&self) -> &'static str {
-        super::PROTOCOL
-    }
-
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Objects::find(address).map(Target::read)
-    }
-
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        let (target, kind) = Objects::typed(address, &value.to_string())?;
-        let raw = kind.raw(value as i64);
-        // A number may come with its sign above its bits.
-        let is_number = kind != Type::Text && kind.is_signed() && kind.number(value) == value as i64;
-        // Or with the sign of a number of 32 bits.
-        let is_word = u32::try_from(value).is_ok_and(|word| kind.number(raw) == i64::from(word as i32));
-        match raw == value || is_number || is_word {
-            true => Ok(target.write(raw)),
-            false => {
-                let form = format!("a number of {} bits", 8 * kind.bytes());
-                Err(NotationError::Value { value: value.to_string(), form })
-            }
-        }
-    }
-
-    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-        let (target, kind) = Objects::typed(address, text)?;
-        let wrong = |form: String| NotationError::Value { value: text.to_owned(), form };
-        if kind == Type::Text {
-            return characters(text).ok_or_else(|| wrong("one to eight characters of ASCII".to_owned()));
-        }
-        let (low, high) = match target.object.known() {
-            Some(known) if known.kind == kind => (known.min, known.max),
-            _ => kind.range(),
-        };
-        let number = match text.strip_prefix("0x") {
-            Some(digits) => bits(digits).map(|raw| match kind.raw(raw as i64) == raw {
-                true => kind.number(raw),
-                false => i64::MAX,
-            }),
-            None => text.parse().ok(),
-        };
-        match number {
-            Some(number) if (low..=high).contains(&number) => Ok(kind.raw(number)),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(wrong(format!("a whole number, {low} ... {high}, or its bits as 0x..."))),
-        }
-    }
-
-    fn number(&self, address: &str, raw: u64) -> i64 {
-        Target::parse(address).map_or(raw as i64, |target| target.number(raw))
-    }
-
-    fn show(&self, address: &str, raw: u64) -> String {
-        let target = Target::parse(address);
-        if target.is_some_and(|target| target.complete) {
-            return long::octets(&raw.to_le_bytes());
-        }
-        let Some((target, kind)) = target.and_then(|target| Some((target, target.kind?))) else {
-            return format!("{raw} (0x{raw:X})");
-        };
-        if kind == Type::Text {
-            return long::text(&raw.to_le_bytes());
-        }
-        let raw = kind.raw(raw as i64);
-        let plain = format!("{} (0x{raw:X})", kind.number(raw));
-        match target.object.known().map_or("", |known| known.unit) {
-            "" => plain,
-            unit => format!("{plain} {unit}"),
-        }
-    }
-
-    fn reason(&self, status: u32) -> String {
-        let refused = status.checked_sub(MAILBOX).and_then(|code| u16::try_from(code).ok());
-        match (own_reason(status), refused.map(MailboxError)) {
-            (Some(reason), _) => reason.to_owned(),
-            (None, Some(error)) => format!("the slave cannot use the mailbox message: {error}"),
-            (None, None) => AbortCode(status).to_string(),
-        }
-    }
-}
-
-/// Hexadecimal digits and nothing else.
-fn bits(digits: &str) -> Option<u64> {
-    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
-}
-
-/// Printable characters as raw bits.
-fn characters(text: &str) -> Option<u64> {
-    let is_text = (1..=Type::Text.bytes()).contains(&text.len())
-        && text.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
-    is_text.then(|| text.bytes().rev().fold(0_u64, |raw, byte| raw << 8 | u64::from(byte)))
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::axis::acyclic::{Notation, NotationError};
 
     fn target(text: &str) -> Option<(String, Option<Type>)> {
         Target::parse(text).map(|target| (target.object.to_string(), target.kind))

@@ -6,10 +6,10 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::native::Native;
+use super::notation::Upids;
 use super::plan::{LinUdpPlan, MonitorPlan};
 use super::profile;
 use super::station::Station;
-use super::upid::Upids;
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;

@@ -12,11 +12,12 @@
 //! | `other` | another master's commands, by their counts |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
-//! | `upid` | parameters by number and name |
+//! | `upid`, `notation` | parameters by number and name; how people write and list them |
 //! | `native` | unscaled process data for the application |
 //! | `bus` | all drives on one socket |
 //! | `plan` | the bus as configured |
 //! | `config` | its keys in a configuration |
+//! | `tools` | `fieldbeat linmot` |
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
 //!
@@ -30,6 +31,7 @@ mod config;
 pub mod curve;
 pub mod motion;
 pub mod native;
+pub mod notation;
 mod other;
 pub mod plan;
 mod profile;
@@ -37,6 +39,8 @@ mod rtc;
 pub mod service;
 pub mod station;
 pub mod table;
+#[cfg(feature = "cli")]
+mod tools;
 pub mod upid;
 pub mod wire;
 
@@ -57,4 +61,6 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "LinMot LinUDP V2",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "cli")]
+    tools: tools::TOOLS,
 };

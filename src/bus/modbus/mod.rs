@@ -58,4 +58,6 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "Nidec Unidrive",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "cli")]
+    tools: &[],
 };

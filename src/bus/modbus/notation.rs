@@ -16,9 +16,11 @@
 //! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
 //! count. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
 
+mod list;
+
 use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::ExceptionCode;
-use crate::axis::acyclic::{Call, Notation, NotationError};
+use crate::axis::acyclic::{Call, ListError, Listing, Notation, NotationError, Wanted};
 
 /// The service of a call that reads.
 pub const READ: u32 = 1;
@@ -204,6 +206,10 @@ impl Notation for Parameters {
             (_, Ok(code)) => ExceptionCode(code).to_string(),
             _ => format!("status {status:#x}"),
         }
+    }
+
+    fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+        list::list(wanted)
     }
 }
 

@@ -16,7 +16,7 @@ use fieldbeat::axis::{AxisPlan, Lacks, Link, MonitorChannel, PlanFault, State, U
 use fieldbeat::bus::desired::{
     Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
 };
-use fieldbeat::bus::linudp::upid::Upids;
+use fieldbeat::bus::linudp::notation::Upids;
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::Regions;

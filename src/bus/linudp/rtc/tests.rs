@@ -7,7 +7,8 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Call, CallTicket, queue};
 use crate::axis::cell;
 use crate::axis::{Feedback, Observer};
-use crate::bus::linudp::upid::{Upids, call, commanding};
+use crate::bus::linudp::notation::Upids;
+use crate::bus::linudp::upid::{call, commanding};
 
 const READ: Call = call(RtcCommand::READ_RAM, 0x20A8, 0);
 

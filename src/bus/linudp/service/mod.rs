@@ -35,6 +35,7 @@ pub use software::{Part, Saved};
 use super::upid::call;
 use super::wire::{Refusal, RtcCommand, RtcStatus};
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Condition};
+pub use crate::axis::acyclic::{Progress, Watcher};
 
 /// A command that only reads or writes to RAM. It takes milliseconds; a busy host may hold up every exchange of it.
 const USUAL: Duration = Duration::from_secs(5);
@@ -156,20 +157,6 @@ impl ServiceError {
         }
     }
 }
-
-/// The progress of a transfer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Progress {
-    /// The present activity.
-    pub what: &'static str,
-    /// Steps done ...
-    pub done: usize,
-    /// ... of so many.
-    pub of: usize,
-}
-
-/// Receives the progress of a transfer; its return value can cancel it.
-pub type Watcher<'a> = &'a mut dyn FnMut(Progress) -> ControlFlow<()>;
 
 impl<'a> Services<'a> {
     /// The services of a drive of a master in this process.

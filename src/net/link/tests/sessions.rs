@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::*;
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Commanding, Port, Posted, queue};
 use crate::axis::{Feedback, Observer, cell};
-use crate::bus::linudp::upid::Upids;
+use crate::bus::linudp::notation::Upids;
 
 /// Registers with one byte, and answers calls: the low byte of a value out, and the peer's one back.
 #[derive(Debug)]

@@ -4,20 +4,29 @@ use std::fmt::Write;
 use std::io;
 
 use clap::{Args, Subcommand};
-use fieldbeat::bus::ethercat::scan::{Errors, Information, Options, ScanError, Slave, Unread, scan};
-use fieldbeat::bus::ethercat::wire::frame::ETHERTYPE;
-use fieldbeat::bus::ethercat::wire::registers::AlStatus;
-use fieldbeat::bus::ethercat::wire::sii::Protocols;
-use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{Carriers, Frames, Os, Place};
 use serde_json::{Value, json};
 
-use super::interrupt::Interrupt;
-use super::{Stop, print};
+use super::scan::{Errors, Information, Options, ScanError, Slave, Unread, scan};
+use super::wire::frame::ETHERTYPE;
+use super::wire::registers::AlStatus;
+use super::wire::sii::Protocols;
+use crate::bus::tools::{Program, Stop, Tool, arguments};
+use crate::net::frames::Unsent;
+use crate::net::{Carriers, Frames, Os, Place};
+
+/// The commands that this protocol adds.
+pub(super) const TOOLS: &[Tool] = &[Tool {
+    name: "ethercat",
+    about: "The slaves of an EtherCAT segment",
+    arguments: Ethercat::augment_args,
+    run: |matches, program| match arguments::<Ethercat>(matches)?.what {
+        What::Scan(scan) => scan.run(program),
+    },
+}];
 
 /// Arguments of `ethercat`.
 #[derive(Debug, Args)]
-pub struct Ethercat {
+struct Ethercat {
     #[command(subcommand)]
     what: What,
 }
@@ -40,31 +49,21 @@ struct Scan {
     json: bool,
 }
 
-impl Ethercat {
-    /// Does it.
-    pub fn run(self) -> Result<(), Stop> {
-        match self.what {
-            What::Scan(scan) => scan.run(),
-        }
-    }
-}
-
 impl Scan {
-    fn run(self) -> Result<(), Stop> {
-        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+    fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let interface = &self.interface;
         // Next to a master of this host it would read while that one writes.
         let _lock =
             Place::Interface(interface).lock().map_err(|why| Stop::failed(format!("{interface} {why}")))?;
         let mut frames = open(interface)?;
         let options = Options { sii: self.sii };
-        let slaves = scan(&mut *frames, options, &|| !interrupt.is_set())
+        let slaves = scan(&mut *frames, options, &|| !program.is_interrupted())
             .map_err(|error| failed(&self.interface, error))?;
         if self.json {
             let slaves: Vec<Value> = slaves.iter().map(object).collect();
-            print(json!({ "interface": self.interface, "slaves": slaves }))
+            program.print(&json!({ "interface": self.interface, "slaves": slaves }))
         } else {
-            print(text(&slaves))
+            program.print(&text(&slaves))
         }
     }
 }

@@ -1,24 +1,29 @@
 //! `fieldbeat linmot`: what only a LinMot drive has: curves, command table, error log, its software.
 
+mod motion;
+
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use fieldbeat::bus::linudp::curve::Curve;
-use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, ServiceError, Services};
-use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
-use fieldbeat::config::ConfigErrors;
-use fieldbeat::telemetry::file::save;
 use serde_json::json;
 
-use super::interrupt::Interrupt;
-use super::meter::Meter;
-use super::param::Drive;
-use super::reach::Reach;
-use super::{Stop, complain, motion, print};
+use super::curve::{Curve, file as curve_file};
+use super::service::{CurvePut, LoggedError, Part, Saved, ServiceError, Services};
+use super::table::file as table_file;
+use crate::bus::tools::{Drive, Program, Stop, Tool, arguments};
+use crate::keys::error::ConfigErrors;
+
+/// The commands that this protocol adds.
+pub(super) const TOOLS: &[Tool] = &[Tool {
+    name: "linmot",
+    about: "Curves, command table, error log and software of a LinMot drive",
+    arguments: LinMot::augment_args,
+    run: |matches, program| arguments::<LinMot>(matches)?.run(program),
+}];
 
 /// Arguments of `linmot`.
 #[derive(Debug, Args)]
-pub struct LinMot {
+struct LinMot {
     #[command(subcommand)]
     what: What,
 }
@@ -143,104 +148,105 @@ impl From<ServiceError> for Stop {
 }
 
 impl LinMot {
-    /// Does it.
-    pub fn run(self) -> Result<(), Stop> {
-        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+    fn run(self, program: &dyn Program) -> Result<(), Stop> {
         match self.what {
-            What::Command(command) => command.run(&interrupt),
-            What::Commands(commands) => commands.run(),
-            What::Curve(does) => does.run(&interrupt),
-            What::Table(does) => does.run(&interrupt),
-            What::Errors(shown) => with(&shown.drive, &interrupt, |services| errors(services, shown.json)),
-            What::Restart(drive) => with(&drive, &interrupt, |services| {
+            What::Command(command) => command.run(program),
+            What::Commands(commands) => commands.run(program),
+            What::Curve(does) => does.run(program),
+            What::Table(does) => does.run(program),
+            What::Errors(shown) => {
+                with(&shown.drive, program, |services| errors(program, services, shown.json))
+            }
+            What::Restart(drive) => with(&drive, program, |services| {
                 services.restart()?;
-                done(services, "restarts")
+                done(program, services, "restarts")
             }),
-            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, &interrupt, |services| {
+            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, program, |services| {
                 services.stop_software()?;
-                done(services, "its software is stopped")
+                done(program, services, "its software is stopped")
             }),
-            What::Software(SoftwareDoes::Start(drive)) => with(&drive, &interrupt, |services| {
+            What::Software(SoftwareDoes::Start(drive)) => with(&drive, program, |services| {
                 services.start_software()?;
-                done(services, "its software runs; home it")
+                done(program, services, "its software runs; home it")
             }),
-            What::Defaults(defaults) => with(&defaults.drive, &interrupt, |services| {
+            What::Defaults(defaults) => with(&defaults.drive, program, |services| {
                 services.reset_to_default(defaults.part)?;
-                done(services, "the defaults take effect after a restart; home it")
+                done(program, services, "the defaults take effect after a restart; home it")
             }),
         }
     }
 }
 
 impl CurveDoes {
-    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+    fn run(self, program: &dyn Program) -> Result<(), Stop> {
         match self {
-            CurveDoes::List(shown) => with(&shown.drive, interrupt, |services| {
+            CurveDoes::List(shown) => with(&shown.drive, program, |services| {
                 let ids = services.curves()?;
-                list(shown.json, ids, "no curve")
+                list(program, shown.json, ids, "no curve")
             }),
             CurveDoes::Get(CurveGet { get, id }) => {
                 get.check()?;
-                with(&get.drive, interrupt, |services| {
+                with(&get.drive, program, |services| {
                     let id = match id {
                         Some(id) => id,
                         None => only(services)?,
                     };
-                    let curve = services.curve(id, &mut Meter::new(interrupt).watch())?;
+                    let curve = services.curve(id, &mut *program.meter())?;
                     let Some(curve) = curve else {
                         let drive = services.drive();
                         return Err(Stop::failed(format!("drive {drive} has no curve {id}")));
                     };
                     let text = curve_file::to_text(&curve).map_err(Stop::failed)?;
-                    get.write(&text)?;
+                    get.write(program, &text)?;
                     let setpoints = curve.setpoints.len();
-                    print(format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
+                    program.print(&format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
                 })
             }
             CurveDoes::Put(put) => {
                 let curve = put.read(curve_file::load)?;
-                with(&put.drive, interrupt, |services| put_curve(services, &curve, &put, interrupt))
+                with(&put.drive, program, |services| put_curve(program, services, &curve, &put))
             }
-            CurveDoes::Delete(drive) => with(&drive, interrupt, |services| {
+            CurveDoes::Delete(drive) => with(&drive, program, |services| {
                 services.require_off("deleting its curves")?;
                 services.delete_curves()?;
-                done(services, "has no curves in RAM; a restart loads those in flash again")
+                done(program, services, "has no curves in RAM; a restart loads those in flash again")
             }),
-            CurveDoes::Save(drive) => with(&drive, interrupt, save_curves),
+            CurveDoes::Save(drive) => with(&drive, program, |services| save_curves(program, services)),
         }
     }
 }
 
 impl TableDoes {
-    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+    fn run(self, program: &dyn Program) -> Result<(), Stop> {
         match self {
-            TableDoes::List(shown) => with(&shown.drive, interrupt, |services| {
+            TableDoes::List(shown) => with(&shown.drive, program, |services| {
                 let ids = services.entries()?;
-                list(shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
+                list(program, shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
             }),
             TableDoes::Get(get) => {
                 get.check()?;
-                with(&get.drive, interrupt, |services| {
-                    let table = services.table(&mut Meter::new(interrupt).watch())?;
-                    get.write(&table_file::to_text(&table))?;
-                    print(format_args!("{} entries: {}", table.len(), get.file.display()))
+                with(&get.drive, program, |services| {
+                    let table = services.table(&mut *program.meter())?;
+                    get.write(program, &table_file::to_text(&table))?;
+                    program.print(&format_args!("{} entries: {}", table.len(), get.file.display()))
                 })
             }
             TableDoes::Put(put) => {
                 let table = put.read(table_file::load)?;
-                with(&put.drive, interrupt, |services| {
+                with(&put.drive, program, |services| {
                     services.require_off("writing its command table")?;
-                    services.put_table(&table, &mut Meter::new(interrupt).watch())?;
-                    print(format_args!("{} entries are in RAM, read back and compared", table.len()))?;
-                    if put.save { save_table(services) } else { Ok(()) }
+                    services.put_table(&table, &mut *program.meter())?;
+                    program
+                        .print(&format_args!("{} entries are in RAM, read back and compared", table.len()))?;
+                    if put.save { save_table(program, services) } else { Ok(()) }
                 })
             }
-            TableDoes::Delete(drive) => with(&drive, interrupt, |services| {
+            TableDoes::Delete(drive) => with(&drive, program, |services| {
                 services.require_off("deleting its command table")?;
                 services.delete_table()?;
-                done(services, "has no entries in RAM; a restart loads those in flash again")
+                done(program, services, "has no entries in RAM; a restart loads those in flash again")
             }),
-            TableDoes::Save(drive) => with(&drive, interrupt, save_table),
+            TableDoes::Save(drive) => with(&drive, program, |services| save_table(program, services)),
         }
     }
 }
@@ -248,26 +254,30 @@ impl TableDoes {
 /// Does something with the services of a drive.
 fn with(
     drive: &Drive,
-    interrupt: &Interrupt,
+    program: &dyn Program,
     what: impl FnOnce(&Services<'_>) -> Result<(), Stop>,
 ) -> Result<(), Stop> {
-    let reach: Reach = drive.reach(interrupt)?;
-    reach.require_protocol(fieldbeat::bus::linudp::PROTOCOL)?;
-    let services = Services::over(reach.drive(), reach.carrier()).map_err(Stop::failed)?;
+    let reach = program.reach(drive)?;
+    let access = reach.access();
+    let own = access.notation.protocol();
+    if own != super::PROTOCOL {
+        return Err(Stop::usage(format!("drive {} speaks {own}, not {}", access.drive, super::PROTOCOL)));
+    }
+    let services = Services::over(access.drive, access.carrier)?;
     what(&services)
 }
 
-fn done(services: &Services<'_>, what: &str) -> Result<(), Stop> {
-    print(format_args!("drive {}: {what}", services.drive()))
+fn done(program: &dyn Program, services: &Services<'_>, what: &str) -> Result<(), Stop> {
+    program.print(&format_args!("drive {}: {what}", services.drive()))
 }
 
-fn list(as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
+fn list(program: &dyn Program, as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
     if as_json {
-        return print(json!(ids));
+        return program.print(&json!(ids));
     }
     match ids.is_empty() {
-        true => print(none),
-        false => ids.iter().try_for_each(print),
+        true => program.print(&none),
+        false => ids.iter().try_for_each(|id| program.print(id)),
     }
 }
 
@@ -284,10 +294,10 @@ fn only(services: &Services<'_>) -> Result<u16, Stop> {
     }
 }
 
-fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Interrupt) -> Result<(), Stop> {
+fn put_curve(program: &dyn Program, services: &Services<'_>, curve: &Curve, put: &Put) -> Result<(), Stop> {
     services.require_off("writing a curve")?;
     if services.plan_curve(curve)? == CurvePut::Rebuild {
-        complain(&format!(
+        program.complain(&format!(
             "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
              read first and written again afterwards. If this computer fails meanwhile, restart the drive: it \
              loads the curves in its flash, and curves that were not saved are lost",
@@ -295,28 +305,32 @@ fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Inte
             curve.id
         ));
     }
-    services.put_curve(curve, &mut Meter::new(interrupt).watch())?;
+    services.put_curve(curve, &mut *program.meter())?;
     let setpoints = curve.setpoints.len();
-    print(format_args!("curve {}, {setpoints} setpoints, is in RAM, read back and compared", curve.id))?;
-    if put.save { save_curves(services) } else { Ok(()) }
+    program.print(&format_args!(
+        "curve {}, {setpoints} setpoints, is in RAM, read back and compared",
+        curve.id
+    ))?;
+    if put.save { save_curves(program, services) } else { Ok(()) }
 }
 
-fn save_curves(services: &Services<'_>) -> Result<(), Stop> {
-    save_to_flash(services, Services::save_curves, "its curves are in flash")
+fn save_curves(program: &dyn Program, services: &Services<'_>) -> Result<(), Stop> {
+    save_to_flash(program, services, Services::save_curves, "its curves are in flash")
 }
 
-fn save_table(services: &Services<'_>) -> Result<(), Stop> {
-    save_to_flash(services, Services::save_table, "its command table is in flash")
+fn save_table(program: &dyn Program, services: &Services<'_>) -> Result<(), Stop> {
+    save_to_flash(program, services, Services::save_table, "its command table is in flash")
 }
 
 /// Of a drive that may be saved, so that nobody is announced a save that is refused.
 fn save_to_flash<'a>(
+    program: &dyn Program,
     services: &Services<'a>,
     save: fn(&Services<'a>) -> Result<Saved, ServiceError>,
     what: &str,
 ) -> Result<(), Stop> {
     services.require_off("saving to flash")?;
-    complain(&format!(
+    program.complain(&format!(
         "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be interrupted",
         services.drive()
     ));
@@ -326,23 +340,23 @@ fn save_to_flash<'a>(
             " as far as can be seen: it fell silent and came back without an error code; restart it and check"
         }
     };
-    done(services, &format!("{what}{then}"))
+    done(program, services, &format!("{what}{then}"))
 }
 
-fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
+fn errors(program: &dyn Program, services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
     let log = services.error_log()?;
     if as_json {
         let mut entries = Vec::new();
         for LoggedError { code, text, hours, ms } in &log.entries {
             entries.push(json!({ "code": code, "text": text, "hours": hours, "ms": ms }));
         }
-        return print(json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
+        return program.print(&json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
     }
-    print(format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;
+    program.print(&format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;
     for entry in &log.entries {
         let (minutes, ms) = (entry.ms / 60_000, entry.ms % 60_000);
         let seconds = f64::from(ms) / 1e3;
-        print(format_args!(
+        program.print(&format_args!(
             "{:>6} h {minutes:02} min {seconds:06.3} s  {:04X}h  {}",
             entry.hours, entry.code, entry.text
         ))?;
@@ -362,9 +376,9 @@ impl Get {
         }
     }
 
-    fn write(&self, text: &str) -> Result<(), Stop> {
+    fn write(&self, program: &dyn Program, text: &str) -> Result<(), Stop> {
         let path: &Path = &self.file;
-        save(path, text.as_bytes()).map_err(|error| {
+        program.save(path, text.as_bytes()).map_err(|error| {
             Stop::failed(format!("cannot write {}: {error}; name another place", path.display()))
         })
     }

@@ -1,20 +1,16 @@
 //! `fieldbeat linmot command`: one motion command, by a master of its own: switch on, run it, ramp down, switch off.
 
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Axis, Command, EventKind, Link};
-use fieldbeat::bus::linudp::motion::{CATALOGUE, CommandInfo, Mark, MotionCommand};
-use fieldbeat::bus::linudp::native::{Native, NativeInputs, NativeOutput};
-use fieldbeat::bus::linudp::wire::StateVar;
-use fieldbeat::master::Master;
-use fieldbeat::time::{Time, nanos};
 
-use super::interrupt::{Interrupt, LOOK_EVERY};
-use super::param::Drive;
-use super::{Stop, print, run};
+use crate::axis::command::NativeOwner;
+use crate::axis::{Axis, Command, EventKind};
+use crate::bus::linudp::motion::{CATALOGUE, CommandInfo, Field, Mark, MotionCommand};
+use crate::bus::linudp::native::{Native, NativeInputs, NativeOutput};
+use crate::bus::linudp::wire::StateVar;
+use crate::bus::tools::{Drive, Pause, Program, Stop};
+use crate::time::{Time, nanos};
 
 /// Arguments of `linmot command`.
 #[derive(Debug, Args)]
@@ -46,22 +42,19 @@ const STANDS_FOR: Duration = Duration::from_millis(150);
 /// ... and in so many of the drive's replies, however rare they are.
 const STANDS_FOR_REPLIES: u32 = 3;
 
-/// A drive that is there answers sooner.
-const PATIENCE: Duration = Duration::from_secs(5);
-
 impl Commands {
     /// Lists all motion commands, with their fields.
-    pub fn run(self) -> Result<(), Stop> {
+    pub fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let part = self.part.unwrap_or_default();
         for info in CATALOGUE.iter().filter(|info| info.name.contains(&part)) {
-            let field = |field: &fieldbeat::bus::linudp::motion::Field| match field.kind.unit() {
+            let field = |field: &Field| match field.kind.unit() {
                 "" => format!(" {}", field.name),
                 unit => format!(" {} [{unit}]", field.name),
             };
             let fields: String = info.fields.iter().map(field).collect();
             let marks: Vec<&str> = info.marks.iter().map(|mark| words(*mark)).collect();
             let marks = if marks.is_empty() { String::new() } else { format!("  ({})", marks.join(", ")) };
-            print(format_args!("{:03X}  {}{fields}{marks}", info.id, info.name))?;
+            program.print(&format_args!("{:03X}  {}{fields}{marks}", info.id, info.name))?;
         }
         Ok(())
     }
@@ -78,47 +71,21 @@ fn words(mark: Mark) -> &'static str {
 
 impl MotionArguments {
     /// Does it.
-    pub fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+    pub fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let command = parse(&self.command, &self.fields).map_err(Stop::usage)?;
-        let (plan, name) = self.drive.alone()?;
-        let master = run::start(Master::from_plan(plan), interrupt)?;
-        let mut axis = master.axis(&name).map_err(Stop::failed)?;
-        let Some(mut native) = axis.native::<Native>() else {
-            return Err(Stop::usage(format!("drive {name} is not a LinMot drive")));
+        let mut own = program.own(&self.drive)?;
+        let Some(mut native) = own.axis().native::<Native>() else {
+            return Err(Stop::usage(format!("drive {} is not a LinMot drive", self.drive.drive)));
         };
-        await_idle(&master, &axis, interrupt)?;
-        let done = self.execute(&master, &mut axis, &mut native, command, interrupt);
-        let interrupted = interrupt.is_set();
-        // Whatever came of it: down a ramp, and off.
-        master.stop();
-        while master.is_running() {
-            sleep(LOOK_EVERY);
-        }
-        let feedback = axis.feedback();
-        drop(master.finish());
-        match done {
-            Ok(()) => {
-                let position = feedback.status.position;
-                print(format_args!("drive {name}: {position:.4} {}", axis.plan().units.unit))
-            }
-            Err(_) if interrupted => {
-                let left = match feedback.status.state.is_powered() {
-                    false => "switched off".to_owned(),
-                    true => format!("left in {}", feedback.status.state),
-                };
-                Err(Stop::failed(format!("drive {name}: interrupted; ramped down and {left}")))
-            }
-            Err(stop) => Err(stop),
-        }
+        own.run(&mut |axis, pause| self.execute(axis, &mut native, command, pause))
     }
 
     fn execute(
         &self,
-        master: &Master,
         axis: &mut Axis,
         native: &mut Native,
         command: MotionCommand,
-        interrupt: &Interrupt,
+        pause: Pause<'_>,
     ) -> Result<(), Stop> {
         if self.reset && axis.feedback().status.fault != 0 {
             axis.reset_fault().map_err(Stop::failed)?;
@@ -130,14 +97,7 @@ impl MotionArguments {
         let mode = axis.post(Command::Native(NativeOwner::Master)).map_err(Stop::failed)?;
         let mut motion = Motion::Waiting;
         while motion != Motion::Ended {
-            if interrupt.is_set() {
-                return Err(Stop::failed("interrupted"));
-            }
-            if !master.is_running() {
-                return Err(Stop::failed("the master has ended: start again"));
-            }
-            sleep(LOOK_EVERY);
-            master.alive();
+            pause()?;
             let inputs = native.inputs();
             let output = NativeOutput { motion: Some(command), ..NativeOutput::default() };
             motion = match motion {
@@ -171,33 +131,6 @@ impl MotionArguments {
         }
         Ok(())
     }
-}
-
-/// Waits for the drive, of which nothing was requested yet; refuses one that somebody else has switched on.
-fn await_idle(master: &Master, axis: &Axis, interrupt: &Interrupt) -> Result<(), Stop> {
-    let begun = Instant::now();
-    while axis.feedback().link != Link::Online {
-        if interrupt.is_set() {
-            return Err(Stop::failed("interrupted; nothing was moved"));
-        }
-        if begun.elapsed() > PATIENCE {
-            let name = axis.name();
-            return Err(Stop::failed(format!(
-                "drive {name} does not answer; look at its power, cable and address"
-            )));
-        }
-        sleep(LOOK_EVERY);
-        master.alive();
-    }
-    let found = axis.feedback();
-    if found.status.state.is_powered() || found.status.moving {
-        return Err(Stop::failed(format!(
-            "drive {} is switched on ({}): another master moves it; end that first",
-            axis.name(),
-            found.status.state
-        )));
-    }
-    Ok(())
 }
 
 /// How far the command is, by nothing but what the drive says.
@@ -314,9 +247,8 @@ fn raw(id: u16, pairs: &[(&str, &str)]) -> Result<MotionCommand, String> {
 
 #[cfg(test)]
 mod tests {
-    use fieldbeat::bus::linudp::wire::{MainState, Response};
-
     use super::*;
+    use crate::bus::linudp::wire::{MainState, Response};
 
     fn of(name: &str, fields: &[&str]) -> Result<MotionCommand, String> {
         parse(name, &fields.iter().map(|field| (*field).to_owned()).collect::<Vec<_>>())
