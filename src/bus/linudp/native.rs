@@ -96,14 +96,7 @@ impl NativePort {
 
     #[inline]
     pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
-        let telegram = &telegram[..telegram.len().min(ROOM)];
-        let (words, rest) = telegram.as_chunks();
-        let mut last = [0; 8];
-        last[..rest.len()].copy_from_slice(rest);
-        // Those behind its end keep their values: nobody reads them.
-        let front = Telegram::front(at, self.running, telegram.len());
-        let words = words.iter().chain((!rest.is_empty()).then_some(&last));
-        self.inputs.write_words(front.into_iter().chain(words.map(|bytes| u64::from_le_bytes(*bytes))));
+        self.inputs.write_words(packed(at, self.running, telegram));
     }
 
     /// The next output; one with a motion only if the motion channel is `free`.
@@ -133,41 +126,41 @@ struct Telegram {
 }
 
 /// Room for the longest telegram, in whole words. Bytes after its blocks are never read.
-const ROOM: usize = RESPONSE_MAX.next_multiple_of(8);
+const ROOM: usize = RESPONSE_MAX.next_multiple_of(WORD);
+const WORD: usize = size_of::<u64>();
 
-/// Words before its bytes.
-const FRONT: usize = 2;
-
-impl Telegram {
-    #[inline]
-    fn front(at: Time, running: bool, length: usize) -> [u64; FRONT] {
-        [at.0, u64::from(running) << 63 | length as u64]
-    }
+/// Time, flag and length; its whole words; its last bytes as a word, which overlaps the one before it: no telegram is
+/// shorter. Words behind them keep their values, and nobody reads them.
+#[inline]
+fn packed(at: Time, running: bool, telegram: &[u8]) -> impl Iterator<Item = u64> {
+    let telegram = &telegram[..telegram.len().min(ROOM)];
+    let last = telegram.last_chunk().copied().unwrap_or_default();
+    let bytes = telegram.as_chunks().0.iter().copied().chain([last]);
+    [at.0, u64::from(running) << 63 | telegram.len() as u64].into_iter().chain(bytes.map(u64::from_le_bytes))
 }
 
 impl Packed for Telegram {
-    type Words = [u64; FRONT + ROOM / 8];
+    type Words = [u64; 3 + ROOM / WORD];
 
     fn pack(&self) -> Self::Words {
         let mut words = Self::Words::default();
-        words[..FRONT].copy_from_slice(&Telegram::front(self.at, self.running, self.length));
-        for (word, bytes) in words[FRONT..].iter_mut().zip(self.bytes.as_chunks().0) {
-            *word = u64::from_le_bytes(*bytes);
-        }
+        let telegram = &self.bytes[..self.length.min(ROOM)];
+        let packed = packed(self.at, self.running, telegram);
+        words.iter_mut().zip(packed).for_each(|(place, word)| *place = word);
         words
     }
 
     fn unpack(words: &Self::Words) -> Telegram {
-        let mut bytes = [0; ROOM];
-        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[FRONT..]) {
+        let [at, flags, words @ ..] = words;
+        let length = ((flags << 1 >> 1) as usize).min(ROOM);
+        let (mut bytes, whole) = ([0; ROOM], length / WORD);
+        for (bytes, word) in bytes.as_chunks_mut().0[..whole].iter_mut().zip(words) {
             *bytes = word.to_le_bytes();
         }
-        Telegram {
-            at: Time(words[0]),
-            running: words[1] >> 63 != 0,
-            length: (words[1] << 1 >> 1) as usize,
-            bytes,
+        if let Some(last) = bytes[..length].last_chunk_mut() {
+            *last = words[whole].to_le_bytes();
         }
+        Telegram { at: Time(*at), running: flags >> 63 != 0, length, bytes }
     }
 }
 

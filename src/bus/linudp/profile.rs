@@ -85,23 +85,27 @@ impl Serials {
     }
 }
 
-/// The profile of one drive.
+/// The profile of one drive. What each exchange touches comes first.
 #[derive(Debug)]
+#[repr(C)]
 pub(super) struct Profile {
-    units: Units,
-    stream: Option<StreamCommand>,
-    inhibit_after_ns: u64,
-    voltage: Voltage,
-    /// What the prepared request carries, and the last one that went out.
+    /// What the prepared request carries.
     prepared: Serials,
-    sent: Serials,
     control: Option<ControlWord>,
+    /// The newest reply was clean and proves all that was sent: the next one that says the same proves the same, and
+    /// the requests carry the control word alone, until something else is desired.
+    steady: bool,
+    /// Native mode runs.
+    is_native: bool,
+    /// The motion is a command of the channel: its echo proves it.
+    is_command: bool,
+    /// What the last request that went out carried.
+    sent: Serials,
     /// The control words of the last request that went out, and of the one before.
     control_sent: Option<ControlWord>,
     control_before: Option<ControlWord>,
     channel: MotionChannel,
-    /// The motion is a command of the channel: its echo proves it.
-    is_command: bool,
+    voltage: Voltage,
     /// None of the counts was taken, or the drive must not have this command.
     refused: Option<Refused>,
     /// The control word of the application, in native mode.
@@ -109,11 +113,9 @@ pub(super) struct Profile {
     /// The native output of the next request. It stays until that has gone out: a request may be built more than
     /// once for one send, and a send may fail.
     native: Option<NativeOutput>,
-    /// Native mode runs.
-    is_native: bool,
-    /// The newest reply was clean and proves all that was sent: the next one that says the same proves the same, and
-    /// the requests carry the control word alone, until something else is desired.
-    steady: bool,
+    units: Units,
+    stream: Option<StreamCommand>,
+    inhibit_after_ns: u64,
 }
 
 /// Whether the drive lets its power stage come on, as the requests allow it.

@@ -37,8 +37,9 @@ pub const UNACKNOWLEDGED: u32 = 0x100;
 /// A parameter that every drive allows to be read.
 const HARMLESS: Upid = Upid::MONITOR_SOURCE;
 
-/// The channel.
+/// The channel. An exchange without a call touches its first field alone.
 #[derive(Debug)]
+#[repr(C)]
 pub(super) struct RtcChannel {
     port: Port,
     /// The count of the last own block that went out, and the last prepared one.
@@ -65,8 +66,6 @@ pub(super) struct RtcChannel {
     /// A call that commands the drive ended without the drive's answer: it may still be carried out, until the drive
     /// has stored a later command.
     unsettled: bool,
-    /// Calls that command the drive are refused.
-    guarded: bool,
     monitor: Monitor,
 }
 
@@ -184,7 +183,6 @@ impl RtcChannel {
             software_stopped: false,
             forgotten: false,
             unsettled: false,
-            guarded: false,
             monitor: Monitor::new(sources),
         }
     }
@@ -194,11 +192,16 @@ impl RtcChannel {
         self.port.memory(regions);
     }
 
-    /// There is nothing to send, and nothing to wait for; `guarded` is known.
+    /// There is nothing to send and nothing to wait for, until a call is posted or the drive restarts.
+    pub(super) fn is_idle(&self) -> bool {
+        let busy = self.active.is_some() | self.unsettled | self.prepared.is_some();
+        !busy && self.monitor.is_done()
+    }
+
+    /// A call is posted.
     #[inline]
-    pub(super) fn is_idle(&self, guarded: bool) -> bool {
-        let busy = self.active.is_some() | self.unsettled | self.prepared.is_some() | !self.monitor.is_done();
-        !busy && self.guarded == guarded && self.port.is_empty()
+    pub(super) fn is_called(&self) -> bool {
+        !self.port.is_empty()
     }
 
     /// The block of the next request, if the channel has something to send. The same until the request has gone
@@ -211,7 +214,6 @@ impl RtcChannel {
         guarded: bool,
     ) -> Option<RtcBlock> {
         self.now = now;
-        self.guarded = guarded;
         self.port.guard(guarded);
         let down = matches!(link, Link::Unseen | Link::Lost);
         if down {

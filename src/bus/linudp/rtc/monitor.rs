@@ -31,7 +31,6 @@ impl Monitor {
     }
 
     /// All channels are set, or given up.
-    #[inline]
     pub(super) fn is_done(&self) -> bool {
         self.channel >= self.sources.len()
     }

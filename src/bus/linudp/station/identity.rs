@@ -21,24 +21,18 @@ const MOST_UNDER_WAY: u8 = 32;
 /// ... and are written off after so many exchanges without a miss: no reply takes that long.
 const FORGOTTEN_AFTER: u8 = 16;
 
-/// What distinguishes the reply to the last request from any other.
+/// What distinguishes the reply to the last request from any other. What each exchange touches comes first.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub(super) struct Identity {
-    /// The response definitions that take turns, so many of them, and the place of the next one.
-    in_turn: [ResponseDef; 1 << IN_TURN.len()],
-    turns: u8,
-    turn: u8,
-    /// The block that the request after a suspect reply has or lacks.
-    odd: ResponseDef,
-    /// The blocks by which the requests of one kind differ.
-    varies: ResponseDef,
     /// What the reply to the prepared request will echo.
     pub(super) prepared: Echo,
     /// What the reply to the last request sent echoes.
     requested: Echo,
-    /// The kinds of the requests before it, newest first, without repetitions in a row: as far back as late
-    /// replies come from while the link is still online.
-    requested_before: [Echo; 3],
+    /// The response definitions that take turns, so many of them, and the place of the next one.
+    in_turn: [ResponseDef; 1 << IN_TURN.len()],
+    turns: u8,
+    turn: u8,
     /// An exchange was opened and no reply closed it.
     open: bool,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
@@ -49,7 +43,14 @@ pub(super) struct Identity {
     /// Exchanges without a miss since the last one.
     without_miss: u8,
     /// The reply that closed the last exchange was suspect.
-    pub(super) suspect: bool,
+    suspect: bool,
+    /// The blocks by which the requests of one kind differ.
+    varies: ResponseDef,
+    /// The block that the request after a suspect reply has or lacks.
+    odd: ResponseDef,
+    /// The kinds of the requests before the last one, newest first, without repetitions in a row: as far back as late
+    /// replies come from while the link is still online.
+    requested_before: [Echo; 3],
 }
 
 /// What a reply echoes of its request.

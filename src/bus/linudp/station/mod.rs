@@ -34,27 +34,33 @@ use crate::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// One drive. In the order of its fields: what each exchange touches lies together in front.
+/// One drive. What each exchange touches comes first: it lies on a few lines of the cache.
 #[derive(Debug)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct Station {
-    identity: Identity,
     /// The slot that the prepared request is for.
     grid: Time,
-    inputs: Inputs,
+    identity: Identity,
     /// Another clean reply with the same states changes nothing but positions, as far as this station knows.
     settled: bool,
+    /// The channel has nothing to send, and calls that command the drive are refused or not as it knows.
+    idle: bool,
+    guarded: bool,
+    /// Each request has a count of its own.
     tagged: bool,
+    /// The drive reports variables.
+    shows: bool,
     /// The prepared request is a probe.
     probing: bool,
     /// Probes that have gone out.
     probes: u8,
-    units: Units,
+    inputs: Inputs,
     track: Track,
-    profile: Profile,
+    units: Units,
     other: OtherMaster,
-    rtc: RtcChannel,
     native: NativePort,
+    profile: Profile,
+    rtc: RtcChannel,
     monitor: MonitorPlan,
 }
 
@@ -72,6 +78,9 @@ impl Station {
             grid: Time(0),
             inputs: Inputs::default(),
             settled: false,
+            idle: false,
+            guarded: false,
+            shows: shown,
             tagged: drive.reply_tag == ReplyTag::Count,
             probing: false,
             probes: 0,
@@ -100,7 +109,9 @@ impl Station {
         let repeats = self.profile.repeats(&slot.desired)
             && slot.link == Link::Online
             && !self.tagged
-            && self.rtc.is_idle(slot.guarded);
+            && self.idle
+            && self.guarded == slot.guarded
+            && !self.rtc.is_called();
         if !repeats {
             return self.build(cycle, slot, out);
         }
@@ -159,6 +170,7 @@ impl Station {
             response: request.response_def,
             tag: tag.map(|block| block.count()),
         };
+        (self.idle, self.guarded) = (self.rtc.is_idle(), slot.guarded);
         request.emit(out)
     }
 
@@ -181,7 +193,9 @@ impl Station {
         self.profile.sent();
         slot.gone.grid = Some(self.grid);
         self.other.sent();
-        self.rtc.sent();
+        if !self.idle {
+            self.rtc.sent();
+        }
     }
 
     /// The operating system refused to send the request.
@@ -203,7 +217,9 @@ impl Station {
                 let suspect = self.identity.answered();
                 slot.exchange = Exchange::Answered { sent_at, at, suspect };
                 slot.counters.answered += 1;
-                slot.counters.suspect += u64::from(suspect);
+                if suspect {
+                    slot.counters.suspect += 1;
+                }
                 self.read(at, &view, suspect, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),

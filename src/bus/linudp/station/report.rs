@@ -42,7 +42,7 @@ impl Track {
 
 impl Station {
     /// The values of an accepted reply.
-    #[inline]
+    #[inline(always)]
     pub(super) fn read(&mut self, at: Time, view: &ResponseView<'_>, suspect: bool, slot: &mut Slot) {
         let front = view.front();
         let rehomed = front.status.homed() != self.inputs.status.homed();
@@ -79,7 +79,7 @@ impl Station {
         if !settled {
             self.prove(at, view, &front, suspect, slot);
         }
-        if !suspect {
+        if !suspect && (!self.idle || self.shows) {
             self.take_config(view, slot);
         }
         self.native.publish(at, view.bytes());
@@ -89,6 +89,8 @@ impl Station {
     #[inline(never)]
     fn watch_start(&mut self, front: &Front, slot: &mut Slot) {
         let booting = is_booting(front);
+        // The channel may have something to send.
+        self.idle &= !(booting || self.inputs.booting);
         if booting && self.inputs.seen && !self.inputs.booting {
             slot.notices.restarted = true;
             self.profile.drive_restarted();
@@ -130,36 +132,28 @@ impl Station {
     }
 
     /// The monitored values, and the answer on the real-time-config channel.
-    #[inline]
+    #[inline(never)]
     fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
         // The values first: they were taken before the answer that reports the change of their sources.
-        let shown = self.monitor != MonitorPlan::Off;
-        if shown {
-            self.show(view, slot);
+        if let Some(raw) = view.monitor().filter(|_| self.shows) {
+            let value = |channel: usize| match self.monitor {
+                MonitorPlan::Off => None,
+                MonitorPlan::AsSet => Some(f64::from(raw[channel])),
+                MonitorPlan::Sources(sources) => {
+                    let source = sources[channel].filter(|_| self.rtc.monitors(channel))?;
+                    Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
+                }
+            };
+            slot.status.monitor = std::array::from_fn(value);
+            slot.notices.monitor_fresh = true;
         }
         match view.config() {
             Some(block) => self.rtc.take(block),
             None => self.rtc.take_none(),
         }
-        if shown && let Some(refused) = self.rtc.take_monitor_refusal() {
+        if let Some(refused) = self.rtc.take_monitor_refusal() {
             slot.notices.monitor_refused = Some(refused);
         }
-    }
-
-    /// The monitored values.
-    #[inline(never)]
-    fn show(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
-        let Some(raw) = view.monitor() else { return };
-        let value = |channel: usize| match self.monitor {
-            MonitorPlan::Off => None,
-            MonitorPlan::AsSet => Some(f64::from(raw[channel])),
-            MonitorPlan::Sources(sources) => {
-                let source = sources[channel].filter(|_| self.rtc.monitors(channel))?;
-                Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
-            }
-        };
-        slot.status.monitor = std::array::from_fn(value);
-        slot.notices.monitor_fresh = true;
     }
 }
 
