@@ -81,17 +81,32 @@ impl<T: Packed> Writer<T> {
     /// count.
     #[inline]
     pub fn write_words(&mut self, words: impl Iterator<Item = u64>) {
+        self.write_with(|places| words.for_each(|word| places.push(word)));
+    }
+
+    /// The same, of words that `fill` makes one after the other.
+    #[inline]
+    pub fn write_with(&mut self, fill: impl FnOnce(&mut Places<'_>)) {
         let sequence = self.shared.sequence.load(Ordering::Relaxed);
         self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
         // The odd sequence is visible before any of the words.
         fence(Ordering::Release);
-        let mut places = self.shared.words.as_ref().iter();
-        words.for_each(|word| {
-            if let Some(place) = places.next() {
-                place.store(word, Ordering::Relaxed);
-            }
-        });
+        fill(&mut Places(self.shared.words.as_ref().iter()));
         self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
+    }
+}
+
+/// The words of a value that is being written.
+#[derive(Debug)]
+pub struct Places<'a>(std::slice::Iter<'a, AtomicU64>);
+
+impl Places<'_> {
+    /// The next word; one that the value does not have is left out.
+    #[inline]
+    pub fn push(&mut self, word: u64) {
+        if let Some(place) = self.0.next() {
+            place.store(word, Ordering::Relaxed);
+        }
     }
 }
 

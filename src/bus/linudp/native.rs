@@ -96,7 +96,7 @@ impl NativePort {
 
     #[inline]
     pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
-        self.inputs.write_words(packed(at, self.running, telegram));
+        self.inputs.write_with(|places| pack(at, self.running, telegram, |word| places.push(word)));
     }
 
     /// The next output; one with a motion only if the motion channel is `free`.
@@ -132,11 +132,12 @@ const WORD: usize = size_of::<u64>();
 /// Time, flag and length; its whole words; its last bytes as a word, which overlaps the one before it: no telegram is
 /// shorter. Words behind them keep their values, and nobody reads them.
 #[inline]
-fn packed(at: Time, running: bool, telegram: &[u8]) -> impl Iterator<Item = u64> {
+fn pack(at: Time, running: bool, telegram: &[u8], mut push: impl FnMut(u64)) {
     let telegram = &telegram[..telegram.len().min(ROOM)];
-    let last = telegram.last_chunk().copied().unwrap_or_default();
-    let bytes = telegram.as_chunks().0.iter().copied().chain([last]);
-    [at.0, u64::from(running) << 63 | telegram.len() as u64].into_iter().chain(bytes.map(u64::from_le_bytes))
+    push(at.0);
+    push(u64::from(running) << 63 | telegram.len() as u64);
+    telegram.as_chunks().0.iter().for_each(|bytes| push(u64::from_le_bytes(*bytes)));
+    push(u64::from_le_bytes(telegram.last_chunk().copied().unwrap_or_default()));
 }
 
 impl Packed for Telegram {
@@ -144,9 +145,12 @@ impl Packed for Telegram {
 
     fn pack(&self) -> Self::Words {
         let mut words = Self::Words::default();
-        let telegram = &self.bytes[..self.length.min(ROOM)];
-        let packed = packed(self.at, self.running, telegram);
-        words.iter_mut().zip(packed).for_each(|(place, word)| *place = word);
+        let mut places = words.iter_mut();
+        pack(self.at, self.running, &self.bytes[..self.length.min(ROOM)], |word| {
+            if let Some(place) = places.next() {
+                *place = word;
+            }
+        });
         words
     }
 
