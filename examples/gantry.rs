@@ -13,7 +13,7 @@ use fieldbeat::{Master, Row};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let setup = Master::from_file("rt-config/gantry.toml")?;
     let period = Duration::from_nanos(setup.plan().cycle.period_ns);
-    let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
+    let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
     let master = setup.start()?;
     master.wait_online(Duration::from_secs(5))?;
 

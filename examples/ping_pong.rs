@@ -13,7 +13,7 @@ use fieldbeat::{Command, Master};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let setup = Master::from_file("rt-config/demo.toml")?;
-    let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
+    let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
     let profile = setup.plan().axes()[0].profile;
 
     // What the task needs is allocated here: nothing may be allocated inside the cycle.

@@ -41,7 +41,7 @@
 //! # #[cfg(feature = "config")]
 //! fn main() -> Result<(), Box<dyn std::error::Error>> {
 //!     let setup = Master::from_file("rt-config/demo.toml")?;
-//!     let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
+//!     let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
 //!
 //!     let master = setup.start()?;
 //!     master.wait_online(Duration::from_secs(5))?;

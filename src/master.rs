@@ -25,11 +25,13 @@ use crate::drive::controller::{DriveController, Queues};
 use crate::net::{Carriers, Os};
 use crate::rt::watch::ThreadWatch;
 use crate::rt::{self, Clock, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage};
+use crate::sim::SimPlan;
 use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 
 /// A machine that has not started yet.
 pub struct Setup {
     plan: Plan,
+    simulation: SimPlan,
     task: Option<Task>,
     pub(crate) black_box: Option<Box<dyn Keep>>,
 }
@@ -328,7 +330,7 @@ impl Deref for Master {
 impl Master {
     /// A machine from a plan built in code.
     pub fn from_plan(plan: Plan) -> Setup {
-        Setup { plan, task: None, black_box: None }
+        Setup { simulation: SimPlan::of(&plan.buses), plan, task: None, black_box: None }
     }
 
     /// A reader of this machine for another thread.
@@ -484,6 +486,17 @@ impl Setup {
     /// The plan.
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// The simulated drives of the machine: default ones that fit its plan, or those of its configuration.
+    pub fn simulation(&self) -> &SimPlan {
+        &self.simulation
+    }
+
+    /// Sets the simulated drives of the machine.
+    pub fn with_simulation(mut self, simulation: impl Into<SimPlan>) -> Setup {
+        self.simulation = simulation.into();
+        self
     }
 
     /// Sets the application's code inside the cycle.

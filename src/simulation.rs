@@ -33,6 +33,7 @@ use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
 use crate::cycle::status::{Numbers, Status};
 use crate::master::{Assembly, Devices, MasterError, Setup, assemble};
+use crate::sim::Simulated;
 use crate::sim::world::{World, WorldClock, WorldOptions};
 use crate::telemetry::Measured;
 
@@ -69,10 +70,19 @@ pub enum SimulateError {
 crate::errors::debug_as_display!(SimulateError);
 
 impl Setup {
-    /// Builds the machine in virtual time, with all its drives simulated as their plans say.
+    /// Builds the machine in virtual time, with its simulated drives.
     pub fn simulate(self, options: WorldOptions) -> Result<Simulation, SimulateError> {
+        let drives = self.simulation().build();
+        self.simulate_with(drives, options)
+    }
+
+    /// Builds the machine in virtual time, with these drives in place of its own simulated ones.
+    pub fn simulate_with(
+        self,
+        drives: impl Into<Simulated>,
+        options: WorldOptions,
+    ) -> Result<Simulation, SimulateError> {
         self.plan().check()?;
-        let drives = self.plan().simulate();
         let world = World::new(drives, options)?;
         let (plan, task) = self.into_parts();
         let has_task = task.is_some();

@@ -13,13 +13,12 @@ use fieldbeat::axis::acyclic::{CallTicket, Notation};
 use fieldbeat::axis::{Command, CommandId, EventKind, Jog, Link};
 use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Type};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::net::Carriers;
+use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
+use fieldbeat::sim::{FaultPlan, SimDrive, SimLine, Simulated};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
@@ -43,23 +42,8 @@ fn an_allocation_would_be_noticed() {
     assert_eq!(allocations(|| drop(std::hint::black_box(Box::new(1)))), 2);
 }
 
-/// A bus whose simulated drives may allocate: they run on the loop's thread in virtual time only.
-#[derive(Debug)]
-struct DrivesUnwatched(Box<dyn BusPlan>);
-
+/// A simulated drive may allocate: it runs on the loop's thread in virtual time only.
 struct Unwatched(Box<dyn SimDrive>);
-
-impl BusPlan for DrivesUnwatched {
-    crate::forward_bus_plan!(0);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.0.open(period_ns, carriers)
-    }
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        let drives = self.0.simulate().into_iter();
-        drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect()
-    }
-}
 
 impl SimDrive for Unwatched {
     crate::forward_sim_drive!(0);
@@ -93,14 +77,13 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
     let config = drives(&machine, "100us", 400, 200);
     let lost = Arc::new(AtomicU64::new(0));
     let seen = Arc::clone(&lost);
-    let mut plan = support::plan(&config);
-    plan.buses =
-        plan.buses.into_iter().map(|bus| Box::new(DrivesUnwatched(bus)) as Box<dyn BusPlan>).collect();
-    let setup = Master::from_plan(plan).with_task(move |_, axes| {
+    let setup = Master::from_plan(support::plan(&config)).with_task(move |_, axes| {
         let link = axes.feedback(VICTIM).map(|feedback| feedback.link);
         seen.fetch_add(u64::from(link == Some(Link::Lost)), Ordering::Relaxed);
     });
-    let mut sim = setup.simulate(WorldOptions::default()).unwrap();
+    let drives = support::simulated(&config).drives.into_iter();
+    let drives: Vec<_> = drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect();
+    let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
     let faults = FaultPlan {
         seed: 7,
         drop: 0.01,
@@ -208,25 +191,7 @@ fn turn_for(sim: &mut Simulation, ends: &mut [Ends; DRIVES], open: &mut [Option<
 }
 
 /// A line whose simulated drives may allocate: they run on the loop's thread in virtual time only.
-#[derive(Debug)]
-struct LineUnwatched(EthercatPlan);
-
-struct UnwatchedLine(Box<dyn SimLine>);
-
-impl BusPlan for LineUnwatched {
-    crate::forward_bus_plan!(0);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        BusPlan::open(&self.0, period_ns, carriers)
-    }
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        Vec::new()
-    }
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        let line = self.0.simulate_line()?;
-        Some(Box::new(UnwatchedLine(line)))
-    }
-}
+struct UnwatchedLine(EthercatSim);
 
 /// Does it as nobody who is watched.
 fn unwatched<T>(body: impl FnOnce() -> T) -> T {
@@ -237,7 +202,7 @@ fn unwatched<T>(body: impl FnOnce() -> T) -> T {
 }
 
 impl SimLine for UnwatchedLine {
-    crate::forward_sim_line!(line => *line.0);
+    crate::forward_sim_line!(line => line.0);
 
     fn interface(&self) -> &str {
         self.0.interface()
@@ -301,9 +266,11 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         max_skip_rate: 1.0,
         ..CyclePlan::default()
     };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(LineUnwatched(line))], groups: Vec::new() };
+    let drives = UnwatchedLine(EthercatSim::of(&line));
+    let drives = Simulated { lines: vec![Box::new(drives)], ..Simulated::default() };
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(line)], groups: Vec::new() };
     let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
-    let mut sim = Master::from_plan(plan).simulate(options).unwrap();
+    let mut sim = Master::from_plan(plan).simulate_with(drives, options).unwrap();
     // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
     let late = FaultPlan { delay: 1.0, delay_ns: 20_000_000, duplicate: 1.0, ..FaultPlan::default() };
     assert!(sim.world().set_line_faults(LINE, late));

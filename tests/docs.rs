@@ -20,7 +20,7 @@ use std::process::{self, Child, Output, Stdio};
 
 use fieldbeat::axis::{Command, Link, Outcome};
 use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
-use fieldbeat::config;
+use fieldbeat::config::{self, Configuration};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::{Master, Simulation};
 
@@ -161,9 +161,11 @@ fn every_configuration_is_accepted() {
 fn every_machine_comes_up_in_virtual_time() {
     for page in pages() {
         for block in page.blocks().iter().filter(|block| block.info == "toml") {
-            let plan = config::parse(&block.lines.join("\n"), &block.place()).unwrap();
+            let Configuration { plan, simulation } =
+                config::parse(&block.lines.join("\n"), &block.place()).unwrap();
             let axes = plan.axes().len();
-            let mut machine = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
+            let setup = Master::from_plan(plan).with_simulation(simulation);
+            let mut machine = setup.simulate(WorldOptions::default()).unwrap();
             let online =
                 |machine: &Simulation| (0..axes).all(|axis| machine.feedback(axis).link == Link::Online);
             assert!(machine.run_until(60_000, online), "{}", block.place());
@@ -442,7 +444,7 @@ fn the_reference_has_the_keys_that_the_reader_accepts() {
 #[test]
 fn every_counter_of_a_protocol_is_explained() {
     let page = Page::read("docs/src/diagnosis.md");
-    let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap());
+    let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap().plan);
     let counters: Vec<_> = plans.iter().flat_map(|plan| plan.own_counters().concat()).collect();
     assert!(counters.len() > 20, "{counters:?}");
     for counter in counters {

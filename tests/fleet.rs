@@ -14,11 +14,12 @@ use fieldbeat::axis::{
     StopCause, StopHow, StopPlan, StopThen, Target, Underrun,
 };
 use fieldbeat::bus::Counters;
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{Master, Simulation};
@@ -64,7 +65,7 @@ fn flips(index: usize) -> bool {
 }
 
 /// Drives of every kind of plan.
-fn drive(index: usize, seed: u64) -> LinUdpDrive {
+fn drive(index: usize) -> LinUdpDrive {
     let [high, low] = (index as u16).to_be_bytes();
     let mut drive = LinUdpDrive::new(format!("x{index}"), Ipv4Addr::new(10, 1, high, low));
     let axis = &mut drive.axis;
@@ -92,25 +93,31 @@ fn drive(index: usize, seed: u64) -> LinUdpDrive {
     drive.reply_tag = ReplyTag::WORDS[index % 3].1;
     drive.monitor = if index.is_multiple_of(7) { MonitorPlan::AsSet } else { MonitorPlan::Off };
     drive.stream = Some([StreamCommand::Pva, StreamCommand::PvConfigured][index % 2]);
-    drive.simulate = SimPlan {
+    drive
+}
+
+/// How it is simulated.
+fn simulated(index: usize, seed: u64, drive: &LinUdpDrive) -> LinMotSettings {
+    LinMotSettings {
         faults: weather(seed * 1_000 + index as u64, flips(index)),
         start_position: 100_000,
         range: (-50_000, 2_050_000),
         stream_period_ns: PERIOD_NS,
         start_running: index.is_multiple_of(6),
-        ..SimPlan::default()
-    };
-    drive
+        ..LinMotSettings::new(drive.address)
+    }
 }
 
 fn fleet(drives: usize, seed: u64) -> Simulation {
-    let drives = (0..drives).map(|index| drive(index, seed)).collect();
+    let drives: Vec<_> = (0..drives).map(drive).collect();
+    let simulation = drives.iter().enumerate().map(|(index, drive)| simulated(index, seed, drive)).collect();
     let cycle =
         CyclePlan { period_ns: PERIOD_NS, overrun: Overrun::Skip { max_skip: 3 }, ..CyclePlan::default() };
     let bus = LinUdpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives);
     let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
     let options = WorldOptions { seed, wake_ns: 50 * US, ..WorldOptions::default() };
-    Master::from_plan(plan).simulate(options).expect("the fleet can be built")
+    let setup = Master::from_plan(plan).with_simulation(LinMots(simulation));
+    setup.simulate(options).expect("the fleet can be built")
 }
 
 /// What the application knows of one axis.

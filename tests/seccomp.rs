@@ -25,7 +25,8 @@ use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::{Assembly, assemble};
 use fieldbeat::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use fieldbeat::rt::{Clock, MonotonicClock, PollSet};
-use fieldbeat::sim::ethercat::Coupler;
+use fieldbeat::sim::SimPlan;
+use fieldbeat::sim::ethercat::{Coupler, EthercatSegment};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Measured, Recorder};
 use fieldbeat::time::{MS, Time};
@@ -302,7 +303,9 @@ fn live_on_a_line() {
     };
     let mut line =
         EthercatPlan::new(format!("local:seccomp-{}", std::process::id()), vec![drive(0), drive(1)]);
-    line.devices.push(Device { name: "io".into(), slave, simulate: Coupler::default() });
+    line.devices.push(Device { name: "io".into(), slave });
+    // Without terminals.
+    let segment = EthercatSegment { devices: vec![Coupler::default()], ..line.clone().into() };
     let cycle = CyclePlan {
         reference: Some(line.name.clone()),
         overrun: Overrun::Skip { max_skip: u64::MAX },
@@ -316,7 +319,8 @@ fn live_on_a_line() {
         buses: vec![Box::new(line.clone())],
         groups: Vec::new(),
     };
-    let serve = || SimServer::start(plan().simulate(), ServerOptions::default()).unwrap();
+    let serve =
+        || SimServer::start(SimPlan::from(segment.clone()).build(), ServerOptions::default()).unwrap();
     let (confined, mut axes) = Confined::start(plan(), Box::new(|_, _| {}));
     let read = Objects.read("0x6041:0").unwrap();
     let (mut lives, mut answered) = (0, 0_u32);

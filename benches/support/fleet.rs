@@ -11,7 +11,10 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
-use fieldbeat::sim::Simulated;
+use fieldbeat::sim::ethercat::EthercatSegment;
+use fieldbeat::sim::linudp::LinMots;
+use fieldbeat::sim::modbus::Unidrives;
+use fieldbeat::sim::{SimBus, Simulated};
 
 use super::{line, unidrive};
 
@@ -135,12 +138,13 @@ impl Fleet {
 
     /// Its drives on `side`, simulated.
     pub fn simulate(self, side: Side) -> Simulated {
-        let buses = self.buses(side);
-        Simulated {
-            drives: buses.iter().flat_map(|bus| bus.simulate()).collect(),
-            lines: buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
-            ..Simulated::default()
+        let mut simulated = Simulated::default();
+        LinMots::of(&self.linudp(side)).build(&mut simulated);
+        Unidrives(self.modbus(side).drives.iter().map(unidrive::simulated).collect()).build(&mut simulated);
+        if self.line > 0 {
+            EthercatSegment::from(self.ethercat(side)).build(&mut simulated);
         }
+        simulated
     }
 }
 

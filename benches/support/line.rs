@@ -77,7 +77,7 @@ impl NullLine {
     pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullLine {
         NullLine {
             now,
-            sim: Some(EthercatSim::new(plan)),
+            sim: Some(EthercatSim::of(plan)),
             drives: plan.drives.len(),
             exchange,
             settled: 0,

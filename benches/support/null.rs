@@ -38,7 +38,7 @@ impl Carriers for NullNet {
 
 /// Lets the master greet the drive that it would find there, so that it knows what it would know of it.
 fn greet(mut peer: StreamPeer) -> io::Result<()> {
-    let mut drive = UnidriveSim::new(unidrive::drive(*peer.address.ip()).simulate);
+    let mut drive = UnidriveSim::new(unidrive::simulated(&unidrive::drive(*peer.address.ip())));
     let (mut out, mut reply, now) = (Vec::new(), Vec::new(), MonotonicClock::read());
     drive.connect(now, peer.address);
     let mut said = peer.handshake.begin(now, &mut out);

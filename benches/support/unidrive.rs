@@ -10,6 +10,7 @@ pub use fieldbeat::bus::modbus::wire::ADU_MAX;
 use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
 use fieldbeat::bus::modbus::{UnidriveDrive, Via, Watchdog};
+use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
 
 use super::rig;
@@ -23,25 +24,30 @@ const FUNCTION: usize = 7;
 /// Not the usual one, so that it needs no right.
 const PORT: u16 = 1502;
 
+/// A machine that stands still for a while trips no drive and loses no reply.
+const WATCHDOG_NS: u64 = 5 * S;
+
 /// A drive as a machine might have it: all cyclic parameters side by side in menu 0, so that each exchange is one
 /// request with function 23. A miss is counted, it does not end the measurement.
 pub fn drive(address: Ipv4Addr) -> UnidriveDrive {
     let mut drive = UnidriveDrive::new(address.to_string(), address);
     drive.address.set_port(PORT);
-    drive.simulate.address = drive.address;
     drive.via = Via::Menu0 { first: 1 };
-    // A machine that stands still for a while trips no drive and loses no reply.
-    let timeout_ns = 5 * S;
-    drive.watchdog = Watchdog { timeout_ns: Some(timeout_ns), ..Watchdog::default() };
-    // It obeys and is watched whoever its master is: the rivals set up nothing.
-    let time_out = Parameter::new(15, 9).in_slot(drive.slot);
-    drive.simulate.commissioned =
-        vec![(Parameter::CONTROL_WORD_ENABLE, 1), (time_out, (timeout_ns / MS) as i32)];
+    drive.watchdog = Watchdog { timeout_ns: Some(WATCHDOG_NS), ..Watchdog::default() };
     drive.reply_within_ns = 500 * MS;
     drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
     drive.axis.health.bucket = 1_000_000;
     drive.axis.enable_timeout = Duration::from_secs(60);
     drive
+}
+
+/// Such a drive, simulated. It obeys and is watched whoever its master is: the rivals set up nothing.
+pub fn simulated(drive: &UnidriveDrive) -> UnidriveSettings {
+    let time_out = Parameter::new(15, 9).in_slot(drive.slot);
+    UnidriveSettings {
+        commissioned: vec![(Parameter::CONTROL_WORD_ENABLE, 1), (time_out, (WATCHDOG_NS / MS) as i32)],
+        ..UnidriveSettings::of(drive)
+    }
 }
 
 /// Which value of its block to read is the status word.

@@ -40,7 +40,6 @@ use crate::keys::{machine::Machine, table::Table};
 use crate::net::lock::Refused;
 use crate::net::{Carriers, LinkNotes, Lock, Place};
 use crate::rt::Regions;
-use crate::sim::{SimDrive, SimLine};
 use crate::time::Time;
 
 /// A protocol, as the rest of the program finds it: what it is called, and what it adds.
@@ -62,7 +61,7 @@ pub struct Protocol {
 pub const PROTOCOLS: [Protocol; 3] = [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED];
 
 /// A bus as configured and checked, before any socket is open.
-pub trait BusPlan: Debug + Send + Sync {
+pub trait BusPlan: Any + Debug + Send + Sync {
     /// Its name in messages.
     fn name(&self) -> &str;
 
@@ -131,13 +130,8 @@ pub trait BusPlan: Debug + Send + Sync {
     /// running.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
-    /// The drives of this bus, simulated, in slot order; empty if they are on a segment.
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>>;
-
-    /// The segment of this bus, simulated, if its drives are on one.
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        None
-    }
+    /// The IP addresses of its drives, in slot order; empty if they have none.
+    fn addresses(&self) -> Vec<SocketAddrV4>;
 
     /// What drive `index` can do, in a cycle of `period_ns`.
     fn capabilities(&self, index: usize) -> Capabilities;

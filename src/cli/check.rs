@@ -28,7 +28,7 @@ impl Check {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
         let plan = match config::load(&self.config) {
-            Ok(plan) => plan,
+            Ok(read) => read.plan,
             Err(errors) => {
                 if self.json {
                     print(json!({ "errors": errors.iter().collect::<Vec<_>>() }))?;

@@ -14,7 +14,7 @@ use fieldbeat::axis::{
     Abort, Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit,
 };
 use fieldbeat::bus::ethercat;
-use fieldbeat::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
+use fieldbeat::config::{Configuration, DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::doctor::{Glance, glance};
 use fieldbeat::master::{Master, MasterError};
@@ -154,11 +154,11 @@ fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
 fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
     let mut in_use = None;
     for place in 0..DEMO_PLACES {
-        let plan = demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
+        let Configuration { plan, simulation } = demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
         let name = format!("fieldbeat-demo/{place}");
         let claim = SocketAddr::from_abstract_name(name).and_then(|name| UnixListener::bind_addr(&name));
         let served = claim.and_then(|claim| {
-            let server = SimServer::start(plan.simulate(), serving(&plan, None))?;
+            let server = SimServer::start(simulation.build(), serving(&plan, None))?;
             Ok((claim, server))
         });
         match served {

@@ -162,8 +162,13 @@ fn report(line: &str) {
 }
 
 /// A configuration file, or the reasons why it is none.
-fn load(path: &std::path::Path) -> Result<fieldbeat::cycle::Plan, Stop> {
+fn configuration(path: &std::path::Path) -> Result<fieldbeat::config::Configuration, Stop> {
     fieldbeat::config::load(path).map_err(Stop::usage)
+}
+
+/// The machine of a configuration file.
+fn load(path: &std::path::Path) -> Result<fieldbeat::cycle::Plan, Stop> {
+    configuration(path).map(|read| read.plan)
 }
 
 /// A span on the command line: a number and its unit, as in the configuration.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use fieldbeat::config::Configuration;
 use fieldbeat::cycle::Plan;
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host;
@@ -12,7 +13,7 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::summary::plural;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
-use super::{Stop, load, print, span};
+use super::{Stop, configuration, print, span};
 
 /// Arguments of `sim`.
 #[derive(Debug, Args)]
@@ -30,14 +31,14 @@ pub struct Sim {
 impl Sim {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let plan = load(&self.config)?;
+        let Configuration { plan, simulation } = configuration(&self.config)?;
         let cores = host::online_cores().unwrap_or_default();
         if let Some(core) = self.core.filter(|core| !cores.is_empty() && !cores.contains(core)) {
             return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));
         }
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let count = plan.buses.iter().map(|bus| bus.axes().len() as u64).sum();
-        let mut server = SimServer::start(plan.simulate(), serving(&plan, self.core))
+        let mut server = SimServer::start(simulation.build(), serving(&plan, self.core))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
         print(format_args!("{} listening; Ctrl-C ends the simulation", plural(count, "simulated drive")))?;
         let begun = Instant::now();

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use super::parse;
-use crate::cycle::Plan;
+use super::{Configuration, parse};
 use crate::keys::error::ConfigErrors;
 use crate::keys::file::{regular, whole_file};
 use crate::time::{MS, S, US};
@@ -24,7 +23,7 @@ pub fn is_demo(path: impl AsRef<Path>) -> bool {
 /// The demo with so many LinMots, 1 ... 128, two Unidrives and two Kollmorgens, and this period. A period that no
 /// Kollmorgen takes, as 333 us, leaves them out. `place`, below [`DEMO_PLACES`], chooses the addresses: 127.77.x.y and
 /// `local:demo` at 0, 127.241.x.y and `local:demo-2` at 1, and so on.
-pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Plan, ConfigErrors> {
+pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Configuration, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
     }

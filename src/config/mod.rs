@@ -28,7 +28,7 @@ pub use json::json;
 pub use crate::cycle::starvation;
 pub use crate::keys::error::{ConfigError, ConfigErrors};
 
-use crate::bus::{BusPlan, PROTOCOLS};
+use crate::bus::PROTOCOLS;
 use crate::cycle::{GroupPlan, Plan};
 use crate::keys::file;
 use crate::keys::machine::Machine;
@@ -36,9 +36,19 @@ use crate::keys::page::Page;
 use crate::keys::table::Table;
 use crate::keys::value::{self, plain_name};
 use crate::master::{Master, Setup};
+use crate::sim::SimPlan;
+
+/// What a file holds.
+#[derive(Debug)]
+pub struct Configuration {
+    /// The machine.
+    pub plan: Plan,
+    /// Its drives, when they are simulated.
+    pub simulation: SimPlan,
+}
 
 /// Reads the configuration at `path`.
-pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
+pub fn load(path: impl AsRef<Path>) -> Result<Configuration, ConfigErrors> {
     let (file, text) =
         file::read(path.as_ref(), "an existing configuration, for example rt-config/demo.toml")?;
     parse(&text, &file)
@@ -47,17 +57,19 @@ pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
 impl Master {
     /// Reads and checks a configuration.
     pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
-        Ok(Master::from_plan(load(path.as_ref())?))
+        let Configuration { plan, simulation } = load(path)?;
+        Ok(Master::from_plan(plan).with_simulation(simulation))
     }
 }
 
 /// Reads the configuration `text`; messages call it `file`.
-pub fn parse(text: &str, file: &str) -> Result<Plan, ConfigErrors> {
+pub fn parse(text: &str, file: &str) -> Result<Configuration, ConfigErrors> {
     let page = Page::new(file, text);
     let entries = page.parse()?;
-    let plan = machine(Table::root(&page, &entries));
+    let mut read = machine(Table::root(&page, &entries));
     page.verdict()?;
-    Ok(Plan { source: Some(PathBuf::from(file)), ..plan })
+    read.plan.source = Some(PathBuf::from(file));
+    Ok(read)
 }
 
 /// A time as people write it, on the command line as in a file: a number and its unit, `"250us"`, `"0.5s"`, `"8h"`.
@@ -79,7 +91,7 @@ fn known_protocols() -> String {
     text
 }
 
-fn machine(mut root: Table<'_>) -> Plan {
+fn machine(mut root: Table<'_>) -> Configuration {
     let cycle = root.table("cycle", cycle::cycle);
     let mut machine = Machine::new(cycle.period_ns);
     if !root.gives("bus") {
@@ -87,11 +99,13 @@ fn machine(mut root: Table<'_>) -> Plan {
     }
     let readers = PROTOCOLS.map(|protocol| (protocol.name, protocol.read));
     let protocols = known_protocols();
-    let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
+    let (mut buses, mut simulation) = (Vec::new(), SimPlan::default());
     for mut table in root.tables("bus") {
         table.require("protocol", &protocols);
         if let Some(read) = table.word("protocol", &readers) {
-            buses.push(read(&mut table, &mut machine));
+            let bus = read(&mut table, &mut machine);
+            simulation.read(&mut table.again(), &*bus, cycle.period_ns);
+            buses.push(bus);
             table.finish();
         }
     }
@@ -112,7 +126,7 @@ fn machine(mut root: Table<'_>) -> Plan {
         table.finish();
     }
     root.finish();
-    plan
+    Configuration { plan, simulation }
 }
 
 /// A `[[group]]`: axes that act together.

@@ -10,7 +10,6 @@ use crate::axis::{
 use crate::bus::{BusPlan, OwnCounter};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
-use crate::sim::Simulated;
 use crate::time::{MS, Ns, S, US};
 
 /// A whole machine.
@@ -232,15 +231,6 @@ impl Plan {
     /// The bus that has a device of this name that is not a drive.
     pub fn find_device(&self, name: &str) -> Option<&dyn BusPlan> {
         self.buses.iter().find(|bus| bus.devices().contains(&name)).map(|bus| &**bus)
-    }
-
-    /// The drives of all buses, simulated.
-    pub fn simulate(&self) -> Simulated {
-        Simulated {
-            drives: self.buses.iter().flat_map(|bus| bus.simulate()).collect(),
-            lines: self.buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
-            ..Simulated::default()
-        }
     }
 }
 

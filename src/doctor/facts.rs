@@ -278,7 +278,7 @@ impl Way {
         let name = bus.name().to_owned();
         Some(match noted.0.into_inner().ok()?? {
             Carrier::Datagrams(local, options) => {
-                let drives = bus.simulate().iter().map(|drive| drive.address()).collect();
+                let drives = bus.addresses();
                 Way::Wire(Wire { bus: name, local, options, drives })
             }
             Carrier::Frames(interface) => Way::Line(Line { bus: name, interface }),

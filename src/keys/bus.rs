@@ -27,6 +27,18 @@ pub fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize
     drives
 }
 
+/// How the drives of a bus that is read otherwise are simulated; `read` reads the key `simulate` of one.
+pub fn simulated<D, S>(
+    bus: &mut Table<'_>,
+    drives: &[D],
+    mut read: impl FnMut(&mut Table<'_>, &D, usize) -> S,
+) -> Vec<S> {
+    let tables = drive_tables(bus, &[]).into_iter().zip(drives).enumerate();
+    tables
+        .map(|(index, (mut table, drive))| table.table("simulate", |table| read(table, drive, index)))
+        .collect()
+}
+
 /// The tables of the drives of a bus, each over its `[bus.defaults]` but for the keys that are its `own`.
 pub fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Table<'a>> {
     let defaults = bus.sub_table("defaults");

@@ -311,6 +311,16 @@ impl<'a> Table<'a> {
         tables
     }
 
+    /// The same table, to be read a second time for what else is in it; unknown keys are found by the first one.
+    pub fn again(&self) -> Table<'a> {
+        Table { page: self.page, layers: self.layers.clone(), own: self.own, known: Vec::new() }
+    }
+
+    /// `key` is read elsewhere.
+    pub fn later(&mut self, key: &'static str) {
+        self.find(key);
+    }
+
     /// Reports every key that nobody asked for.
     pub fn finish(self) {
         for (index, layer) in self.layers.iter().enumerate() {

@@ -5,6 +5,7 @@
 //! | file | what |
 //! |---|---|
 //! | `linudp`, `modbus`, `ethercat` | the drives of a protocol: its wire from the other end |
+//! | `plan` | the simulated drives of a machine as configured |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
 //! | `keys` | how a configuration writes faults |
@@ -22,6 +23,7 @@ pub(crate) mod keys;
 pub mod linudp;
 pub mod modbus;
 pub mod physics;
+mod plan;
 pub mod serial;
 pub mod server;
 #[cfg(test)]
@@ -32,6 +34,7 @@ pub mod world;
 use std::any::Any;
 use std::net::SocketAddrV4;
 
+pub use plan::{SimBus, SimPlan};
 pub use serial::{SerialWire, SimSerial};
 
 use crate::time::Time;

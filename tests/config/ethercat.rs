@@ -2,11 +2,11 @@
 
 use fieldbeat::axis::{HeldBy, Load, Unit};
 use fieldbeat::bus::ethercat::cia402::Mode;
-use fieldbeat::config::describe;
+use fieldbeat::config::{Configuration, describe};
 use fieldbeat::cycle::Plan;
 use fieldbeat::time::US;
 
-use super::{keys, mistakes, read, tells_the_truth};
+use super::{keys, mistakes, read, read_all, tells_the_truth};
 
 /// One drive with a fragment in one section: `cycle`, `bus`, its own (empty), or a `device`. It begins in line 2, 6, 9
 /// or 12.
@@ -205,12 +205,12 @@ pdo = { outputs = ["0x6071:0", "0x6040"], inputs = ["status-word", "0x2F00:3.u32
 load = "vertical"
 held_by = "brake"
 "#;
-    let plan = read(text);
+    let Configuration { plan, simulation } = read_all(text);
     let axes = plan.axes();
     assert_eq!((axes[0].units.unit, axes[0].units.counts_per_unit), (Unit::Millimetre, 32_768.0));
     assert_eq!((axes[1].units.unit, axes[1].units.counts_per_unit), (Unit::Revolution, 65_536.0));
     assert_eq!(axes[1].load, Load::Vertical(HeldBy::Brake));
-    let all = format!("{:?}", plan.buses[0]);
+    let all = format!("{:?}{:?}", plan.buses[0], simulation.buses[0]);
     for part in [
         "lrw: false, ahead_of_sync_ns: Some(100000)",
         "sync: false, check_sii: false",
@@ -399,7 +399,6 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
     use fieldbeat::bus::BusPlan;
     use fieldbeat::bus::ethercat::object::Family;
     use fieldbeat::bus::ethercat::{Device, EthercatPlan, KollmorgenDrive, SlavePlan};
-    use fieldbeat::sim::ethercat::Coupler;
     let drive = |place| KollmorgenDrive::new(format!("k{place}"), place, Family::S700);
     let mut plan = EthercatPlan::new("local:line", vec![drive(0), drive(1)]);
     assert_eq!(BusPlan::faults(&plan, 1_000 * US), []);
@@ -407,7 +406,6 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
     let device = |name: &str| Device {
         name: name.into(),
         slave: SlavePlan { watchdog_ns: Some(100 * US), ..SlavePlan::new(1) },
-        simulate: Coupler::default(),
     };
     plan.devices = vec![device("k0"), device("a b")];
     plan.drives[0].axis.phase = 1;

@@ -11,7 +11,8 @@ use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Unde
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
-    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, load, parse, starvation,
+    Configuration, DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, load, parse,
+    starvation,
 };
 use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
@@ -57,13 +58,17 @@ fn unidrive(section: &str, fragment: &str) -> String {
     )
 }
 
-fn read(text: &str) -> Plan {
+fn read_all(text: &str) -> Configuration {
     parse(text, "m.toml").unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+fn read(text: &str) -> Plan {
+    read_all(text).plan
 }
 
 fn mistakes(text: &str) -> Vec<String> {
     match parse(text, "m.toml") {
-        Ok(plan) => panic!("accepted: {plan:?}"),
+        Ok(all) => panic!("accepted: {all:?}"),
         Err(errors) => errors.iter().map(ToString::to_string).collect(),
     }
 }
@@ -274,7 +279,7 @@ fn a_file_that_is_no_toml_is_one_mistake() {
 
 #[test]
 fn a_plan_as_json_has_every_key() {
-    let plan = load("rt-config/demo.toml").unwrap();
+    let plan = load("rt-config/demo.toml").unwrap().plan;
     let said = json(&plan, &[]);
     let keys =
         |value: &serde_json::Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
@@ -417,8 +422,9 @@ flash = "silent"
 unknown_commands = "refuse"
 extend_sign = false
 "#;
-    let plan = read(&machine("", ""));
-    assert_eq!(format!("{plan:#?}"), format!("{:#?}", read(spelled)));
+    let all = read_all(&machine("", ""));
+    assert_eq!(format!("{all:#?}"), format!("{:#?}", read_all(spelled)));
+    let plan = all.plan;
     assert_eq!(plan.cycle, CyclePlan::default());
     assert_eq!(plan.axes()[0].health, Health::default());
 }
@@ -480,12 +486,12 @@ fn what_a_drive_shows_besides_is_named_or_numbered() {
 
 #[test]
 fn a_simulated_drive_speaks_user_units() {
-    let plan = read(&machine(
+    let all = read_all(&machine(
         "drive",
         "invert = true\noffset = 10\nlimits.position = [0, 100]\n\
          simulate = { seed = 7, start = 10, home = 30, filter = \"10.0.0.1\", padding = 64, delay_by = \"3ms\" }",
     ));
-    let text = format!("{plan:?}");
+    let text = format!("{:?}", all.simulation);
     for part in [
         "start_position: 0,",
         "home_position: -200000,",
@@ -502,7 +508,7 @@ fn a_simulated_drive_speaks_user_units() {
 
 #[test]
 fn bus_defaults_fill_in_key_by_key() {
-    let plan = read(
+    let Configuration { plan, simulation } = read_all(
         r#"
 [[bus]]
 protocol = "linudp-v2"
@@ -537,10 +543,10 @@ stop.group = "other"
     assert_eq!((axes[1].stop.deceleration, axes[1].stop.then), (9000.0, StopThen::Hold));
     let groups: Vec<_> = axes.iter().map(|axis| axis.stop.group).collect();
     assert_eq!(groups, [Some(0), Some(1), Some(0), Some(1)]);
-    let text = format!("{plan:?}");
+    let (text, simulated) = (format!("{plan:?}"), format!("{simulation:?}"));
     // One seed for all would lose the same datagrams everywhere.
     for seed in 5..=8 {
-        assert_eq!(text.matches(&format!("seed: {seed},")).count(), 1);
+        assert_eq!(simulated.matches(&format!("seed: {seed},")).count(), 1);
     }
     assert_eq!((text.matches("leash: Some(20.0)").count(), text.matches("leash: None").count()), (3, 1));
 }
@@ -563,7 +569,7 @@ fn a_stream_command_is_chosen_only_where_it_fits() {
 #[test]
 fn the_demo_has_as_many_drives_as_wanted() {
     for (drives, period_ns, divisor) in [(1, 250 * US, 2), (8, MS, 1), (128, MS, 1)] {
-        let plan = demo_plan(drives, period_ns, 0).unwrap();
+        let plan = demo_plan(drives, period_ns, 0).unwrap().plan;
         let [linmots, unidrives] = [0, 1].map(|bus| plan.buses[bus].axes());
         assert_eq!((linmots.len(), unidrives.len(), plan.cycle.period_ns), (drives, 2, period_ns));
         // Its streaming command takes a setpoint every 0.4 ms at most.
@@ -574,7 +580,7 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert_eq!(plan.cycle.realtime, Realtime::Prefer);
     }
     for period_ns in [50 * US, 333 * US, 2_750 * US, 3 * MS, 10 * MS] {
-        let plan = demo_plan(1, period_ns, 0).unwrap();
+        let plan = demo_plan(1, period_ns, 0).unwrap().plan;
         let unidrives = plan.buses[1].axes();
         assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
         // No Kollmorgen takes the others.
@@ -583,7 +589,7 @@ fn the_demo_has_as_many_drives_as_wanted() {
     }
     // What a busy computer is allowed is stated in time.
     for period_ns in [MS, 4 * MS, 8 * MS] {
-        let plan = demo_plan(1, period_ns, 0).unwrap();
+        let plan = demo_plan(1, period_ns, 0).unwrap().plan;
         assert_eq!(plan.cycle.overrun, Overrun::Skip { max_skip: S / period_ns });
         for axis in plan.axes() {
             assert_eq!(
@@ -662,8 +668,10 @@ fn tells_the_truth(file: &str, least: usize) -> String {
         })
         .collect();
     assert!(spelled.lines().filter(|line| is_key(line)).count() > least);
-    assert_eq!(format!("{:#?}", read(&sample).buses), format!("{:#?}", read(&spelled).buses));
-    assert_eq!(read(&sample).cycle, read(&spelled).cycle);
+    let (short, full) = (read_all(&sample), read_all(&spelled));
+    assert_eq!(format!("{:#?}", short.plan.buses), format!("{:#?}", full.plan.buses));
+    assert_eq!(format!("{:#?}", short.simulation), format!("{:#?}", full.simulation));
+    assert_eq!(short.plan.cycle, full.plan.cycle);
     sample
 }
 
@@ -879,10 +887,14 @@ stop.group = "own"
 fn values_of_a_unidrive_arrive_where_they_belong() {
     use fieldbeat::bus::modbus::parameter::Parameter;
     use fieldbeat::bus::modbus::{Mapped, UnidriveDrive};
-    let mut usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
-    let faults = &mut usual.simulate.faults;
+    use fieldbeat::sim::modbus::UnidriveSettings;
+    let usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
+    let mut settings = UnidriveSettings::of(&usual);
+    let faults = &mut settings.faults;
     (faults.delay_ns, faults.stall_ns, faults.inhibit_ns) = (MS, 100 * MS, 100 * MS);
-    assert!(format!("{:?}", read(&unidrive("", ""))).contains(&format!("{usual:?}")));
+    let Configuration { plan, simulation } = read_all(&unidrive("", ""));
+    assert!(format!("{plan:?}").contains(&format!("{usual:?}")));
+    assert!(format!("{simulation:?}").contains(&format!("{settings:?}")));
     let text = unidrive(
         "",
         "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nfunction = \"16+3\"\n\
@@ -896,7 +908,7 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
          simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, \
          split = 0.25 }",
     );
-    let reported = format!("{:?}", read(&text));
+    let reported = format!("{:?}", read_all(&text));
     let long = |menu, number| format!("{:?}", Mapped::new(Parameter::new(menu, number)));
     for part in [
         "unit: Some(1), slot: 3, addressing: Modified",
@@ -1068,7 +1080,7 @@ fn spinning_under_throttling_starves_the_host() {
 /// Whatever stands in the file: a plan that can be put into words, or mistakes of one printable line each.
 fn never_panics(text: &str) {
     match parse(text, "m.toml") {
-        Ok(plan) => assert!(describe(&plan).len() > 3),
+        Ok(all) => assert!(describe(&all.plan).len() > 3),
         Err(errors) => {
             assert!(errors.iter().count() > 0);
             for line in errors.iter().map(ToString::to_string) {

@@ -101,9 +101,9 @@ impl Line {
     /// So many drives, each changed.
     pub fn with(subject: &'static dyn Subject, count: usize, change: impl Fn(usize, &mut Drive)) -> Line {
         let drives = drives(subject, count, change);
-        let wire = Wire::new(subject, &drives);
+        let (wire, simulated) = Wire::new(subject, &drives);
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
-        let world = World::new(wire.simulated(), options).expect("each drive has its own address");
+        let world = World::new(simulated, options).expect("each drive has its own address");
         let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
         let machine = |index: usize| Machine::new(&drives[index].axis, wire.capabilities(index), PERIOD);
         let machines = (0..count).map(machine).collect();

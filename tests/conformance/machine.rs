@@ -45,11 +45,12 @@ impl Machine {
     ) -> Machine {
         assert_eq!(cycle.period_ns, PERIOD);
         let drives = line::drives(subject, count, change);
-        let wire = Wire::new(subject, &drives);
+        let (wire, simulated) = Wire::new(subject, &drives);
         // The grid begins two periods after the first look at the clock.
         let origin = options.start + options.read_ns + 2 * PERIOD;
         let plan = Plan { source: None, cycle, buses: vec![Box::new(wire.clone())], groups: Vec::new() };
-        let sim = Master::from_plan(plan).simulate(options).expect("the machine can be built");
+        let setup = Master::from_plan(plan);
+        let sim = setup.simulate_with(simulated, options).expect("the machine can be built");
         Machine { can: subject.can(), drives, sim, wire, origin, ends: BTreeMap::new(), restarts: 0 }
     }
 

@@ -2,13 +2,15 @@
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::rt::Regions;
+use fieldbeat::sim::Simulated;
 use fieldbeat::time::S;
 
 use crate::conformance::line::{Line, PERIOD, drives};
 use crate::conformance::subject::{Subject, not_applicable};
 
 pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
-    let plan = subject.plan(&drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index)));
+    let drives = drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index));
+    let plan = subject.plan(&drives);
     let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
     assert_eq!(names, ["n7", "n6", "n5"]);
     let reported = plan.describe(PERIOD);
@@ -16,8 +18,10 @@ pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let more = subject.can().shared && reported.len() > 3;
     assert!(reported.len() == 3 || more, "a paragraph a drive: {reported:#?}");
     assert!(reported.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
-    let simulated = plan.simulate().len() + plan.simulate_line().map_or(0, |line| line.slaves());
-    assert_eq!(simulated, 3);
+    let Simulated { drives, lines, .. } = subject.simulated(&drives);
+    assert_eq!(drives.len() + lines.iter().map(|line| line.slaves()).sum::<usize>(), 3);
+    let addresses: Vec<_> = drives.iter().map(|drive| drive.address()).collect();
+    assert_eq!(plan.addresses(), addresses);
     assert!(!plan.protocol().is_empty() && !plan.name().is_empty());
 }
 

@@ -6,12 +6,12 @@ use fieldbeat::Time;
 use fieldbeat::axis::AxisPlan;
 use fieldbeat::axis::acyclic::Call;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::sim::SimLine;
+use fieldbeat::sim::{SimLine, Simulated};
 
 /// One protocol, in one way of configuring it.
 ///
-/// The clauses look at the wire only through this: bytes mean nothing to them. The simulated drives come from
-/// [`BusPlan::simulate`], and what befalls their wire from the shared `FaultPlan` and the world.
+/// The clauses look at the wire only through this: bytes mean nothing to them. What befalls the wire of the simulated
+/// drives comes from the shared `FaultPlan` and the world.
 pub trait Subject: Sync {
     /// Its name in messages.
     fn name(&self) -> &'static str;
@@ -30,6 +30,9 @@ pub trait Subject: Sync {
 
     /// A bus of these drives. The addresses are the protocol's choice, the wire is clean.
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan>;
+
+    /// These drives, simulated: in slot order, or as one segment.
+    fn simulated(&self, drives: &[Drive]) -> Simulated;
 
     /// What a drive's answer says, in the drive's own counts: the truth that reports are held against. `None`: this
     /// one says nothing of the drive. What only other answers tell is as the last one left it, in `before`.

@@ -100,11 +100,13 @@ pub struct Wire {
 }
 
 impl Wire {
-    pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> Wire {
+    /// The wire of these drives, and all that is simulated of it.
+    pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> (Wire, Simulated) {
         let plan: Arc<dyn BusPlan> = subject.plan(drives).into();
-        let line = plan.simulate_line();
+        let Simulated { drives: simulated, mut lines, .. } = subject.simulated(drives);
+        let line = lines.pop();
         let ends: Vec<_> = match &line {
-            None => plan.simulate().iter().map(|drive| (drive.address(), drive.faults())).collect(),
+            None => simulated.iter().map(|drive| (drive.address(), drive.faults())).collect(),
             // Nobody has an address.
             Some(line) => {
                 vec![(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0), line.faults()); drives.len()]
@@ -125,17 +127,23 @@ impl Wire {
             opened: 0,
         };
         let log = Log { drives: ends.into_iter().map(tape).collect(), ..Log::default() };
-        let interface = line.map(|line| line.interface().into());
-        Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface }
-    }
-
-    /// All that is simulated of it.
-    pub fn simulated(&self) -> Simulated {
-        Simulated {
-            drives: self.simulate(),
-            lines: self.simulate_line().into_iter().collect(),
+        let interface = line.as_ref().map(|line| line.interface().into());
+        let wire = Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface };
+        let tap = |(index, drive)| {
+            let wire = wire.clone();
+            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, reported: None })
+                as Box<dyn SimDrive>
+        };
+        let tap_line = |line| {
+            let drives = vec![TappedEnd::default(); drives.len()];
+            Box::new(TappedLine { line, wire: wire.clone(), drives, cut: None }) as Box<dyn SimLine>
+        };
+        let simulated = Simulated {
+            drives: simulated.into_iter().enumerate().map(tap).collect(),
+            lines: line.into_iter().map(tap_line).collect(),
             ..Simulated::default()
-        }
+        };
+        (wire, simulated)
     }
 
     /// Of a line, the place of drive `index`.
@@ -205,22 +213,6 @@ impl BusPlan for Wire {
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.plan.open(period_ns, &Tapped { carriers, wire: self })
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        let tap = |(index, drive)| {
-            let wire = self.clone();
-            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, reported: None })
-                as Box<_>
-        };
-        self.plan.simulate().into_iter().enumerate().map(tap).collect()
-    }
-
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        let line = self.plan.simulate_line()?;
-        let count = self.log().drives.len();
-        let drives = vec![TappedEnd::default(); count];
-        Some(Box::new(TappedLine { line, wire: self.clone(), drives, cut: None }))
     }
 }
 

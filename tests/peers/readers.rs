@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::{Command, Stdio};
 
-use crate::support::{LONG, Machine, Program, checkout, plan, until};
+use crate::support::{LONG, Machine, Program, checkout, simulated, until};
 use fieldbeat::cycle::status::Peak;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::hgrm::distribution;
@@ -80,7 +80,7 @@ fn distributions_of_drives_are_those_of_another_implementation() {
 fn the_parsers_of_prometheus_read_the_metrics() {
     let machine = Machine::new(40);
     let config = machine.showing();
-    let _sim = SimServer::start(plan(&config).simulate(), ServerOptions::default()).unwrap();
+    let _sim = SimServer::start(simulated(&config), ServerOptions::default()).unwrap();
     let endpoint = format!("{}:9464", machine.ip(1));
     let run = ["run", config.to_str().unwrap(), "--metrics", &endpoint];
     let mut program = Program::start(run);

@@ -2,9 +2,9 @@
 
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, KollmorgenDrive, SlavePlan};
-use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::sim::{FaultPlan, SimLine, Simulated};
+use fieldbeat::sim::{FaultPlan, SimPlan};
 use fieldbeat::time::MS;
 use libc::SIGINT;
 
@@ -22,10 +22,14 @@ impl Line {
         let drives = [1, 2].map(|place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700));
         let mut plan = EthercatPlan::new(&interface, drives.into());
         let slave = SlavePlan { inputs: Area { start: 0x1000, length: 2 }, ..SlavePlan::new(0) };
-        plan.devices.push(Device { name: "io".into(), slave, simulate: Default::default() });
-        plan.simulate.faults = faults;
-        let line: Box<dyn SimLine> = Box::new(EthercatSim::new(&plan));
-        let simulated = Simulated { lines: vec![line], ..Simulated::default() };
+        plan.devices.push(Device { name: "io".into(), slave });
+        let segment = EthercatSegment {
+            settings: SegmentSettings { faults, ..SegmentSettings::default() },
+            // Without terminals.
+            devices: vec![Coupler::default()],
+            ..plan.into()
+        };
+        let simulated = SimPlan::from(segment).build();
         Line { interface, server: SimServer::start(simulated, ServerOptions::default()).unwrap() }
     }
 

@@ -55,12 +55,12 @@ use std::time::Duration;
 
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use serde_json::Value;
-use support::{Ended, LONG, PROGRAM, Program, plan, until};
+use support::{Ended, LONG, PROGRAM, Program, simulated, until};
 
 const MS: Duration = Duration::from_millis(1);
 
 fn serve(config: &std::path::Path) -> SimServer {
-    SimServer::start(plan(config).simulate(), ServerOptions::default()).unwrap()
+    SimServer::start(simulated(config), ServerOptions::default()).unwrap()
 }
 
 fn master(config: &std::path::Path, arguments: &[&str]) -> Program {

@@ -14,6 +14,8 @@ use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::cycle::status::Status;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::rt::Realtime;
+use fieldbeat::sim::SimPlan;
+use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::metrics::Endpoint;
 use libc::SIGINT;
@@ -355,8 +357,8 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
         groups: Vec::new(),
     };
     let simulate = |count| {
-        let mut there = bus.simulate();
-        there.truncate(count);
+        let mut there = SimPlan::from(Unidrives::of(&bus)).build();
+        there.drives.truncate(count);
         SimServer::start(there, ServerOptions::default()).unwrap()
     };
     // Only the first one is there.

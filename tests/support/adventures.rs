@@ -20,7 +20,7 @@ use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::RtcCommand;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
-use super::{LONG, Machine, plan, until};
+use super::{LONG, Machine, simulated, until};
 
 /// The drives that live, on two buses; the others are `dead` and `refused`.
 const LIVING: [&str; 5] = ["d0", "d1", "d2", "d3", "each"];
@@ -188,7 +188,7 @@ impl Ends {
 }
 
 fn serve(config: &Path, options: ServerOptions, chosen: impl Fn(SocketAddrV4) -> bool) -> SimServer {
-    let mut drives = plan(config).simulate();
+    let mut drives = simulated(config);
     drives.drives.retain(|drive| chosen(drive.address()));
     SimServer::start(drives, options).unwrap()
 }

@@ -1,7 +1,7 @@
 //! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes
 //! through.
 
-/// All of `BusPlan` but `open`, `simulate` and `simulate_line`, by the plan in this field.
+/// All of `BusPlan` but `open`, by the plan in this field.
 #[macro_export]
 macro_rules! forward_bus_plan {
     ($field:tt) => {
@@ -35,6 +35,10 @@ macro_rules! forward_bus_plan {
 
         fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
             self.$field.drive_watchdog_ns(index)
+        }
+
+        fn addresses(&self) -> Vec<std::net::SocketAddrV4> {
+            self.$field.addresses()
         }
 
         fn describe(&self, period_ns: u64) -> Vec<String> {

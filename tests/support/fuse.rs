@@ -9,7 +9,6 @@ use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched};
 use fieldbeat::net::Carriers;
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::SimDrive;
 
 /// The call of a bus that panics.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,10 +52,6 @@ impl BusPlan for Fused {
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         let bus = self.plan.open(period_ns, carriers)?;
         Ok(Box::new(FusedBus { bus, of: self.clone() }))
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.plan.simulate()
     }
 }
 

@@ -20,9 +20,11 @@ use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
 use fieldbeat::axis::Health;
+use fieldbeat::config::Configuration;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::doctor::glance;
 use fieldbeat::rt::Realtime;
+use fieldbeat::sim::Simulated;
 use fieldbeat::time::{MS, S};
 
 /// Nothing takes this long, however busy the machine; whatever does is killed, and its test fails.
@@ -206,9 +208,19 @@ impl Drop for Machine {
     }
 }
 
+/// A configuration.
+fn configuration(path: &Path) -> Configuration {
+    fieldbeat::config::load(path).unwrap_or_else(|errors| panic!("{errors}"))
+}
+
 /// The plan of a configuration.
 pub fn plan(path: &Path) -> Plan {
-    fieldbeat::config::load(path).unwrap_or_else(|errors| panic!("{errors}"))
+    configuration(path).plan
+}
+
+/// The simulated drives of a configuration.
+pub fn simulated(path: &Path) -> Simulated {
+    configuration(path).simulation.build()
 }
 
 /// A child whose output is collected while it runs. Dropped = killed.

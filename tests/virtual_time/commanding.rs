@@ -10,7 +10,6 @@ use fieldbeat::axis::acyclic::{Acyclic, Call, CallError, CallTicket, ParameterEr
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Command, CommandId, EventKind, Failure, Link, Outcome};
 use fieldbeat::bus::ethercat::cia402::Mode;
-use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{MainState, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::simulation::Simulation;
@@ -18,7 +17,7 @@ use fieldbeat::time::{MS, S};
 
 use crate::virtual_time::carrier::LIMIT;
 use crate::virtual_time::kollmorgen::{self, Machine};
-use crate::virtual_time::support::{Bench, Rig};
+use crate::virtual_time::support::{Bench, Rig, RigDrive};
 
 /// A machine of one drive.
 pub trait Subject {
@@ -327,7 +326,7 @@ fn a_linmot_is_not_commanded_by_parameters_while_its_power_is_on() {
     never_meet(linmot(FaultPlan::default()));
     never_meet(linmot(FaultPlan { seed: 3, drop: 0.1, ..FaultPlan::default() }));
     // Busy with each write for longer than an enable takes to bring power on.
-    let busy = |_: usize, drive: &mut LinUdpDrive| drive.simulate.config_time_ns = 20 * MS;
+    let busy = |_: usize, drive: &mut RigDrive| drive.simulate.config_time_ns = 20 * MS;
     never_meet(LinMot::new(Rig::new(1).each(busy)));
     for seed in 0..4 {
         let drop = if seed % 2 == 0 { 0.0 } else { 0.05 };

@@ -4,7 +4,6 @@ use fieldbeat::Master;
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Underrun,
 };
-use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::sim::FaultPlan;
@@ -118,7 +117,7 @@ fn numbers_are_checked_for_all_members_before_one_has_anything() {
 
 #[test]
 fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
-    type Change = fn(usize, &mut LinUdpDrive);
+    type Change = fn(usize, &mut RigDrive);
     let cases: [(Change, &str); 4] = [
         (|_, drive| drive.axis.stop.group = None, "stop.group"),
         (|index, drive| drive.axis.stop.group = Some(index as u16), "stop.group"),

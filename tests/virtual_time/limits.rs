@@ -1,7 +1,7 @@
 //! How far and how fast: limits on submission and in the loop, jogs on their leash, axes that turn on and on.
 
 use fieldbeat::axis::{Abort, Command, Failure, Jog, Move, Outcome, Profile, Row, Target, Unit, Units};
-use fieldbeat::bus::linudp::SimPlan;
+use fieldbeat::sim::linudp::LinMotSettings;
 
 use crate::virtual_time::support::*;
 
@@ -177,7 +177,7 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
             drive.axis.units =
                 Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
             drive.axis.limits.position = None;
-            drive.simulate.range = SimPlan::ENDLESS;
+            drive.simulate.range = LinMotSettings::ENDLESS;
             // 10 mm before the end, and homed 5 mm before it.
             drive.simulate.start_position = i32::MAX - 100_000;
             drive.simulate.home_position = i32::MAX - 50_000;

@@ -16,9 +16,9 @@ use fieldbeat::cycle::status::ReferenceStatus;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::rt::Granted;
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::{FaultPlan, SimPlan};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::telemetry::Summary;
 use fieldbeat::time::{MS, S, Time, US};
@@ -51,12 +51,13 @@ fn interface(number: usize) -> String {
     format!("local:line{number}")
 }
 
-fn segment(number: usize, drift_ppm: &[f64], ahead_ns: Option<u64>) -> EthercatPlan {
+fn segment(number: usize, drift_ppm: &[f64], ahead_ns: Option<u64>) -> EthercatSegment {
     let drive = |(place, _)| KollmorgenDrive::new(format!("d{number}{place}"), place, Family::S700);
     let mut line = EthercatPlan::new(interface(number), (0..).zip(drift_ppm).map(drive).collect());
     line.name = format!("line{number}");
-    line.simulate.drift_ppm = drift_ppm.to_vec();
     line.ahead_of_sync_ns = ahead_ns;
+    let mut line = EthercatSegment::from(line);
+    line.settings.drift_ppm = drift_ppm.to_vec();
     line
 }
 
@@ -79,8 +80,10 @@ impl Led {
     ) -> Led {
         let lines = drift_ppm.iter().enumerate().map(|(number, ppm)| segment(number, ppm, ahead_ns));
         let lines: Vec<_> = lines.collect();
-        let delay_ns = lines[0].simulate.delay_ns;
-        let lines = lines.into_iter().map(|line| Box::new(line) as Box<dyn BusPlan>);
+        let delay_ns = lines[0].settings.delay_ns;
+        let mut drives = SimPlan::of(&others);
+        drives.buses.extend(lines.iter().map(|line| Box::new(line.clone()) as _));
+        let lines = lines.into_iter().map(|line| Box::new(line.plan) as Box<dyn BusPlan>);
         let plan = plan(period_ns, Some("line0"), lines.chain(others).collect());
         let seen = Arc::new(Mutex::new(Vec::new()));
         let log = Arc::clone(&seen);
@@ -89,6 +92,7 @@ impl Led {
         let way_ns = options.latency_ns + delay_ns;
         let sim = Master::from_plan(plan)
             .with_task(move |cycle, _| log.lock().unwrap().push(*cycle))
+            .with_simulation(drives)
             .simulate(options)
             .unwrap();
         let ahead_ns = ahead_ns.unwrap_or(period_ns / 2);
@@ -291,8 +295,9 @@ fn frames_that_are_lost_and_slots_that_are_skipped_steer_nothing() {
 
 #[test]
 fn without_a_reference_nobody_leads_and_the_grid_is_its_own() {
-    let plan = plan(MS, None, vec![Box::new(segment(0, &[500.0], None))]);
-    let mut sim = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
+    let segment = segment(0, &[500.0], None);
+    let plan = plan(MS, None, vec![Box::new(segment.plan.clone())]);
+    let mut sim = Master::from_plan(plan).with_simulation(segment).simulate(WorldOptions::default()).unwrap();
     sim.run(5_000);
     assert_eq!(sim.status().reference, None);
     assert!(sim.measured().histograms.reference.is_empty());
@@ -321,7 +326,7 @@ fn the_summary_says_who_leads_and_how_well() {
     let phase = &measured.histograms.reference;
     assert!(phase.len() <= reference.samples && phase.equivalent(phase.max(), reference.error_max.ns));
     let numbers = led.sim.finish();
-    let plan = plan(MS, Some("line0"), vec![Box::new(segment(0, &[100.0], None))]);
+    let plan = plan(MS, Some("line0"), vec![Box::new(segment(0, &[100.0], None).plan)]);
     let granted = Granted { policy: "", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
     let summary = Summary::of(&plan, &numbers, &measured, &granted, None);
     let json = serde_json::to_value(&summary).unwrap();
@@ -344,8 +349,8 @@ fn the_summary_says_who_leads_and_how_well() {
 #[test]
 fn a_reference_that_cannot_lead_is_refused_with_one_line() {
     let drives = || Box::new(LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive(0)])) as Box<dyn BusPlan>;
-    let line = |number| Box::new(segment(number, &[0.0], None)) as Box<dyn BusPlan>;
-    let namesake = Box::new(EthercatPlan { name: "line0".into(), ..segment(1, &[0.0], None) });
+    let line = |number| Box::new(segment(number, &[0.0], None).plan) as Box<dyn BusPlan>;
+    let namesake = Box::new(EthercatPlan { name: "line0".into(), ..segment(1, &[0.0], None).plan });
     let linudp = drives().name().to_owned();
     let none = "no bus of this machine has one: leave reference out";
     for (buses, reference, refused) in [
@@ -378,7 +383,7 @@ fn a_drive_alone_keeps_the_reference_only_if_it_is_on_that_bus() {
     let drive = drive(0);
     let name = drive.axis.name.clone();
     let linudp = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
-    let plan = plan(MS, Some("line0"), vec![Box::new(linudp), Box::new(segment(0, &[0.0], None))]);
+    let plan = plan(MS, Some("line0"), vec![Box::new(linudp), Box::new(segment(0, &[0.0], None).plan)]);
     let alone = plan.alone(&name).unwrap();
     assert_eq!((alone.cycle.reference.as_ref(), alone.check()), (None, Ok(())));
     assert_eq!(plan.reaching(&name).unwrap().check(), Ok(()));

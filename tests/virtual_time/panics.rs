@@ -13,11 +13,12 @@ use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::{Assembly, assemble};
 use fieldbeat::net::SendMode;
 use fieldbeat::rt::{Clock, PollSet};
+use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
 use fieldbeat::time::Time;
 
 use super::fuse::{Call, Fused};
-use crate::virtual_time::support::{drive, jog};
+use crate::virtual_time::support::{all_simulated, drive, jog};
 
 /// A clock that panics at its n-th call from now, and at some more from there.
 #[derive(Clone, Debug)]
@@ -78,11 +79,13 @@ impl Machine {
             Fused::new(plan)
         };
         let buses = [bus(0), bus(1)];
+        let drives =
+            SimPlan { buses: buses.iter().map(|bus| Box::new(all_simulated(&bus.plan)) as _).collect() };
         let plans = buses.iter().map(|bus| Box::new(bus.clone()) as Box<dyn BusPlan>);
         let plan =
             Plan { source: None, cycle: CyclePlan::default(), buses: plans.collect(), groups: Vec::new() };
         plan.check().unwrap();
-        let world = World::new(plan.simulate(), WorldOptions::default()).unwrap();
+        let world = World::new(drives.build(), WorldOptions::default()).unwrap();
         let (left, panics) = (Arc::new(AtomicI64::new(0)), Arc::new(AtomicI64::new(0)));
         let clock = FusedClock { clock: world.clock(), left, panics };
         let control = Control::default();

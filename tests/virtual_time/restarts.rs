@@ -8,7 +8,6 @@ use fieldbeat::axis::{
     Abort, Command, CommandId, EventKind, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow,
     StopThen, Target, Underrun,
 };
-use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::sim::FaultPlan;
@@ -18,7 +17,7 @@ use crate::virtual_time::support::*;
 /// One state of the master.
 struct Case {
     name: &'static str,
-    plan: fn(&mut LinUdpDrive),
+    plan: fn(&mut RigDrive),
     /// Leads into it; the command that runs there, if one does.
     lead: fn(&mut Bench) -> Option<CommandId>,
     /// How long it lasts at least, cycles.

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Answer, Call, CallError, Carrier, Condition, Series};
 use fieldbeat::axis::{Command, Health, Link, State, StopCause};
-use fieldbeat::bus::linudp::FlashMode;
 use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
 use fieldbeat::bus::linudp::service::{CurvePut, Progress, Saved, ServiceError, Services};
@@ -15,6 +14,7 @@ use fieldbeat::bus::linudp::table::{Entry, Table};
 use fieldbeat::bus::linudp::upid::{Upid, Usage};
 use fieldbeat::bus::linudp::wire::{ErrorCode, Refusal, RtcCommand};
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::linudp::FlashMode;
 use fieldbeat::time::S;
 
 use crate::virtual_time::carrier::Turning;

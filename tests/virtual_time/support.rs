@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::ops::{Deref, DerefMut};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
@@ -14,8 +15,7 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
 use fieldbeat::bus::linudp::{
-    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, ReplyTag, SimPlan,
-    StreamCommand,
+    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
 use fieldbeat::cycle::engine::Flow;
@@ -27,11 +27,11 @@ use fieldbeat::net::{
     Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::linudp::LinMotSim;
+use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim, LinMots};
 use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
-use fieldbeat::time::{MS, Time};
+use fieldbeat::time::Time;
 
 pub const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), MASTER_PORT);
 
@@ -165,15 +165,6 @@ impl BusPlan for TapedBus {
         let tapes = self.tapes.clone();
         self.plan.open(period_ns, &Jammable { carriers, tapes })
     }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        (self.plan.drives.iter().zip(&self.tapes))
-            .map(|(drive, tape)| {
-                let drive = Taped { drive: LinMotSim::new(drive), tape: Arc::clone(&tape.0) };
-                Box::new(drive) as Box<dyn SimDrive>
-            })
-            .collect()
-    }
 }
 
 /// Carriers that fail where a tape says so, and write down what they send.
@@ -276,20 +267,51 @@ pub fn drive(index: usize) -> LinUdpDrive {
         reply_tag: ReplyTag::default(),
         inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: Some(20.0),
-        simulate: SimPlan {
-            faults: FaultPlan::default(),
-            padding: 14,
-            filter: MasterFilter::None,
-            start_position: 100_000,
-            range: (-50_000, 2_050_000),
-            mass_kg: 1.0,
-            home_position: 0,
-            stream_period_ns: MS,
-            stream_patience: 2.5,
-            stream_depth: 8,
-            ..SimPlan::default()
-        },
     }
+}
+
+/// The simulated drive at an address as most tests want it.
+pub fn simulated(drive: &LinUdpDrive) -> LinMotSettings {
+    LinMotSettings {
+        start_position: 100_000,
+        range: (-50_000, 2_050_000),
+        ..LinMotSettings::new(drive.address)
+    }
+}
+
+/// The simulated drives of a bus as most tests want them.
+pub fn all_simulated(plan: &LinUdpPlan) -> LinMots {
+    LinMots(plan.drives.iter().map(simulated).collect())
+}
+
+/// A drive of the plan, and how it is simulated.
+#[derive(Clone, Debug)]
+pub struct Paired<P, S> {
+    pub plan: P,
+    pub simulate: S,
+}
+
+impl<P, S> Deref for Paired<P, S> {
+    type Target = P;
+
+    fn deref(&self) -> &P {
+        &self.plan
+    }
+}
+
+impl<P, S> DerefMut for Paired<P, S> {
+    fn deref_mut(&mut self) -> &mut P {
+        &mut self.plan
+    }
+}
+
+/// A RigDrive of a [`Rig`].
+pub type RigDrive = Paired<LinUdpDrive, LinMotSettings>;
+
+/// The usual one.
+fn linmot(index: usize) -> RigDrive {
+    let plan = drive(index);
+    Paired { simulate: simulated(&plan), plan }
 }
 
 /// A ramp that takes its time. The plan of the others, which promises an end within the time-out, would be refused.
@@ -304,7 +326,7 @@ type TaskFn = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
 /// A machine to be built.
 pub struct Rig {
     pub cycle: CyclePlan,
-    pub drives: Vec<LinUdpDrive>,
+    pub drives: Vec<RigDrive>,
     pub options: WorldOptions,
     task: Option<TaskFn>,
 }
@@ -313,7 +335,7 @@ impl Rig {
     pub fn new(count: usize) -> Rig {
         Rig {
             cycle: CyclePlan::default(),
-            drives: (0..count).map(drive).collect(),
+            drives: (0..count).map(linmot).collect(),
             options: WorldOptions::default(),
             task: None,
         }
@@ -324,7 +346,7 @@ impl Rig {
         self
     }
 
-    pub fn each(mut self, change: impl Fn(usize, &mut LinUdpDrive)) -> Rig {
+    pub fn each(mut self, change: impl Fn(usize, &mut RigDrive)) -> Rig {
         self.drives.iter_mut().enumerate().for_each(|(index, drive)| change(index, drive));
         self
     }
@@ -342,11 +364,16 @@ impl Rig {
 
     pub fn start(self) -> Bench {
         let tapes: Vec<_> = self.drives.iter().map(|_| SharedTape(Arc::default())).collect();
+        let taped = |(drive, tape): (&RigDrive, &SharedTape)| {
+            let drive = LinMotSim::new(drive.simulate.clone());
+            Box::new(Taped { drive, tape: Arc::clone(&tape.0) }) as Box<dyn SimDrive>
+        };
+        let simulated: Vec<_> = self.drives.iter().zip(&tapes).map(taped).collect();
         let plan = LinUdpPlan {
             name: "linudp".into(),
             bind: MASTER,
             send: SendMode::Batch,
-            drives: self.drives.clone(),
+            drives: self.drives.iter().map(|drive| drive.plan.clone()).collect(),
         };
         let period_ns = self.cycle.period_ns;
         let bus = TapedBus { plan, tapes: tapes.clone() };
@@ -358,7 +385,7 @@ impl Rig {
         // The grid begins two periods after the first look at the clock.
         let origin = self.options.start + self.options.read_ns + 2 * period_ns;
         Bench {
-            sim: setup.simulate(self.options).expect("the machine can be built"),
+            sim: setup.simulate_with(simulated, self.options).expect("the machine can be built"),
             origin,
             drives: self.drives,
             tapes,
@@ -388,7 +415,7 @@ impl Rig {
 /// A machine that runs.
 pub struct Bench {
     pub sim: Simulation,
-    pub drives: Vec<LinUdpDrive>,
+    pub drives: Vec<RigDrive>,
     tapes: Vec<SharedTape>,
     /// The axes of `members`, once they have joined.
     group: Option<Group>,

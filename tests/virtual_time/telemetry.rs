@@ -9,14 +9,15 @@ use fieldbeat::cycle::record::{Record, Reply, Stage};
 use fieldbeat::cycle::status::{Extent, Numbers};
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::world::{World, WorldOptions};
+use fieldbeat::sim::{FaultPlan, SimPlan, Simulated};
 use fieldbeat::telemetry::causes::Cause;
 use fieldbeat::telemetry::{Measured, Quantiles};
 use fieldbeat::time::{MS, US};
 use rtrb::Consumer;
 
-use super::support::{Rig, drive};
+use super::support::{Rig, drive, simulated};
 
 const CYCLES: u64 = 5_000;
 
@@ -24,8 +25,6 @@ const CYCLES: u64 = 5_000;
 fn plan() -> Plan {
     let drives = (0..3).map(|index| {
         let mut drive = drive(index);
-        drive.simulate.faults =
-            FaultPlan { seed: index as u64, drop: 0.02, delay: 0.02, ..FaultPlan::default() };
         if index == 1 {
             drive.monitor = MonitorPlan::Sources([
                 None,
@@ -40,10 +39,19 @@ fn plan() -> Plan {
     Plan { source: None, cycle: cycle(), buses: vec![Box::new(bus) as Box<dyn BusPlan>], groups: Vec::new() }
 }
 
+/// Its drives.
+fn drives() -> Simulated {
+    let settings = |index| LinMotSettings {
+        faults: FaultPlan { seed: index as u64, drop: 0.02, delay: 0.02, ..FaultPlan::default() },
+        ..simulated(&drive(index))
+    };
+    SimPlan::from(LinMots((0..3).map(settings).collect())).build()
+}
+
 /// A machine whose sleeps are disturbed too; `telemetry` may take the records after each step.
 fn run(plan: &Plan, mut telemetry: impl FnMut(&mut Consumer<Record>)) -> Numbers {
     let options = WorldOptions { seed: 7, wake_ns: 260 * US, ..WorldOptions::default() };
-    let world = World::new(plan.simulate(), options).unwrap();
+    let world = World::new(drives(), options).unwrap();
     let Assembly { mut engine, mut records, .. } =
         assemble(plan, world.clock(), &world, None, Control::default()).unwrap();
     engine.begin();
@@ -145,7 +153,7 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
         buses: vec![Box::new(bus) as Box<dyn BusPlan>],
         groups: Vec::new(),
     };
-    let world = World::new(plan.simulate(), WorldOptions::default()).unwrap();
+    let world = World::new(drives(), WorldOptions::default()).unwrap();
     let Assembly { mut engine, mut records, .. } =
         assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
     engine.begin();
@@ -208,7 +216,7 @@ fn only_drives_that_show_something_besides_take_room() {
     let without = Plan { buses: vec![Box::new(bus)], ..plan() };
     assert_eq!(without.records_a_cycle(), 3 + 1);
     for (plan, records) in [(with, 5), (without, 4)] {
-        let world = World::new(plan.simulate(), WorldOptions::default()).unwrap();
+        let world = World::new(drives(), WorldOptions::default()).unwrap();
         let Assembly { records: ring, .. } =
             assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
         assert_eq!((ring.buffer().capacity(), plan.black_box_records()), (records * 1_000, records * 2_000));

@@ -53,6 +53,7 @@ pub use image::{Returned, returned};
 pub use native::{
     Native, NativeInputs, NativeOutput, PDO_MAX, TERMINAL_MAX, TerminalError, TerminalInputs, Terminals,
 };
+pub(crate) use plan::is_interface;
 pub use plan::{
     Area, Device, EthercatPlan, Expected, KOLLMORGEN, KollmorgenDrive, Mapping, Owner, Scaling, Setpoint,
     SlavePlan, Start,

@@ -17,8 +17,6 @@ use super::wire::sii::Identity;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::is_plain_name;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
-use crate::sim::ethercat::coupler::Coupler;
-use crate::sim::ethercat::{DriveSettings, LineSettings};
 use crate::time::MS;
 
 /// The slaves of one line, behind one interface.
@@ -37,8 +35,6 @@ pub struct EthercatPlan {
     pub lrw: bool,
     /// Where in the period of SYNC0 a frame leaves the master, ns before it. Default: half of the period.
     pub ahead_of_sync_ns: Option<u64>,
-    /// How its simulation is.
-    pub simulate: LineSettings,
 }
 
 /// What the line needs to know of a slave, drive or not.
@@ -158,8 +154,6 @@ pub struct KollmorgenDrive {
     pub home_method: Option<i8>,
     /// Objects that it shows besides, read by its mailbox in turns: plain counts, of the unit that is known of each.
     pub show: [Option<(Object, Type)>; MONITOR_CHANNELS],
-    /// How its simulation is.
-    pub simulate: DriveSettings,
 }
 
 /// Where the PDOs of a drive come from.
@@ -206,8 +200,6 @@ pub struct Device {
     pub name: String,
     /// What the line needs to know of it.
     pub slave: SlavePlan,
-    /// How its simulation is.
-    pub simulate: Coupler,
 }
 
 /// Vendor of all Kollmorgen drives.
@@ -230,7 +222,7 @@ const LOCAL: &str = "local:";
 const INTERFACE_MAX: usize = 15;
 
 /// Whether a line can be behind this: an interface as the kernel names one, or a name of this computer's own.
-fn is_interface(text: &str) -> bool {
+pub(crate) fn is_interface(text: &str) -> bool {
     let is_kernels = || {
         let odd = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
         (1..=INTERFACE_MAX).contains(&text.len()) && !text.contains(odd) && !matches!(text, "." | "..")
@@ -248,7 +240,6 @@ impl EthercatPlan {
             devices: Vec::new(),
             lrw: true,
             ahead_of_sync_ns: None,
-            simulate: LineSettings::default(),
         }
     }
 
@@ -400,7 +391,6 @@ impl KollmorgenDrive {
             accept_no_watchdog: false,
             home_method: None,
             show: [None; MONITOR_CHANNELS],
-            simulate: DriveSettings::new(family),
         };
         drive.fit();
         drive

@@ -19,8 +19,6 @@ use crate::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched, lock_drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
-use crate::sim::SimDrive;
-use crate::sim::linudp::LinMotSim;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
 /// a telegram of this protocol.
@@ -299,7 +297,7 @@ impl BusPlan for LinUdpPlan {
         Some(Box::new(LinUdpPlan { drives: vec![drive], ..self.clone() }))
     }
 
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.drives.iter().map(|drive| Box::new(LinMotSim::new(drive)) as Box<dyn SimDrive>).collect()
+    fn addresses(&self) -> Vec<SocketAddrV4> {
+        self.drives.iter().map(|drive| drive.address).collect()
     }
 }

@@ -5,12 +5,11 @@ use std::time::Duration;
 
 use super::PROTOCOL;
 use super::plan::{
-    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    ReplyTag, SimPlan, StreamCommand, UnknownCommands,
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
 use super::upid::{KNOWN, Upid};
+use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Unit, Units};
 use crate::bus::BusPlan;
 use crate::keys::bus::{NOWHERE, drives, reachable};
 use crate::keys::drive::{Counts, axis};
@@ -18,8 +17,6 @@ use crate::keys::machine::{Claim, Machine};
 use crate::keys::table::{POSITIVE, Table, integer};
 use crate::keys::value::{closest, station};
 use crate::net::SendMode;
-use crate::sim::Carrier;
-use crate::sim::keys::faults;
 use crate::time::S;
 
 /// Reads a `[[bus]]`.
@@ -28,7 +25,7 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let bind = bind(table, machine);
     let send =
         table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
-    let drives = drives(table, |table, index| drive(table, machine, bind, index));
+    let drives = drives(table, |table, _| drive(table, machine, bind));
     Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
 }
 
@@ -54,12 +51,7 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddr
     Some(address)
 }
 
-fn drive(
-    table: &mut Table<'_>,
-    machine: &mut Machine,
-    bind: Option<SocketAddrV4>,
-    index: usize,
-) -> LinUdpDrive {
+fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> LinUdpDrive {
     let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
@@ -72,9 +64,9 @@ fn drive(
             .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
             .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
         leash: leash(table),
-        simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
         axis,
     };
+    table.later("simulate");
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);
     }
@@ -139,88 +131,4 @@ fn leash(table: &mut Table<'_>) -> Option<f64> {
             None
         }
     }
-}
-
-fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize) -> SimPlan {
-    let counts = |position: f64| counts(&axis.units, position);
-    let range = table.interval("range", "mechanical, in user units");
-    let endless = range.is_none() && axis.units.modulo.is_some();
-    let (low, high) = range.unwrap_or({
-        match axis.limits.position {
-            Some((low, high)) => (low - 5.0, high + 5.0),
-            None => (-1000.0, 1000.0),
-        }
-    });
-    let inside = |table: &mut Table<'_>, key| {
-        table.number(key, low..=high, "inside the range of the simulated axis, in user units")
-    };
-    let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
-    let start = inside(table, "start").unwrap_or((low + high) / 2.0);
-    let ends = if endless { SimPlan::ENDLESS } else { (counts(low), counts(high)) };
-    let default = SimPlan::default();
-    SimPlan {
-        faults: faults(table, Carrier::Datagrams, period_ns, index),
-        padding: table
-            .read("padding", |value| {
-                let padding = integer(value).and_then(|padding| usize::try_from(padding).ok());
-                padding
-                    .filter(|padding| [0, 14, 64].contains(padding))
-                    .ok_or("must be 0, 14 or 64 bytes".into())
-            })
-            .unwrap_or(default.padding),
-        filter: filter(table).unwrap_or_default(),
-        start_position: counts(start),
-        range: (ends.0.min(ends.1), ends.0.max(ends.1)),
-        mass_kg: table.number("mass", 0.001..=10_000.0, "moving mass in kg").unwrap_or(default.mass_kg),
-        home_position: counts(home),
-        stream_period_ns: table
-            .time("stream_period", 100_000..=S, "the period set in the drive for the configured commands")
-            .unwrap_or(period_ns),
-        stream_patience: table
-            .number("stream_patience", 1.0..=1_000.0, "periods without a setpoint before error 0083h")
-            .unwrap_or(default.stream_patience),
-        stream_depth: table
-            .integer("stream_depth", 1..=10_000, "setpoints that a stream holds ahead of its output")
-            .unwrap_or(default.stream_depth),
-        status_lag_ns: table
-            .time("status_lag", ..=S, "how old the control word is that the status word reports")
-            .unwrap_or(default.status_lag_ns),
-        force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
-        start_running: table.flag("running").unwrap_or(false),
-        config_time_ns: table
-            .time("config_time", ..=60 * S, "how long a command on the parameter channel takes")
-            .unwrap_or(default.config_time_ns),
-        flash_time_ns: table
-            .time("flash_time", ..=600 * S, "how long a save into flash takes; real drives took 39s ... 75s")
-            .unwrap_or(default.flash_time_ns),
-        flash: table
-            .word(
-                "flash",
-                &[("silent", FlashMode::Silent), ("mute", FlashMode::Mute), ("busy", FlashMode::Busy)],
-            )
-            .unwrap_or_default(),
-        unknown_commands: table
-            .word(
-                "unknown_commands",
-                &[("refuse", UnknownCommands::Refuse), ("ignore", UnknownCommands::Ignore)],
-            )
-            .unwrap_or_default(),
-        extend_sign: table.flag("extend_sign").unwrap_or(false),
-    }
-}
-
-/// A simulated position in counts, at the end of the wire's range where it does not fit.
-fn counts(units: &Units, position: f64) -> i32 {
-    let counts = ((position - units.offset) * units.counts_per_unit).round();
-    counts.clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
-}
-
-fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {
-    table.text("filter", "\"none\", \"single\" or the one master's address, like \"192.168.1.1\"", |text| {
-        match text {
-            "none" => Some(MasterFilter::None),
-            "single" => Some(MasterFilter::Single),
-            _ => text.parse().ok().map(MasterFilter::Fixed),
-        }
-    })
 }

@@ -48,8 +48,7 @@ use super::Protocol;
 pub use rtc::UNACKNOWLEDGED;
 
 pub use plan::{
-    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    ReplyTag, SimPlan, StreamCommand, UnknownCommands,
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
 
 /// The protocol's name in configurations.

@@ -1,6 +1,7 @@
 //! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
 use std::any::Any;
+use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -20,8 +21,6 @@ use crate::bus::desired::Capabilities;
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, lock_drives};
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
-use crate::sim::SimDrive;
-use crate::sim::modbus::UnidriveSim;
 use crate::time::Time;
 
 /// Connections and their drives.
@@ -311,10 +310,7 @@ impl BusPlan for ModbusPlan {
         Some(Box::new(ModbusPlan { name: self.name.clone(), bind: self.bind, drives: vec![drive] }))
     }
 
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.drives
-            .iter()
-            .map(|drive| Box::new(UnidriveSim::new(drive.simulated())) as Box<dyn SimDrive>)
-            .collect()
+    fn addresses(&self) -> Vec<SocketAddrV4> {
+        self.drives.iter().map(|drive| drive.address).collect()
     }
 }

@@ -15,9 +15,6 @@ use crate::keys::drive::{Counts, axis};
 use crate::keys::machine::{Claim, Machine};
 use crate::keys::table::{Table, integer, time};
 use crate::keys::value::{closest, station};
-use crate::sim::Carrier;
-use crate::sim::keys::faults;
-use crate::sim::modbus::{Interface, MotorSettings, ReadWrite, SimSettings, Start};
 use crate::time::{MS, S, US};
 
 const COUNTS: Counts =
@@ -27,7 +24,7 @@ const COUNTS: Counts =
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let bind = bind(table);
-    let drives = drives(table, |table, index| drive(table, machine, bind, index));
+    let drives = drives(table, |table, _| drive(table, machine, bind));
     Box::new(ModbusPlan { name, bind, drives })
 }
 
@@ -39,12 +36,7 @@ fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
     table.text("bind", hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
 }
 
-fn drive(
-    table: &mut Table<'_>,
-    machine: &mut Machine,
-    bind: Option<Ipv4Addr>,
-    index: usize,
-) -> UnidriveDrive {
+fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> UnidriveDrive {
     let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
@@ -80,12 +72,11 @@ fn drive(
             .unwrap_or(0),
         watchdog: watchdog(table, default.watchdog),
         set_up: table.flag("set_up").unwrap_or(default.set_up),
-        simulate: default.simulate,
     };
     if drive.reply_within_ns == 0 {
         drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
     }
-    drive.simulate = table.table("simulate", |table| simulate(table, &drive, period_ns, index));
+    table.later("simulate");
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);
     }
@@ -258,72 +249,4 @@ fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
     });
     let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
     Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
-}
-
-fn simulate(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index: usize) -> SimSettings {
-    let default = SimSettings::new(drive.address);
-    let interface = Interface {
-        read_write: fc23(table).unwrap_or(default.interface.read_write),
-        menu_zero: table.flag("menu_0").unwrap_or(default.interface.menu_zero),
-        connections: table
-            .integer("connections", 1..=64, "the largest number of masters at a time")
-            .unwrap_or(default.interface.connections),
-        drive_units: drive.unit.map_or(default.interface.drive_units, |unit| vec![unit]),
-        ..default.interface
-    };
-    let motor = motor(table, default.motor);
-    let most = drive.velocity(motor.rated_rpm).abs();
-    let running = table.number("running", -most..=most, "a velocity up to the rated speed, units/s");
-    SimSettings {
-        faults: faults(table, Carrier::Stream, period_ns, index),
-        interface,
-        motor,
-        start: running.map_or(default.start, |velocity| Start::Running(drive.rpm(velocity))),
-        ..default
-    }
-}
-
-/// Whether the simulated drive has FC23, or what it does instead.
-fn fc23(table: &mut Table<'_>) -> Option<ReadWrite> {
-    table.read("fc23", |value| match (value.as_bool(), value.as_str()) {
-        (Some(true), _) => Ok(ReadWrite::Served),
-        (Some(false), _) => Ok(ReadWrite::Refused),
-        (_, Some("ignored")) => Ok(ReadWrite::Ignored),
-        (_, Some("closes")) => Ok(ReadWrite::Closes),
-        _ => Err("must be true, false, \"ignored\" or \"closes\"".into()),
-    })
-}
-
-fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
-    let mut value = |key, range: std::ops::RangeInclusive<f64>, hint, default| {
-        table.number(key, range, hint).unwrap_or(default)
-    };
-    MotorSettings {
-        rated_rpm: value("rated_speed", 1.0..=50_000.0, "rated speed of the motor, rpm", default.rated_rpm),
-        rated_nm: value(
-            "rated_torque",
-            0.001..=100_000.0,
-            "rated torque of the motor, N m",
-            default.rated_nm,
-        ),
-        inertia_kgm2: value(
-            "inertia",
-            1e-9..=1e6,
-            "the inertia of all rotating parts, kg m²",
-            default.inertia_kgm2,
-        ),
-        load_nm: value(
-            "load",
-            0.0..=100_000.0,
-            "the load torque of the machine at rated speed, N m",
-            default.load_nm,
-        ),
-        friction_nm: value(
-            "friction",
-            0.0..=100_000.0,
-            "the friction torque of the machine at any speed, N m",
-            default.friction_nm,
-        ),
-        ..default
-    }
 }

@@ -7,7 +7,6 @@ use super::parameter::{Addressing, Parameter, Width};
 use super::station::REFERENCES_IN_A_ROW;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, HeldBy, Load, MonitorChannel, PlanFault, Unit, Units};
-use crate::sim::modbus::{Interface, SimSettings};
 use crate::time::{MS, Ns, S};
 
 /// Where a drive listens unless Pr S.15.005 says otherwise (SI-Ethernet guide).
@@ -50,8 +49,6 @@ pub struct UnidriveDrive {
     /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first command that
     /// needs it. Without that it is only looked whether it is so.
     pub set_up: bool,
-    /// The drive when it is simulated. Address, addressing and slot are those above.
-    pub simulate: SimSettings,
 }
 
 /// The cyclic parameters (SI-PROFIBUS guide: words 06.042 and 10.040).
@@ -212,7 +209,6 @@ impl UnidriveDrive {
             reply_within_ns: USUAL_REPLY_NS,
             watchdog: Watchdog::default(),
             set_up: true,
-            simulate: SimSettings::new(address),
         }
     }
 
@@ -238,13 +234,6 @@ impl UnidriveDrive {
     /// The drive's own time-out for Modbus traffic.
     pub(super) fn time_out(&self) -> Parameter {
         Parameter::new(15, 9).in_slot(self.slot)
-    }
-
-    /// The settings of its simulation.
-    pub(super) fn simulated(&self) -> SimSettings {
-        let interface =
-            Interface { addressing: self.addressing, slot: self.slot, ..self.simulate.interface.clone() };
-        SimSettings { address: self.address, interface, ..self.simulate.clone() }
     }
 
     /// What it shows besides, for people.

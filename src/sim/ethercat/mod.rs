@@ -41,6 +41,8 @@
 
 mod chip;
 mod clock;
+#[cfg(feature = "config")]
+pub(super) mod config;
 pub mod coupler;
 mod drive;
 pub mod esc;
@@ -65,8 +67,9 @@ pub use self::coupler::Coupler;
 pub use self::esc::{Esc, Settings};
 pub use self::line::Line;
 pub use drive::Drive;
-pub use settings::{Dialect, DriveSettings, LineSettings, MotorSettings};
-pub use simulation::EthercatSim;
+pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};
+pub(super) use simulation::fit;
+pub use simulation::{EthercatSegment, EthercatSim};
 
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::time::Time;

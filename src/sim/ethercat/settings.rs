@@ -189,7 +189,7 @@ impl DriveSettings {
 
 /// The settings of a simulated segment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LineSettings {
+pub struct SegmentSettings {
     /// The interface at the drives' end of the cable, where the master's is a real one.
     pub interface: Option<String>,
     /// How much faster than ours the clock of the slave at a position runs, ppm; the last value holds for all
@@ -212,9 +212,9 @@ pub struct LineSettings {
     pub faults: FaultPlan,
 }
 
-impl Default for LineSettings {
-    fn default() -> LineSettings {
-        LineSettings {
+impl Default for SegmentSettings {
+    fn default() -> SegmentSettings {
+        SegmentSettings {
             interface: None,
             drift_ppm: Vec::new(),
             delay_ns: 500,

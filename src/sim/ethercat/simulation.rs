@@ -1,17 +1,21 @@
 //! The segment of a plan, simulated: its slaves, and the content of their EEPROMs.
 
+use std::any::Any;
+
 use super::coupler::Terminals;
 use super::sii::{Access, Contents, Mailboxes, Pdo};
-use super::{Coupler, Drive, DriveSettings, Esc, Line, LineSettings, Settings};
+use super::{Coupler, Drive, DriveSettings, Esc, Line, SegmentSettings, Settings};
+use crate::axis::PlanFault;
+use crate::bus::BusPlan;
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::wire::frame::ETHERTYPE;
 use crate::bus::ethercat::wire::registers::{Features, Fmmu, SyncManager};
 use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::bus::ethercat::{
-    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan,
+    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan, is_interface,
 };
-use crate::sim::{FaultPlan, SimLine};
+use crate::sim::{FaultPlan, SimBus, SimLine, Simulated};
 use crate::time::{MS, Time, US};
 
 /// The Ethertype of a frame, and the index of its first datagram.
@@ -36,20 +40,112 @@ const LOGICAL: u32 = 0x0001_0000;
 /// The slave at each position that the plan leaves out: a coupler (Beckhoff EK1100) without terminals.
 const PLAIN: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x0011_0000 };
 
-/// The simulated segment of a plan.
+/// The simulated segment of a bus: slaves that fit its plan, as these settings say.
+#[derive(Clone, Debug)]
+pub struct EthercatSegment {
+    /// The plan of the bus.
+    pub plan: EthercatPlan,
+    /// The segment as a whole.
+    pub settings: SegmentSettings,
+    /// The drives, in the order of the plan.
+    pub drives: Vec<DriveSettings>,
+    /// The terminals of the devices, in the order of the plan.
+    pub devices: Vec<Coupler>,
+}
+
+impl From<EthercatPlan> for EthercatSegment {
+    /// Slaves with default settings.
+    fn from(plan: EthercatPlan) -> EthercatSegment {
+        EthercatSegment {
+            settings: SegmentSettings::default(),
+            drives: plan.drives.iter().map(|drive| DriveSettings::new(drive.family)).collect(),
+            devices: plan.devices.iter().map(Coupler::of).collect(),
+            plan,
+        }
+    }
+}
+
+impl From<&EthercatPlan> for EthercatSegment {
+    fn from(plan: &EthercatPlan) -> EthercatSegment {
+        plan.clone().into()
+    }
+}
+
+impl SimBus for EthercatSegment {
+    fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
+        let wire = self.interface_fault().map(|why| (None, PlanFault::new("simulate.interface", why)));
+        let devices = self.plan.devices.iter().zip(&self.devices);
+        wire.into_iter().chain(devices.flat_map(|(device, coupler)| coupler.faults(device))).collect()
+    }
+
+    fn build(&self, to: &mut Simulated) {
+        to.lines.push(Box::new(EthercatSim::new(self)));
+    }
+}
+
+/// The simulated segment of a bus, if it is one of this protocol.
+pub(in crate::sim) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
+    let plan: &EthercatPlan = (bus as &dyn Any).downcast_ref()?;
+    Some(Box::new(EthercatSegment::from(plan.clone())))
+}
+
+impl EthercatSegment {
+    fn interface_fault(&self) -> Option<&'static str> {
+        let far = self.settings.interface.as_deref()?;
+        if self.plan.is_local() {
+            Some("needs a real interface; simulated drives on this computer have none, leave it out")
+        } else if far == self.plan.interface {
+            Some("is the master's own interface; name the one at the other end of the cable")
+        } else {
+            (!is_interface(far)).then_some("must be a network interface, like \"eth2\"")
+        }
+    }
+}
+
+impl Coupler {
+    /// Terminals for the process data of a device.
+    pub fn of(device: &Device) -> Coupler {
+        Coupler { outputs: terminals(device.slave.outputs), inputs: terminals(device.slave.inputs) }
+    }
+
+    /// What does not fit the process data of `device`.
+    fn faults(self, device: &Device) -> impl Iterator<Item = (Option<String>, PlanFault)> {
+        let sides = [
+            ("simulate.outputs", self.outputs, device.slave.outputs),
+            ("simulate.inputs", self.inputs, device.slave.inputs),
+        ];
+        let wrong = sides.into_iter().filter(|(_, there, area)| there.bytes() != usize::from(area.length));
+        wrong.map(|(key, there, area)| {
+            let Terminals { digital, analogue } = there;
+            let why = format!(
+                "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {}; make them equal",
+                there.bytes(),
+                area.length
+            );
+            (Some(device.name.clone()), PlanFault::new(key, why))
+        })
+    }
+}
+
+/// A simulated segment.
 ///
 /// A position between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
 #[derive(Debug)]
 pub struct EthercatSim {
     line: Line,
     interface: String,
-    settings: LineSettings,
+    settings: SegmentSettings,
 }
 
 impl EthercatSim {
-    /// As in the plan, just switched on.
-    pub fn new(plan: &EthercatPlan) -> EthercatSim {
-        let settings = plan.simulate.clone();
+    /// Slaves that fit a plan, with default settings, just switched on.
+    pub fn of(plan: &EthercatPlan) -> EthercatSim {
+        EthercatSim::new(&plan.into())
+    }
+
+    /// As set up, just switched on.
+    pub fn new(segment: &EthercatSegment) -> EthercatSim {
+        let (plan, settings) = (&segment.plan, segment.settings.clone());
         let (mut slaves, mut logical) = (Vec::new(), LOGICAL);
         for (owner, slave) in plan.slaves() {
             while slaves.len() < slave.place.into() {
@@ -58,8 +154,8 @@ impl EthercatSim {
             }
             let hardware = hardware(&settings, slaves.len(), slave.sync);
             slaves.push(match owner {
-                Owner::Drive(index) => drive(&plan.drives[index], hardware, logical),
-                Owner::Device(index) => device(&plan.devices[index], hardware),
+                Owner::Drive(index) => drive(&plan.drives[index], &segment.drives[index], hardware, logical),
+                Owner::Device(index) => device(&plan.devices[index], segment.devices[index], hardware),
             });
             logical += u32::from(slave.outputs.length);
         }
@@ -150,7 +246,7 @@ impl SimLine for EthercatSim {
 }
 
 /// The controller of the slave at `place`.
-fn hardware(line: &LineSettings, place: usize, clock: bool) -> Settings {
+fn hardware(line: &SegmentSettings, place: usize, clock: bool) -> Settings {
     let features = match (clock, line.short_clocks) {
         (false, _) => 0x0180,
         (true, true) => 0x0184,
@@ -172,8 +268,8 @@ fn hardware(line: &LineSettings, place: usize, clock: bool) -> Settings {
     }
 }
 
-fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
-    let settings = drive_settings(plan);
+fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, hardware: Settings, logical: u32) -> Esc {
+    let settings = drive_settings(plan, settings.clone());
     let contents = Contents {
         name: match settings.family {
             Family::S700 => "S700",
@@ -201,8 +297,7 @@ fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
 
 /// A drive that fits its plan: with the PDOs that are not mapped first, and, unless it was set otherwise, with the
 /// identity of the plan.
-fn drive_settings(plan: &KollmorgenDrive) -> DriveSettings {
-    let mut settings = plan.simulate.clone();
+fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveSettings {
     if settings.identity == DriveSettings::new(settings.family).identity {
         settings.identity = expected(plan.slave.identity, settings.identity);
     }
@@ -221,12 +316,8 @@ fn drive_settings(plan: &KollmorgenDrive) -> DriveSettings {
     settings
 }
 
-fn device(plan: &Device, hardware: Settings) -> Esc {
+fn device(plan: &Device, coupler: Coupler, hardware: Settings) -> Esc {
     let slave = &plan.slave;
-    let coupler = match plan.simulate == Coupler::default() {
-        true => Coupler { outputs: terminals(slave.outputs), inputs: terminals(slave.inputs) },
-        false => plan.simulate,
-    };
     let mut contents = coupler.contents(IO, expected(slave.identity, PLAIN));
     contents.managers = managers(slave);
     contents.mailboxes = slave.mailbox.map(mailboxes);
@@ -296,11 +387,10 @@ mod tests {
     use crate::time::S;
 
     /// A drive, nothing, an AKD, and terminals with a mailbox.
-    fn plan() -> EthercatPlan {
+    fn segment() -> EthercatSegment {
         let mut drives =
             vec![KollmorgenDrive::new("x", 0, Family::S700), KollmorgenDrive::new("y", 2, Family::Akd)];
         drives[0].slave.identity.product = Some(0x0300_0700);
-        drives[1].simulate.identity.product = 77;
         let area = |start, length| Area { start, length };
         let slave = SlavePlan {
             identity: Expected { product: Some(5), ..Expected::default() },
@@ -309,12 +399,15 @@ mod tests {
             inputs: area(0x1200, 3),
             ..SlavePlan::new(3)
         };
-        let device = Device { name: "io".into(), slave, simulate: Coupler::default() };
-        EthercatPlan { devices: vec![device], ..EthercatPlan::new("local:test", drives) }
+        let device = Device { name: "io".into(), slave };
+        let plan = EthercatPlan { devices: vec![device], ..EthercatPlan::new("local:test", drives) };
+        let mut segment = EthercatSegment::from(plan);
+        segment.drives[1].identity.product = 77;
+        segment
     }
 
-    fn bench(plan: &EthercatPlan) -> Bench {
-        Bench::of(EthercatSim::new(plan).line)
+    fn bench(segment: &EthercatSegment) -> Bench {
+        Bench::of(EthercatSim::new(segment).line)
     }
 
     /// Two words of an EEPROM.
@@ -326,7 +419,7 @@ mod tests {
 
     #[test]
     fn the_slaves_stand_in_their_places_and_say_who_they_are() {
-        let mut bench = bench(&plan());
+        let mut bench = bench(&segment());
         assert_eq!(bench.line.slaves(), 4);
         let identity =
             |bench: &mut Bench, n| [sii::word::VENDOR, sii::word::PRODUCT].map(|word| sii(bench, n, word));
@@ -344,15 +437,15 @@ mod tests {
 
     #[test]
     fn clocks_delays_and_widths_are_those_of_the_settings() {
-        let mut plan = plan();
-        plan.simulate = LineSettings {
+        let mut segment = segment();
+        segment.settings = SegmentSettings {
             drift_ppm: vec![0.0, 0.0, 100.0],
             delay_ns: 250,
             short_clocks: true,
-            ..plan.simulate
+            ..segment.settings
         };
-        plan.devices[0].slave.sync = true;
-        let mut sim = EthercatSim::new(&plan);
+        segment.plan.devices[0].slave.sync = true;
+        let mut sim = EthercatSim::new(&segment);
         assert_eq!((SimLine::slaves(&sim), SimLine::delay_ns(&sim)), (4, 2 * 4 * 250));
         let mut at = |place, now| sim.slave(place).unwrap().line_time(Time(now));
         let begin = [0, 2, 3].map(|place| at(place, S));
@@ -372,23 +465,28 @@ mod tests {
         };
         plan.outputs = Layout { pdo: 0x1704, entries: vec![entry(0x6040), entry(0x606B)] };
         plan.fit();
-        let settings = drive_settings(&plan);
+        let usual = DriveSettings::new(plan.family);
+        let settings = drive_settings(&plan, usual.clone());
         let of = |settings: &DriveSettings, pdo| {
             settings.layouts.iter().filter(|layout| layout.pdo == pdo).cloned().collect::<Vec<_>>()
         };
         assert_eq!(of(&settings, 0x1704), [plan.outputs.clone()]);
         assert_eq!(settings.selected, (0x1702, 0x1B03));
         plan.mapping = Mapping::AsIs;
-        assert_eq!(drive_settings(&plan).selected, (0x1704, 0x1B03));
+        assert_eq!(drive_settings(&plan, usual.clone()).selected, (0x1704, 0x1B03));
         plan.mapping = Mapping::Free;
-        assert_ne!(of(&drive_settings(&plan), 0x1704), [plan.outputs.clone()], "the master maps it");
+        assert_ne!(
+            of(&drive_settings(&plan, usual.clone()), 0x1704),
+            [plan.outputs.clone()],
+            "the master maps it"
+        );
         assert_eq!(terminals(Area { start: 0, length: 70 }).bytes(), 70);
         assert_eq!(terminals(Area { start: 0, length: 33 }).bytes(), 33);
     }
 
     #[test]
     fn another_ethertype_and_a_line_that_is_cut_off_do_not_come_back() {
-        let mut sim = EthercatSim::new(&plan());
+        let mut sim = EthercatSim::new(&segment());
         let frame = |ethertype: u16| {
             let mut frame = [0; 60];
             frame[12..14].copy_from_slice(&ethertype.to_be_bytes());
@@ -410,11 +508,12 @@ mod tests {
         use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, datagrams};
         use crate::net::Os;
         use crate::sim::server::{ServerOptions, SimServer};
-        let plan = EthercatPlan { interface: format!("local:plan-{}", std::process::id()), ..plan() };
-        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(&plan))];
+        let mut segment = segment();
+        segment.plan.interface = format!("local:plan-{}", std::process::id());
+        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(&segment))];
         let simulated = Simulated { lines, ..Simulated::default() };
         let _server = SimServer::start(simulated, ServerOptions::default()).unwrap();
-        let mut master = Os::default().frames(&plan.interface, ETHERTYPE).unwrap();
+        let mut master = Os::default().frames(&segment.plan.interface, ETHERTYPE).unwrap();
         let mut frame = [0; 60];
         let mut builder = Builder::new(&mut frame, BROADCAST, master.mac()).unwrap();
         builder.push_with(Command::Brd(address::AL_STATUS), 1, &[0; 2]).unwrap();

@@ -7,7 +7,7 @@ use super::curves::Curves;
 use super::log::ErrorLog;
 use super::parameters::{Parameters, Part};
 use super::table::Tables;
-use crate::bus::linudp::plan::{FlashMode, SimPlan};
+use crate::sim::linudp::{FlashMode, LinMotSettings};
 use crate::time::Time;
 
 /// Writing one parameter takes this share of the time of a whole save. Masters in the field saw saves of 40 s and
@@ -39,7 +39,7 @@ pub(super) struct Memory {
 }
 
 impl Memory {
-    pub(super) fn new(plan: &SimPlan) -> Memory {
+    pub(super) fn new(plan: &LinMotSettings) -> Memory {
         Memory {
             parameters: Parameters::new(plan),
             log: ErrorLog::default(),

@@ -5,6 +5,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | telegrams: port, master filter, padding, silence |
+//! | `settings` | the properties of a drive, and its state at the start |
 //! | `rtc` | the real-time-config channel: counts, answers, what each command does |
 //! | `upids`, `parameters` | the parameters there are, and their values in ROM, in RAM and in use |
 //! | `log` | the error log |
@@ -34,6 +35,8 @@
 //! | a restart by 30h | the command is answered, then silence until it is up with the stored count 0: sending it on restarts it again |
 
 mod blocks;
+#[cfg(feature = "config")]
+pub(super) mod config;
 mod curves;
 mod log;
 mod machine;
@@ -41,18 +44,23 @@ mod memory;
 mod motion;
 mod parameters;
 mod rtc;
+mod settings;
 mod stream;
 mod table;
 mod time_curve;
 mod upids;
 
+use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
+
+pub use self::settings::{FlashMode, LinMotSettings, MasterFilter, UnknownCommands};
 
 use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
-use crate::bus::linudp::plan::{LinUdpDrive, MASTER_PORT, MasterFilter, SimPlan};
+use crate::bus::BusPlan;
 use crate::bus::linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
-use crate::sim::{FaultPlan, SimDrive, Truth};
+use crate::bus::linudp::{LinUdpPlan, MASTER_PORT};
+use crate::sim::{FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use crate::time::{MS, S, Time, US};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
@@ -83,11 +91,33 @@ pub struct Ignored {
     pub deaf: u64,
 }
 
+/// The simulated drives of a LinUDP bus.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinMots(pub Vec<LinMotSettings>);
+
+impl LinMots {
+    /// A drive with default settings for each of the bus.
+    pub fn of(plan: &LinUdpPlan) -> LinMots {
+        LinMots(plan.drives.iter().map(|drive| LinMotSettings::new(drive.address)).collect())
+    }
+}
+
+impl SimBus for LinMots {
+    fn build(&self, to: &mut Simulated) {
+        to.drives
+            .extend(self.0.iter().map(|drive| Box::new(LinMotSim::new(drive.clone())) as Box<dyn SimDrive>));
+    }
+}
+
+/// The simulated drives of a bus, if it is one of this protocol.
+pub(super) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
+    Some(Box::new(LinMots::of((bus as &dyn Any).downcast_ref()?)))
+}
+
 /// One simulated LinMot drive.
 #[derive(Debug)]
 pub struct LinMotSim {
-    address: SocketAddrV4,
-    plan: SimPlan,
+    settings: LinMotSettings,
     /// The one master of the filter that latches.
     master: Option<Ipv4Addr>,
     machine: Machine,
@@ -103,21 +133,19 @@ pub struct LinMotSim {
 }
 
 impl LinMotSim {
-    /// The drive as planned: switched off and in state 0, or running if the plan says so. Its time begins with the
+    /// The drive as set up: switched off and in state 0, or running if the settings say so. Its time begins with the
     /// first datagram.
-    pub fn new(drive: &LinUdpDrive) -> LinMotSim {
-        let plan = &drive.simulate;
+    pub fn new(settings: LinMotSettings) -> LinMotSim {
         LinMotSim {
-            address: drive.address,
-            plan: plan.clone(),
             master: None,
-            machine: Machine::new(plan),
+            machine: Machine::new(&settings),
             lived: None,
             booted_at: Time(0),
             deaf_until: Time(0),
-            channel: Channel::new(plan.config_time_ns),
+            channel: Channel::new(settings.config_time_ns),
             image: [0; IMAGE],
             ignored: Ignored::default(),
+            settings,
         }
     }
 
@@ -160,7 +188,7 @@ impl LinMotSim {
     }
 
     fn lets_through(&mut self, master: Ipv4Addr) -> bool {
-        match self.plan.filter {
+        match self.settings.filter {
             MasterFilter::None => true,
             MasterFilter::Single => *self.master.get_or_insert(master) == master,
             MasterFilter::Fixed(only) => only == master,
@@ -207,18 +235,18 @@ impl LinMotSim {
             monitor: Some(machine.monitor()),
             config,
         };
-        let size = response.emit(&mut self.image).max(self.plan.padding.min(IMAGE));
+        let size = response.emit(&mut self.image).max(self.settings.padding.min(IMAGE));
         &self.image[..size]
     }
 }
 
 impl SimDrive for LinMotSim {
     fn address(&self) -> SocketAddrV4 {
-        self.address
+        self.settings.address
     }
 
     fn faults(&self) -> FaultPlan {
-        self.plan.faults.clone()
+        self.settings.faults.clone()
     }
 
     fn receive(
@@ -266,7 +294,7 @@ impl SimDrive for LinMotSim {
         self.booted_at = now + BOOT_NS;
         self.deaf_until = Time(0);
         self.master = None;
-        self.channel = Channel::new(self.plan.config_time_ns);
+        self.channel = Channel::new(self.settings.config_time_ns);
         self.image = [0; IMAGE];
     }
 }

@@ -4,8 +4,9 @@
 
 use super::stream::Stream;
 use super::time_curve::TimeCurve;
-use crate::bus::linudp::plan::{SimPlan, StreamCommand};
+use crate::bus::linudp::StreamCommand;
 use crate::bus::linudp::wire::ErrorCode;
+use crate::sim::linudp::LinMotSettings;
 use crate::sim::physics::Generator;
 use crate::time::Time;
 
@@ -128,7 +129,7 @@ enum Armed {
 
 impl Setpoints {
     /// Stands at `position`.
-    pub(super) fn at(position: f64, plan: &SimPlan) -> Setpoints {
+    pub(super) fn at(position: f64, plan: &LinMotSettings) -> Setpoints {
         Setpoints {
             generator: Generator::at(position),
             target: position,

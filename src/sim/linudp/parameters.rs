@@ -12,9 +12,9 @@
 //! then it has to take effect at some time.
 
 use super::upids::{self, PARAMETERS, Parameter};
-use crate::bus::linudp::plan::SimPlan;
 use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::Refusal;
+use crate::sim::linudp::LinMotSettings;
 use crate::time::US;
 
 /// The values of one parameter.
@@ -55,7 +55,7 @@ pub(super) struct Parameters {
 
 impl Parameters {
     /// As commissioned: the defaults, and in ROM the values of the plan.
-    pub(super) fn new(plan: &SimPlan) -> Parameters {
+    pub(super) fn new(plan: &LinMotSettings) -> Parameters {
         let values = PARAMETERS.iter().map(|p| Value { rom: p.default, ram: p.default, used: p.default });
         let mut parameters = Parameters { values: values.collect(), extend: plan.extend_sign };
         for (upid, value) in [
@@ -206,11 +206,16 @@ pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::net::{Ipv4Addr, SocketAddrV4};
+
+    fn settings() -> LinMotSettings {
+        LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 1))
+    }
 
     #[test]
     fn the_plan_is_what_was_commissioned() {
         let plan =
-            SimPlan { range: (-5, 7), home_position: 3, stream_period_ns: 2_500_999, ..SimPlan::default() };
+            LinMotSettings { range: (-5, 7), home_position: 3, stream_period_ns: 2_500_999, ..settings() };
         let p = Parameters::new(&plan);
         for (upid, value) in [
             (upids::MINIMUM_POSITION, -5),
@@ -228,12 +233,12 @@ mod tests {
             at = upid + 1;
         }
         assert_eq!(modified, [0x13C7, 0x13CA, 0x146E, 0x146F, 0x14E6]);
-        assert_eq!(Parameters::new(&SimPlan::default()).modified_from(0), None);
+        assert_eq!(Parameters::new(&settings()).modified_from(0), None);
     }
 
     #[test]
     fn usage_type_and_range_are_refused_in_this_order() {
-        let mut p = Parameters::new(&SimPlan::default());
+        let mut p = Parameters::new(&settings());
         for (upid, raw, ram, rom) in [
             (0x9999, 0, Err(Refusal::NoSuchUpid), Err(Refusal::NoSuchUpid)),
             (0x1D51, 0x1_0000, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),

@@ -3,7 +3,7 @@
 //! or 1001 in any menu, then a reset of the drive; 1233 and 1244 restore the values as delivered (all four
 //! assumed).
 
-use super::settings::SimSettings;
+use super::settings::UnidriveSettings;
 use super::table::{self, Row, TABLE};
 use crate::bus::modbus::parameter::{Addressing, Parameter};
 
@@ -26,7 +26,7 @@ pub(super) struct Database {
 }
 
 impl Database {
-    pub(super) fn new(settings: &SimSettings) -> Database {
+    pub(super) fn new(settings: &UnidriveSettings) -> Database {
         let rows = &TABLE.rows[..];
         let mut delivered: Vec<i32> = rows.iter().map(|row| row.default).collect();
         let motor = &settings.motor;

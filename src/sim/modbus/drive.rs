@@ -5,7 +5,7 @@
 use super::database::Database;
 use super::motor::{Demand, Motor};
 use super::sequencer::{self, Sequencer};
-use super::settings::{SimSettings, Start};
+use super::settings::{Start, UnidriveSettings};
 use super::table::{self, Variable};
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::{ControlWord, StatusWord};
@@ -29,7 +29,7 @@ pub(super) struct Drive {
 }
 
 impl Drive {
-    pub(super) fn new(settings: &SimSettings) -> Drive {
+    pub(super) fn new(settings: &UnidriveSettings) -> Drive {
         let mut drive = Drive {
             parameters: Database::new(settings),
             sequencer: Sequencer::new(settings),

@@ -26,6 +26,8 @@
 //! | a new addressing mode (S.15.013) | counts from the next start on |
 //! | a write that was not saved | is lost at a restart |
 
+#[cfg(feature = "config")]
+pub(super) mod config;
 mod database;
 mod drive;
 mod motor;
@@ -34,14 +36,17 @@ mod server;
 mod settings;
 mod table;
 
+use std::any::Any;
 use std::net::SocketAddrV4;
 
-pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, SimSettings, Start, Watchdog};
+pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, Watchdog};
 
 use self::drive::Drive;
 use self::server::Server;
+use crate::bus::BusPlan;
 use crate::bus::modbus::trips::Trip;
-use crate::sim::{Carrier, FaultPlan, SimDrive, Truth};
+use crate::bus::modbus::{ModbusPlan, UnidriveDrive};
+use crate::sim::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use crate::time::{MS, S, Time};
 
 /// One step of sequencer and motor; also the drive's reaction time.
@@ -52,10 +57,43 @@ const FINE_NS: u64 = S;
 /// on the step.
 const COARSE_STEPS: u64 = 1_000;
 
+/// The simulated drives of a Modbus TCP bus.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unidrives(pub Vec<UnidriveSettings>);
+
+impl Unidrives {
+    /// A drive with default settings for each of the bus.
+    pub fn of(plan: &ModbusPlan) -> Unidrives {
+        Unidrives(plan.drives.iter().map(UnidriveSettings::of).collect())
+    }
+}
+
+impl SimBus for Unidrives {
+    fn build(&self, to: &mut Simulated) {
+        to.drives.extend(
+            self.0.iter().map(|drive| Box::new(UnidriveSim::new(drive.clone())) as Box<dyn SimDrive>),
+        );
+    }
+}
+
+/// The simulated drives of a bus, if it is one of this protocol.
+pub(super) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
+    Some(Box::new(Unidrives::of((bus as &dyn Any).downcast_ref()?)))
+}
+
+impl UnidriveSettings {
+    /// A drive with default settings at the address of `drive`, with its addressing and slot.
+    pub fn of(drive: &UnidriveDrive) -> UnidriveSettings {
+        let mut settings = UnidriveSettings::new(drive.address);
+        (settings.interface.addressing, settings.interface.slot) = (drive.addressing, drive.slot);
+        settings
+    }
+}
+
 /// One simulated Unidrive.
 #[derive(Debug)]
 pub struct UnidriveSim {
-    settings: SimSettings,
+    settings: UnidriveSettings,
     drive: Drive,
     server: Server,
     /// The instant up to which the drive has advanced.
@@ -66,7 +104,7 @@ pub struct UnidriveSim {
 
 impl UnidriveSim {
     /// The drive as set up, listening. Its time begins with the first message.
-    pub fn new(settings: SimSettings) -> UnidriveSim {
+    pub fn new(settings: UnidriveSettings) -> UnidriveSim {
         UnidriveSim {
             drive: Drive::new(&settings),
             server: Server::new(&settings.interface),

@@ -19,7 +19,7 @@
 use std::collections::VecDeque;
 
 use super::database::Database;
-use super::settings::{SimSettings, Watchdog};
+use super::settings::{UnidriveSettings, Watchdog};
 use super::table;
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::ControlWord;
@@ -75,7 +75,7 @@ pub(super) struct Sequencer {
 }
 
 impl Sequencer {
-    pub(super) fn new(settings: &SimSettings) -> Sequencer {
+    pub(super) fn new(settings: &UnidriveSettings) -> Sequencer {
         let mut sequencer = Sequencer {
             persistent: settings.persistent_trip.map(Trip),
             watchdog: settings.watchdog,

@@ -9,7 +9,7 @@ use crate::time::{MS, S};
 
 /// A simulated Unidrive. Where no document says what the drive does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SimSettings {
+pub struct UnidriveSettings {
     /// The address that it listens at.
     pub address: SocketAddrV4,
     /// The faults between it and the master.
@@ -37,10 +37,10 @@ pub struct SimSettings {
     pub commissioned: Vec<(Parameter, i32)>,
 }
 
-impl SimSettings {
+impl UnidriveSettings {
     /// A drive with default settings.
-    pub fn new(address: SocketAddrV4) -> SimSettings {
-        SimSettings {
+    pub fn new(address: SocketAddrV4) -> UnidriveSettings {
+        UnidriveSettings {
             address,
             faults: FaultPlan::default(),
             interface: Interface::default(),

@@ -20,8 +20,8 @@ use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::sim::{SimDrive, SimLine};
+use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim};
+use fieldbeat::sim::{SimLine, SimPlan, Simulated};
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
@@ -104,7 +104,7 @@ fn image(frame: &[u8]) -> Option<Range<usize>> {
 }
 
 impl EtherCat {
-    fn drive(&self, index: usize, count: usize, drive: &Drive) -> KollmorgenDrive {
+    fn drive(&self, index: usize, count: usize, drive: &Drive) -> (KollmorgenDrive, DriveSettings) {
         let place = self.place(index, count) as u16;
         let mut plan = KollmorgenDrive::new(&drive.axis.name, place, Family::S700);
         if self.positions {
@@ -122,10 +122,19 @@ impl EtherCat {
         // In increments it is the same for all units.
         let turns = drive.axis.units.counts_per_unit.abs() / increments();
         plan.axis.stop.standstill = STANDSTILL / turns;
-        plan.simulate.position = (drive.start * drive.axis.units.counts_per_unit).round() as i32;
-        plan.simulate.ramps_rpm_s = (40_000, 40_000);
-        plan.simulate.running_rpm = drive.running.then_some(60.0 * VELOCITY);
-        plan
+        let settings = DriveSettings {
+            position: (drive.start * drive.axis.units.counts_per_unit).round() as i32,
+            ramps_rpm_s: (40_000, 40_000),
+            running_rpm: drive.running.then_some(60.0 * VELOCITY),
+            ..DriveSettings::new(Family::S700)
+        };
+        (plan, settings)
+    }
+
+    fn segment(&self, drives: &[Drive]) -> EthercatSegment {
+        let drive = |(index, drive)| self.drive(index, drives.len(), drive);
+        let (plans, settings) = drives.iter().enumerate().map(drive).unzip();
+        EthercatSegment { drives: settings, ..EthercatPlan::new(LINE, plans).into() }
     }
 }
 
@@ -166,12 +175,15 @@ impl Subject for EtherCat {
     }
 
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
-        let drive = |(index, drive)| self.drive(index, drives.len(), drive);
-        let plan = EthercatPlan::new(LINE, drives.iter().enumerate().map(drive).collect());
+        let plan = self.segment(drives).plan;
         match self.defect {
             None => Box::new(plan),
             Some(defect) => Box::new(Broken { plan, defect }),
         }
+    }
+
+    fn simulated(&self, drives: &[Drive]) -> Simulated {
+        SimPlan::from(self.segment(drives)).build()
     }
 
     fn piece(&self, now: Time, frame: &[u8], index: usize, count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
@@ -315,14 +327,6 @@ impl BusPlan for Broken {
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         let drives = self.plan.drives.len();
         self.plan.open(period_ns, &Misusing { carriers, defect: self.defect, drives })
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.plan.simulate()
-    }
-
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        self.plan.simulate_line()
     }
 }
 

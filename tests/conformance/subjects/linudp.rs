@@ -1,6 +1,6 @@
 //! LinUDP V2, with each kind of tag in its requests.
 
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::axis::{AxisPlan, Units};
 use fieldbeat::bus::BusPlan;
@@ -9,7 +9,9 @@ use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::{
     ControlWord, MainState, Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
+use fieldbeat::sim::{SimPlan, Simulated};
 
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
@@ -22,6 +24,10 @@ pub struct LinUdp {
 const STOP: u16 = 0x017;
 /// A curve that the drive does not have: error 0062h in state 8 (SG5 manual, 04Fx "run curve").
 const NO_SUCH_CURVE: u16 = 0x040;
+
+fn address(index: usize) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 0, 1, 1 + index as u8), DRIVE_PORT)
+}
 
 impl Subject for LinUdp {
     fn name(&self) -> &'static str {
@@ -62,17 +68,24 @@ impl Subject for LinUdp {
 
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
         let drive = |(index, drive): (usize, &Drive)| {
-            let mut plan = LinUdpDrive::new(&drive.axis.name, Ipv4Addr::new(10, 0, 1, 1 + index as u8));
+            let mut plan = LinUdpDrive::new(&drive.axis.name, *address(index).ip());
             plan.axis = drive.axis.clone();
             plan.reply_tag = self.reply_tag;
             plan.leash = drive.jog.then_some(20.0);
             plan.stream = plan.stream.filter(|_| drive.follow);
-            plan.simulate.start_position = (drive.start * drive.axis.units.counts_per_unit).round() as i32;
-            plan.simulate.start_running = drive.running;
             plan
         };
         let drives = drives.iter().enumerate().map(drive).collect();
         Box::new(LinUdpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives))
+    }
+
+    fn simulated(&self, drives: &[Drive]) -> Simulated {
+        let settings = |(index, drive): (usize, &Drive)| LinMotSettings {
+            start_position: (drive.start * drive.axis.units.counts_per_unit).round() as i32,
+            start_running: drive.running,
+            ..LinMotSettings::new(address(index))
+        };
+        SimPlan::from(LinMots(drives.iter().enumerate().map(settings).collect())).build()
     }
 
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {

@@ -11,12 +11,12 @@ use fieldbeat::bus::modbus::notation::Target;
 use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
 use fieldbeat::bus::modbus::wire::{self, ExceptionCode, Header, Registers, Request, Response};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via, Watchdog};
+use fieldbeat::bus::modbus::{ModbusPlan, PORT, UnidriveDrive, Via, Watchdog};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::{self, Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::Start;
+use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
+use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
@@ -53,6 +53,10 @@ const SHOWN: [Parameter; 6] = [
 ];
 /// Written to Pr 10.038 it is a trip of this number.
 const USER_TRIP: (Parameter, u16) = (Parameter::new(10, 38), 40);
+
+fn address(index: usize) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 0, 2, 1 + index as u8), PORT)
+}
 
 /// The parameters of a block, each with its number.
 fn values(address: u16, data: Registers<'_>) -> Vec<(Parameter, i32)> {
@@ -123,16 +127,12 @@ impl Subject for Modbus {
 
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
         let drive = |(index, drive): (usize, &Drive)| {
-            let mut plan = UnidriveDrive::new(&drive.axis.name, Ipv4Addr::new(10, 0, 2, 1 + index as u8));
+            let mut plan = UnidriveDrive::new(&drive.axis.name, *address(index).ip());
             plan.axis = drive.axis.clone();
             plan.via = if self.direct { Via::Direct } else { Via::Menu0 { first: 1 } };
             plan.reply_within_ns = if self.direct { 2_500 * US } else { 500 * US };
             // What befalls a clause's drive is the clause's; its watchdogs have their own tests.
             plan.watchdog = Watchdog { timeout_ns: None, keypad: false, accept_none: true };
-            plan.simulate.ramps_s = (0.01, 0.01);
-            if drive.running {
-                plan.simulate.start = Start::Running(240.0);
-            }
             plan
         };
         let plan = ModbusPlan::new(drives.iter().enumerate().map(drive).collect());
@@ -140,6 +140,15 @@ impl Subject for Modbus {
             None => Box::new(plan),
             Some(defect) => Box::new(Broken { plan, defect }),
         }
+    }
+
+    fn simulated(&self, drives: &[Drive]) -> Simulated {
+        let settings = |(index, drive): (usize, &Drive)| UnidriveSettings {
+            ramps_s: (0.01, 0.01),
+            start: if drive.running { Start::Running(240.0) } else { Start::Idle },
+            ..UnidriveSettings::new(address(index))
+        };
+        SimPlan::from(Unidrives(drives.iter().enumerate().map(settings).collect())).build()
     }
 
     fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {
@@ -233,10 +242,6 @@ impl BusPlan for Broken {
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.plan.open(period_ns, &Misusing { carriers, defect: self.defect })
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.plan.simulate()
     }
 }
 

@@ -21,7 +21,7 @@ use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::physics::Generator;
-use fieldbeat::sim::{FaultPlan, SimDrive};
+use fieldbeat::sim::{FaultPlan, SimDrive, Simulated};
 use fieldbeat::time::{Time, US};
 
 use crate::conformance::line::{PERIOD, WINDOW};
@@ -183,6 +183,30 @@ impl Subject for Toy {
         Box::new(ToyPlan { drives: drives.to_vec(), wire: self.0, defect: self.1 })
     }
 
+    fn simulated(&self, drives: &[Drive]) -> Simulated {
+        let drive = |(index, drive): (usize, &Drive)| {
+            let counts = drive.axis.units.counts_per_unit;
+            let mut toy = ToyDrive {
+                address: address(index),
+                generator: Generator::at((drive.start * counts).round()),
+                lived: None,
+                answer: Answer::default(),
+                answer_ns: match self.0 {
+                    ToyWire::Later => PERIOD + 100 * US,
+                    ToyWire::OwnClock => 10 * US,
+                    ToyWire::HalfDuplex => half_duplex::ANSWER,
+                },
+                packets: (self.0 == ToyWire::OwnClock).then(Packets::default),
+            };
+            if drive.running {
+                toy.answer.state = ON;
+                toy.generator.run(0.01 * counts, counts);
+            }
+            Box::new(toy) as Box<dyn SimDrive>
+        };
+        drives.iter().enumerate().map(drive).collect::<Vec<_>>().into()
+    }
+
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
         let Answer { state, moving, position, .. } = Answer::parse(reply)?;
         let position = Some(position);
@@ -280,6 +304,10 @@ impl BusPlan for ToyPlan {
         known.then_some(own_clock::FRESH_WITHIN)
     }
 
+    fn addresses(&self) -> Vec<SocketAddrV4> {
+        (0..self.drives.len()).map(address).collect()
+    }
+
     fn describe(&self, _period_ns: u64) -> Vec<String> {
         (0..self.drives.len()).map(|index| address(index).to_string()).collect()
     }
@@ -337,30 +365,6 @@ impl BusPlan for ToyPlan {
     fn notation(&self) -> Arc<dyn Notation> {
         // Its registers have no names: any notation of numbers does.
         Arc::new(Upids)
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        let drive = |(index, drive): (usize, &Drive)| {
-            let counts = drive.axis.units.counts_per_unit;
-            let mut toy = ToyDrive {
-                address: address(index),
-                generator: Generator::at((drive.start * counts).round()),
-                lived: None,
-                answer: Answer::default(),
-                answer_ns: match self.wire {
-                    ToyWire::Later => PERIOD + 100 * US,
-                    ToyWire::OwnClock => 10 * US,
-                    ToyWire::HalfDuplex => half_duplex::ANSWER,
-                },
-                packets: (self.wire == ToyWire::OwnClock).then(Packets::default),
-            };
-            if drive.running {
-                toy.answer.state = ON;
-                toy.generator.run(0.01 * counts, counts);
-            }
-            Box::new(toy) as Box<dyn SimDrive>
-        };
-        self.drives.iter().enumerate().map(drive).collect()
     }
 }
 

@@ -15,13 +15,10 @@ use fieldbeat::axis::{AxisPlan, Command, Health, Link, NativeOwner, Units};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
-use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, FlashMode, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, UNACKNOWLEDGED,
-};
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, UNACKNOWLEDGED};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::net::Carriers;
+use fieldbeat::sim::linudp::{FlashMode, LinMotSettings};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
@@ -173,29 +170,6 @@ impl SimDrive for LedgerDrive {
     }
 }
 
-/// The bus of that drive.
-#[derive(Debug)]
-struct LedgerBus {
-    bus: HostileBus,
-    ledger: Arc<Mutex<Ledger>>,
-}
-
-impl BusPlan for LedgerBus {
-    crate::forward_bus_plan!(bus);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.bus.open(period_ns, carriers)
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        let own = |drive| {
-            let ledger = Arc::clone(&self.ledger);
-            Box::new(LedgerDrive { drive, ledger }) as Box<dyn SimDrive>
-        };
-        self.bus.simulate().into_iter().map(own).collect()
-    }
-}
-
 /// A call whose ticket is held.
 #[derive(Debug)]
 struct Posted {
@@ -262,33 +236,35 @@ impl Bench {
         let drive = LinUdpDrive {
             monitor: if has(1) { MonitorPlan::Sources(sources) } else { MonitorPlan::Off },
             reply_tag: if has(2) { ReplyTag::Count } else { ReplyTag::Definition },
-            simulate: SimPlan {
-                config_time_ns: if has(3) { 25 * MS } else { 0 },
-                flash_time_ns: 150 * MS,
-                flash: if has(4) { FlashMode::Busy } else { FlashMode::Silent },
-                ..SimPlan::default()
-            },
             stream: None,
             axis,
             ..LinUdpDrive::new("", [10, 0, 1, 1].into())
         };
+        let settings = LinMotSettings {
+            config_time_ns: if has(3) { 25 * MS } else { 0 },
+            flash_time_ns: 150 * MS,
+            flash: if has(4) { FlashMode::Busy } else { FlashMode::Silent },
+            ..LinMotSettings::new(drive.address)
+        };
         let plan = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
         let (address, bind) = (plan.drives[0].address, plan.bind);
-        let bus = LedgerBus { bus: HostileBus::new(plan), ledger: Arc::default() };
-        let handles = BusHandles {
-            wire: Arc::clone(&bus.bus.wire),
-            ledger: Arc::clone(&bus.ledger),
-            drive: address,
-            master: bind,
+        let bus = HostileBus::new(plan);
+        let handles =
+            BusHandles { wire: Arc::clone(&bus.wire), ledger: Arc::default(), drive: address, master: bind };
+        let own = |drive| {
+            let ledger = Arc::clone(&handles.ledger);
+            Box::new(LedgerDrive { drive, ledger }) as Box<dyn SimDrive>
         };
+        let simulated: Vec<_> = bus.simulated(vec![settings]).into_iter().map(own).collect();
         let cycle = CyclePlan {
             period_ns: PERIOD_NS,
             overrun: Overrun::Skip { max_skip: 3 },
             ..CyclePlan::default()
         };
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+        let setup = Master::from_plan(plan);
         let mut sim =
-            Master::from_plan(plan).simulate(WorldOptions::default()).expect("the machine can be built");
+            setup.simulate_with(simulated, WorldOptions::default()).expect("the machine can be built");
         let native = *sim.axis(0).native().expect("a LinUDP axis");
         Bench {
             sim,

@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use fieldbeat::axis::{Command, Move, Row, Target};
-use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse};
+use fieldbeat::config::{ConfigErrors, Configuration, demo_plan, describe, duration, parse};
+use fieldbeat::cycle::Wait;
 use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::{Plan, Wait};
 use fieldbeat::master::Master;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::US;
@@ -48,15 +48,16 @@ fn read(text: &str) {
     verdict(text, result);
 }
 
-fn verdict(text: &str, result: Result<Plan, ConfigErrors>) {
+fn verdict(text: &str, result: Result<Configuration, ConfigErrors>) {
     match result {
         Err(errors) => check_errors(text, &errors),
-        Ok(plan) => {
-            let said = describe(&plan);
+        Ok(configuration) => {
+            let plan = &configuration.plan;
+            let said = describe(plan);
             assert!(said.iter().all(|line| is_plain(line)), "{said:#?}");
             let axes = plan.axes();
             assert!(axes.iter().all(|axis| stop_bound_cycles(axis, &axes) > 0));
-            run(plan);
+            run(configuration);
         }
     }
 }
@@ -90,7 +91,7 @@ fn check_errors(text: &str, errors: &ConfigErrors) {
 }
 
 /// A few cycles of the machine, with an application that wants everything of it.
-fn run(mut plan: Plan) {
+fn run(Configuration { mut plan, simulation }: Configuration) {
     let axes: Vec<_> = plan.axes().into_iter().cloned().collect();
     let entries = |axis: &fieldbeat::axis::AxisPlan| {
         axis.command_queue + axis.stream_queue + axis.event_queue + axis.sample_queue
@@ -102,8 +103,8 @@ fn run(mut plan: Plan) {
         // A spin is 50 ns of virtual time.
         plan.cycle.wait = Wait::Poll;
     }
-    let mut sim =
-        Master::from_plan(plan).simulate(WorldOptions::default()).expect("what was accepted can run");
+    let setup = Master::from_plan(plan).with_simulation(simulation);
+    let mut sim = setup.simulate(WorldOptions::default()).expect("what was accepted can run");
     for turn in 0..TURNS {
         for (index, axis) in axes.iter().enumerate() {
             let middle = axis.limits.position.map_or(0.0, |(low, high)| low + (high - low) / 2.0);

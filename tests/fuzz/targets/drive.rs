@@ -10,9 +10,9 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, MainState, MotionBlock, REQUEST_MAX, Request, RequestDef, Response, ResponseDef,
     RtcBlock, RtcCommand, RtcStatus, StatusWord,
 };
-use fieldbeat::bus::linudp::{FlashMode, LinUdpDrive, MASTER_PORT, SimPlan, UnknownCommands};
+use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::linudp::LinMotSim;
+use fieldbeat::sim::linudp::{FlashMode, LinMotSettings, LinMotSim, UnknownCommands};
 use fieldbeat::time::{MS, S, Time};
 
 use super::input::Input;
@@ -51,8 +51,7 @@ impl Bench {
     fn new(input: &mut Input<'_>) -> Bench {
         let features = input.byte();
         let has = |bit: u8| features >> bit & 1 == 1;
-        let mut plan = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
-        plan.simulate = SimPlan {
+        let settings = LinMotSettings {
             padding: [0, 14, 64][usize::from(features & 3) % 3],
             force_enable_bits: has(2),
             start_running: has(3),
@@ -61,9 +60,15 @@ impl Bench {
             flash: if has(5) { FlashMode::Busy } else { FlashMode::Silent },
             unknown_commands: if has(6) { UnknownCommands::Ignore } else { UnknownCommands::Refuse },
             extend_sign: has(7),
-            ..SimPlan::default()
+            ..LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::LOCALHOST, DRIVE_PORT))
         };
-        Bench { drive: LinMotSim::new(&plan), now: Time(S), count: 0, written: BTreeMap::new(), last: None }
+        Bench {
+            drive: LinMotSim::new(settings),
+            now: Time(S),
+            count: 0,
+            written: BTreeMap::new(),
+            last: None,
+        }
     }
 
     fn operate(&mut self, input: &mut Input<'_>) {

@@ -140,7 +140,7 @@ impl Rig {
         let drive = |place: u16| KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
         let plan = EthercatPlan::new("local:fuzz", (0..DRIVES as u16).map(drive).collect());
         let cable = Shared(Arc::new(Mutex::new(Cable {
-            line: EthercatSim::new(&plan),
+            line: EthercatSim::of(&plan),
             now: Time(0),
             sent: Vec::new(),
             before: VecDeque::new(),

@@ -25,7 +25,7 @@ use fieldbeat::net::{
 };
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::ReadWrite;
+use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;
@@ -223,7 +223,7 @@ impl Rig {
         let has = |bit: u8| features >> bit & 1 == 1;
         let mut drive = UnidriveDrive::new("u", Ipv4Addr::LOCALHOST);
         drive.via = if has(0) { Via::Menu0 { first: 1 } } else { Via::Direct };
-        drive.simulate.interface.read_write = if has(1) {
+        let read_write = if has(1) {
             input.of(&[ReadWrite::Refused, ReadWrite::Ignored, ReadWrite::Closes, ReadWrite::UpTo(6)])
         } else {
             ReadWrite::Served
@@ -233,11 +233,12 @@ impl Rig {
         drive.axis.units.counts_per_unit = if has(4) { -0.5 } else { 1.0 };
         drive.axis.limits.velocity = has(5).then_some(20.0);
         drive.set_up = !has(6);
+        let mut settings = UnidriveSettings::of(&drive);
+        settings.interface.read_write = read_write;
         let plan = ModbusPlan::new(vec![drive]);
         assert_eq!(plan.faults(PERIOD_NS), []);
-        let sim = plan.simulate().pop().unwrap();
         let pipe = Shared(Arc::new(Mutex::new(Pipe {
-            drive: sim,
+            drive: Box::new(UnidriveSim::new(settings)),
             peer: None,
             now: Time(1_000 * PERIOD_NS),
             open: false,

@@ -6,9 +6,9 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::bus::linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock, StateVar, WarnWord,
 };
-use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT};
+use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::linudp::LinMotSim;
+use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
 
 pub fn telegram(data: &[u8]) {
@@ -75,7 +75,7 @@ fn response(data: &[u8]) {
 
 /// A drive answers what it can read, with the echo of both definitions, and nothing else.
 fn drive(data: &[u8]) {
-    let mut drive = LinMotSim::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+    let mut drive = LinMotSim::new(LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::LOCALHOST, DRIVE_PORT)));
     let master = SocketAddrV4::new(Ipv4Addr::LOCALHOST, MASTER_PORT);
     let mut reply = Vec::new();
     let answered = drive.receive(Time(0), master, data, &mut reply);

@@ -7,7 +7,7 @@ use std::process::Command;
 use fieldbeat::bus::ethercat::object::Family;
 
 use super::dissector::{ABORT, Address, FRMW, LRW, Message, dissect, exchanges};
-use super::{WIRE, cable, capture, plan, serve};
+use super::{WIRE, cable, capture, segment, serve};
 use crate::support::{Cable, Ended, Machine, Program, checkout};
 
 /// Builds their master, unless that was done already.
@@ -34,7 +34,7 @@ fn said(ended: &Ended) -> BTreeMap<&str, Vec<&str>> {
 fn turns_a_drive(test: u8, short_clocks: bool) {
     let (machine, cable) = (Machine::new(test), cable(test));
     let peer = build();
-    let _line = serve(&cable, &plan(Family::S700, 2, short_clocks));
+    let _line = serve(&cable, segment(Family::S700, 2, short_clocks));
     let mut ended = None;
     let file = capture(&cable, &machine, || {
         let mut command = Cable::command(&cable.master, peer.to_str().unwrap());

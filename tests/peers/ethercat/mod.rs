@@ -20,10 +20,9 @@ use std::sync::Mutex;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan};
 use fieldbeat::net::{Carriers, Frames, Os};
-use fieldbeat::sim::ethercat::coupler::{Coupler, Terminals};
-use fieldbeat::sim::ethercat::{EthercatSim, LineSettings};
+use fieldbeat::sim::SimPlan;
+use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::sim::{SimLine, Simulated};
 use nix::sched::{CloneFlags, setns};
 
 use crate::capture::Capture;
@@ -36,12 +35,10 @@ const ETHERTYPE: u16 = 0x88A4;
 const MARKER: u16 = 0x88B5;
 
 /// A coupler with a byte of outputs and one of inputs, and so many drives behind it.
-fn plan(family: Family, drives: u16, short_clocks: bool) -> EthercatPlan {
-    let drive = |place: u16| {
-        let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
-        drive.simulate.serial = 100 + u32::from(place);
-        drive
-    };
+fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
+    let drive = |place: u16| KollmorgenDrive::new(format!("d{place}"), place, family);
+    let simulated =
+        |place: u16| DriveSettings { serial: 100 + u32::from(place), ..DriveSettings::new(family) };
     let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(drive).collect());
     let slave = SlavePlan {
         identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), revision: None },
@@ -49,12 +46,14 @@ fn plan(family: Family, drives: u16, short_clocks: bool) -> EthercatPlan {
         inputs: Area { start: 0x1100, length: 1 },
         ..SlavePlan::new(0)
     };
-    let byte = Terminals { digital: 8, analogue: 0 };
-    plan.devices.push(Device { name: "io".into(), slave, simulate: Coupler { outputs: byte, inputs: byte } });
-    plan.simulate =
-        LineSettings { interface: Some(WIRE.into()), drift_ppm: vec![0.0, 20.0, -35.0], ..plan.simulate };
-    plan.simulate.short_clocks = short_clocks;
-    plan
+    plan.devices.push(Device { name: "io".into(), slave });
+    let settings = SegmentSettings {
+        interface: Some(WIRE.into()),
+        drift_ppm: vec![0.0, 20.0, -35.0],
+        short_clocks,
+        ..SegmentSettings::default()
+    };
+    EthercatSegment { settings, drives: (1..=drives).map(simulated).collect(), ..plan.into() }
 }
 
 /// A cable whose end at the master has an address like that of a network card: without the bit that the first slave
@@ -65,10 +64,9 @@ fn cable(test: u8) -> Cable {
     cable
 }
 
-/// The line of `plan`, served at the drives' end of a cable. It ends with this.
-fn serve(cable: &Cable, plan: &EthercatPlan) -> SimServer {
-    let line: Box<dyn SimLine> = Box::new(EthercatSim::new(plan));
-    let simulated = Simulated { lines: vec![line], ..Simulated::default() };
+/// The segment, served at the drives' end of a cable. It ends with this.
+fn serve(cable: &Cable, segment: EthercatSegment) -> SimServer {
+    let simulated = SimPlan::from(segment).build();
     // A line is hardware: it does not wait for whatever else this computer does.
     let options = ServerOptions { priority: Some(70), ..ServerOptions::default() };
     cable.among_drives(|| SimServer::start(simulated, options).unwrap())

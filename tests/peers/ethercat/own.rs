@@ -18,7 +18,7 @@ use super::dissector::{
     ABORT, APRD, APWR, Address, BRD, BWR, DOWNLOAD, DOWNLOADED, Datagram, FPRD, FPWR, FRMW, Frame, LRW,
     Message, NOP, REQUEST, RESPONSE, UPLOAD, UPLOADED, dissect, exchanges,
 };
-use super::{at_master, cable, capture, plan, serve};
+use super::{at_master, cable, capture, segment, serve};
 use crate::capture;
 use crate::support::{LONG, Machine};
 
@@ -113,8 +113,8 @@ impl Run {
 
 fn works_a_line(test: u8, run: Run) {
     let (machine, cable) = (Machine::new(test), cable(test));
-    let mut plan = plan(run.family, 2, run.short_clocks);
-    for drive in &mut plan.drives {
+    let mut segment = segment(run.family, 2, run.short_clocks);
+    for drive in &mut segment.plan.drives {
         drive.axis.profile.velocity = 2.0 * SPEED;
         drive.axis.profile.acceleration = 100.0;
         drive.axis.stop.deceleration = 100.0;
@@ -123,9 +123,8 @@ fn works_a_line(test: u8, run: Run) {
         drive.axis.health.bucket = 1_000;
         drive.slave.watchdog_ns = Some(1_000 * MS);
     }
-    let _line = serve(&cable, &plan);
-    // Both ends have one name, each in its own namespace.
-    plan.simulate.interface = None;
+    let plan = segment.plan.clone();
+    let _line = serve(&cable, segment);
     let mut executed = 0;
     let file = capture(&cable, &machine, || executed = at_master(&cable, || work(plan, run.leads)));
     let exchanges = exchanges(&dissect(&file));

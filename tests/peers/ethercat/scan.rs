@@ -7,9 +7,10 @@ use std::time::Duration;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::net::{Carriers, Os};
+use fieldbeat::sim::ethercat::EthercatSegment;
 
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
-use super::{ETHERTYPE, WIRE, at_master, cable, capture, plan, serve};
+use super::{ETHERTYPE, WIRE, at_master, cable, capture, segment, serve};
 use crate::capture;
 use crate::support::{Cable, Ended, Machine, PROGRAM, Program, command};
 
@@ -23,7 +24,7 @@ fn scan(cable: &Cable, options: &[&str]) -> Ended {
 #[ignore = "needs root, iproute2 and tshark"]
 fn tshark_finds_nothing_wrong_with_a_scan() {
     let (machine, cable) = (Machine::new(33), cable(33));
-    let _line = serve(&cable, &plan(Family::S700, 2, true));
+    let _line = serve(&cable, segment(Family::S700, 2, true));
     let mut ended = None;
     let file = capture(&cable, &machine, || ended = Some(scan(&cable, &["--json"])));
     let ended = ended.unwrap();
@@ -104,7 +105,7 @@ fn beside_another<R>(cable: &Cable, run: impl FnOnce() -> R) -> R {
 #[ignore = "needs root and iproute2"]
 fn a_scan_beside_another_master_says_so_and_sends_nothing() {
     let cable = cable(35);
-    let _line = serve(&cable, &plan(Family::S700, 1, false));
+    let _line = serve(&cable, segment(Family::S700, 1, false));
     let ended = beside_another(&cable, || scan(&cable, &["--json"]));
     ended.failed(&["wire: another master (10:10:10:10:10:10) has frames on this interface; end it"]);
 }
@@ -113,9 +114,10 @@ fn a_scan_beside_another_master_says_so_and_sends_nothing() {
 #[ignore = "needs root and iproute2"]
 fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it() {
     let (machine, cable) = (Machine::new(36), cable(36));
-    let mut alone = EthercatPlan::new(WIRE, vec![KollmorgenDrive::new("d1", 0, Family::S700)]);
-    alone.simulate.interface = Some(WIRE.into());
-    let _line = serve(&cable, &alone);
+    let plan = EthercatPlan::new(WIRE, vec![KollmorgenDrive::new("d1", 0, Family::S700)]);
+    let mut alone = EthercatSegment::from(plan);
+    alone.settings.interface = Some(WIRE.into());
+    let _line = serve(&cable, alone);
     let config = machine.write(
         "line.toml",
         format!(

@@ -6,7 +6,7 @@ use std::thread::{sleep, spawn};
 use std::time::Duration;
 
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{SimSettings, UnidriveSim};
+use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::Library::{Libmodbus, Pymodbus};
@@ -17,7 +17,7 @@ use crate::support::{LONG, Machine, until};
 const MOST: u16 = 120;
 const SETUP: u16 = 0x4000 + 22 * 100;
 
-fn serve(settings: SimSettings) -> SimServer {
+fn serve(settings: UnidriveSettings) -> SimServer {
     let drive: Box<dyn SimDrive> = Box::new(UnidriveSim::new(settings));
     SimServer::start(vec![drive], ServerOptions::default()).unwrap()
 }
@@ -142,14 +142,14 @@ fn all_of_it(client: &mut Peer, library: Library) {
 fn converse(test: u8, library: Library) {
     let machine = Machine::new(test);
     let address = SocketAddrV4::new(machine.ip(11), PORT);
-    let server = serve(SimSettings::new(address));
+    let server = serve(UnidriveSettings::new(address));
     let mut client = library.start("client", &machine, address, &[]);
     all_of_it(&mut client, library);
     // Two requests in one segment have two replies, in order.
     assert_eq!(client.numbers("twice 0x47E4 2"), [7, 8]);
     assert_eq!(server.stop()[0].connections.accepted, 1);
     // A drive may also leave the second one unanswered; the first one's reply is its own then, too.
-    let mut settings = SimSettings::new(SocketAddrV4::new(machine.ip(12), PORT));
+    let mut settings = UnidriveSettings::new(SocketAddrV4::new(machine.ip(12), PORT));
     settings.interface.pipelining = false;
     let address = settings.address;
     let _server = serve(settings);
@@ -160,7 +160,7 @@ fn converse(test: u8, library: Library) {
 fn converse_in_bytes(test: u8, library: Library) {
     let machine = Machine::new(test);
     let [address, between] = [11, 12].map(|host| SocketAddrV4::new(machine.ip(host), PORT));
-    let _server = serve(SimSettings::new(address));
+    let _server = serve(UnidriveSettings::new(address));
     dribble(between, address);
     all_of_it(&mut library.start("client", &machine, between, &[]), library);
 }

@@ -8,7 +8,7 @@ use fieldbeat::bus::modbus::{ModbusPlan, Via};
 use fieldbeat::cycle::Plan;
 use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{ReadWrite, SimSettings, UnidriveSim};
+use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::{PORT, drive, plan};
@@ -137,7 +137,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         .collect();
     drives[1].via = Via::Menu0 { first: 11 };
     let simulated = drives.iter().enumerate().map(|(index, drive)| {
-        let mut settings = SimSettings::new(drive.address);
+        let mut settings = UnidriveSettings::new(drive.address);
         if index == 2 {
             settings.interface.read_write = ReadWrite::Refused;
         }

@@ -10,7 +10,7 @@ use fieldbeat::axis::Health;
 use fieldbeat::bus::modbus::UnidriveDrive;
 use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{SimSettings, UnidriveSim};
+use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
 use nix::sys::socket::{SockaddrIn, getpeername, getsockname};
@@ -75,7 +75,7 @@ fn lost(test: u8, reply_within_ns: u64) -> (u32, u64) {
     let mut drive = drive(address);
     (drive.reply_within_ns, drive.axis.divisor) = (reply_within_ns, 4);
     drive.axis.health = Health::default();
-    let sim: Box<dyn SimDrive> = Box::new(UnidriveSim::new(SimSettings::new(address)));
+    let sim: Box<dyn SimDrive> = Box::new(UnidriveSim::new(UnidriveSettings::new(address)));
     let _server = SimServer::start(vec![sim], ServerOptions::default()).unwrap();
     let master = Master::from_plan(plan(drive)).start().unwrap();
     master.wait_online(LONG).unwrap();

@@ -12,19 +12,17 @@ use fieldbeat::bus::ethercat::{
 };
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::MasterError;
-use fieldbeat::sim::ethercat::coupler::Terminals as Simulated;
-use fieldbeat::sim::ethercat::{Coupler, EthercatSim};
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
 
-use super::drives::{Left, answer};
+use super::drives::{answer, left};
 use super::{LINE, Machine, drive};
 
 /// Four bytes of outputs that are its inputs, too.
 fn io(place: u16) -> Device {
     let area = |start| Area { start, length: 4 };
     let slave = SlavePlan { outputs: area(0x1000), inputs: area(0x1100), ..SlavePlan::new(place) };
-    let terminals = Simulated { digital: 32, analogue: 0 };
-    Device { name: "io".into(), slave, simulate: Coupler { outputs: terminals, inputs: terminals } }
+    Device { name: "io".into(), slave }
 }
 
 fn line(drives: Vec<KollmorgenDrive>, devices: Vec<Device>) -> EthercatPlan {
@@ -42,10 +40,10 @@ fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
 #[test]
 fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
     let mut other = line(vec![drive(0, Family::S700)], vec![io(1)]);
-    let world = EthercatSim::new(&other);
+    let world = EthercatSim::of(&other);
     other.devices[0].slave.identity = Expected { product: Some(77), ..Expected::default() };
-    let left = Box::new(Left::new(other, world));
-    let mut machine = Machine::on(left, CyclePlan::default(), WorldOptions::default());
+    let (cycle, options) = (CyclePlan::default(), WorldOptions::default());
+    let mut machine = Machine::on(Box::new(other), left(world), cycle, options);
     machine.online();
     machine.run(2_000);
     let (drives, devices) = reported(machine);
@@ -88,20 +86,18 @@ fn the_outputs_of_a_device_that_was_lost_are_zeros_until_they_are_written_anew()
 #[test]
 fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     // A drive in the place of the device: the plan knows no more of it than its memory.
-    let mut akd = drive(1, Family::Akd);
-    akd.simulate.interrupts_to_sync = 1;
+    let akd = drive(1, Family::Akd);
     let mut plan = line(vec![drive(0, Family::S700)], Vec::new());
-    let world =
-        EthercatSim::new(&EthercatPlan { drives: vec![drive(0, Family::S700), akd.clone()], ..plan.clone() });
+    let mut whole = EthercatSegment::from(line(vec![drive(0, Family::S700), akd.clone()], Vec::new()));
+    whole.drives[1].interrupts_to_sync = 1;
+    let world = EthercatSim::new(&whole);
     // 1 ms.
     let start = |sub, kind, raw| Start { object: Object::new(0x60C2, sub), kind, raw };
     let start_up = vec![start(1, Type::U8, 1), start(2, Type::I8, 0xFD)];
     let slave = SlavePlan { start_up, ..akd.slave.clone() };
-    let digital = |bytes: u16| Simulated { digital: 8 * bytes as u8, analogue: 0 };
-    let simulate = Coupler { outputs: digital(slave.outputs.length), inputs: digital(slave.inputs.length) };
-    plan.devices = vec![Device { name: "io".into(), slave, simulate }];
-    let left = |plan: &EthercatPlan, world| Box::new(Left::new(plan.clone(), world));
-    let mut machine = Machine::on(left(&plan, world), CyclePlan::default(), WorldOptions::default());
+    plan.devices = vec![Device { name: "io".into(), slave }];
+    let (cycle, options) = (CyclePlan::default(), WorldOptions::default());
+    let mut machine = Machine::on(Box::new(plan), left(world), cycle, options);
     let acyclic = machine.sim.acyclics()[1].clone();
     assert_eq!(acyclic.axis(), "io");
     let notation: &dyn fieldbeat::axis::acyclic::Notation = &Objects;
@@ -135,9 +131,11 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
 fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
     let refused = |prbase: u8, turns: u32, check: bool| {
         let mut odd = drive(0, Family::S700);
-        (odd.simulate.prbase, odd.simulate.resolution_turns, odd.check_prbase) = (prbase, turns, check);
+        odd.check_prbase = check;
         odd.axis.on_found_running = FoundRunning::Refuse;
-        let mut machine = Machine::new(line(vec![odd], Vec::new()));
+        let mut segment = EthercatSegment::from(line(vec![odd], Vec::new()));
+        (segment.drives[0].prbase, segment.drives[0].resolution_turns) = (prbase, turns);
+        let mut machine = Machine::new(segment);
         machine.run(4_000);
         let link = machine.feedback(0).link;
         let (drives, _) = reported(machine);

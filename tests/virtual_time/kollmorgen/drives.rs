@@ -1,6 +1,5 @@
 //! What the drives of a line do, and what befalls them.
 
-use std::sync::Mutex;
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
@@ -17,12 +16,10 @@ use fieldbeat::bus::ethercat::wire::registers::AlState;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Native, SlavePlan, Terminals,
 };
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::CyclePlan;
-use fieldbeat::net::Carriers;
-use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
+use fieldbeat::sim::{FaultPlan, Simulated};
 use fieldbeat::time::MS;
 
 use super::{LINE, Machine, STOP, drive, jog, plan, with};
@@ -257,43 +254,18 @@ fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
     machine.until("it stands", 500, |machine| machine.drive(0, |drive| drive.rpm()).abs() < 1.0);
 }
 
-/// A line that another master has left as it is.
-#[derive(Debug)]
-pub struct Left {
-    plan: EthercatPlan,
-    line: Mutex<Option<EthercatSim>>,
-}
-
-impl Left {
-    pub fn new(plan: EthercatPlan, line: EthercatSim) -> Left {
-        Left { plan, line: Mutex::new(Some(line)) }
-    }
-}
-
-impl BusPlan for Left {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.plan.open(period_ns, carriers)
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        Vec::new()
-    }
-
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        let line = self.line.lock().unwrap().take()?;
-        Some(Box::new(line))
-    }
+/// A segment that is there already.
+pub fn left(line: EthercatSim) -> Simulated {
+    Simulated { lines: vec![Box::new(line)], ..Simulated::default() }
 }
 
 /// Another master for a line that the first one has brought up and left.
 pub fn take_over(first: Machine, plan: &EthercatPlan, found: FoundRunning) -> Machine {
     let mut plan = plan.clone();
     plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = found);
-    let line = first.look(|line| std::mem::replace(line, EthercatSim::new(&plan)));
+    let line = first.look(|line| std::mem::replace(line, EthercatSim::of(&plan)));
     let options = WorldOptions { start: first.sim.world().now(), ..WorldOptions::default() };
-    Machine::on(Box::new(Left::new(plan, line)), CyclePlan::default(), options)
+    Machine::on(Box::new(plan), left(line), CyclePlan::default(), options)
 }
 
 /// Speeds of the motors, rpm.
@@ -396,10 +368,11 @@ fn terminals_between_drives_exchange_in_the_same_cycle() {
     let area = |start, length| Area { start, length };
     let slave = SlavePlan { outputs: area(0x1000, 4), inputs: area(0x1100, 4), ..SlavePlan::new(1) };
     let terminals = fieldbeat::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
-    let simulate = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
-    let io = Device { name: "io".into(), slave, simulate };
+    let coupler = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
+    let io = Device { name: "io".into(), slave };
     let drives = vec![drive(0, Family::S700), drive(2, Family::S700)];
-    let mut machine = Machine::new(EthercatPlan { devices: vec![io], ..line(drives) });
+    let segment = EthercatSegment::from(EthercatPlan { devices: vec![io], ..line(drives) });
+    let mut machine = Machine::new(EthercatSegment { devices: vec![coupler], ..segment });
     let mut io = machine.sim.device::<Terminals>("io").unwrap();
     assert!(machine.sim.device::<Terminals>("io").is_err(), "taken once");
     machine.online();
@@ -541,10 +514,10 @@ fn without_its_master_each_drive_stops_within_its_watchdog() {
 fn clocks_of_32_bits_that_go_round_are_noticed_by_nobody() {
     for leads in [false, true] {
         let drives = vec![with(0, Family::Akd, 0x1701, 0x1B01), with(1, Family::Akd, 0x1701, 0x1B01)];
-        let mut plan = line(drives);
-        plan.simulate.short_clocks = true;
-        plan.simulate.drift_ppm = vec![80.0, -40.0];
-        let mut machine = Machine::with(plan, leads, WorldOptions::default());
+        let mut segment = EthercatSegment::from(line(drives));
+        segment.settings.short_clocks = true;
+        segment.settings.drift_ppm = vec![80.0, -40.0];
+        let mut machine = Machine::with(segment, leads, WorldOptions::default());
         machine.online();
         machine.each(Command::Enable);
         for index in 0..2 {

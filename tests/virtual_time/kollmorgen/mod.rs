@@ -23,8 +23,9 @@ use fieldbeat::bus::{BusPlan, Counters};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::sim::ethercat::{Drive, EthercatSim};
+use fieldbeat::sim::ethercat::{Drive, EthercatSegment, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::simulation::Simulation;
 
 /// The interface of the line.
@@ -72,26 +73,30 @@ pub struct Machine {
 }
 
 impl Machine {
-    pub fn new(plan: EthercatPlan) -> Machine {
-        Machine::with(plan, false, WorldOptions::default())
+    pub fn new(segment: impl Into<EthercatSegment>) -> Machine {
+        Machine::with(segment, false, WorldOptions::default())
     }
 
     /// `leads`: the clock of the line steers the grid.
-    pub fn with(plan: EthercatPlan, leads: bool, options: WorldOptions) -> Machine {
-        let reference = leads.then(|| plan.name.clone());
-        Machine::on(Box::new(plan), CyclePlan { reference, ..CyclePlan::default() }, options)
+    pub fn with(segment: impl Into<EthercatSegment>, leads: bool, options: WorldOptions) -> Machine {
+        let segment = segment.into();
+        let reference = leads.then(|| segment.plan.name.clone());
+        let drives = SimPlan::from(segment.clone()).build();
+        let cycle = CyclePlan { reference, ..CyclePlan::default() };
+        Machine::on(Box::new(segment.plan), drives, cycle, options)
     }
 
-    pub fn on(bus: Box<dyn BusPlan>, cycle: CyclePlan, options: WorldOptions) -> Machine {
+    pub fn on(bus: Box<dyn BusPlan>, drives: Simulated, cycle: CyclePlan, options: WorldOptions) -> Machine {
         let count = bus.axes().len();
         let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
-        let sim = Master::from_plan(plan).simulate(options).unwrap_or_else(|error| panic!("{error}"));
+        let sim =
+            Master::from_plan(plan).simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"));
         Machine { sim, count }
     }
 
     /// All drives in operation.
-    pub fn enabled(plan: EthercatPlan) -> Machine {
-        let mut machine = Machine::new(plan);
+    pub fn enabled(segment: impl Into<EthercatSegment>) -> Machine {
+        let mut machine = Machine::new(segment);
         machine.online();
         machine.each(Command::Enable);
         machine

@@ -3,32 +3,31 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::counters::Own;
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, SlavePlan, Terminals};
-use fieldbeat::sim::ethercat::Coupler;
-use fieldbeat::sim::ethercat::coupler::Terminals as Wired;
+use fieldbeat::bus::ethercat::{Area, Device, SlavePlan, Terminals};
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::MS;
 
+use super::drives::left;
 use super::{CyclePlan, Machine, jog, plan};
 
 /// A drive, terminals of a byte either way, and another drive.
-fn with_terminals() -> EthercatPlan {
-    let wired = Wired { digital: 8, analogue: 0 };
+fn with_terminals() -> EthercatSegment {
     let slave = SlavePlan {
         outputs: Area { start: 0x1000, length: 1 },
         inputs: Area { start: 0x1100, length: 1 },
         ..SlavePlan::new(1)
     };
-    let device = Device { name: "io".into(), slave, simulate: Coupler { outputs: wired, inputs: wired } };
+    let device = Device { name: "io".into(), slave };
     let mut plan = plan(3);
     plan.drives.remove(1);
     plan.devices.push(device);
-    plan
+    plan.into()
 }
 
 /// All of it works: both drives turn, and the terminals exchange.
-fn works(plan: EthercatPlan) {
-    let mut machine = Machine::new(plan);
+fn works(segment: EthercatSegment) {
+    let mut machine = Machine::new(segment);
     let mut terminals: Terminals = machine.sim.device("io").unwrap();
     machine.online();
     machine.each(Command::Enable);
@@ -55,28 +54,29 @@ fn works(plan: EthercatPlan) {
 #[test]
 fn a_coupler_without_an_fmmu_to_spare_takes_part_like_any_other() {
     for fmmus in [2, 3] {
-        let mut plan = with_terminals();
-        plan.simulate.fmmus = vec![8, fmmus, 8];
-        works(plan);
+        let mut segment = with_terminals();
+        segment.settings.fmmus = vec![8, fmmus, 8];
+        works(segment);
     }
 }
 
 #[test]
 fn a_device_id_in_the_al_status_is_no_error() {
-    let mut plan = with_terminals();
-    plan.simulate.device_ids = true;
-    works(plan);
+    let mut segment = with_terminals();
+    segment.settings.device_ids = true;
+    works(segment);
 }
 
 #[test]
 fn clocks_that_settle_as_slowly_as_real_ones_are_waited_for() {
     for (leads, period) in [(false, MS), (true, MS), (true, 2 * MS), (true, 4 * MS)] {
-        let mut plan = plan(3);
-        plan.simulate.settling = 1_024;
-        plan.simulate.drift_ppm = vec![30.0, -30.0, 10.0];
-        let reference = leads.then(|| plan.name.clone());
+        let mut segment = EthercatSegment::from(plan(3));
+        segment.settings.settling = 1_024;
+        segment.settings.drift_ppm = vec![30.0, -30.0, 10.0];
+        let reference = leads.then(|| segment.plan.name.clone());
         let cycle = CyclePlan { period_ns: period, reference, ..CyclePlan::default() };
-        let mut machine = Machine::on(Box::new(plan), cycle, WorldOptions::default());
+        let drives = left(EthercatSim::new(&segment));
+        let mut machine = Machine::on(Box::new(segment.plan), drives, cycle, WorldOptions::default());
         let took = machine.until("online", 20_000, |machine| {
             (0..3).all(|index| machine.feedback(index).link == Link::Online)
         });

@@ -9,21 +9,21 @@ use fieldbeat::axis::acyclic::CallTicket;
 use fieldbeat::axis::{
     AxisPlan, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
 };
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::net::{Carriers, SendMode};
-use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::sim::linudp::LinMotSim;
-use fieldbeat::sim::modbus::UnidriveSim;
+use fieldbeat::net::SendMode;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
+use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimLine, Truth};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimLine, Simulated, Truth};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, Time};
 
@@ -250,30 +250,6 @@ impl SimLine for TapLine {
     }
 }
 
-/// The plan of a bus whose drives, or segment, are shared with the test.
-#[derive(Debug)]
-struct Tapped<P> {
-    plan: P,
-    taps: Vec<Tap>,
-    line: Option<TapLine>,
-}
-
-impl<P: BusPlan> BusPlan for Tapped<P> {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.plan.open(period_ns, carriers)
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
-    }
-
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        Some(Box::new(self.line.clone()?))
-    }
-}
-
 /// A machine that runs.
 pub struct Machine {
     pub sim: Simulation,
@@ -316,8 +292,6 @@ fn linmot(index: usize, shape: Shape) -> LinUdpDrive {
     shorten(&mut drive.axis, shape, 200.0, 4_000.0);
     drive.axis.limits.acceleration = None;
     drive.reply_tag = if shape.other { ReplyTag::Count } else { ReplyTag::default() };
-    // Short homing.
-    drive.simulate.start_position = 10_000;
     drive
 }
 
@@ -328,7 +302,6 @@ fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
     shorten(&mut drive.axis, shape, 8.0, 160.0);
     drive.via = if shape.other { Via::Menu0 { first: 11 } } else { Via::Direct };
     drive.reply_within_ns = 5 * MS;
-    drive.simulate.ramps_s = (0.005, 0.005);
     drive
 }
 
@@ -338,8 +311,6 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     shorten(&mut drive.axis, shape, velocity, 400.0);
     let limits = &mut drive.axis.limits;
     limits.torque = Some(150.0);
-    drive.simulate.home_turns = Some(0.03);
-    drive.simulate.ramps_rpm_s = (60_000, 60_000);
     if outputs == 0x1701 {
         limits.position = Some((-5.0, 5.0));
     }
@@ -354,42 +325,57 @@ fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn
         Kind::LinMot => {
             let drives: Vec<_> = places.map(|index| linmot(index, shape)).collect();
             if fresh {
-                taps.extend(drives.iter().map(|drive| Tap::new(Drive::LinMot(LinMotSim::new(drive).into()))));
+                // Short homing.
+                let settings = |drive| LinMotSettings { start_position: 10_000, ..support::simulated(drive) };
+                let drive = |drive| Tap::new(Drive::LinMot(LinMotSim::new(settings(drive)).into()));
+                taps.extend(drives.iter().map(drive));
             }
-            let plan = LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives };
-            Box::new(Tapped { plan, taps: taps.clone(), line: None })
+            Box::new(LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives })
         }
         Kind::Unidrive => {
             let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
-            let settings = |drive: &UnidriveDrive| {
-                let mut settings = drive.simulate.clone();
-                settings.address = drive.address;
-                settings
-            };
-            let drive = |drive| Drive::Unidrive(UnidriveSim::new(settings(drive)).into());
             if fresh {
-                taps.extend(drives.iter().map(|plan| Tap::new(drive(plan))));
+                let settings =
+                    |drive| UnidriveSettings { ramps_s: (0.005, 0.005), ..UnidriveSettings::new(drive) };
+                let drive = |plan: &UnidriveDrive| {
+                    Tap::new(Drive::Unidrive(UnidriveSim::new(settings(plan.address)).into()))
+                };
+                taps.extend(drives.iter().map(drive));
             }
-            Box::new(Tapped { plan: ModbusPlan::new(drives), taps: taps.clone(), line: None })
+            Box::new(ModbusPlan::new(drives))
         }
         Kind::Kollmorgen => {
             let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
             let plan = EthercatPlan::new(LINE, drives);
-            let new = || TapLine(Arc::new(Mutex::new((EthercatSim::new(&plan), VecDeque::new()))));
-            let line = Some(line.get_or_insert_with(new).clone());
-            Box::new(Tapped { plan, taps: Vec::new(), line })
+            line.get_or_insert_with(|| {
+                let mut segment = EthercatSegment::from(plan.clone());
+                for drive in &mut segment.drives {
+                    (drive.home_turns, drive.ramps_rpm_s) = (Some(0.03), (60_000, 60_000));
+                }
+                TapLine(Arc::new(Mutex::new((EthercatSim::new(&segment), VecDeque::new()))))
+            });
+            Box::new(plan)
         }
     }
 }
 
+/// The drives, or the segment, that the test holds.
+fn drives(taps: &[Tap], line: Option<&TapLine>) -> Simulated {
+    Simulated {
+        drives: taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
+        lines: line.map(|line| Box::new(line.clone()) as Box<dyn SimLine>).into_iter().collect(),
+        ..Simulated::default()
+    }
+}
+
 /// A master of such a machine, from `start` on.
-fn master(shape: Shape, bus: Box<dyn BusPlan>, start: Option<Time>) -> Simulation {
+fn master(shape: Shape, bus: Box<dyn BusPlan>, drives: Simulated, start: Option<Time>) -> Simulation {
     let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| bus.name().to_owned());
     let cycle = CyclePlan { reference, ..CyclePlan::default() };
     let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
     let options = WorldOptions::default();
     let options = WorldOptions { start: start.unwrap_or(options.start), ..options };
-    Master::from_plan(plan).simulate(options).unwrap_or_else(|error| panic!("{error}"))
+    Master::from_plan(plan).simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"))
 }
 
 impl Machine {
@@ -405,7 +391,7 @@ impl Machine {
         let bus = bus(shape, &mut taps, &mut line);
         let plans: Vec<AxisPlan> = bus.axes().into_iter().cloned().collect();
         Machine {
-            sim: master(shape, bus, None),
+            sim: master(shape, bus, drives(&taps, line.as_ref()), None),
             shape,
             scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
             plans,
@@ -425,7 +411,8 @@ impl Machine {
             connected.into_iter().for_each(|from| tap.disconnected(now, from));
         }
         let bus = bus(self.shape, &mut self.taps, &mut self.line);
-        self.sim = master(self.shape, bus, Some(now + ms * MS));
+        let drives = drives(&self.taps, self.line.as_ref());
+        self.sim = master(self.shape, bus, drives, Some(now + ms * MS));
     }
 
     /// The master's computer sleeps, and the drives with it.

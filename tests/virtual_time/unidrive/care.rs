@@ -45,7 +45,7 @@ fn neither_a_connection_nor_an_enable_runs_what_was_left_in_the_control_word() {
 #[test]
 fn what_runs_by_its_terminals_is_taken_over_at_its_speed_and_ramps_down() {
     for via in VIAS {
-        let change = |_, drive: &mut UnidriveDrive| drive.axis.stop.deceleration = 4.0;
+        let change = |_, drive: &mut Unidrive| drive.axis.stop.deceleration = 4.0;
         let mut b = Bench::beside(1, via, change, by_terminals, Vec::new());
         b.online();
         let mut before = 5.0;
@@ -165,7 +165,7 @@ fn two_seconds_after_the_end(mut b: Bench) -> StatusWord {
 #[test]
 fn the_orderly_end_takes_the_time_out_from_a_drive_that_is_off_and_leaves_it_to_one_that_is_not() {
     for via in VIAS {
-        let change = |_, drive: &mut UnidriveDrive| {
+        let change = |_, drive: &mut Unidrive| {
             drive.axis.stop.timeout = Duration::from_millis(300);
             drive.axis.enable_timeout = Duration::from_millis(300);
         };

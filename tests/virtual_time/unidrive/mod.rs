@@ -20,16 +20,18 @@ use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
 use fieldbeat::bus::modbus::{Functions, ModbusPlan, UnidriveDrive, Via, Watchdog};
-use fieldbeat::bus::{Bus, BusPlan, Counters, OpenError};
+use fieldbeat::bus::{BusPlan, Counters};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::net::{Carriers, SendMode};
-use fieldbeat::sim::modbus::{Start, UnidriveSim};
+use fieldbeat::net::SendMode;
+use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive};
+use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, S, Time, US};
+
+use super::support::Paired;
 
 const STOP: Command = Command::Stop { deceleration: None };
 /// Another master.
@@ -121,22 +123,9 @@ impl Tap {
     }
 }
 
-#[derive(Debug)]
-struct TappedBus {
-    plan: ModbusPlan,
-    taps: Vec<Tap>,
-}
-
-impl BusPlan for TappedBus {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.plan.open(period_ns, carriers)
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
-    }
+/// The drives of a machine.
+fn simulated(taps: &[Tap]) -> Vec<Box<dyn SimDrive>> {
+    taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
 }
 
 fn address(index: usize) -> SocketAddrV4 {
@@ -144,7 +133,7 @@ fn address(index: usize) -> SocketAddrV4 {
 }
 
 /// A drive as most tests want it: revolutions of the motor, 8 of them a second.
-fn drive(index: usize, via: Via) -> UnidriveDrive {
+fn drive(index: usize, via: Via) -> Unidrive {
     let mut drive = UnidriveDrive::new(format!("u{index}"), *address(index).ip());
     drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
     drive.axis.profile = Profile { velocity: 8.0, acceleration: 80.0, deceleration: 80.0 };
@@ -153,9 +142,12 @@ fn drive(index: usize, via: Via) -> UnidriveDrive {
     drive.axis.health.probe_interval = Duration::from_millis(20);
     drive.via = via;
     drive.reply_within_ns = 5 * MS;
-    drive.simulate.ramps_s = (0.01, 0.01);
-    drive
+    let simulate = UnidriveSettings { ramps_s: (0.01, 0.01), ..UnidriveSettings::of(&drive) };
+    Paired { plan: drive, simulate }
 }
+
+/// A Unidrive of a [`Bench`].
+type Unidrive = Paired<UnidriveDrive, UnidriveSettings>;
 
 const VIAS: [Via; 2] = [Via::Direct, Via::Menu0 { first: 11 }];
 
@@ -166,12 +158,12 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(count: usize, via: Via, change: impl Fn(usize, &mut UnidriveDrive)) -> Bench {
+    fn new(count: usize, via: Via, change: impl Fn(usize, &mut Unidrive)) -> Bench {
         Bench::beside(count, via, change, |_, _| {}, Vec::new())
     }
 
     /// All drives in operation.
-    fn enabled(count: usize, via: Via, change: impl Fn(usize, &mut UnidriveDrive)) -> Bench {
+    fn enabled(count: usize, via: Via, change: impl Fn(usize, &mut Unidrive)) -> Bench {
         let mut bench = Bench::new(count, via, change);
         bench.ready();
         bench
@@ -181,27 +173,27 @@ impl Bench {
     fn beside(
         count: usize,
         via: Via,
-        change: impl Fn(usize, &mut UnidriveDrive),
+        change: impl Fn(usize, &mut Unidrive),
         prepare: impl Fn(&mut Shared, Time),
         mut buses: Vec<Box<dyn BusPlan>>,
     ) -> Bench {
         let options = WorldOptions::default();
         let mut drives: Vec<_> = (0..count).map(|index| drive(index, via)).collect();
         drives.iter_mut().enumerate().for_each(|(index, drive)| change(index, drive));
-        let tap = |drive: &UnidriveDrive| {
-            let mut settings = drive.simulate.clone();
-            settings.address = drive.address;
-            let drive = UnidriveSim::new(settings);
+        let tap = |drive: &Unidrive| {
+            let drive = UnidriveSim::new(drive.simulate.clone());
             let mut shared = Shared { drive, received: Vec::new(), request: None, reply: None };
             prepare(&mut shared, Time(options.start.0 - 2 * S));
             Tap(Arc::new(Mutex::new(shared)))
         };
         let taps: Vec<_> = drives.iter().map(tap).collect();
-        let plan = ModbusPlan::new(drives);
+        let plan = ModbusPlan::new(drives.into_iter().map(|drive| drive.plan).collect());
         assert_eq!(plan.faults(MS), Vec::new());
-        buses.insert(0, Box::new(TappedBus { plan: plan.clone(), taps: taps.clone() }));
+        let mut drives = simulated(&taps);
+        drives.extend(SimPlan::of(&buses).build().drives);
+        buses.insert(0, Box::new(plan.clone()));
         let whole = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
-        let sim = Master::from_plan(whole).simulate(options).expect("the machine can be built");
+        let sim = Master::from_plan(whole).simulate_with(drives, options).expect("the machine can be built");
         Bench { sim, taps, plan }
     }
 
@@ -695,7 +687,7 @@ fn unidrives_at_every_eighth_cycle_beside_linmots_in_every_one_lose_nothing() {
         send: SendMode::Batch,
         drives: linmots,
     };
-    let change = |index: usize, drive: &mut UnidriveDrive| {
+    let change = |index: usize, drive: &mut Unidrive| {
         (drive.axis.divisor, drive.axis.phase) = (8, index as u32 % 8);
         drive.simulate.faults = FaultPlan { answer_ns: 50 * US, ..FaultPlan::default() };
     };

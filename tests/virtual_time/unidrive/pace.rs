@@ -11,7 +11,7 @@ fn next_to_a_linmot(answer_ns: u64) -> Bench {
         send: SendMode::Batch,
         drives: vec![support::drive(0)],
     };
-    let change = |_, drive: &mut UnidriveDrive| drive.simulate.faults.answer_ns = answer_ns;
+    let change = |_, drive: &mut Unidrive| drive.simulate.faults.answer_ns = answer_ns;
     let mut b = Bench::beside(1, VIAS[1], change, |_, _| {}, vec![Box::new(linudp)]);
     b.until("both online", 2_000, |b| (0..2).all(|index| b.feedback(index).link == Link::Online));
     b

@@ -58,8 +58,8 @@ fn refuse_some(tap: &Tap) -> Arc<AtomicU64> {
 }
 
 fn plan(b: &Bench) -> Plan {
-    let bus = TappedBus { plan: b.plan.clone(), taps: b.taps.clone() };
-    Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)], groups: Vec::new() }
+    let bus = Box::new(b.plan.clone());
+    Plan { source: None, cycle: CyclePlan::default(), buses: vec![bus], groups: Vec::new() }
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn what_a_protocol_counts_of_its_own_is_exact_without_any_telemetry() {
     let b = bench(3);
     let plan = plan(&b);
     let refusals: Vec<_> = b.taps[..2].iter().map(refuse_some).collect();
-    let world = World::new(plan.simulate(), WorldOptions { seed: 3, ..WorldOptions::default() }).unwrap();
+    let world = World::new(simulated(&b.taps), WorldOptions { seed: 3, ..WorldOptions::default() }).unwrap();
     let Assembly { mut engine, gauges, .. } =
         assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
     engine.begin();

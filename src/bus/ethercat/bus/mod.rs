@@ -11,6 +11,7 @@ mod notes;
 
 use std::any::Any;
 use std::io::ErrorKind;
+use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -43,8 +44,6 @@ use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
 use crate::net::{Carriers, Frames, Lock, Place};
 use crate::rt::Regions;
-use crate::sim::ethercat::EthercatSim;
-use crate::sim::{SimDrive, SimLine};
 use crate::time::{Time, US};
 
 /// Frames that are remembered: one that comes back later is unknown.
@@ -634,12 +633,8 @@ impl BusPlan for EthercatPlan {
         Some(Box::new(EthercatPlan { drives: vec![drive], devices: Vec::new(), ..self.clone() }))
     }
 
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+    fn addresses(&self) -> Vec<SocketAddrV4> {
         Vec::new()
-    }
-
-    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
-        Some(Box::new(EthercatSim::new(self)))
     }
 
     fn has_clock(&self) -> bool {

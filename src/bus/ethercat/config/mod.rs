@@ -15,11 +15,8 @@ use crate::bus::BusPlan;
 use crate::keys::bus::drive_tables;
 use crate::keys::drive::{Counts, axis};
 use crate::keys::machine::Machine;
-use crate::keys::table::{POSITIVE, Table, integer, number, time};
-use crate::sim::Carrier;
-use crate::sim::ethercat::{Dialect, DriveSettings, LineSettings, MotorSettings};
-use crate::sim::keys::faults;
-use crate::time::{MS, S, US};
+use crate::keys::table::{POSITIVE, Table, integer, time};
+use crate::time::{S, US};
 
 /// The last place of a slave.
 const LAST_PLACE: u16 = 255;
@@ -40,11 +37,11 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
             "the time between the departure of a frame and SYNC0",
         ),
         lrw: table.flag("lrw").unwrap_or(true),
-        simulate: table.table("simulate", |table| line(table, machine.period_ns)),
         drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
         devices: devices.iter_mut().map(|table| device(table, machine)).collect(),
         ..EthercatPlan::new(interface, Vec::new())
     };
+    table.later("simulate");
     place(&mut plan, &mut drives, &mut devices);
     for (owner, fault) in plan.findings(machine.period_ns) {
         match owner {
@@ -113,7 +110,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
         "the method of homing of object 6098h; leave it out for the drive's own",
     );
     drive.show = table.read("monitor", shown).unwrap_or(drive.show);
-    drive.simulate = table.table("simulate", |table| simulate(table, &drive));
+    table.later("simulate");
     drive
 }
 
@@ -202,84 +199,4 @@ fn scaling(table: &mut Table<'_>, default: Scaling) -> Scaling {
             .unwrap_or(default.permille_per_count),
         rated_current: table.number("rated_current", POSITIVE, "of the motor, A"),
     }
-}
-
-/// How the line is when it is simulated.
-fn line(table: &mut Table<'_>, period_ns: u64) -> LineSettings {
-    let default = LineSettings::default();
-    LineSettings {
-        interface: table.text("interface", "a network interface, like \"eth2\"", |text| {
-            (!text.is_empty()).then(|| text.to_owned())
-        }),
-        drift_ppm: table
-            .read("drift_ppm", |value| {
-                let one = |value| number(value).filter(|ppm| ppm.abs() <= 1_000.0);
-                let several = || value.as_array()?.iter().map(|value| one(value.get_ref())).collect();
-                one(value)
-                    .map(|ppm| vec![ppm])
-                    .or_else(several)
-                    .ok_or("must be a number, or a list of numbers by place, -1000 ... 1000".into())
-            })
-            .unwrap_or(default.drift_ppm),
-        delay_ns: table
-            .time("line_delay", 0..=100 * US, "the time of a frame from one slave to the next")
-            .unwrap_or(default.delay_ns),
-        short_clocks: table.flag("short_clocks").unwrap_or(default.short_clocks),
-        faults: faults(table, Carrier::Datagrams, period_ns.min(10 * MS), 0),
-        ..default
-    }
-}
-
-fn simulate(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
-    let default = drive.simulate.clone();
-    let units = &drive.axis.units;
-    let reach = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;
-    let (low, high) = (reach(i32::MIN), reach(i32::MAX));
-    let start = table.number("start", low.min(high)..=low.max(high), "the position at power-on, units");
-    let start = start.map(|start| ((start - units.offset) * units.counts_per_unit).round() as i32);
-    DriveSettings {
-        // It is the drive that this file wants.
-        prbase: drive.scaling.prbase,
-        rpm_per_count: drive.scaling.rpm_per_count,
-        permille_per_count: drive.scaling.permille_per_count,
-        dialect: table
-            .word("dialect", &[("standard", Dialect::Standard), ("manual", Dialect::Manual)])
-            .unwrap_or(default.dialect),
-        serial: table.integer("serial", 0..=u32::MAX.into(), "the serial number").unwrap_or(default.serial),
-        position: start.unwrap_or(default.position),
-        home_turns: table
-            .read("home", |value| match value.as_str() {
-                Some("none") => Ok(None),
-                _ => number(value).filter(|turns| turns.abs() <= 1_000.0).map(Some).ok_or(
-                    "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\""
-                        .into(),
-                ),
-            })
-            .unwrap_or(default.home_turns),
-        interrupts_to_sync: table
-            .integer("sync_after", 1..=1_000_000, "cycles inside of the window until it is synchronous")
-            .unwrap_or(default.interrupts_to_sync),
-        hardware_enable: table.flag("hardware_enable").unwrap_or(default.hardware_enable),
-        motor: motor(table, default.motor.clone()),
-        ..default
-    }
-}
-
-fn motor(table: &mut Table<'_>, mut motor: MotorSettings) -> MotorSettings {
-    let MotorSettings { rated_nm, peak_permille, max_rpm, inertia_kgm2, friction_nm } = &mut motor;
-    for (key, range, hint, value) in [
-        ("rated_torque", 0.001..=100_000.0, "rated torque of the motor, N m", rated_nm),
-        (
-            "peak_torque",
-            1.0..=10_000.0,
-            "the peak torque of the motor, per mille of the rated torque",
-            peak_permille,
-        ),
-        ("max_speed", 1.0..=100_000.0, "the highest speed of the motor, rpm", max_rpm),
-        ("inertia", 1e-9..=1e6, "the inertia of all rotating parts, kg m²", inertia_kgm2),
-        ("friction", 0.0..=100_000.0, "the friction torque of the machine at any speed, N m", friction_nm),
-    ] {
-        *value = table.number(key, range, hint).unwrap_or(*value);
-    }
-    motor
 }

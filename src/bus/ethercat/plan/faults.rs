@@ -12,7 +12,6 @@ use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type};
 use crate::bus::ethercat::start_up::cycle_time;
-use crate::sim::ethercat::coupler::Terminals;
 use crate::time::{Ns, US};
 
 /// What a master must map to drive it.
@@ -109,20 +108,6 @@ impl EthercatPlan {
                  \"local:NAME\" for simulated drives on this computer"
                     .into(),
             );
-        }
-        match &self.simulate.interface {
-            Some(_) if self.is_local() => wrong(
-                "simulate.interface",
-                "needs a real interface; simulated drives on this computer have none, leave it out".into(),
-            ),
-            Some(far) if *far == self.interface => wrong(
-                "simulate.interface",
-                "is the master's own interface; name the one at the other end of the cable".into(),
-            ),
-            Some(far) if !is_interface(far) => {
-                wrong("simulate.interface", "must be a network interface, like \"eth2\"".into());
-            }
-            _ => {}
         }
         if self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns) {
             let why =
@@ -436,22 +421,6 @@ impl Device {
     fn findings(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = self.slave.findings(period_ns, OF_A_DEVICE);
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
-        let terminals = [
-            ("simulate.outputs", self.simulate.outputs, self.slave.outputs),
-            ("simulate.inputs", self.simulate.inputs, self.slave.inputs),
-        ];
-        for (key, terminals, area) in terminals {
-            if terminals.bytes() != usize::from(area.length) {
-                let Terminals { digital, analogue } = terminals;
-                let why = format!(
-                    "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {}; make \
-                     them equal",
-                    terminals.bytes(),
-                    area.length
-                );
-                wrong(key, why);
-            }
-        }
         if self.slave.mailbox.is_none() && !self.slave.start_up.is_empty() {
             wrong(
                 "start_up",

@@ -11,8 +11,7 @@ use crate::bus::ethercat::wire::frame::{Builder, Command, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimLine;
-use crate::sim::ethercat::coupler::{Coupler, Terminals};
-use crate::sim::ethercat::{self, Esc, EthercatSim, Settings};
+use crate::sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
 use crate::time::{MS, S, US};
 
 /// What the segment reported to its handler.
@@ -94,18 +93,18 @@ impl Rig {
     }
 
     /// A line of more slaves than the master knows of.
-    fn on(plan: &EthercatPlan, whole: &EthercatPlan) -> Rig {
+    fn on(plan: &EthercatPlan, whole: impl Into<EthercatSegment>) -> Rig {
         Rig::based(plan, whole, 0x1000_0000)
     }
 
-    fn based(plan: &EthercatPlan, whole: &EthercatPlan, base: u32) -> Rig {
+    fn based(plan: &EthercatPlan, whole: impl Into<EthercatSegment>, base: u32) -> Rig {
         let slaves = plan.slaves();
         let (image, offsets) = Image::new(&slaves, base, [0x10; 6], true, plan.lrw).unwrap();
         let grid = Time(50 * S);
         Rig {
             line: Segment::new(plan, offsets, MS),
             image,
-            sim: EthercatSim::new(whole),
+            sim: EthercatSim::new(&whole.into()),
             reported: Reports::default(),
             drives: plan.drives.len(),
             cycle: Cycle { index: 0, grid, period_ns: MS, deadline: grid + MS / 2 },
@@ -218,7 +217,6 @@ fn drives(count: u16) -> EthercatPlan {
 }
 
 fn coupler(place: u16) -> Device {
-    let terminals = Terminals { digital: 8, analogue: 0 };
     Device {
         name: "io".into(),
         slave: SlavePlan {
@@ -227,7 +225,6 @@ fn coupler(place: u16) -> Device {
             identity: Expected::default(),
             ..SlavePlan::new(place)
         },
-        simulate: Coupler { outputs: terminals, inputs: terminals },
     }
 }
 
@@ -351,8 +348,9 @@ fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
 fn a_drive_of_another_make_is_refused_by_name_and_the_others_run() {
     let mut plan = drives(3);
     plan.drives[1].slave.identity.product = Some(7);
-    plan.drives[1].simulate.identity.product = 8;
-    let mut rig = Rig::new(&plan);
+    let mut whole = EthercatSegment::from(&plan);
+    whole.drives[1].identity.product = 8;
+    let mut rig = Rig::on(&plan, whole);
     rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
     assert_eq!(rig.note(1), Note::Product(8));
     rig.run(500);
@@ -393,8 +391,9 @@ fn a_line_that_is_let_go_comes_down_to_init() {
 fn a_slave_that_is_refused_gives_back_an_address_that_is_anothers() {
     let mut plan = drives(2);
     plan.drives[0].slave.identity.product = Some(7);
-    plan.drives[0].simulate.identity.product = 8;
-    let mut rig = Rig::new(&plan);
+    let mut whole = EthercatSegment::from(&plan);
+    whole.drives[0].identity.product = 8;
+    let mut rig = Rig::on(&plan, whole);
     // It stood at the second place before.
     rig.poke(0, address::STATION, &0x1002_u16.to_le_bytes());
     rig.until("the other one in OP", 4_000, |rig| rig.line.is_operational(1));
@@ -405,8 +404,9 @@ fn a_slave_that_is_refused_gives_back_an_address_that_is_anothers() {
 fn a_slave_that_is_tried_again_still_says_why_it_was_refused() {
     let mut plan = drives(1);
     plan.drives[0].slave.identity.product = Some(7);
-    plan.drives[0].simulate.identity.product = 8;
-    let mut rig = Rig::new(&plan);
+    let mut whole = EthercatSegment::from(&plan);
+    whole.drives[0].identity.product = 8;
+    let mut rig = Rig::on(&plan, whole);
     rig.until("refused", 500, |rig| rig.note(0) == Note::Product(8));
     for _ in 0..3_000 {
         rig.run(1);
@@ -442,7 +442,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     let mut rig = Rig::new(&plan);
     // Two FMMUs, and none to spare.
     let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
-    let io = plan.devices[0].simulate.slave("I/O", Identity::default(), settings);
+    let io = Coupler::of(&plan.devices[0]).slave("I/O", Identity::default(), settings);
     *rig.sim.line() = ethercat::Line::new(vec![io]);
     let offsets = rig.line.slaves[0].offsets.clone();
     rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);

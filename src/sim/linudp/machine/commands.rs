@@ -7,9 +7,10 @@ use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Move, Origin, Start
 use super::super::time_curve::TimeCurve;
 use super::super::upids;
 use super::{Demand, Machine, Mode, NEWTON_PER_AMPERE, RunMode, Task};
+use crate::bus::linudp::StreamCommand;
 use crate::bus::linudp::motion::{CommandInfo, FIELDS, Kind, MotionCommand};
-use crate::bus::linudp::plan::{StreamCommand, UnknownCommands};
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, MotionBlock};
+use crate::sim::linudp::UnknownCommands;
 use crate::time::Time;
 
 /// 0089h: a scale of a curve that is out of its range.
@@ -287,12 +288,13 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::linudp::plan::SimPlan;
+    use crate::sim::linudp::LinMotSettings;
 
     #[test]
     fn the_families_of_moves_differ_as_the_manual_says() {
         use {Origin as O, Start as S, When as W};
-        let machine = Machine::new(&SimPlan::default());
+        let machine =
+            Machine::new(&LinMotSettings::new(std::net::SocketAddrV4::new(std::net::Ipv4Addr::LOCALHOST, 1)));
         let mut parameters = [0; 30];
         for (at, value) in [(0, 5_i32), (4, 1_000), (8, 2_000), (12, 3_000)] {
             parameters[at..at + 4].copy_from_slice(&value.to_le_bytes());

@@ -19,9 +19,9 @@ use self::settings::{RunMode, Settings};
 use super::memory::Memory;
 use super::motion::{Demand, METRE, Setpoints};
 use super::upids;
-use crate::bus::linudp::plan::SimPlan;
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
 use crate::sim::Truth;
+use crate::sim::linudp::LinMotSettings;
 use crate::sim::physics::{Plant, PlantPlan};
 use crate::time::{MS, Time};
 
@@ -81,7 +81,7 @@ enum Task {
 /// A drive with its motor.
 #[derive(Debug)]
 pub(super) struct Machine {
-    plan: SimPlan,
+    plan: LinMotSettings,
     mode: Mode,
     /// As last written.
     control: ControlWord,
@@ -118,7 +118,7 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    pub(super) fn new(plan: &SimPlan) -> Machine {
+    pub(super) fn new(plan: &LinMotSettings) -> Machine {
         let metres = |count: i32| f64::from(count) * METRE;
         let range = match plan.is_endless() {
             true => (-ENDLESS, ENDLESS),

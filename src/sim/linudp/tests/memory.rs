@@ -3,8 +3,8 @@
 use super::*;
 use crate::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use crate::bus::linudp::motion::EntryId;
-use crate::bus::linudp::plan::FlashMode;
 use crate::bus::linudp::table::Entry;
+use crate::sim::linudp::FlashMode;
 use RtcCommand as C;
 
 const DONE: RtcStatus = RtcStatus::Done;

@@ -11,12 +11,11 @@ mod telegram;
 
 use super::motion::Vad;
 use super::*;
-use crate::axis::{AxisPlan, Units};
 use crate::bus::linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Velocity};
-use crate::bus::linudp::plan::{DRIVE_PORT, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
 use crate::bus::linudp::wire::{
     ControlWord, MainState, MotionBlock, Refusal, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
 };
+use crate::bus::linudp::{DRIVE_PORT, StreamCommand};
 
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 1), MASTER_PORT);
 
@@ -38,21 +37,12 @@ fn run(positive: bool) -> MotionCommand {
     }
 }
 
-fn drive() -> LinUdpDrive {
-    LinUdpDrive {
-        axis: AxisPlan::new("x", Units::millimetres(10_000.0)),
-        address: SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 10), DRIVE_PORT),
-        stream: Some(StreamCommand::P),
-        monitor: MonitorPlan::Off,
-        reply_tag: ReplyTag::default(),
-        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
-        leash: None,
-        simulate: SimPlan {
-            start_position: 2 * CM,
-            range: (-20 * CM, 20 * CM),
-            stream_period_ns: 2 * MS,
-            ..SimPlan::default()
-        },
+fn settings() -> LinMotSettings {
+    LinMotSettings {
+        start_position: 2 * CM,
+        range: (-20 * CM, 20 * CM),
+        stream_period_ns: 2 * MS,
+        ..LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 10), DRIVE_PORT))
     }
 }
 
@@ -67,11 +57,11 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(change: impl FnOnce(&mut SimPlan)) -> Bench {
-        let mut drive = drive();
-        change(&mut drive.simulate);
+    fn new(change: impl FnOnce(&mut LinMotSettings)) -> Bench {
+        let mut settings = settings();
+        change(&mut settings);
         Bench {
-            sim: LinMotSim::new(&drive),
+            sim: LinMotSim::new(settings),
             now: Time(5 * S),
             control: ControlWord::BASE,
             count: 0,

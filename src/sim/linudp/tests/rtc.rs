@@ -1,7 +1,7 @@
 //! The real-time-config channel: counts, busy answers, parameters, lists, the error log, starts and stops.
 
 use super::*;
-use crate::bus::linudp::plan::FlashMode;
+use crate::sim::linudp::FlashMode;
 
 const DONE: RtcStatus = RtcStatus::Done;
 

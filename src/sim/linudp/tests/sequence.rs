@@ -8,8 +8,8 @@ use crate::bus::linudp::motion::{
     Bits, CATALOGUE, CommandInfo, ControllerSet, Current, CurrentLimit, EntryId, Kind, Long, Mark, Offset,
     Raw, ScaledAcceleration, ScaledPosition, ScaledVelocity, Short, SignedVelocity, Upid, WaitTime,
 };
-use crate::bus::linudp::plan::UnknownCommands;
 use crate::bus::linudp::table::Entry;
+use crate::sim::linudp::UnknownCommands;
 use RtcCommand as C;
 
 fn id(id: u16) -> EntryId {

@@ -31,8 +31,8 @@ fn parameter(text: &str) -> Parameter {
     text.parse().unwrap()
 }
 
-fn settings() -> SimSettings {
-    SimSettings::new(SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 2), 502))
+fn settings() -> UnidriveSettings {
+    UnidriveSettings::new(SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 2), 502))
 }
 
 /// A drive and a master's notion of time.
@@ -45,7 +45,7 @@ struct Bench {
 
 impl Bench {
     /// Connected.
-    fn new(change: impl FnOnce(&mut SimSettings)) -> Bench {
+    fn new(change: impl FnOnce(&mut UnidriveSettings)) -> Bench {
         let mut settings = settings();
         change(&mut settings);
         let addressing = settings.interface.addressing;
@@ -60,7 +60,7 @@ impl Bench {
         Bench::idle_with(|_| {})
     }
 
-    fn idle_with(change: impl FnOnce(&mut SimSettings)) -> Bench {
+    fn idle_with(change: impl FnOnce(&mut UnidriveSettings)) -> Bench {
         let mut bench = Bench::new(change);
         bench.write(Parameter::CONTROL_WORD_ENABLE, 1);
         bench.control(C::IDLE);

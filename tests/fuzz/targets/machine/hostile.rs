@@ -14,7 +14,7 @@ use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::linudp::LinMotSim;
+use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
 
 use super::super::input::Input;
@@ -229,6 +229,16 @@ impl HostileBus {
         let scripts = (0..count).map(|_| Arc::default()).collect();
         HostileBus { plan, scripts, wire: Arc::new(Mutex::new(wire)) }
     }
+
+    /// Its drives, with these settings in slot order.
+    pub fn simulated(&self, settings: Vec<LinMotSettings>) -> Vec<Box<dyn SimDrive>> {
+        (settings.into_iter().zip(&self.scripts))
+            .map(|(settings, script)| {
+                let drive = LinMotSim::new(settings);
+                Box::new(HostileDrive { drive, script: Arc::clone(script), heard: 0 }) as Box<dyn SimDrive>
+            })
+            .collect()
+    }
 }
 
 impl BusPlan for HostileBus {
@@ -236,15 +246,6 @@ impl BusPlan for HostileBus {
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.plan.open(period_ns, &Tapped { carriers, wire: Arc::clone(&self.wire) })
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        (self.plan.drives.iter().zip(&self.scripts))
-            .map(|(drive, script)| {
-                let drive = LinMotSim::new(drive);
-                Box::new(HostileDrive { drive, script: Arc::clone(script), heard: 0 }) as Box<dyn SimDrive>
-            })
-            .collect()
     }
 }
 

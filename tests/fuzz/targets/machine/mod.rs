@@ -16,12 +16,13 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::wire::ErrorCode;
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, StreamCommand,
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand,
 };
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::linudp::LinMotSettings;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, US};
@@ -82,7 +83,7 @@ fn address(index: usize) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(10, 0, 1, 1 + index as u8), DRIVE_PORT)
 }
 
-fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
+fn drive(index: usize, input: &mut Input<'_>) -> (LinUdpDrive, LinMotSettings) {
     let features = input.word();
     let has = |bit: u16| features >> bit & 1 == 1;
     let mut axis = AxisPlan::new(format!("x{index}"), Units::millimetres(COUNTS_PER_MM));
@@ -125,22 +126,23 @@ fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
     axis.command_queue = 8;
     axis.stream_queue = 32;
     axis.event_queue = if input.byte() == 255 { 2 } else { 128 };
-    LinUdpDrive {
+    let drive = LinUdpDrive {
         stream: input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::PvaConfigured), None]),
         monitor: if has(9) { MonitorPlan::AsSet } else { MonitorPlan::Off },
         reply_tag: if has(10) { ReplyTag::Count } else { ReplyTag::Definition },
         leash: (!has(11)).then_some(20.0),
-        simulate: SimPlan {
-            start_position: 10_000,
-            range: (-1_050_000, 2_050_000),
-            stream_patience: 10.0,
-            force_enable_bits: has(12),
-            start_running: has(13),
-            ..SimPlan::default()
-        },
         axis,
         ..LinUdpDrive::new("", *address(index).ip())
-    }
+    };
+    let settings = LinMotSettings {
+        start_position: 10_000,
+        range: (-1_050_000, 2_050_000),
+        stream_patience: 10.0,
+        force_enable_bits: has(12),
+        start_running: has(13),
+        ..LinMotSettings::new(drive.address)
+    };
+    (drive, settings)
 }
 
 impl Machine {
@@ -160,14 +162,16 @@ impl Machine {
             wake_ns: if features & 16 == 0 { 0 } else { period_ns * 3 / 8 },
             ..WorldOptions::default()
         };
-        let mut drives: Vec<LinUdpDrive> = (0..count).map(|index| drive(index, input)).collect();
-        for drive in &mut drives {
+        let (mut drives, mut simulated): (Vec<_>, Vec<_>) =
+            (0..count).map(|index| drive(index, input)).unzip();
+        for (drive, settings) in drives.iter_mut().zip(&mut simulated) {
             let every_ns = period_ns * u64::from(drive.axis.divisor);
-            drive.simulate.stream_period_ns = every_ns;
+            settings.stream_period_ns = every_ns;
             drive.stream = drive.stream.filter(|command| command.takes(every_ns));
         }
         let bus = HostileBus::new(LinUdpPlan::new(MASTER, drives.clone()));
         let (scripts, wire) = (bus.scripts.clone(), Arc::clone(&bus.wire));
+        let simulated = bus.simulated(simulated);
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
         let task = Arc::new(Mutex::new(TaskScript::default()));
         let inside = Arc::clone(&task);
@@ -182,7 +186,7 @@ impl Machine {
                 axes.follow(axis, row);
             }
         });
-        let mut sim = setup.simulate(options).expect("the machine can be built");
+        let mut sim = setup.simulate_with(simulated, options).expect("the machine can be built");
         let natives = (0..count).map(|axis| *sim.axis(axis).native().expect("a LinUDP axis")).collect();
         Machine {
             sim,

@@ -4,11 +4,11 @@ use super::*;
 use crate::bus::ethercat::wire::registers::Fmmu;
 
 /// Drives of which those at these places run as another master has left them, and the first so many of them.
-fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, EthercatPlan) {
-    let mut whole = drives(count);
-    places.iter().for_each(|place| whole.drives[*place].simulate.running_rpm = Some(60.0));
-    let plan = EthercatPlan { drives: whole.drives[..known].to_vec(), ..whole.clone() };
-    (plan, whole)
+fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, EthercatSegment) {
+    let plan = drives(count);
+    let mut whole = EthercatSegment::from(&plan);
+    places.iter().for_each(|place| whole.drives[*place].running_rpm = Some(60.0));
+    (EthercatPlan { drives: plan.drives[..known].to_vec(), ..plan }, whole)
 }
 
 /// The line's time is led to the grid slowly, and by half a period at most. To another time it would have gone by a
@@ -37,7 +37,7 @@ impl Rig {
 #[test]
 fn a_slave_that_runs_and_is_not_configured_gives_the_line_its_time_and_is_not_dragged() {
     let (plan, whole) = running(2, &[1], 1);
-    let mut rig = Rig::on(&plan, &whole);
+    let mut rig = Rig::on(&plan, whole);
     let before = rig.time_off(1);
     rig.all_up(4_000);
     rig.run(2_000);
@@ -52,7 +52,7 @@ fn a_slave_that_runs_and_is_not_configured_gives_the_line_its_time_and_is_not_dr
 #[test]
 fn the_time_of_the_line_goes_to_nobody_while_another_one_runs_on_another() {
     let (plan, whole) = running(3, &[1, 2], 1);
-    let mut rig = Rig::on(&plan, &whole);
+    let mut rig = Rig::on(&plan, whole);
     rig.set_apart(2);
     let before = [rig.time_off(1), rig.time_off(2)];
     rig.run(3_000);
@@ -72,7 +72,7 @@ fn the_time_of_the_line_goes_to_nobody_while_another_one_runs_on_another() {
 fn a_drive_that_is_refused_and_runs_keeps_its_time() {
     let (mut plan, whole) = running(3, &[1], 3);
     plan.drives[1].slave.identity.product = Some(7);
-    let mut rig = Rig::on(&plan, &whole);
+    let mut rig = Rig::on(&plan, whole);
     let before = rig.time_off(1);
     rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
     assert!(matches!(rig.note(1), Note::Product(_)), "{:?}", rig.note(1));
@@ -86,7 +86,7 @@ fn of_two_drives_found_on_two_times_one_is_joined_and_neither_dragged() {
     for apart in [false, true] {
         let (mut plan, whole) = running(2, &[0, 1], 2);
         plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
-        let mut rig = Rig::on(&plan, &whole);
+        let mut rig = Rig::on(&plan, whole);
         if apart {
             rig.set_apart(1);
         } else {
@@ -108,7 +108,7 @@ fn of_two_drives_found_on_two_times_one_is_joined_and_neither_dragged() {
 fn an_fmmu_by_which_another_master_writes_is_left_alone() {
     let (mut plan, whole) = running(1, &[0], 1);
     plan.drives[0].axis.on_found_running = FoundRunning::Refuse;
-    let mut rig = Rig::on(&plan, &whole);
+    let mut rig = Rig::on(&plan, whole);
     rig.run(1);
     let outputs = Fmmu::bytes(0x2_0000, 6, 0x1100, true).to_bytes();
     rig.poke(0, address::fmmu(1), &outputs);
@@ -153,8 +153,8 @@ fn a_time_that_goes_to_nobody_is_still_known() {
     let (mut plan, mut whole) = running(4, &[0, 1, 2], 4);
     plan.drives.remove(2);
     plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
-    whole.simulate.drift_ppm = vec![100.0];
-    let mut rig = Rig::on(&plan, &whole);
+    whole.settings.drift_ppm = vec![100.0];
+    let mut rig = Rig::on(&plan, whole);
     rig.set_apart(1);
     rig.run(5_000);
     assert_eq!([0, 1, 2].map(|index| rig.note(index)), [Note::None, Note::FoundRunning, Note::OtherTime(1)]);

@@ -1,0 +1,65 @@
+//! The simulated drives of a machine as configured, next to the machine's own plan, which knows nothing of them.
+
+use std::fmt::Debug;
+
+use super::{Simulated, ethercat, linudp, modbus};
+use crate::axis::PlanFault;
+use crate::bus::BusPlan;
+#[cfg(feature = "config")]
+use crate::keys::table::Table;
+
+/// The simulated drives of one bus.
+pub trait SimBus: Debug + Send + Sync {
+    /// What contradicts itself, each with the name of its drive or device; `None`: the bus as a whole.
+    fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
+        Vec::new()
+    }
+
+    /// Builds its drives, in the order of its plan, and adds them.
+    fn build(&self, to: &mut Simulated);
+}
+
+/// The simulated drives of a machine, bus by bus.
+#[derive(Debug, Default)]
+pub struct SimPlan {
+    /// The buses that have simulated drives.
+    pub buses: Vec<Box<dyn SimBus>>,
+}
+
+/// Drives that fit a bus, of the protocol that knows its plan.
+type Fit = fn(&dyn BusPlan) -> Option<Box<dyn SimBus>>;
+/// The same from the table of the bus, for a cycle of this period in ns.
+#[cfg(feature = "config")]
+type Read = fn(&mut Table<'_>, &dyn BusPlan, u64) -> Option<Box<dyn SimBus>>;
+
+/// One line a protocol.
+const FITS: [Fit; 3] = [linudp::fit, modbus::fit, ethercat::fit];
+#[cfg(feature = "config")]
+const READERS: [Read; 3] = [linudp::config::read, modbus::config::read, ethercat::config::read];
+
+impl SimPlan {
+    /// Drives with default settings that fit these buses. A bus of no protocol of this library has none.
+    pub fn of(buses: &[Box<dyn BusPlan>]) -> SimPlan {
+        let fit = |bus: &dyn BusPlan| FITS.iter().find_map(|fit| fit(bus));
+        SimPlan { buses: buses.iter().filter_map(|bus| fit(&**bus)).collect() }
+    }
+
+    /// Reads how the drives of `bus` are simulated from its table, and adds them.
+    #[cfg(feature = "config")]
+    pub(crate) fn read(&mut self, table: &mut Table<'_>, bus: &dyn BusPlan, period_ns: u64) {
+        self.buses.extend(READERS.iter().find_map(|read| read(table, bus, period_ns)));
+    }
+
+    /// Builds the drives.
+    pub fn build(&self) -> Simulated {
+        let mut simulated = Simulated::default();
+        self.buses.iter().for_each(|bus| bus.build(&mut simulated));
+        simulated
+    }
+}
+
+impl<B: SimBus + 'static> From<B> for SimPlan {
+    fn from(bus: B) -> SimPlan {
+        SimPlan { buses: vec![Box::new(bus)] }
+    }
+}
