@@ -460,7 +460,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
 
 #[test]
 fn an_address_of_ours_is_taken_from_a_slave_that_gets_it_later() {
-    let mut rig = Rig::on(&drives(1), &drives(2));
+    let mut rig = Rig::on(&drives(1), drives(2));
     rig.all_up(4_000);
     rig.poke(1, address::STATION, &FIRST_STATION.to_le_bytes());
     rig.run(500);
