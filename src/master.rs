@@ -45,14 +45,14 @@ impl std::fmt::Debug for Setup {
 /// A running machine. Dropping it stops all axes, powers them off and ends the loop.
 #[derive(Debug)]
 pub struct Master {
-    axes: Mutex<Vec<Option<Axis>>>,
-    devices: Mutex<Devices>,
-    acyclics: Vec<Acyclic>,
-    monitor: Monitor,
-    pulse: Pulse,
-    control: Control,
-    recorder: Recorder,
-    thread: Option<JoinHandle<Numbers>>,
+    pub(crate) axes: Mutex<Vec<Option<Axis>>>,
+    pub(crate) devices: Mutex<Devices>,
+    pub(crate) acyclics: Vec<Acyclic>,
+    pub(crate) monitor: Monitor,
+    pub(crate) pulse: Pulse,
+    pub(crate) control: Control,
+    pub(crate) recorder: Recorder,
+    pub(crate) thread: Option<JoinHandle<Numbers>>,
 }
 
 /// Why a machine did not start. No drive was commanded. The message ends with the remedy.
@@ -505,15 +505,14 @@ impl Setup {
         self
     }
 
-    /// The plan and the task, for the simulation in virtual time.
-    pub(crate) fn into_parts(self) -> (Plan, Option<Task>) {
-        (self.plan, self.task)
+    /// The plan, the task, and what keeps the last cycles.
+    pub(crate) fn into_parts(self) -> (Plan, Option<Task>, Option<Box<dyn Keep>>) {
+        (self.plan, self.task, self.black_box)
     }
 
     /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
-    pub fn start(mut self) -> Result<Master, StartError> {
-        let black_box = self.black_box.take();
-        let (plan, task) = self.into_parts();
+    pub fn start(self) -> Result<Master, StartError> {
+        let (plan, task, black_box) = self.into_parts();
         let has_task = task.is_some();
         plan.check()?;
         let realtime = RealtimePlan {
@@ -576,11 +575,9 @@ impl Setup {
                 return Err(StartError::Thread(error));
             }
         };
-        let recording = Arc::clone(recorder.recording());
-        let monitor = Monitor::new(plan, granted, gauges, recording, steal_before_ms);
-        let axes = Mutex::new(axes.into_iter().map(Some).collect());
+        let monitor = Monitor::new(plan, granted, gauges, Arc::clone(recorder.recording()), steal_before_ms);
         Ok(Master {
-            axes,
+            axes: Mutex::new(axes.into_iter().map(Some).collect()),
             devices: Mutex::new(devices),
             acyclics,
             monitor,

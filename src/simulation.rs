@@ -1,8 +1,9 @@
 //! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives
 //! on a network in memory. Hours pass in seconds, and the same seed gives the same bytes.
 //!
-//! An application tests its own motion logic here: post commands, let cycles pass, look at events. The blocking
-//! calls of [`Axis`] would wait for ever, since time passes only in this module.
+//! An application tests its own motion logic here: post commands, let cycles pass, look at events. Time passes only
+//! when it is stepped, so that the blocking calls of [`Axis`] would wait for ever; for a program that has them,
+//! [`Simulation::into_master`] steps it on a thread.
 //!
 //! ```
 //! use fieldbeat::axis::{Link, Outcome, Command};
@@ -22,20 +23,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
 use rtrb::Consumer;
 
 use crate::axis::acyclic::Acyclic;
 use crate::axis::{Axis, Command, Event, EventKind, Feedback, Observer, Outcome, Pulse};
 use crate::axis::{AxisError, CommandId};
 use crate::bus::OpenError;
-use crate::cycle::PlanErrors;
 use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
-use crate::cycle::status::{Numbers, Status};
-use crate::master::{Assembly, Devices, MasterError, Setup, assemble};
+use crate::cycle::status::{Gauges, Numbers, Status};
+use crate::cycle::{Plan, PlanErrors};
+use crate::master::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble};
+use crate::rt::{Clock, Granted};
 use crate::sim::Simulated;
 use crate::sim::world::{World, WorldClock, WorldOptions};
-use crate::telemetry::Measured;
+use crate::telemetry::{Keep, Measured, Monitor, Recorder};
+
+/// By so much may virtual time be ahead of its pace before the thread that steps it sleeps.
+const AHEAD: Duration = Duration::from_millis(1);
 
 /// A machine in virtual time.
 #[derive(Debug)]
@@ -50,6 +58,9 @@ pub struct Simulation {
     control: Control,
     records: Consumer<Record>,
     measured: Measured,
+    plan: Plan,
+    gauges: Gauges,
+    black_box: Option<Box<dyn Keep>>,
     /// Events seen by [`execute`](Simulation::execute) while it waited for another one.
     pub events: Vec<(usize, Event)>,
 }
@@ -84,10 +95,10 @@ impl Setup {
     ) -> Result<Simulation, SimulateError> {
         self.plan().check()?;
         let world = World::new(drives, options)?;
-        let (plan, task) = self.into_parts();
+        let (plan, task, black_box) = self.into_parts();
         let has_task = task.is_some();
         let control = Control::default();
-        let Assembly { mut engine, axes, devices, acyclics, records, pulse, .. } =
+        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, .. } =
             assemble(&plan, world.clock(), &world, task, control.clone())?;
         engine.begin();
         Ok(Simulation {
@@ -98,6 +109,9 @@ impl Setup {
             axes: axes.into_iter().map(Some).collect(),
             devices,
             acyclics,
+            gauges,
+            plan,
+            black_box,
             pulse,
             control,
             records,
@@ -107,6 +121,81 @@ impl Setup {
 }
 
 impl Simulation {
+    /// A master whose thread steps this machine from now on, virtual time passing `speed` times as fast as real time,
+    /// or as fast as this computer can: a program that was written for real drives runs on it unchanged. Its waits have
+    /// their limits in real time. What has to keep time with the cycle, as the rows of a stream, needs a speed that the
+    /// program can follow; 1 is that of a real machine.
+    ///
+    /// ```
+    /// use std::time::Duration;
+    ///
+    /// use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    /// use fieldbeat::cycle::{CyclePlan, Plan};
+    /// use fieldbeat::sim::world::WorldOptions;
+    /// use fieldbeat::Master;
+    ///
+    /// // It may get the master of `start`, too.
+    /// fn program(master: &Master) -> Result<f64, Box<dyn std::error::Error>> {
+    ///     master.wait_online(Duration::from_secs(20))?;
+    ///     let mut x = master.axis("x")?;
+    ///     x.enable()?;
+    ///     x.home()?;
+    ///     x.move_to(20.0, x.profile())?;
+    ///     Ok(x.feedback().status.position)
+    /// }
+    ///
+    /// let drive = LinUdpDrive::new("x", [192, 168, 1, 10].into());
+    /// let bus = LinUdpPlan::new([192, 168, 1, 1].into(), vec![drive]);
+    /// let plan = Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)], groups: Vec::new() };
+    ///
+    /// let master = Master::from_plan(plan).simulate(WorldOptions::default())?.into_master(20.0)?;
+    /// assert!((program(&master)? - 20.0).abs() < 0.1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Panics
+    ///
+    /// If the speed is not above 0.
+    pub fn into_master(self, speed: f64) -> Result<Master, StartError> {
+        assert!(speed > 0.0, "a speed of {speed}");
+        let Simulation { mut engine, axes, devices, acyclics, pulse, control, records, measured, .. } = self;
+        let thread = std::thread::Builder::new()
+            .name("fb-loop".into())
+            .spawn(move || {
+                let (begun, virtual_begun) = (Instant::now(), engine.clock().now());
+                while engine.step() == Flow::Continue {
+                    let passed = engine.clock().now().since(virtual_begun) as f64 / speed;
+                    let ahead = Duration::from_nanos(passed as u64).saturating_sub(begun.elapsed());
+                    if ahead > AHEAD {
+                        std::thread::sleep(ahead);
+                    }
+                }
+                engine.finish()
+            })
+            .map_err(StartError::Thread)?;
+        let recorder = match Recorder::start(records, measured, None, self.black_box, || {}) {
+            Ok(recorder) => recorder,
+            Err(error) => {
+                control.stop();
+                let _ = thread.join();
+                return Err(StartError::Thread(error));
+            }
+        };
+        let missing = vec!["time is virtual: nothing here says what this host is worth".to_owned()];
+        let granted = Granted { policy: "virtual", priority: 0, core: None, memory_locked: false, missing };
+        let monitor = Monitor::new(self.plan, granted, self.gauges, Arc::clone(recorder.recording()), None);
+        Ok(Master {
+            axes: Mutex::new(axes),
+            devices: Mutex::new(devices),
+            acyclics,
+            monitor,
+            pulse,
+            control,
+            recorder,
+            thread: Some(thread),
+        })
+    }
+
     /// The simulated network and drives, for disconnecting drives and injecting faults.
     pub fn world(&self) -> &World {
         &self.world

@@ -1,0 +1,55 @@
+//! A machine in virtual time that a thread steps: programs for real drives, with their blocking calls.
+
+use std::time::Duration;
+
+use fieldbeat::axis::{Abort, AxisError, Command, Link, Move, Outcome, Profile, StopCause, Target};
+use fieldbeat::config;
+use fieldbeat::master::Master;
+use fieldbeat::sim::world::WorldOptions;
+
+fn demo(speed: f64) -> (Master, fieldbeat::sim::world::World) {
+    let config::Configuration { plan, simulation } = config::demo_plan(2, 1_000_000, 0).unwrap();
+    let machine =
+        Master::from_plan(plan).with_simulation(simulation).simulate(WorldOptions::default()).unwrap();
+    let world = machine.world().clone();
+    (machine.into_master(speed).unwrap(), world)
+}
+
+#[test]
+fn a_program_with_blocking_calls_runs_and_its_end_stops_the_drives() {
+    // As fast as this computer can.
+    let (master, _) = demo(f64::INFINITY);
+    master.wait_online(Duration::from_secs(60)).unwrap();
+    let mut axis = master.axis("a1").unwrap();
+    axis.enable().unwrap();
+    axis.home().unwrap();
+    axis.move_to(100.0, axis.profile()).unwrap();
+    let feedback = axis.feedback();
+    assert!((feedback.status.position - 100.0).abs() < 0.1, "{feedback:?}");
+    let run = master.finish();
+    let status = run.end.status;
+    assert_eq!((status.planned, status.skipped, status.lost_records), (status.executed, 0, 0));
+    assert!(run.end.drives.iter().all(|drive| !drive.feedback.status.state.is_powered()));
+    // What the thread of the telemetry has taken in is what the loop has counted.
+    assert_eq!(run.measured.histograms.wake.len(), status.executed);
+    assert!(!run.granted.missing.is_empty(), "nobody takes it for numbers of this host");
+}
+
+#[test]
+fn a_drive_that_is_lost_ends_the_call_that_waits_for_it() {
+    let (master, world) = demo(10.0);
+    master.wait_online(Duration::from_secs(60)).unwrap();
+    let mut axis = master.axis("a2").unwrap();
+    axis.enable().unwrap();
+    axis.home().unwrap();
+    // For 38 s of virtual time.
+    let slowly = Profile { velocity: 5.0, ..axis.profile() };
+    let id = axis.post(Command::Move(Move { target: Target::Absolute(190.0), profile: slowly })).unwrap();
+    assert!(world.unplug(master.plan().buses[0].addresses()[1]));
+    let Err(AxisError::Ended { outcome, .. }) = axis.wait(id, "move", Duration::from_secs(60)) else {
+        panic!()
+    };
+    assert_eq!(outcome, Outcome::Aborted(Abort::Stopped(StopCause::LinkLost)));
+    let feedback = axis.feedback();
+    assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)));
+}
