@@ -29,6 +29,26 @@ use crate::sim::SimPlan;
 use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 
 /// A machine that has not started yet.
+///
+/// ```
+/// use fieldbeat::{Master, Plan};
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::world::WorldOptions;
+/// # let drive = LinUdpDrive::new("x", [10, 0, 0, 10].into());
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
+/// # let plan = Plan { buses: vec![Box::new(bus)], ..Plan::default() };
+///
+/// // `start` in place of `simulate` runs it on its drives, in real time.
+/// let setup = Master::from_plan(plan).with_task(|cycle, axes| {
+///     // On the real-time thread: it sees the feedback of this cycle, and its commands leave in the next one.
+///     let _position = axes.feedback(0).map(|feedback| feedback.status.position);
+///     let _now = cycle.grid;
+/// });
+/// let mut machine = setup.simulate(WorldOptions::default())?;
+/// machine.run(1_000);
+/// assert_eq!(machine.status().executed, 1_000);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Setup {
     plan: Plan,
     simulation: SimPlan,
@@ -43,6 +63,25 @@ impl std::fmt::Debug for Setup {
 }
 
 /// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+///
+/// ```
+/// # use fieldbeat::{Master, Plan};
+/// # use std::time::Duration;
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::world::WorldOptions;
+/// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+/// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+/// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+/// # master.wait_online(Duration::from_secs(30))?;
+/// // From another thread, at any time.
+/// let monitor = master.monitor();
+/// assert_eq!(monitor.status().online, 2);
+///
+/// let run = master.finish();
+/// assert_eq!(run.end.status.planned, run.end.status.executed + run.end.status.skipped);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Master {
     pub(crate) axes: Mutex<Vec<Option<Axis>>>,

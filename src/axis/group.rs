@@ -16,18 +16,29 @@ use super::feedback::Feedback;
 use super::handle::{Axis, AxisError, GRACE, longest};
 use super::plan::AxisPlan;
 
-/// Axes that act together.
+/// Axes that act together: commands and rows of all of them take effect in the same cycle's send, all or none.
 ///
-/// ```no_run
+/// ```
+/// # use fieldbeat::{Group, Master, Plan};
 /// # use std::time::Duration;
-/// # use fieldbeat::{Group, Master, Row};
-/// # fn example(master: &Master) -> Result<(), Box<dyn std::error::Error>> {
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::world::WorldOptions;
+/// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| {
+/// #     let mut drive = LinUdpDrive::new(name, [10, 0, 0, host].into());
+/// #     drive.axis.stop.group = Some(1);
+/// #     drive
+/// # });
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+/// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+/// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+/// # master.wait_online(Duration::from_secs(30))?;
 /// let mut gantry = Group::new([master.axis("x")?, master.axis("y")?])?;
 /// gantry.enable()?;
 /// gantry.home()?;
 /// gantry.move_to(&[100.0, 50.0])?;
-/// # Ok(())
-/// # }
+/// let [x, y] = [0, 1].map(|index| gantry.feedback()[index].status.position);
+/// assert!((x - 100.0).abs() < 0.1 && (y - 50.0).abs() < 0.1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Group {

@@ -48,7 +48,50 @@ pub(crate) fn most_unended(plan: &AxisPlan) -> usize {
     plan.command_queue + URGENT_ROOM + 2
 }
 
-/// One axis of a running master.
+/// The feedback of every cycle, oldest first: an iterator that ends where the newest is taken, and goes on when there is
+/// another one. A full queue loses the newest; the loop counts them.
+#[derive(Debug)]
+pub struct Samples(Consumer<Feedback>);
+
+impl Samples {
+    /// How many wait to be taken.
+    pub fn waiting(&self) -> usize {
+        self.0.slots()
+    }
+}
+
+impl Iterator for Samples {
+    type Item = Feedback;
+
+    fn next(&mut self) -> Option<Feedback> {
+        self.0.pop().ok()
+    }
+}
+
+/// One axis of a running master: one owner commands it. Positions are in its units, mm or revolutions.
+///
+/// ```
+/// # use fieldbeat::{Master, Plan, Profile};
+/// # use std::time::Duration;
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::world::WorldOptions;
+/// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+/// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+/// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+/// # master.wait_online(Duration::from_secs(30))?;
+/// let mut x = master.axis("x")?;
+/// x.enable()?;
+/// x.home()?;
+/// x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
+///
+/// let feedback = x.feedback();
+/// assert!((feedback.status.position - 120.0).abs() < 0.1);
+/// // What cannot work is refused before anything is sent.
+/// assert!(x.move_to(f64::NAN, x.profile()).is_err());
+/// x.disable()?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Axis {
     plan: AxisPlan,
@@ -220,8 +263,8 @@ impl Axis {
     }
 
     /// The feedback of every cycle, if the plan gave the axis a sample queue; can be taken once.
-    pub fn samples(&mut self) -> Option<Consumer<Feedback>> {
-        self.ends.samples.take()
+    pub fn samples(&mut self) -> Option<Samples> {
+        self.ends.samples.take().map(Samples)
     }
 
     /// A fault code of its drive, as in [`DriveStatus::fault`](super::DriveStatus::fault) and [`EventKind::Fault`],

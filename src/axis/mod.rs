@@ -42,7 +42,7 @@ pub use feedback::{
     DriveStatus, Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause,
 };
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
-pub use handle::{Axis, AxisEnds, AxisError, Observer};
+pub use handle::{Axis, AxisEnds, AxisError, Observer, Samples};
 pub use limits::{Cannot, Lacks};
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,

@@ -12,8 +12,23 @@ use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
 use crate::time::{MS, Ns, S, US};
 
-/// A whole machine.
-#[derive(Debug)]
+/// A whole machine. By default it has the usual cycle, and no bus.
+///
+/// ```
+/// use fieldbeat::Plan;
+/// use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
+/// use fieldbeat::cycle::CyclePlan;
+///
+/// let mut drive = UnidriveDrive::new("winder", [192, 168, 1, 20].into());
+/// drive.axis.limits.velocity = Some(25.0);
+/// // 2 ms, and the drive in every fourth cycle.
+/// drive.axis.divisor = 4;
+/// let cycle = CyclePlan { period_ns: 2_000_000, ..CyclePlan::default() };
+/// let plan = Plan { cycle, buses: vec![Box::new(ModbusPlan::new(vec![drive]))], ..Plan::default() };
+/// plan.check()?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Default)]
 pub struct Plan {
     /// Its file, for messages; `None` if built in code.
     pub source: Option<PathBuf>,

@@ -237,6 +237,24 @@ impl Scalar for () {
 /// An address is written as in the drive's manual; LinUDP: `0x20A8` is the value in RAM, `0x20A8.rom`, `.min`,
 /// `.max` and `.default` its variants, and `.both` writes RAM and ROM. All calls here block or poll on normal
 /// threads; the loop carries out one step per cycle, in the request that goes out anyway.
+///
+/// ```
+/// # use fieldbeat::{Master, Plan};
+/// # use std::time::Duration;
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::world::WorldOptions;
+/// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+/// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+/// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+/// # master.wait_online(Duration::from_secs(30))?;
+/// let parameters = master.parameter("x")?;
+/// // The home position, in RAM; 0.1 um.
+/// let home: i32 = parameters.read("0x13C7")?;
+/// parameters.write("0x13C7", home + 10_000)?;
+/// assert_eq!(parameters.read::<i32>("0x13C7")?, home + 10_000);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Parameters(Acyclic);
 

@@ -60,7 +60,7 @@ pub const TRUNCATED: u32 = 0x06;
 pub const ENDLESS: u32 = 0x07;
 /// Status of a call: there is no such part of the data read before it in its series.
 pub const NOT_READ: u32 = 0x08;
-/// Status of a call: the slave could not use the mailbox message; its [`MailboxError`] is added.
+/// Status of a call: the slave could not use the mailbox message; its [error](super::wire::mailbox::MailboxError) is added.
 pub const MAILBOX: u32 = 0x1_0000;
 
 /// The meaning of a status of the master's own.
