@@ -21,7 +21,6 @@ use crate::bus::desired::Capabilities;
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, lock_drives};
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
-use crate::time::Time;
 
 /// Connections and their drives.
 pub struct ModbusBus {
@@ -84,68 +83,68 @@ impl ModbusBus {
 
     /// Takes in what has arrived on the connections, one piece each.
     fn take_in(&mut self, slots: &mut [Slot]) {
-        self.net.look();
-        while let Some(index) = self.net.ready() {
+        let net = &mut *self.net;
+        net.look();
+        while let Some(index) = net.ready() {
             let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) else {
                 continue;
             };
-            match self.net.receive(index, station.room()) {
+            match net.receive(index, station.room()) {
                 Ok(None) => {}
                 Ok(Some((at, count))) => {
                     if let Err(why) = station.take(at, count, slot) {
-                        self.net.abandon(index, why);
+                        net.abandon(index, why);
                     }
                 }
-                Err(broken) => self.give_up_broken(index, broken, slot),
+                Err(broken) => give_up_broken(net, index, broken, station, slot),
             }
         }
     }
 
-    /// The connection has ended at the other end, or broken.
-    fn give_up_broken(&mut self, index: usize, broken: Broken, slot: &mut Slot) {
-        if let Some(station) = self.stations.get_mut(index).filter(|_| broken != Broken::Absent) {
-            self.net.abandon(index, station.ended(broken, slot));
+    /// Continues a request that the wire took in pieces, and hands the next one to the connection if it is due.
+    #[inline]
+    fn request(
+        net: &mut dyn Streams,
+        index: usize,
+        cycle: &Cycle,
+        station: &mut Station,
+        slot: &mut Slot,
+    ) -> Result<(), Broken> {
+        let mut result = Ok(());
+        if !station.rest().is_empty() {
+            result = net.send(index, station.rest()).map(|(_, count)| station.rest_sent(count));
         }
-    }
-
-    /// Hands the request of drive `index` to its connection, if one is due.
-    fn request(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
-        let Some(station) = self.stations.get_mut(index) else { return };
         if !slot.due || station.passed || station.has_ended() {
-            return;
+            return result;
         }
         let bytes = station.to_send();
-        if bytes.is_empty() {
-            return station.unsent(slot);
+        if result.is_err() || bytes.is_empty() {
+            station.unsent(slot);
+            return result;
         }
-        match self.net.send(index, bytes) {
+        match net.send(index, bytes) {
             Ok((_, 0)) => station.unsent(slot),
             Ok((at, count)) => station.sent(at, count, cycle, slot),
             Err(broken) => {
                 station.unsent(slot);
-                self.give_up_broken(index, broken, slot);
+                return Err(broken);
             }
         }
+        Ok(())
     }
+}
 
-    /// Continues a request that the wire took in pieces.
-    fn go_on(&mut self, index: usize, slot: &mut Slot) {
-        let Some(station) = self.stations.get_mut(index) else { return };
-        if station.rest().is_empty() {
-            return;
-        }
-        match self.net.send(index, station.rest()) {
-            Ok((_, count)) => station.rest_sent(count),
-            Err(broken) => self.give_up_broken(index, broken, slot),
-        }
-    }
-
-    fn give_up(&mut self, now: Time, slots: &mut [Slot]) {
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if let Some(why) = station.gives_up(now, slot) {
-                self.net.abandon(index, why);
-            }
-        }
+/// The connection has ended at the other end, or broken.
+#[cold]
+fn give_up_broken(
+    net: &mut dyn Streams,
+    index: usize,
+    broken: Broken,
+    station: &mut Station,
+    slot: &mut Slot,
+) {
+    if broken != Broken::Absent {
+        net.abandon(index, station.ended(broken, slot));
     }
 }
 
@@ -186,11 +185,15 @@ impl Bus for ModbusBus {
         if reads {
             self.take_in(slots);
         }
-        for (index, slot) in slots.iter_mut().enumerate() {
-            self.go_on(index, slot);
-            self.request(index, cycle, slot);
+        let net = &mut *self.net;
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if let Err(broken) = ModbusBus::request(net, index, cycle, station, slot) {
+                give_up_broken(net, index, broken, station, slot);
+            }
+            if let Some(why) = station.gives_up(cycle.grid, slot) {
+                net.abandon(index, why);
+            }
         }
-        self.give_up(cycle.grid, slots);
     }
 
     fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {

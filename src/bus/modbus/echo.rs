@@ -72,6 +72,14 @@ impl Echo {
         self.taken = value.into();
     }
 
+    /// A request that wrote `value` was answered, and it reads as that.
+    #[inline]
+    pub(super) fn reads_back(&mut self, value: i32) {
+        let value = value.into();
+        self.settled = self.written == value;
+        (self.written, self.different, self.stood, self.taken) = (value, 0, true, value);
+    }
+
     /// It reads as `value`.
     #[inline]
     pub(super) fn read(&mut self, value: i32) -> Shown {
@@ -108,6 +116,26 @@ mod tests {
         assert_eq!(echo.taken(), Some(5));
         echo.replied(6);
         assert_eq!(echo.taken(), None, "another value is another matter");
+    }
+
+    #[test]
+    fn what_reads_back_is_as_if_written_and_read() {
+        let mut random = fastrand::Rng::with_seed(3);
+        let mut echo = Echo::default();
+        for _ in 0..10_000 {
+            let value = random.i32(0..3);
+            let (mut one, mut other) = (echo, echo);
+            one.replied(value);
+            assert_eq!(one.read(value), Shown::Same);
+            other.reads_back(value);
+            assert_eq!(one, other);
+            match random.u8(0..4) {
+                0 => echo = one,
+                1 => echo.sent(random.i32(0..3)),
+                2 => drop(echo.read(random.i32(0..3))),
+                _ => echo.replied(random.i32(0..3)),
+            }
+        }
     }
 
     #[test]

@@ -100,6 +100,13 @@ impl Image {
         (self.seen >> place & 1 != 0).then_some((pair >> (place % 2 * 32)) as i32)
     }
 
+    /// Control word, reference and status; 0 if not read yet.
+    #[inline]
+    pub(super) fn front(&self) -> [i32; 3] {
+        let [first, second, ..] = self.pairs;
+        [first as i32, (first >> 32) as i32, second as i32]
+    }
+
     /// The value of a role.
     #[inline]
     pub fn of(&self, role: Role) -> Option<i32> {

@@ -108,7 +108,12 @@ impl NativePort {
 
     #[inline]
     pub(super) fn publish(&mut self, at: Time, running: bool, image: &Image) {
-        self.inputs.write(&NativeInputs { at, running, image: *image });
+        let (seen, pairs) = image.parts();
+        self.inputs.write_with(|places| {
+            places.push(at.0);
+            places.push(u64::from(running) << 63 | u64::from(seen));
+            pairs.iter().for_each(|pair| places.push(*pair));
+        });
     }
 
     #[inline]

@@ -103,6 +103,8 @@ pub(super) struct Profile {
     refused: Option<Refused>,
     /// It has accepted all that is desired.
     taken: bool,
+    /// The next report proves the same, if it reads back what was written with the same control word and status.
+    steady: bool,
     /// The native values, and whether each went out.
     native: Option<Outputs>,
     native_gone: (bool, bool),
@@ -148,6 +150,7 @@ impl Profile {
             halted: false,
             refused: None,
             taken: false,
+            steady: false,
             native: None,
             native_gone: (true, true),
         }
@@ -203,7 +206,7 @@ impl Profile {
         self.is_on = matches!(self.power, Power::EnableOperation | Power::QuickStop);
         self.is_halted = self.power == Power::QuickStop || self.motion == Motion::Halt;
         self.runs = self.power == Power::EnableOperation && !self.is_halted;
-        (self.refused, self.taken) = (None, false);
+        (self.refused, self.taken, self.steady) = (None, false, false);
     }
 
     fn values(&self) -> Outputs {
@@ -255,7 +258,7 @@ impl Profile {
     /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
     /// can be configured to.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
-        (self.watched, self.obeys, self.settable) = (watched, obeys, settable);
+        (self.watched, self.obeys, self.settable, self.steady) = (watched, obeys, settable, false);
     }
 
     /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
@@ -301,7 +304,7 @@ impl Profile {
 
     /// The drive refused the request as a whole: what it wrote has to go out again.
     pub(super) fn refused(&mut self, control: bool, reference: bool) {
-        self.sent = (0, 0);
+        (self.sent, self.steady) = ((0, 0), false);
         if self.native.is_some() {
             self.native_gone.0 &= !control;
             self.native_gone.1 &= !reference;
@@ -311,6 +314,12 @@ impl Profile {
     /// The drive is commanded to be on.
     pub(super) fn is_on(&self) -> bool {
         self.is_on
+    }
+
+    /// The next report proves the same, if it reads back what was written with the same control word and status.
+    #[inline]
+    pub(super) fn is_steady(&self) -> bool {
+        self.steady
     }
 
     /// RUN is on.
@@ -347,7 +356,7 @@ impl Profile {
     /// The drive has lost its commands: no earlier value is written again.
     pub(super) fn drive_restarted(&mut self) {
         (self.native, self.native_gone, self.turning) = (None, (true, true), None);
-        (self.halted, self.releasing) = (false, false);
+        (self.halted, self.releasing, self.steady) = (false, false, false);
     }
 
     /// A status was read in an exchange that was sent after what was sent last.
@@ -357,7 +366,7 @@ impl Profile {
 
     /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self) {
-        self.refused = Some(Refused::NotTaken);
+        (self.refused, self.steady) = (Some(Refused::NotTaken), false);
     }
 
     /// The drive has accepted the written values.
@@ -367,11 +376,11 @@ impl Profile {
     }
 
     /// What a report proves.
-    #[inline(always)]
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let (power, motion) = self.sent;
         self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);
         let taken = self.taken;
+        self.steady = taken && !self.is_native();
         let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
         evidence.is_set_up = self.obeys && self.watched;

@@ -61,10 +61,8 @@ pub struct Station {
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
     /// The settings that make the drive follow the control word and watch it: written with the first command that
-    /// needs them, so many so far.
+    /// needs them.
     settings: Box<[Setting]>,
-    set: usize,
-    settable: bool,
     end: End,
     reply_within_ns: u64,
     /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer
@@ -79,22 +77,12 @@ pub struct Station {
     opened_before: bool,
     /// An exchange was owed as this cycle's send began: none is due.
     pub(super) passed: bool,
+    /// Its ids go on with the next connection.
     identity: Identity,
-    /// The open request, and when it was sent.
-    requested: What,
-    requested_at: Time,
-    /// Its unit id.
-    requested_unit: u8,
-    written: Outputs,
-    prepared: What,
-    /// The values that the prepared request writes.
-    outputs: Outputs,
     grid: Time,
     out: [u8; ADU_MAX],
     inbox: Vec<u8>,
     conn: Connection,
-    /// The last read was to check whether a value was accepted.
-    confirmed: bool,
     /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
@@ -105,6 +93,22 @@ pub struct Station {
 #[derive(Debug, Default)]
 struct Connection {
     finding: Finding,
+    /// So many of the settings stand, and whether the others can be written.
+    set: usize,
+    settable: bool,
+    /// The open request, when it was sent, and its unit id.
+    requested: What,
+    requested_at: Time,
+    requested_unit: u8,
+    /// The values that it writes.
+    written: Outputs,
+    prepared: What,
+    /// The values that the prepared request writes.
+    outputs: Outputs,
+    /// The last read was to check whether a value was accepted.
+    confirmed: bool,
+    /// Another reply that reads back what it wrote, with the same status, reports nothing new but speeds.
+    steady: bool,
     /// The constant parts of the request in its room, if it is cyclic.
     template: Option<Template>,
     /// The reply to the open request, if only one is right.
@@ -217,8 +221,6 @@ impl Station {
             unwatched: drive.watchdog.timeout_ns.is_none()
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
             settings: if drive.set_up { settings(drive, None).into() } else { Box::default() },
-            set: 0,
-            settable: false,
             end: End::NotYet,
             reply_within_ns: drive.reply_within_ns,
             window_ns: u64::MAX,
@@ -231,19 +233,12 @@ impl Station {
             opened_before: false,
             passed: false,
             identity: Identity::default(),
-            requested: What::default(),
-            requested_at: Time(0),
-            written: Outputs::default(),
-            prepared: What::default(),
-            outputs: Outputs::default(),
             grid: Time(0),
             out: [0; ADU_MAX],
-            requested_unit: 0,
             inbox: vec![0; ROOM],
             conn: Connection::default(),
             control_taken: None,
             control_sent: None,
-            confirmed: false,
         };
         (station, application, ends)
     }
@@ -265,16 +260,16 @@ impl Station {
         let finding = self.found.get();
         let velocity = f64::from(finding.speed) * self.velocity_per_count;
         let inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
-        self.conn = Connection { finding, inputs, ..Connection::default() };
         // A setting that is right already is not written again.
         let is_met = |setting: &&Setting| match setting.purpose {
             Purpose::Obey => finding.obeys,
             Purpose::Watch => finding.watched,
             Purpose::Menu0 => true,
         };
-        self.set = self.settings.iter().take_while(is_met).count();
-        self.settable = !self.settings.is_empty();
-        self.profile.found(finding.watched || self.unwatched, finding.obeys, self.settable);
+        let set = self.settings.iter().take_while(is_met).count();
+        let settable = !self.settings.is_empty();
+        self.conn = Connection { finding, inputs, set, settable, ..Connection::default() };
+        self.profile.found(finding.watched || self.unwatched, finding.obeys, self.conn.settable);
         self.identity.reconnected();
         self.functions.reconnected();
         // It stands still, and has neither the last accepted control word nor the last one sent.
@@ -312,7 +307,7 @@ impl Station {
 
     /// The open request writes and reads: FC23.
     fn reads_and_writes(&self) -> bool {
-        self.identity.is_open() && matches!(self.requested, What::Cyclic(blocks) if blocks.is_both())
+        self.identity.is_open() && matches!(self.conn.requested, What::Cyclic(blocks) if blocks.is_both())
     }
 
     /// The connection has ended at the other end, or broken: in words.
@@ -330,12 +325,18 @@ impl Station {
     }
 
     /// Why the connection has to be given up, if it has.
+    #[inline]
     pub(super) fn gives_up(&mut self, now: Time, slot: &mut Slot) -> Option<Why> {
-        let silent = self.identity.is_open() && now.since(self.requested_at) > 2 * self.reply_within_ns;
+        let silent = self.identity.is_open() && now.since(self.conn.requested_at) > 2 * self.reply_within_ns;
+        let refused = self.conn.busy_since.is_some() || self.conn.refused != (0, 0);
+        if self.connected && (silent || refused) { self.judge(now, silent, slot) } else { None }
+    }
+
+    #[cold]
+    fn judge(&mut self, now: Time, silent: bool, slot: &mut Slot) -> Option<Why> {
         let busy =
             self.conn.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
         let why = match () {
-            () if !self.connected => return None,
             () if silent => "a request was not answered within twice its time",
             () if busy => "the drive is busy all the time",
             () if self.conn.refused.0.max(self.conn.refused.1) < MOST_REFUSALS => return None,
@@ -385,3 +386,6 @@ impl Station {
 fn used<'a>(direct: &'a Mapping, menu_0: &'a Option<Mapping>, in_menu_0: bool) -> &'a Mapping {
     menu_0.as_ref().filter(|_| in_menu_0).unwrap_or(direct)
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,7 +2,7 @@
 //!
 //! A reply that is exactly the expected one is recognised at once. All others take the long way.
 
-use super::{Blocks, End, ROOM, Station, What, Why, used};
+use super::{Blocks, Connection, End, ROOM, Station, What, Why, used};
 use crate::bus::modbus::counters::Own;
 use crate::bus::modbus::echo::{Echo, Shown};
 use crate::bus::modbus::identity::Whose;
@@ -11,7 +11,7 @@ use crate::bus::modbus::native::NativePort;
 use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
-use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame, function};
+use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
 use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::bus::{Exchange, Slot};
 use crate::time::{S, Time};
@@ -22,8 +22,7 @@ const DARK_NS: u64 = S;
 
 const GARBAGE: Why = "the received bytes are not Modbus";
 
-/// The reply to a request with function 23 when nothing is wrong: all of it but its values, which are copied to an
-/// image.
+/// The reply to a request that reads when nothing is wrong: all of it but its values, which are copied to an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Expected {
     /// The length of the whole message; 0: none is expected.
@@ -38,18 +37,18 @@ pub(super) struct Expected {
 
 impl Expected {
     /// The bytes before the values: header, function, number of bytes.
-    const FRONT: usize = 9;
+    pub(super) const FRONT: usize = 9;
 
-    /// The reply to a request that reads `block`, whatever its id. There is none for a block longer than a message,
-    /// nor for one that has to be sorted.
-    pub(super) fn new(block: &Block, unit: u8) -> Expected {
+    /// The reply to a request that reads `block` by `function`, whatever its id. There is none for a block longer than a
+    /// message, nor for one that has to be sorted.
+    pub(super) fn new(block: &Block, unit: u8, function: u8) -> Expected {
         let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
         let Some(bytes) = bytes.filter(|_| block.in_order) else {
             return Expected::default();
         };
         // Unit, function and number of bytes are counted, too.
         let [high, low] = (u16::from(bytes) + 3).to_be_bytes();
-        let header = u64::from_be_bytes([0, 0, 0, 0, high, low, unit, function::READ_WRITE]);
+        let header = u64::from_be_bytes([0, 0, 0, 0, high, low, unit, function]);
         Expected { size: Self::FRONT + usize::from(bytes), header, bytes, places: block.places }
     }
 
@@ -83,20 +82,47 @@ impl Station {
     /// So many bytes have arrived in it. An error: the connection has to be given up.
     pub fn take(&mut self, at: Time, count: usize, slot: &mut Slot) -> Result<(), Why> {
         self.conn.filled = (self.conn.filled + count).min(ROOM);
-        if let What::Cyclic(blocks) = self.requested
+        if let What::Cyclic(blocks) = self.conn.requested
             && self.identity.is_open()
             && let Some(data) = self.conn.expected.values(&self.inbox[..self.conn.filled])
         {
             self.identity.answer_open();
-            self.functions.answered(blocks.registers);
+            match blocks.is_both() {
+                true => self.functions.answered(blocks.registers),
+                false => self.functions.other_answered(),
+            }
             if close(&mut self.pace, at, slot) {
                 self.conn.image.set_front(data);
-                self.cyclic_read(at, blocks, self.conn.expected.places, slot);
+                match blocks.is_both() && self.is_repeated() {
+                    true => self.repeat(at, slot),
+                    false => self.cyclic_read(at, blocks, self.conn.expected.places, slot),
+                }
             }
             self.conn.filled = 0;
             return Ok(());
         }
         self.take_messages(at, slot)
+    }
+
+    /// The values in the image are those that the open request wrote, and the drive reports the status of before.
+    #[inline]
+    fn is_repeated(&self) -> bool {
+        let Connection { image, inputs, written, .. } = &self.conn;
+        let [control, reference, status] = image.front();
+        self.conn.steady
+            && self.profile.is_steady()
+            && inputs.control == Some(written.control)
+            && (control as u16, reference) == (written.control.0, written.reference)
+            && status as u16 == inputs.status.0
+    }
+
+    /// Such a reply: only the reference and what turns are new.
+    #[inline]
+    fn repeat(&mut self, at: Time, slot: &mut Slot) {
+        self.conn.reference.reads_back(self.conn.written.reference);
+        self.conn.inputs.reference = Some(self.conn.written.reference);
+        self.native.publish(at, false, &self.conn.image);
+        self.turns(at, slot);
     }
 
     /// Takes in what has arrived, message by message.
@@ -177,7 +203,7 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        match self.requested {
+        match self.conn.requested {
             What::Cyclic(blocks) if blocks.is_both() => {
                 if matches!(response, Response::ReadWritten { .. }) {
                     self.functions.answered(blocks.registers);
@@ -192,7 +218,7 @@ impl Station {
         if !close(&mut self.pace, at, slot) {
             return;
         }
-        match self.requested {
+        match self.conn.requested {
             What::Call => {}
             What::Set { index, .. } => self.set_answered(usize::from(index), response),
             What::Cyclic(blocks) => self.cyclic(at, blocks, response, slot),
@@ -210,14 +236,14 @@ impl Station {
         let taken =
             matches!(*response, Response::Written { count, .. } if count == setting.width.registers());
         if !taken {
-            self.settable = false;
+            self.conn.settable = false;
         } else if setting.parameter == Parameter::CONTROL_WORD_ENABLE {
             // From here on the control word counts, once it is written again.
             (self.conn.control, self.conn.inputs.control) = (Echo::default(), None);
         }
         if taken {
-            self.set = index + 1;
-            let rest = &self.settings[self.set..];
+            self.conn.set = index + 1;
+            let rest = &self.settings[self.conn.set..];
             let is_met = |purpose| !rest.iter().any(|setting| setting.purpose == purpose);
             self.conn.finding.obeys = is_met(Purpose::Obey);
             self.conn.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
@@ -225,18 +251,18 @@ impl Station {
         self.profile.found(
             self.conn.finding.watched || self.unwatched,
             self.conn.finding.obeys,
-            self.settable,
+            self.conn.settable,
         );
     }
 
     /// What does not fit the open request in a response that names it.
     fn misfits(&self, header: Header, response: &Response<'_>) -> Option<Own> {
-        let unit = self.requested_unit;
+        let unit = self.conn.requested_unit;
         // A drive may answer 255 to 0 (field reports).
         if header.unit != unit && !(unit == 0 && header.unit == DRIVE_UNIT) {
             return Some(Own::WrongUnit);
         }
-        let blocks = match self.requested {
+        let blocks = match self.conn.requested {
             What::Call => return (!self.calls.fits(response)).then_some(Own::WrongFunction),
             What::Set { .. } => {
                 let fits = matches!(response, Response::Exception { .. } | Response::Written { .. });
@@ -272,19 +298,18 @@ impl Station {
         }
     }
 
-    /// The values of these indices are in the image. This function and its callees are inlined: together they are
-    /// most of an exchange.
-    #[inline(always)]
+    /// The values of these indices are in the image.
+    #[inline(never)]
     fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
         (self.conn.refused.1, self.conn.busy_since) = (0, None);
         if blocks.write.is_some() {
             self.conn.refused.0 = 0;
         }
         if blocks.control {
-            self.conn.control.replied(i32::from(self.written.control.0));
+            self.conn.control.replied(i32::from(self.conn.written.control.0));
         }
         if blocks.reference {
-            self.conn.reference.replied(self.written.reference);
+            self.conn.reference.replied(self.conn.written.reference);
         }
         let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
         let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
@@ -302,9 +327,20 @@ impl Station {
         if status {
             self.take_status(at, with_trip);
         }
+        self.conn.steady = false;
         if self.conn.seen == (true, true) && !self.conn.other.is_in_doubt() {
             self.conn.seen = (false, false);
             self.report(at, slot);
+            let word = self.conn.inputs.status;
+            let waits = !word.active() && (self.profile.runs() || self.conn.dark_at.is_some());
+            // All of it comes with each reply, and time changes nothing of it.
+            self.conn.steady = control
+                && reference
+                && status
+                && speed
+                && word.healthy()
+                && !waits
+                && self.conn.refused == (0, 0);
         }
     }
 
@@ -334,10 +370,10 @@ impl Station {
             return self.profile.not_taken();
         }
         if blocks.control {
-            self.conn.control.confirm(i32::from(self.written.control.0));
+            self.conn.control.confirm(i32::from(self.conn.written.control.0));
         }
         if blocks.reference {
-            self.conn.reference.confirm(self.written.reference);
+            self.conn.reference.confirm(self.conn.written.reference);
         }
         self.note_taken(at);
     }
@@ -426,25 +462,31 @@ impl Station {
     }
 
     /// The drive's report, in user units: a status and a speed that were both read since the last report.
-    #[inline(always)]
+    #[inline(never)]
     fn report(&mut self, at: Time, slot: &mut Slot) {
-        let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
-        self.conn.inputs.velocity = velocity;
+        self.turns(at, slot);
         let status = self.conn.inputs.status;
         let was_dark = self.conn.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
         self.profile.prove(&self.conn.inputs, &mut slot.evidence);
-        let Slot { status: report, notices, .. } = slot;
-        notices.fresh = true;
-        report.at = at;
+        let report = &mut slot.status;
         report.suspect = false;
         report.inhibited = was_dark && !status.active();
         report.state = self.profile.state(status, report.inhibited);
         report.moving = status.active() && !status.zero_speed();
         report.in_target = status.at_speed();
-        report.velocity = velocity;
         (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
         report.warning = u32::from(status.0 & StatusWord::WARNINGS);
         report.fault = if status.healthy() { 0 } else { u32::from(self.conn.inputs.trip) };
+    }
+
+    /// What each report has anew: the speed, and the shown values.
+    #[inline]
+    fn turns(&mut self, at: Time, slot: &mut Slot) {
+        let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
+        self.conn.inputs.velocity = velocity;
+        let Slot { status: report, notices, .. } = slot;
+        notices.fresh = true;
+        (report.at, report.velocity) = (at, velocity);
         notices.monitor_fresh |= !self.shown.is_empty();
         for &(channel, counts) in &self.shown {
             let count = self.conn.image.get(Role::FIRST_SHOWN + channel);
@@ -481,61 +523,5 @@ fn read(block: &Block, data: Registers<'_>, image: &mut Image, native: &mut Nati
             block.roles.iter().zip(data.words()).for_each(|(role, word)| take(role, (word as i16).into()))
         }
         Width::Long => block.roles.iter().zip(data.longs()).for_each(|(role, long)| take(role, long)),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bus::modbus::wire::{ADU_MAX, RegistersBuffer};
-
-    const HEADER: Header = Header { transaction: 0x1234, unit: 255 };
-
-    fn data(values: &[i32]) -> RegistersBuffer {
-        let mut data = RegistersBuffer::new();
-        values.iter().for_each(|value| assert!(data.push_long(*value)));
-        data
-    }
-
-    /// A block of so many registers whose order is that of the image.
-    fn block(registers: u16) -> Block {
-        Block {
-            address: 0x4000,
-            registers,
-            width: Width::Long,
-            roles: Box::default(),
-            places: Places::default(),
-            in_order: true,
-            first: Parameter::CONTROL_WORD,
-        }
-    }
-
-    #[test]
-    fn only_the_whole_reply_to_this_request_is_expected() {
-        let data = data(&[1, 2, 3]);
-        let mut bytes = [0; ADU_MAX];
-        let size = Response::ReadWritten { data: data.registers() }.emit(HEADER, &mut bytes);
-        let expected = Expected::new(&block(6), 255).to(0x1234);
-        assert_eq!(expected.values(&bytes[..size]), Some(data.registers()));
-        assert_eq!(expected.values(&bytes[..size - 1]), None, "not all of it");
-        assert_eq!(expected.values(&bytes[..size + 1]), None, "more than it");
-        // Id, protocol, length, unit, function, number of bytes.
-        for at in 0..Expected::FRONT {
-            for bit in 0..8 {
-                let mut bytes = bytes;
-                bytes[at] ^= 1 << bit;
-                assert_eq!(expected.values(&bytes[..size]), None, "byte {at}, bit {bit}");
-            }
-        }
-    }
-
-    #[test]
-    fn nothing_is_expected_by_default_nor_of_what_no_message_holds() {
-        assert_eq!(Expected::default().values(&[]), None);
-        assert_eq!(Expected::new(&block(128), 255), Expected::default());
-        assert_eq!(Expected::new(&block(u16::MAX), 255), Expected::default());
-        assert_ne!(Expected::new(&block(6), 255), Expected::default());
-        let mixed = Block { in_order: false, ..block(6) };
-        assert_eq!(Expected::new(&mixed, 255), Expected::default(), "a block that has to be sorted");
     }
 }

@@ -9,7 +9,7 @@ use crate::bus::modbus::counters::Own;
 use crate::bus::modbus::mapping::{Block, Role};
 use crate::bus::modbus::parameter::Width;
 use crate::bus::modbus::profile::Outputs;
-use crate::bus::modbus::wire::{ADU_MAX, Header, Registers, RegistersBuffer, Request};
+use crate::bus::modbus::wire::{ADU_MAX, Header, Registers, RegistersBuffer, Request, function};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::time::Time;
 
@@ -48,7 +48,7 @@ impl Template {
 }
 
 #[inline]
-fn put(out: &mut [u8; ADU_MAX], place: Option<Place>, count: i32) {
+pub(super) fn put(out: &mut [u8; ADU_MAX], place: Option<Place>, count: i32) {
     let Some((at, width)) = place else { return };
     let at = usize::from(at);
     match width {
@@ -61,7 +61,7 @@ impl Station {
     /// Builds the request of the next send. Built again for the same send, it is the same: state that changes with
     /// every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
-        if slot.exchange == Exchange::Missed {
+        if matches!(slot.exchange, Exchange::Missed) {
             self.look_for_silence();
         }
         let native = &mut self.native;
@@ -78,16 +78,16 @@ impl Station {
         }
         self.grid = cycle.grid;
         // A drive that does not follow the control word, and cannot be configured to, is only read.
-        let outputs = if self.conn.finding.obeys || self.settable { outputs } else { None };
-        self.outputs = outputs.unwrap_or_default();
-        let sets = self.end != End::NotYet || self.set < self.settings.len();
+        let outputs = if self.conn.finding.obeys || self.conn.settable { outputs } else { None };
+        self.conn.outputs = outputs.unwrap_or_default();
+        let sets = self.end != End::NotYet || self.conn.set < self.settings.len();
         if let Some(template) = &self.conn.template
             && template.only
             && outputs.is_some()
             && !(calls || sets || self.conn.other.is_check_due())
         {
             // There is nothing to choose, and `prepared` is this request already.
-            template.refill(&mut self.out, self.identity.next(), self.outputs);
+            template.refill(&mut self.out, self.identity.next(), self.conn.outputs);
             self.conn.length = template.length;
             return;
         }
@@ -118,8 +118,8 @@ impl Station {
 
     /// The application may have changed what the drive follows: it is set up again before it is enabled or stopped.
     fn doubt_settings(&mut self) {
-        if self.settable {
-            (self.set, self.conn.finding.obeys, self.conn.finding.watched) = (0, false, false);
+        if self.conn.settable {
+            (self.conn.set, self.conn.finding.obeys, self.conn.finding.watched) = (0, false, false);
             self.profile.found(self.unwatched, false, true);
         }
     }
@@ -129,8 +129,9 @@ impl Station {
         if let End::Disarming(_) = self.end {
             return self.time_out().map(|index| What::Set { index: index as u8, value: 0 });
         }
-        let setting = self.settings.get(self.set).filter(|_| self.profile.wants_set_up(&self.conn.inputs))?;
-        Some(What::Set { index: self.set as u8, value: setting.value })
+        let setting =
+            self.settings.get(self.conn.set).filter(|_| self.profile.wants_set_up(&self.conn.inputs))?;
+        Some(What::Set { index: self.conn.set as u8, value: setting.value })
     }
 
     /// The blocks of the next cyclic request.
@@ -168,7 +169,7 @@ impl Station {
             // A trip is named as soon as it is seen.
             return mapping.block_with(Role::Trip).map_or(turn, |block| (block, true));
         }
-        if self.confirmed || mapping.reads().len() < 2 {
+        if self.conn.confirmed || mapping.reads().len() < 2 {
             return turn;
         }
         let Some(outputs) = outputs else {
@@ -218,16 +219,17 @@ impl Station {
 
     /// Writes the next request into its room: over the last one, if that had the same blocks.
     fn emit(&mut self, next: What) -> usize {
-        self.prepared = next;
+        self.conn.prepared = next;
         let What::Cyclic(blocks) = next else { return self.emit_other(next) };
         let wanted = (blocks.write, blocks.read);
         if self.conn.template.as_ref().is_none_or(|template| template.blocks != wanted) {
             self.conn.template = self.build(blocks);
         }
         let Some(template) = &self.conn.template else { return 0 };
-        template.refill(&mut self.out, self.identity.next(), self.outputs);
+        template.refill(&mut self.out, self.identity.next(), self.conn.outputs);
         let (control, reference) = (template.control.is_some(), template.reference.is_some());
-        self.prepared = What::Cyclic(Blocks { control, reference, registers: template.registers, ..blocks });
+        self.conn.prepared =
+            What::Cyclic(Blocks { control, reference, registers: template.registers, ..blocks });
         template.length
     }
 
@@ -273,8 +275,9 @@ impl Station {
             Some((at as u8, block.width))
         };
         let expected = match (write, read) {
-            (Some(_), Some(read)) => Expected::new(read, unit),
-            _ => Expected::default(),
+            (Some(_), Some(read)) => Expected::new(read, unit, function::READ_WRITE),
+            (None, Some(read)) => Expected::new(read, unit, function::READ),
+            (_, None) => Expected::default(),
         };
         let blocks = (blocks.write, blocks.read);
         let only = mapping.writes().len() == 1 && mapping.reads().len() == 1 && blocks == (Some(0), Some(0));
@@ -310,13 +313,14 @@ impl Station {
         if count < self.conn.length {
             Own::Pieces.count(&mut slot.counters);
         }
-        (self.conn.open, self.conn.gone, self.requested_unit) = (self.conn.length, count, self.out[6]);
+        (self.conn.open, self.conn.gone, self.conn.requested_unit) = (self.conn.length, count, self.out[6]);
         let expected = self.conn.template.as_ref().map(|template| template.expected.to(self.identity.next()));
         self.conn.expected = expected.unwrap_or_default();
         self.identity.sent();
-        (self.requested, self.requested_at, self.written) = (self.prepared, at, self.outputs);
-        self.calls.sent(self.requested == What::Call);
-        if let What::Cyclic(blocks) = self.requested {
+        (self.conn.requested, self.conn.requested_at, self.conn.written) =
+            (self.conn.prepared, at, self.conn.outputs);
+        self.calls.sent(self.conn.requested == What::Call);
+        if let What::Cyclic(blocks) = self.conn.requested {
             self.blocks_sent(blocks, slot);
         }
         let window_ns = cycle.deadline.since(cycle.grid);
@@ -338,7 +342,7 @@ impl Station {
     fn blocks_sent(&mut self, blocks: Blocks, slot: &mut Slot) {
         // Where there is nothing to choose, turns have no effect.
         if self.conn.template.as_ref().is_none_or(|template| !template.only) {
-            self.confirmed = blocks.confirms;
+            self.conn.confirmed = blocks.confirms;
             self.conn.reads =
                 self.conn.reads.wrapping_add(u32::from(blocks.read.is_some() && !blocks.confirms));
             self.conn.writes = self.conn.writes.wrapping_add(u32::from(blocks.write.is_some()));
@@ -347,12 +351,12 @@ impl Station {
         }
         self.conn.other.sent(blocks.control || blocks.reference);
         if blocks.control {
-            self.conn.control.sent(self.written.control.0.into());
-            self.control_sent = Some(self.written.control);
+            self.conn.control.sent(self.conn.written.control.0.into());
+            self.control_sent = Some(self.conn.written.control);
             self.profile.control_sent();
         }
         if blocks.reference {
-            self.conn.reference.sent(self.written.reference);
+            self.conn.reference.sent(self.conn.written.reference);
             self.profile.reference_sent();
         }
         if blocks.write.is_some() {
@@ -365,53 +369,5 @@ impl Station {
     pub(in crate::bus::modbus) fn unsent(&mut self, slot: &mut Slot) {
         slot.counters.unsent += 1;
         slot.exchange = Exchange::Unsent;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bus::modbus::words::ControlWord;
-
-    const HEADER: Header = Header { transaction: 0x1234, unit: 255 };
-
-    fn data(values: &[i32]) -> RegistersBuffer {
-        let mut data = RegistersBuffer::new();
-        values.iter().for_each(|value| assert!(data.push_long(*value)));
-        data
-    }
-
-    #[test]
-    fn a_refilled_request_is_the_one_that_would_be_built() {
-        let request = |values: &[i32], header: Header, out: &mut [u8; ADU_MAX]| {
-            let data = data(values);
-            let data = data.registers();
-            Request::ReadWrite { read: 0x4000, count: 12, write: 0x4000, data }.emit(header, out)
-        };
-        let (mut refilled, mut built) = ([0; ADU_MAX], [0; ADU_MAX]);
-        let length = request(&[1, -2], HEADER, &mut refilled);
-        let template = Template {
-            blocks: (Some(0), Some(0)),
-            only: true,
-            registers: 16,
-            length,
-            control: Some((length as u8 - 8, Width::Long)),
-            reference: Some((length as u8 - 4, Width::Long)),
-            expected: Expected::default(),
-        };
-        let outputs = Outputs { control: ControlWord(0x8183), reference: 123_456_789 };
-        template.refill(&mut refilled, 0xABCD, outputs);
-        request(&[0x8183, 123_456_789], Header { transaction: 0xABCD, ..HEADER }, &mut built);
-        assert_eq!(refilled, built);
-    }
-
-    #[test]
-    fn a_word_is_refilled_by_its_low_bits_and_its_neighbours_stay() {
-        let mut out = [0xEE; ADU_MAX];
-        put(&mut out, Some((10, Width::Word)), 0x0001_8183);
-        assert_eq!(out[9..13], [0xEE, 0x81, 0x83, 0xEE]);
-        put(&mut out, None, 0);
-        put(&mut out, Some((u8::MAX, Width::Long)), 0);
-        assert_eq!(out[255..], [0, 0, 0, 0, 0xEE], "the last place there is");
     }
 }
