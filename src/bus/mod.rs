@@ -15,6 +15,7 @@
 //! `tests/conformance` tests this contract clause by clause, for every protocol.
 
 pub mod desired;
+mod drives;
 pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
@@ -31,6 +32,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use self::desired::{Capabilities, Desired, Evidence, Gone};
+pub use self::drives::Ends;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, DriveStatus, Emergency, FaultNames, Link, MonitorChannel, Observer, PlanFault};
@@ -38,7 +40,7 @@ use crate::errors::no_descriptor;
 #[cfg(feature = "config")]
 use crate::keys::{machine::Machine, table::Table};
 use crate::net::lock::Refused;
-use crate::net::{Carriers, LinkNotes, Lock, Place};
+use crate::net::{Carriers, LinkNotes};
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -229,21 +231,6 @@ pub enum OpenError {
 }
 crate::errors::debug_as_display!(OpenError);
 
-/// Locks drives of `bus` at these addresses for this master, or none of them.
-fn lock_drives<'a>(
-    bus: &str,
-    drives: impl Iterator<Item = (&'a AxisPlan, SocketAddrV4)>,
-    carriers: &dyn Carriers,
-) -> Result<Vec<Lock>, OpenError> {
-    let lock = |(axis, address): (&AxisPlan, SocketAddrV4)| {
-        carriers.lock(Place::Drive(address)).map_err(|why| {
-            let what = format!("drive {} at {address}", axis.name);
-            OpenError::InUse { bus: bus.to_owned(), what, why }
-        })
-    };
-    drives.map(lock).collect()
-}
-
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 ///
 /// It carries five kinds of wire. What each of them makes of the exchange of a due slot, and the clauses for it alone:
@@ -314,8 +301,15 @@ pub trait Bus: Send {
     /// Counters of what was received and belongs to no drive.
     fn unmatched(&self) -> Unmatched;
 
-    /// The application's end of the native process data of drive `index`, taken once before the start.
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
+    /// The application's ends of its drives, taken once before the start; `None`: there are none.
+    fn ends(&mut self) -> Option<&mut Ends> {
+        None
+    }
+
+    /// The application's end of the native process data of drive `index`.
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        self.ends()?.native(index)
+    }
 
     /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
     fn notes(&self) -> Option<Arc<dyn Notes>> {
@@ -355,10 +349,11 @@ pub trait Bus: Send {
         None
     }
 
-    /// The application's end of the acyclic access to drive `index`, taken once before the start. Posted calls are
-    /// carried out in slices of bounded work, and end as done, refused by the drive, or unavailable. They add no
-    /// telegram to a cycle and delay none.
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds>;
+    /// The application's end of the acyclic access to drive `index`. Posted calls are carried out in slices of bounded
+    /// work, and end as done, refused by the drive, or unavailable. They add no telegram to a cycle and delay none.
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.ends()?.acyclic(index)
+    }
 }
 
 /// Why the drives of a bus cannot be reached, in words: read by normal threads. A real-time writer leaves numbers

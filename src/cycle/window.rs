@@ -202,7 +202,6 @@ fn poll_at<const POLLS: bool>(buses: &[OpenBus]) -> Option<Time> {
 
 #[cfg(test)]
 mod tests {
-    use std::any::Any;
     use std::ops::Range;
     use std::os::fd::{AsRawFd, RawFd};
     use std::os::unix::net::UnixDatagram;
@@ -210,7 +209,6 @@ mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
 
     use super::*;
-    use crate::axis::acyclic::AcyclicEnds;
     use crate::axis::cell::cell;
     use crate::bus::{Exchange, Unmatched};
     use crate::rt::MonotonicClock;
@@ -290,14 +288,6 @@ mod tests {
         fn unmatched(&self) -> Unmatched {
             Unmatched::default()
         }
-
-        fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {
-            None
-        }
-
-        fn acyclic(&mut self, _: usize) -> Option<AcyclicEnds> {
-            None
-        }
     }
 
     /// An open bus of these slots.
@@ -375,14 +365,6 @@ mod tests {
 
         fn unmatched(&self) -> Unmatched {
             Unmatched::default()
-        }
-
-        fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {
-            None
-        }
-
-        fn acyclic(&mut self, _: usize) -> Option<AcyclicEnds> {
-            None
         }
     }
 

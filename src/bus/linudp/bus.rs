@@ -1,21 +1,19 @@
 //! All drives of one LinUDP bus on one socket: stations and their carrier, as a [`Bus`].
 
-use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use super::native::Native;
 use super::notation::Upids;
-use super::plan::{LinUdpPlan, MonitorPlan};
+use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 use super::profile;
 use super::station::Station;
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
-use crate::axis::acyclic::{AcyclicEnds, Notation};
+use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
-use crate::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched, lock_drives};
+use crate::bus::{Bus, BusPlan, Cycle, Ends, OpenError, Slot, Unmatched, drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
@@ -35,8 +33,7 @@ pub struct LinUdpBus {
     outbox: Outbox,
     stations: Vec<Station>,
     senders: Senders,
-    natives: Vec<Option<Native>>,
-    acyclics: Vec<Option<AcyclicEnds>>,
+    ends: Ends,
     unmatched: Unmatched,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
@@ -51,8 +48,8 @@ impl std::fmt::Debug for LinUdpBus {
 impl LinUdpBus {
     /// Opens the socket of `plan`.
     pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
-        let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
-        let locks = lock_drives(&plan.name, drives, carriers)?;
+        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = drives::lock(&plan.name, addresses, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options =
@@ -64,12 +61,11 @@ impl LinUdpBus {
             source,
         })?;
         let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
-        let (mut stations, mut natives, mut acyclics) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut stations, mut ends) = (Vec::new(), Ends::default());
         for drive in &plan.drives {
             let (station, native, acyclic) = Station::new(drive);
             stations.push(station);
-            natives.push(Some(native));
-            acyclics.push(Some(acyclic));
+            ends.push(native, acyclic);
         }
         Ok(LinUdpBus {
             name: plan.name.clone(),
@@ -77,8 +73,7 @@ impl LinUdpBus {
             outbox: Outbox::new(&peers, REQUEST_MAX),
             stations,
             senders: Senders::new(&peers),
-            natives,
-            acyclics,
+            ends,
             unmatched: Unmatched::default(),
             _locks: locks,
         })
@@ -229,13 +224,8 @@ impl Bus for LinUdpBus {
         Unmatched { dropped: self.net.dropped(), ..self.unmatched }
     }
 
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let native = self.natives.get_mut(index)?.take()?;
-        Some(Box::new(native))
-    }
-
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.acyclics.get_mut(index)?.take()
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
     }
 }
 
@@ -253,17 +243,10 @@ impl BusPlan for LinUdpPlan {
     }
 
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        let mut faults = Vec::new();
-        for (index, drive) in self.drives.iter().enumerate() {
-            let own = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-            let all = drive.axis.faults().into_iter().chain(drive.faults(own));
-            faults.extend(all.map(|fault| (index, fault)));
-            if self.drives[..index].iter().any(|other| other.address.ip() == drive.address.ip()) {
-                let taken = PlanFault::new("address", "is taken by another drive; one drive per IP address");
-                faults.push((index, taken));
-            }
-        }
-        faults
+        let same: fn(&LinUdpDrive, &LinUdpDrive) -> bool =
+            |one, other| one.address.ip() == other.address.ip();
+        let taken = "is taken by another drive; one drive per IP address";
+        drives::faults(&self.drives, period_ns, |drive| &drive.axis, LinUdpDrive::faults, same, taken)
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

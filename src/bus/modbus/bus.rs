@@ -1,6 +1,5 @@
 //! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
-use std::any::Any;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::Arc;
@@ -8,17 +7,18 @@ use std::sync::Arc;
 use super::counters::OWN;
 use super::handshake::{Found, UnidriveHandshake};
 use super::mapping::Mapping;
-use super::native::Native;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
 use super::station::Station;
 use super::trips::Trip;
-use crate::axis::acyclic::{AcyclicEnds, Notation};
+use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, lock_drives};
+use crate::bus::{
+    Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
+};
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
 
@@ -27,8 +27,7 @@ pub struct ModbusBus {
     name: String,
     net: Box<dyn Streams>,
     stations: Vec<Station>,
-    natives: Vec<Option<Native>>,
-    acyclics: Vec<Option<AcyclicEnds>>,
+    ends: Ends,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
 }
@@ -54,10 +53,9 @@ fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
 impl ModbusBus {
     /// Begins to connect to the drives of `plan`, which is free of faults.
     pub fn open(plan: &ModbusPlan, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
-        let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
-        let locks = lock_drives(&plan.name, drives, carriers)?;
-        let (mut peers, mut stations) = (Vec::new(), Vec::new());
-        let (mut natives, mut acyclics) = (Vec::new(), Vec::new());
+        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = drives::lock(&plan.name, addresses, carriers)?;
+        let (mut peers, mut stations, mut ends) = (Vec::new(), Vec::new(), Ends::default());
         for drive in &plan.drives {
             let broken = || OpenError::Plan { bus: plan.name.clone(), drive: drive.axis.name.clone() };
             let mappings = mappings(drive).ok_or_else(broken)?;
@@ -72,13 +70,12 @@ impl ModbusBus {
             });
             let (station, native, acyclic) = Station::new(drive, mappings, found);
             stations.push(station);
-            natives.push(Some(native));
-            acyclics.push(Some(acyclic));
+            ends.push(native, acyclic);
         }
         let net = carriers
             .streams(peers)
             .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
-        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics, _locks: locks })
+        Ok(ModbusBus { name: plan.name.clone(), net, stations, ends, _locks: locks })
     }
 
     /// Takes in what has arrived on the connections, one piece each.
@@ -230,13 +227,8 @@ impl Bus for ModbusBus {
         Some(Arc::new(self.net.notes()))
     }
 
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let native = self.natives.get_mut(index)?.take()?;
-        Some(Box::new(native))
-    }
-
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.acyclics.get_mut(index)?.take()
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
     }
 }
 
@@ -254,18 +246,9 @@ impl BusPlan for ModbusPlan {
     }
 
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        let mut faults = Vec::new();
-        for (index, drive) in self.drives.iter().enumerate() {
-            let own = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-            let all = drive.axis.faults().into_iter().chain(drive.faults(own));
-            faults.extend(all.map(|fault| (index, fault)));
-            if self.drives[..index].iter().any(|other| other.address == drive.address) {
-                let taken =
-                    PlanFault::new("address", "is taken by another drive; one drive per address and port");
-                faults.push((index, taken));
-            }
-        }
-        faults
+        let same: fn(&UnidriveDrive, &UnidriveDrive) -> bool = |one, other| one.address == other.address;
+        let taken = "is taken by another drive; one drive per address and port";
+        drives::faults(&self.drives, period_ns, |drive| &drive.axis, UnidriveDrive::faults, same, taken)
     }
 
     fn reply_within_ns(&self, index: usize) -> Option<u64> {

@@ -29,6 +29,7 @@ pub mod words;
 
 mod bus;
 mod calls;
+mod check;
 #[cfg(feature = "config")]
 mod config;
 mod echo;

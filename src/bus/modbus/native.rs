@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicI32, Ordering};
 use rtrb::{Consumer, Producer};
 
 use super::mapping::{Image, Role};
-use super::profile::Outputs;
 use super::words::{ControlWord, StatusWord};
 use crate::axis::cell::{self, Packed, Reader, Words, Writer};
 use crate::rt::{self, Regions};
@@ -123,8 +122,8 @@ impl NativePort {
         }
     }
 
-    pub(super) fn next(&mut self) -> Option<Outputs> {
-        self.outputs.pop().ok().map(|NativeOutput { control, reference }| Outputs { control, reference })
+    pub(super) fn next(&mut self) -> Option<NativeOutput> {
+        self.outputs.pop().ok()
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which

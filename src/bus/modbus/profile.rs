@@ -5,7 +5,7 @@
 //!
 //! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
 
-use super::native::NativePort;
+use super::native::{NativeOutput, NativePort};
 use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
@@ -240,12 +240,13 @@ impl Profile {
         if self.native_gone != (true, true) {
             return;
         }
-        if let Some(output) = native.next() {
-            self.native = Some(match owner {
-                NativeOwner::Application => output,
+        if let Some(NativeOutput { control, reference }) = native.next() {
+            let control = match owner {
+                NativeOwner::Application => control,
                 // The master keeps the drive running, in its own direction.
-                NativeOwner::Master => Outputs { control: self.outputs.control, ..output },
-            });
+                NativeOwner::Master => self.outputs.control,
+            };
+            self.native = Some(Outputs { control, reference });
             self.native_gone = (false, false);
         }
     }

@@ -5,7 +5,7 @@ use crate::axis::cell::Writer;
 use crate::axis::{Emergency, Feedback, Link, Observer};
 use crate::bus::ethercat::counters::Own;
 use crate::bus::ethercat::image::Offsets;
-use crate::bus::ethercat::native::{Native, TerminalPort, Terminals};
+use crate::bus::ethercat::native::{TerminalPort, Terminals};
 use crate::bus::ethercat::plan::Owner;
 use crate::bus::ethercat::segment::{Handler, SlaveState, Taken};
 use crate::bus::ethercat::service::Service;
@@ -23,9 +23,6 @@ pub(super) struct DriveEnd {
     pub(super) offsets: Offsets,
     /// Its slave.
     pub(super) slave: usize,
-    /// The application's ends, until they are fetched.
-    pub(super) native: Option<Native>,
-    pub(super) acyclic: Option<AcyclicEnds>,
 }
 
 /// The master's side of a device.

@@ -38,7 +38,7 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
 use crate::bus::desired::Capabilities;
 use crate::bus::{
-    Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched,
+    Bus, BusClock, BusPlan, Counters, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched,
 };
 use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
@@ -69,6 +69,7 @@ pub struct EthercatBus {
     segment: Segment,
     drives: Vec<DriveEnd>,
     devices: Vec<DeviceEnd>,
+    ends: Ends,
     /// Identifies this master in its frames, and counts them.
     mark: Mark,
     /// The state of the last frames, each at the index of its number.
@@ -145,13 +146,19 @@ impl EthercatBus {
             (slave, offsets.get(slave).cloned().unwrap_or_default())
         };
         let turn_ns = period_ns.saturating_mul(slaves.len() as u64);
-        let drives = plan.drives.iter().enumerate().map(|(index, drive)| {
-            let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-            let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns);
-            let (slave, offsets) = offsets_of(Owner::Drive(index));
-            let (native, acyclic) = (Some(native), Some(acyclic));
-            DriveEnd { station, built: false, offsets, slave, native, acyclic }
-        });
+        let mut ends = Ends::default();
+        let drives: Vec<_> = plan
+            .drives
+            .iter()
+            .enumerate()
+            .map(|(index, drive)| {
+                let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
+                let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns);
+                let (slave, offsets) = offsets_of(Owner::Drive(index));
+                ends.push(native, acyclic);
+                DriveEnd { station, built: false, offsets, slave }
+            })
+            .collect();
         let devices = plan.devices.iter().enumerate().map(|(index, Device { slave, .. })| {
             let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
             let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
@@ -172,8 +179,9 @@ impl EthercatBus {
             source,
             flights: vec![Flight::default(); image.frames().len()].into(),
             image,
-            drives: drives.collect(),
+            drives,
             devices: devices.collect(),
+            ends,
             segment: Segment::new(&plan, offsets, period_ns),
             mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
             known: Box::new([Known::default(); KNOWN]),
@@ -529,9 +537,8 @@ impl Bus for EthercatBus {
         }))
     }
 
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let native = self.drives.get_mut(index)?.native.take()?;
-        Some(Box::new(native))
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
     }
 
     fn lead(&mut self) {
@@ -553,10 +560,6 @@ impl Bus for EthercatBus {
     fn device(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
         let terminals = self.devices.get_mut(index)?.terminals.take()?;
         Some(Box::new(terminals))
-    }
-
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.drives.get_mut(index)?.acyclic.take()
     }
 }
 

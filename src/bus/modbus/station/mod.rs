@@ -35,8 +35,6 @@ use crate::net::Broken;
 use crate::rt::Regions;
 use crate::time::Time;
 
-pub(super) use request::REFERENCES_IN_A_ROW;
-
 /// The end waits so many reply times for the drive's time-out to be disarmed.
 const DISARM_WITHIN: u64 = 3;
 /// A cyclic exchange that is refused so often in a row does not match the handshake: the handshake is repeated ...

@@ -8,13 +8,11 @@ use super::{Blocks, End, Station, What, used};
 use crate::bus::modbus::counters::Own;
 use crate::bus::modbus::mapping::{Block, Role};
 use crate::bus::modbus::parameter::Width;
+use crate::bus::modbus::plan::REFERENCES_IN_A_ROW;
 use crate::bus::modbus::profile::Outputs;
 use crate::bus::modbus::wire::{ADU_MAX, Header, Registers, RegistersBuffer, Request, function};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::time::Time;
-
-/// After so many references in a row it is the control word's turn, for the drive's watchdogs.
-pub(in crate::bus::modbus) const REFERENCES_IN_A_ROW: u32 = 8;
 
 /// The offset of a value in a message, and its width: its first byte is at most 255, so that four always fit.
 pub(super) type Place = (u8, Width);
