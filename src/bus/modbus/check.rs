@@ -4,9 +4,17 @@ use std::net::Ipv4Addr;
 
 use super::mapping::Mapping;
 use super::parameter::Width;
-use super::plan::{Functions, KEYPAD_WATCHDOG_NS, REFERENCES_IN_A_ROW, UnidriveDrive, Via, WATCHDOG_MAX_NS};
+use super::plan::{
+    Functions, KEYPAD_WATCHDOG_NS, REFERENCES_IN_A_ROW, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
+};
 use crate::axis::{HeldBy, Load, PlanFault};
 use crate::time::{MS, Ns, S};
+
+/// A host repeats a lost segment that nothing follows after so long at the earliest, ns (Linux: TCP_RTO_MIN, and the
+/// drive's host may take as long or longer) ...
+const REPEATED_NS: u64 = 200 * MS;
+/// ... and its reply is there by then, on a local network.
+const REPEATED_BY_NS: u64 = REPEATED_NS + 10 * MS;
 
 impl UnidriveDrive {
     /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
@@ -196,7 +204,7 @@ impl UnidriveDrive {
     }
 
     /// What one lost frame costs. A host repeats it after [`REPEATED_NS`], after the doubled time if it is lost again.
-    fn describe_loss(&self, every_ns: u64) -> String {
+    pub(super) fn describe_loss(&self, every_ns: u64) -> String {
         let repeated = Ns(REPEATED_NS);
         let within_ns = self.reply_within_ns;
         if within_ns >= REPEATED_BY_NS {

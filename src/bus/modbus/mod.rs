@@ -6,6 +6,7 @@
 //! | `parameter`, `notation` | parameters of a drive: addresses, what is known of them, how people write them |
 //! | `words`, `trips` | control word and status word, trip numbers |
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
+//! | `check` | what is wrong with the plan of a drive, and what `check` says of it |
 //! | `config` | its keys in a configuration |
 //! | `handshake` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |

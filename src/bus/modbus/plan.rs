@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::parameter::{Addressing, Parameter, Width};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, HeldBy, Load, MonitorChannel, PlanFault, Unit, Units};
-use crate::time::{MS, Ns, S};
+use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::time::{MS, S};
 
 /// Where a drive listens unless Pr S.15.005 says otherwise (SI-Ethernet guide).
 pub const PORT: u16 = 502;
@@ -161,11 +161,6 @@ impl Default for Watchdog {
     }
 }
 
-/// A host repeats a lost segment that nothing follows after so long at the earliest, ns (Linux: TCP_RTO_MIN, and the
-/// drive's host may take as long or longer) ...
-const REPEATED_NS: u64 = 200 * MS;
-/// ... and its reply is there by then, on a local network.
-const REPEATED_BY_NS: u64 = REPEATED_NS + 10 * MS;
 /// How long a reply counts by default, ns: one lost frame does not cost the link.
 const USUAL_REPLY_NS: u64 = 250 * MS;
 
