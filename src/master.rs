@@ -96,6 +96,7 @@ pub struct Master {
 
 /// Why a machine did not start. No drive was commanded. The message ends with the remedy.
 #[derive(Error)]
+#[non_exhaustive]
 pub enum StartError {
     /// The plan contradicts itself.
     #[error(transparent)]
@@ -120,6 +121,7 @@ crate::errors::debug_as_display!(StartError);
 
 /// Why the application did not get an axis, or not in time.
 #[derive(Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum MasterError {
     /// No such axis, device or group.
     #[error("there is no {what} {name}; there are: {known}")]

@@ -67,6 +67,7 @@ pub struct Simulation {
 
 /// Why a simulation could not be built.
 #[derive(thiserror::Error)]
+#[non_exhaustive]
 pub enum SimulateError {
     /// The plan contradicts itself.
     #[error(transparent)]

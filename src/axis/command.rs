@@ -213,6 +213,7 @@ pub enum Abort {
 
 /// Why a command failed.
 #[derive(Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
 pub enum Failure {
     /// The drive is in a state in which this cannot start.
     #[error("the drive is in state {0}: bring it to OperationEnabled first (enable)")]

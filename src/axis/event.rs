@@ -8,6 +8,7 @@ use crate::time::Time;
 
 /// One event of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Event {
     /// The cycle in which it happened.
     pub cycle: u64,
@@ -38,6 +39,7 @@ impl Emergency {
 
 /// What can happen to an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum EventKind {
     /// A command ended.
     Ended {

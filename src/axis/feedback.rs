@@ -64,6 +64,7 @@ named! {
     /// Why an axis was stopped by the master. It stays latched until `reset`.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     #[repr(u8)]
+    #[non_exhaustive]
     pub enum StopCause {
         /// The program or the application ended the master.
         Shutdown = 1: "shutdown",
@@ -178,6 +179,7 @@ pub struct DriveStatus {
 
 /// The newest feedback of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Feedback {
     /// The cycle that published it.
     pub cycle: u64,

@@ -62,6 +62,7 @@ impl GroupCommand {
 
 /// Why a request to a group failed.
 #[derive(Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum GroupError {
     /// A group of fewer than two.
     #[error("a group of {0}: a group needs two axes or more")]

@@ -140,6 +140,7 @@ pub struct AxisEnds {
 
 /// Why a request to an axis failed.
 #[derive(Clone, PartialEq, Error)]
+#[non_exhaustive]
 pub enum AxisError {
     /// Refused on submission.
     #[error("axis {axis}: {command} refused: {failure}")]

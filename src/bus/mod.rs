@@ -151,6 +151,7 @@ pub trait BusPlan: Any + Debug + Send + Sync {
 
 /// Why a bus could not be opened. The message ends with the remedy.
 #[derive(Error)]
+#[non_exhaustive]
 pub enum OpenError {
     /// A socket could not be opened.
     #[error("bus {bus}: cannot bind {address}: {source}; {remedy}")]

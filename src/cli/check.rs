@@ -41,7 +41,7 @@ impl Check {
         let starving = throttling.and_then(|throttling| config::starvation(&plan.cycle, &throttling));
         if self.json {
             let file = self.config.display().to_string();
-            let of_host = |message| ConfigError { file, line: None, key: None, value: None, message };
+            let of_host = |message| ConfigError::of_file(file, message);
             let errors: Vec<ConfigError> = starving.clone().map(of_host).into_iter().collect();
             print(config::json(&plan, &errors))?;
         } else {

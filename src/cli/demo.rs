@@ -226,7 +226,7 @@ fn was_stopped(error: &Error) -> bool {
         | Error::Axis(AxisError::Refused { .. } | AxisError::Gone { .. }) => true,
         // The latch of the shutdown answers whatever came after it.
         Error::Axis(AxisError::Ended { outcome: Outcome::Failed(_), .. }) => true,
-        Error::Axis(AxisError::Full { .. } | AxisError::TimedOut { .. } | AxisError::Ended { .. }) => false,
+        Error::Axis(_) => false,
         Error::Master(_) | Error::NotOnline(_) | Error::Over => true,
     }
 }

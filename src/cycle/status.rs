@@ -169,6 +169,7 @@ pub struct BusGauge {
 /// A device that takes part in the cycle and is not a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize))]
+#[non_exhaustive]
 pub struct DeviceEnd {
     /// Its name.
     pub name: String,
@@ -178,6 +179,7 @@ pub struct DeviceEnd {
 
 /// One drive in numbers.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct DriveEnd {
     /// Its axis' name.
     pub name: String,

@@ -8,6 +8,7 @@ use serde::Serialize;
 /// One mistake. Its `Display` is the whole line, remedy included:
 /// `machine.toml:12: bus.drive.divisor = 0: must be at least 1; 1 exchanges every cycle`.
 #[derive(Clone, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct ConfigError {
     /// The file, as it was named.
     pub file: String,
@@ -19,6 +20,13 @@ pub struct ConfigError {
     pub value: Option<String>,
     /// What is wrong and what would be right.
     pub message: String,
+}
+
+impl ConfigError {
+    /// One about the file as a whole.
+    pub fn of_file(file: String, message: String) -> ConfigError {
+        ConfigError { file, line: None, key: None, value: None, message }
+    }
 }
 
 impl fmt::Display for ConfigError {

@@ -58,6 +58,7 @@ pub struct Granted {
 
 /// Why the loop's thread cannot become what the plan requests.
 #[derive(thiserror::Error)]
+#[non_exhaustive]
 pub enum RealtimeError {
     /// The core does not exist or is not available to this process.
     #[error(

@@ -42,6 +42,7 @@ const MOST_RECORDS: usize = 1 << 18;
 
 /// What the records of a run came to.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Measured {
     /// Every quantity.
     pub histograms: Histograms,
@@ -66,6 +67,7 @@ const MOST_KEPT: usize = 64;
 /// A part of the program failed: a panic, or a thread that ended too early.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize))]
+#[non_exhaustive]
 pub struct Failure {
     /// What failed, and what follows from it.
     pub what: String,
@@ -148,6 +150,7 @@ impl Measured {
 
 /// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct Run {
     /// Exact counts and maxima.
     pub end: Numbers,

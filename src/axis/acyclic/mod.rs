@@ -59,6 +59,7 @@ pub struct Answer {
 /// Why a call was not carried out.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
+#[non_exhaustive]
 pub enum CallError {
     /// The drive refused, with its own status.
     #[error("the drive refused it with status {0:#04x}")]

@@ -149,6 +149,7 @@ impl Request {
 
 /// Why a parameter was not read or written.
 #[derive(Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum ParameterError {
     /// Nothing was sent.
     #[error("{request}: {error}")]

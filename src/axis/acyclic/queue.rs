@@ -104,6 +104,7 @@ struct Ends {
 
 /// Why a call was not accepted.
 #[derive(Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum PostError {
     /// Its queue has no room.
     #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]

@@ -505,9 +505,8 @@ impl Bench {
             Err(CallError::Powered) => assert!(grave && !carried_out, "{posted:?}"),
             // Nor is what commands it.
             Err(CallError::Commands) => assert!(!carried_out, "{posted:?}"),
-            Err(CallError::Claimed | CallError::Full | CallError::Gone | CallError::Lost) => {
-                panic!("{posted:?}: {end:?}")
-            }
+            // Claimed, Full, Gone, Lost, and what is new.
+            Err(_) => panic!("{posted:?}: {end:?}"),
         }
         match end {
             _ if self.is_blurred() => {}
