@@ -74,11 +74,15 @@ pub fn parse(text: &str, file: &str) -> Result<Configuration, ConfigErrors> {
 
 /// A time as people write it, on the command line as in a file: a number and its unit, `"250us"`, `"0.5s"`, `"8h"`.
 /// Spaces around both and between them do not matter, as in `"1 ms"`; a number without a unit is refused.
-pub fn duration(text: &str) -> Result<Duration, String> {
-    let ns = value::duration(text);
-    ns.map(Duration::from_nanos)
-        .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
+pub fn duration(text: &str) -> Result<Duration, NotATime> {
+    value::duration(text).map(Duration::from_nanos).ok_or(NotATime)
 }
+
+/// The text is no time.
+#[derive(Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("write a number with its unit: ns, us, ms, s, min or h, for example 10s")]
+pub struct NotATime;
+crate::errors::debug_as_display!(NotATime);
 
 /// Whose drives have which protocol.
 fn known_protocols() -> String {

@@ -80,8 +80,17 @@ pub struct Address {
     pub name: Option<String>,
 }
 
+/// Why a text is no address of this computer.
+#[derive(Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{}must be a port like 9464, or an address or a name of this computer and a port like 192.168.1.1:9464, \
+     [::1]:9464 or press1:9464", .0.as_ref().map_or(String::new(), |why| format!("{why}; "))
+)]
+pub struct NotAnAddress(Option<String>);
+crate::errors::debug_as_display!(NotAnAddress);
+
 /// An address as on a command line: a port alone is one of the loopback, which only this computer reaches.
-pub fn address(text: &str) -> Result<Address, String> {
+pub fn address(text: &str) -> Result<Address, NotAnAddress> {
     let port = text.strip_prefix(':').unwrap_or(text);
     if let Ok(port) = port.parse::<u16>() {
         return Ok(Address { socket: (Ipv4Addr::LOCALHOST, port).into(), name: None });
@@ -89,11 +98,11 @@ pub fn address(text: &str) -> Result<Address, String> {
     if let Ok(socket) = text.parse::<SocketAddr>() {
         return Ok(Address { socket, name: None });
     }
-    let wrong = "must be a port like 9464, or an address or a name of this computer and a port like 192.168.1.1:9464, \
-                 [::1]:9464 or press1:9464";
-    let name = text.rsplit_once(':').map(|(name, _)| name).filter(|name| host::is_name(name)).ok_or(wrong)?;
-    let mut found = text.to_socket_addrs().map_err(|error| format!("{name}: {error}; {wrong}"))?;
-    let socket = found.next().ok_or_else(|| format!("{name} has no address; {wrong}"))?;
+    let name = text.rsplit_once(':').map(|(name, _)| name).filter(|name| host::is_name(name));
+    let name = name.ok_or(NotAnAddress(None))?;
+    let unknown = |why: String| NotAnAddress(Some(why));
+    let mut found = text.to_socket_addrs().map_err(|error| unknown(format!("{name}: {error}")))?;
+    let socket = found.next().ok_or_else(|| unknown(format!("{name} has no address")))?;
     Ok(Address { socket, name: Some(name.to_owned()) })
 }
 
