@@ -14,6 +14,8 @@
 //!   in the next, in one cycle at 1 kHz: nothing planned is left out, each exchange is closed; and the same against a
 //!   bare loop.
 //! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
+//! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare loop
+//!   alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
 //!   same.
@@ -23,7 +25,7 @@
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::io;
 use std::net::SocketAddrV4;
@@ -54,6 +56,7 @@ use support::line::{self, NullLine, NullLines, Settled};
 use support::null::{NullCarrier, NullNet, NullStreams};
 use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
+use support::whole::Whole;
 use support::{Args, Report, Steal, in_turns, shown, unidrive};
 
 /// Drives of the lines on sockets: alone, and against the bare loop.
@@ -98,6 +101,7 @@ fn main() -> ExitCode {
     let on_sockets = on_sockets(&granted, args.quick, drives, &budgets, &mut report);
     let together = together(&granted, args.quick, &budgets, &mut report);
     let line = line_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
         report.append(json!({
@@ -136,6 +140,7 @@ fn main() -> ExitCode {
     report.append(reads);
     report.append(together);
     report.append(line);
+    whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
 }
 
@@ -757,6 +762,46 @@ fn line_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &m
         "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
         "steal_ms": steal.ms(),
     })
+}
+
+/// A master with all of its threads against the bare loop.
+fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
+    let (rounds, cycles) = if quick { (2, 500) } else { (11, 2_000) };
+    println!(
+        "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} rounds"
+    );
+    let fleets = [
+        ("3 drives on one line", Fleet::line(3)),
+        ("8 LinMots", Fleet::linmots(8)),
+        ("16 LinMots", Fleet::linmots(16)),
+    ];
+    let measured = fleets.map(|(what, fleet)| {
+        let steal = Steal::begin();
+        let whole = Whole::measure(granted, fleet, rounds, cycles);
+        let p50 = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value);
+        let threads: Vec<(&str, Option<f64>)> =
+            whole.threads.iter().map(|(name, sample)| (name.as_str(), p50(sample))).collect();
+        let by_thread: Vec<String> =
+            threads.iter().map(|(name, ns)| format!("{name} {}", shown(*ns))).collect();
+        println!(
+            "  {what}: ours {}, bare {}, ratio {}; {}; steal {} ms",
+            shown(p50(&whole.ours)),
+            shown(p50(&whole.bare)),
+            shown(whole.ratio()),
+            by_thread.join(", "),
+            shown(steal.ms())
+        );
+        json!({
+            "whole_process": what,
+            "ours_cpu_ns": p50(&whole.ours),
+            "threads_cpu_ns": threads.into_iter().collect::<BTreeMap<_, _>>(),
+            "bare_cpu_ns": p50(&whole.bare),
+            "whole_cpu_ratio": whole.ratio().map(|ratio| ratio.value),
+            "whole_cpu_ratio_interval": whole.ratio().map(|ratio| ratio.ends()),
+            "steal_ms": steal.ms(),
+        })
+    });
+    measured.into()
 }
 
 /// A fleet without a rival.

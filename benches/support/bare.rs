@@ -228,6 +228,27 @@ enum Of {
     Line,
 }
 
+/// Processor time of the bare loop alone, ns a cycle, on the calling thread.
+pub fn alone(fleet: Fleet, wait: Wait, period_ns: u64, cycles: u64) -> io::Result<u64> {
+    let mut bare = BareLoop::open(fleet, wait, period_ns)?;
+    bare.enable()?;
+    let mut grid = MonotonicClock::read();
+    let mut cycle = |bare: &mut BareLoop| {
+        // A slot that was missed is passed over.
+        grid = (grid + period_ns).max(MonotonicClock::read());
+        bare.cycle(grid, true, |_| {})
+    };
+    // It has found its pace.
+    for _ in 0..50 {
+        cycle(&mut bare)?;
+    }
+    let before = thread_cpu_ns();
+    for _ in 0..cycles {
+        cycle(&mut bare)?;
+    }
+    Ok((thread_cpu_ns() - before) / cycles)
+}
+
 impl BareLoop {
     fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareLoop> {
         let socket = match fleet.linmots {

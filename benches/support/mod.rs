@@ -27,6 +27,7 @@ pub mod null;
 pub mod rig;
 pub mod stats;
 pub mod unidrive;
+pub mod whole;
 
 use std::fmt::Display;
 use std::path::PathBuf;
