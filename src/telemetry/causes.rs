@@ -22,6 +22,7 @@
 //! disturbed so seldom otherwise that a tenth of a second before is as good as right before.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Look, Record, Reply, SkippedRecord, Stage};
 use crate::cycle::{CyclePlan, Wait};
@@ -362,14 +363,13 @@ impl Causes {
     /// The last word on a late cycle.
     fn settle(&mut self, late: &Late) {
         let stolen = |causes: &Causes| {
-            let until = late.to + STEAL_TELLS_NS;
-            let near = causes.spans.iter().filter(|span| span.to > late.from && span.from < until);
-            near.map(|span| span.steal_ms).sum::<u64>() > 0
+            let soon = causes.between(late.from, late.to + STEAL_TELLS_NS);
+            causes.spans.range(soon).map(|span| span.steal_ms).sum::<u64>() > 0
         };
         let cause = match self.seen(late) {
             Some(cause) => cause,
             None if late.slept() && stolen(self) => Cause::Host,
-            None if late.slept() && self.spans.iter().any(|span| late.meets(span)) => Cause::Timer,
+            None if late.slept() && !self.around(late).is_empty() => Cause::Timer,
             None => late.by_looks(),
         };
         self.count(late, cause);
@@ -380,7 +380,7 @@ impl Causes {
         if late.lateness == Lateness::Reply {
             return late.drive;
         }
-        let begin = *self.spans.iter().find(|span| late.meets(span))?;
+        let begin = *self.spans.range(self.around(late)).next()?;
         if late.rose(&begin, |look| look.faults) {
             return Some(Cause::PageFault);
         }
@@ -411,19 +411,29 @@ impl Causes {
 
     /// Whether a run delay was counted around `late` that may as well be another one's.
     fn is_blurred(&self, late: &Late) -> bool {
-        let near = self.spans.iter().filter(|span| late.meets(span));
-        let delay_ns: u64 = near.map(|span| span.delay_ns).sum();
+        let delay_ns: u64 = self.spans.range(self.around(late)).map(|span| span.delay_ns).sum();
         self.longest_span_ns(late) > LONGEST_SPAN_NS && delay_ns >= late.lateness.ns() / 2
     }
 
     fn longest_span_ns(&self, late: &Late) -> u64 {
-        let near = self.spans.iter().filter(|span| late.meets(span));
-        near.map(|span| span.to.since(span.from)).max().unwrap_or(0)
+        self.spans.range(self.around(late)).map(|span| span.to.since(span.from)).max().unwrap_or(0)
+    }
+
+    /// The spans that a late cycle meets.
+    fn around(&self, late: &Late) -> Range<usize> {
+        self.between(late.from, late.to)
+    }
+
+    /// The spans that meet this time. They follow each other without a gap, and a late cycle may wait for many of them.
+    fn between(&self, from: Time, to: Time) -> Range<usize> {
+        let first = self.spans.partition_point(|span| span.to <= from);
+        first..self.spans.partition_point(|span| span.from < to).max(first)
     }
 
     /// Whether so much was counted around `late` that it explains at least half of it; then it explains no other one.
     fn explains(&mut self, late: &Late, of: fn(&mut Span) -> &mut u64) -> bool {
-        let near: Vec<&mut u64> = self.spans.iter_mut().filter(|span| late.meets(span)).map(of).collect();
+        let around = self.around(late);
+        let near: Vec<&mut u64> = self.spans.range_mut(around).map(of).collect();
         let counted: u64 = near.iter().map(|ns| **ns).sum();
         let enough = counted > 0 && counted >= late.lateness.ns() / 2;
         if enough {
@@ -468,10 +478,6 @@ impl Late {
             Lateness::Wake(_) | Lateness::Stage(..) => !self.straight,
             Lateness::Reply => false,
         }
-    }
-
-    fn meets(&self, span: &Span) -> bool {
-        span.from < self.to && span.to > self.from
     }
 
     /// Without samples around it: what the loop itself saw counted since its look before.
