@@ -4,8 +4,8 @@
 //! A host disturbs the loop, too. How often it does is measured in the same run, in as many times of the same length
 //! in which nothing was done; what was found there, and the spread of such a count, is not held against the search.
 //!
-//! The late end of a sleep by a hypervisor alone cannot be brought about from inside; it is told from a late timer by
-//! the steal time only, which the unit tests of `telemetry::causes` hold.
+//! The late end of a sleep by a hypervisor alone cannot be brought about from inside; only the steal time separates it
+//! from a late timer, which the unit tests of `telemetry::causes` hold.
 //!
 //!     cargo test --release --test causes -- --ignored --nocapture --test-threads 1
 
@@ -51,7 +51,7 @@ const CLASSES: [&str; 7] = ["preempted", "page fault", "work", "host", "timer", 
 /// Of causes that are none of the others, and of those that name the wrong stage or drive.
 const OTHER: usize = 6;
 
-/// A host that disturbs more than every fourth of the times in which nothing was done tells nothing of a search for
+/// A host that disturbs more than every fourth of the times in which nothing was done shows nothing about a search for
 /// what was done: both meet in too many cycles. Such a row is taken again, up to so many times, and is not judged then.
 const TRIES: usize = 3;
 
@@ -136,15 +136,15 @@ impl Bench {
         });
         let tasks = Arc::new(Tasks::default());
         tasks.work_ns.store(DISTURBANCE_NS, Ordering::Relaxed);
-        let telling = Arc::clone(&tasks);
+        let given = Arc::clone(&tasks);
         let mut slack = 0;
         let master = Master::from_plan(plan)
             .with_task(move |_, _| {
-                if telling.work.swap(false, Ordering::Relaxed) {
-                    spin(telling.work_ns.load(Ordering::Relaxed));
+                if given.work.swap(false, Ordering::Relaxed) {
+                    spin(given.work_ns.load(Ordering::Relaxed));
                 }
-                if telling.touch.swap(false, Ordering::Relaxed) {
-                    let memory = telling.memory.load(Ordering::Relaxed) as *mut u8;
+                if given.touch.swap(false, Ordering::Relaxed) {
+                    let memory = given.memory.load(Ordering::Relaxed) as *mut u8;
                     for page in 0..PAGES {
                         // SAFETY: the mapping has so many pages and outlives the master.
                         unsafe { memory.add(page * PAGE).write_volatile(1) };
@@ -152,7 +152,7 @@ impl Bench {
                 }
                 // The next sleeps may end later, but not so late that their cycles are passed over; one of them will,
                 // if no other interrupt comes first.
-                if telling.slack.swap(false, Ordering::Relaxed) {
+                if given.slack.swap(false, Ordering::Relaxed) {
                     slack = SLACK_CYCLES;
                     timer_slack(DISTURBANCE_NS / 5 * 4);
                 } else if slack > 0 {
@@ -212,7 +212,7 @@ impl Bench {
     }
 
     /// Asks the task to do something, and waits until it has.
-    fn tell(&self, what: fn(&Tasks) -> &AtomicBool) -> (Time, Time) {
+    fn give(&self, what: fn(&Tasks) -> &AtomicBool) -> (Time, Time) {
         let from = MonotonicClock::read();
         what(&self.tasks).store(true, Ordering::Relaxed);
         while what(&self.tasks).load(Ordering::Relaxed) {
@@ -263,7 +263,7 @@ fn preempted() -> Found {
     let bench = Bench::start(1, Realtime::Require, Guard::Off);
     let core = bench.master.granted().core.unwrap();
     let (go, wait) = unbounded::<()>();
-    let (tell, reported): (_, Receiver<(Time, Time)>) = unbounded();
+    let (report, reported): (_, Receiver<(Time, Time)>) = unbounded();
     let thread = std::thread::spawn(move || {
         let plan = RealtimePlan {
             realtime: Realtime::Require,
@@ -276,7 +276,7 @@ fn preempted() -> Found {
             let from = MonotonicClock::read();
             // Longer, since it comes at any time: only what lies across a grid point makes a cycle late.
             spin(DISTURBANCE_NS / 5 * 8);
-            tell.send((from, MonotonicClock::read())).unwrap();
+            report.send((from, MonotonicClock::read())).unwrap();
         }
     });
     let row = bench.disturb(ROUNDS, move |_| {
@@ -309,7 +309,7 @@ fn page_fault() -> Found {
                 || libc::madvise(memory, PAGES * PAGE, libc::MADV_DONTNEED) != 0
         };
         assert!(!refused, "{}", std::io::Error::last_os_error());
-        bench.tell(|tasks| &tasks.touch)
+        bench.give(|tasks| &tasks.touch)
     })
 }
 
@@ -318,7 +318,7 @@ fn short_work() -> Found {
     let usual = |cycle: &mut CyclePlan| (cycle.period_ns, cycle.late_ns) = (MS, None);
     let bench = Bench::with(7, Realtime::Require, Guard::Off, usual);
     bench.tasks.work_ns.store(250 * US, Ordering::Relaxed);
-    bench.disturb(ROUNDS, |bench| bench.tell(|tasks| &tasks.work))
+    bench.disturb(ROUNDS, |bench| bench.give(|tasks| &tasks.work))
 }
 
 /// After so much quiet that the thread which takes the samples takes few.
@@ -328,7 +328,7 @@ fn work_after_quiet() -> Found {
     bench.tasks.work_ns.store(250 * US, Ordering::Relaxed);
     bench.disturb(ROUNDS / 2, |bench| {
         sleep(QUIET);
-        bench.tell(|tasks| &tasks.work)
+        bench.give(|tasks| &tasks.work)
     })
 }
 
@@ -345,14 +345,14 @@ fn unwatched_work() -> Found {
             sleep(Duration::from_millis(20));
         }
     });
-    let row = bench.disturb(ROUNDS / 2, |bench| bench.tell(|tasks| &tasks.work));
+    let row = bench.disturb(ROUNDS / 2, |bench| bench.give(|tasks| &tasks.work));
     end.store(true, Ordering::Relaxed);
     thread.join().unwrap();
     row
 }
 
 fn work() -> Found {
-    Bench::start(3, Realtime::Require, Guard::Off).disturb(ROUNDS, |bench| bench.tell(|tasks| &tasks.work))
+    Bench::start(3, Realtime::Require, Guard::Off).disturb(ROUNDS, |bench| bench.give(|tasks| &tasks.work))
 }
 
 /// The loop's thread is held by a debugger, unseen by the scheduler, while it is awake: it spins for the half of each
@@ -409,7 +409,7 @@ fn hold(tid: libc::pid_t) {
 /// A normal thread, whose sleeps the kernel may stretch if it is told so.
 fn timer() -> Found {
     Bench::start(5, Realtime::Off, Guard::Off).disturb(ROUNDS, |bench| {
-        let (from, to) = bench.tell(|tasks| &tasks.slack);
+        let (from, to) = bench.give(|tasks| &tasks.slack);
         (from, to + SLACK_CYCLES * PERIOD_NS)
     })
 }

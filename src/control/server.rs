@@ -128,7 +128,7 @@ impl Server {
                 prepare();
                 let go_on = || !ending.load(Ordering::Acquire);
                 let serve_one = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
-                    // Whoever went away or talks nonsense is not answered, and that is all.
+                    // Whoever went away or sends nonsense is not answered, and that is all.
                     let work = AssertUnwindSafe(|| {
                         prepare();
                         let mut answering = open();
@@ -157,7 +157,7 @@ impl Server {
                                 && let Some(client) = waiting.pop_front()
                             {
                                 let conversation = Arc::new(Conversation::new());
-                                let thread = std::thread::Builder::new().name("fb-control-talk".into());
+                                let thread = std::thread::Builder::new().name("fb-session".into());
                                 let of_thread = Arc::clone(&conversation);
                                 if thread.spawn_scoped(scope, || serve_one(client, of_thread)).is_ok() {
                                     under_way.push(conversation);
@@ -278,13 +278,13 @@ fn converse(
             },
             false => Err("only the owner of this master has access".to_owned()),
         };
-        let go_on_talking = reply.is_ok();
+        let goes_on = reply.is_ok();
         let reply = match reply {
             Ok(value) => json!({ "ok": value }),
             Err(why) => json!({ "error": why }),
         };
         Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
-        if !go_on_talking {
+        if !goes_on {
             return Ok(());
         }
         conversation.is_silent(true);

@@ -250,8 +250,8 @@ mod tests {
             assert!(rig.turn().is_empty());
         }
         assert_eq!(rig.clients.clients.len(), MOST);
-        let mut asks = rig.connect();
-        asks.write_all(b"status\n").unwrap();
+        let mut client = rig.connect();
+        client.write_all(b"status\n").unwrap();
         assert_eq!(rig.turn(), ["status\n"]);
         // The newest are still there, the oldest were hung up on.
         let mut bytes = [0; 1];
@@ -287,8 +287,8 @@ mod tests {
     #[test]
     fn an_answer_that_does_not_fit_into_the_socket_follows_piece_by_piece() {
         let mut rig = Rig::new(LONG);
-        let mut asks = rig.connect();
-        asks.write_all(b"\n").unwrap();
+        let mut client = rig.connect();
+        client.write_all(b"\n").unwrap();
         let accept = || rig.listener.accept().map(|(stream, _)| stream);
         let mut whole = rig.clients.turn(rig.listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
         let answer: Vec<u8> = (0..4_000_000_u32).map(|index| (index % 251) as u8).collect();
@@ -296,7 +296,7 @@ mod tests {
         assert_eq!(rig.clients.clients.len(), 1, "all of it at once");
         let reader = std::thread::spawn(move || {
             let mut taken = Vec::new();
-            asks.read_to_end(&mut taken).unwrap();
+            client.read_to_end(&mut taken).unwrap();
             taken
         });
         let begun = Instant::now();

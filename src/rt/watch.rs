@@ -145,14 +145,14 @@ mod tests {
 
     #[test]
     fn sees_another_thread_work_and_fault() {
-        let (tell, reported) = crossbeam_channel::unbounded();
+        let (report, reported) = crossbeam_channel::unbounded();
         let (go, wait) = crossbeam_channel::unbounded::<()>();
         let thread = std::thread::spawn(move || {
-            tell.send(nix::unistd::gettid().as_raw()).unwrap();
+            report.send(nix::unistd::gettid().as_raw()).unwrap();
             wait.recv().unwrap();
             let mut memory = vec![0_u8; 64 << 20];
             memory.iter_mut().step_by(4096).for_each(|byte| *byte = std::hint::black_box(1));
-            tell.send(0).unwrap();
+            report.send(0).unwrap();
             wait.recv().unwrap();
         });
         let mut watch = ThreadWatch::open(reported.recv().unwrap(), None).unwrap();

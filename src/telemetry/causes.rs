@@ -17,9 +17,9 @@
 //!
 //! A bound of half, because the delay and what explains it are never measured between the same two instants.
 //!
-//! The times of the thread are read often: the longer a span, the less can be said of one cycle in it. Its counts, which
-//! are dearer, need only be known from some time before a late cycle. The loop reads its own after each late one, and is
-//! disturbed so seldom otherwise that a tenth of a second before is as good as right before.
+//! The times of the thread are read often: the longer a span, the less can be said of one cycle in it. Its counts are
+//! dearer, and need only be known from some time before a late cycle: the loop reads its own after each late one, and
+//! is disturbed so seldom otherwise that a tenth of a second before is as good as right before.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -271,7 +271,7 @@ impl Causes {
     fn push(&mut self, late: Late) {
         self.late = true;
         self.looked = late.looks.1.map(|look| (late.to, look)).or(self.looked);
-        // Nobody takes samples: in virtual time there is no kernel to ask.
+        // Nobody takes samples: in virtual time there is no kernel that counts.
         if self.newest.is_none() {
             return self.settle(&late);
         }

@@ -171,7 +171,7 @@ pub trait Keep: fmt::Debug + Send {
     fn enter(&mut self, record: &Record);
 
     /// A file is requested, though nothing failed.
-    fn ask(&mut self);
+    fn request(&mut self);
 
     /// The run ends, since the program itself failed. Writes a file about it, unless there is one about an earlier
     /// failure.
@@ -299,7 +299,7 @@ impl Recorder {
                 let wait = look();
                 if let Some(black_box) = &mut black_box {
                     if shared.black_box.swap(false, Ordering::AcqRel) {
-                        black_box.ask();
+                        black_box.request();
                     }
                     if let Some(why) = shared.conclusion.lock().unwrap_or_else(PoisonError::into_inner).take() {
                         black_box.conclude(&why);
@@ -401,7 +401,7 @@ mod tests {
             std::panic::resume_unwind(Box::new("on purpose"));
         }
 
-        fn ask(&mut self) {}
+        fn request(&mut self) {}
 
         fn conclude(&mut self, _why: &str) {}
 

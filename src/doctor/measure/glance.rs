@@ -28,7 +28,7 @@ pub const MOST_DISTURBED: f64 = 0.2;
 /// How long threads of this host were held up.
 #[derive(Clone, Debug)]
 pub struct Glance {
-    /// What the loop and its drives, each asked to run at the same instant, waited in all, ns.
+    /// What the loop and its drives, each due to run at the same instant, waited in all, ns.
     waits_ns: Vec<u64>,
     fifo: bool,
 }

@@ -106,7 +106,7 @@ const LONGEST_PERIOD_NS: u64 = 10 * MS;
 struct Bench<'a> {
     subject: &'a Subject,
     effort: Effort,
-    tell: &'a mut dyn FnMut(Progress<'_>),
+    report: &'a mut dyn FnMut(Progress<'_>),
     /// So much of the span is done.
     done_ns: f64,
     /// As the plan would run here.
@@ -126,7 +126,7 @@ struct Bench<'a> {
 pub fn measure(
     subject: &Subject,
     effort: &Effort,
-    tell: &mut dyn FnMut(Progress<'_>),
+    report: &mut dyn FnMut(Progress<'_>),
 ) -> Result<Measured, RealtimeError> {
     let steal_before = host::steal_ms(None);
     let priority = subject.cycle.priority;
@@ -162,7 +162,7 @@ pub fn measure(
     ];
     let others: Vec<usize> = permitted_cores().into_iter().filter(|core| *core != subject.core).collect();
 
-    let mut bench = Bench { subject, effort: *effort, tell, done_ns: 0.0, base, planned: Vec::new() };
+    let mut bench = Bench { subject, effort: *effort, report, done_ns: 0.0, base, planned: Vec::new() };
     let noise = bench.noise()?;
     let (mut factors, mut untried) = (Vec::new(), Vec::new());
     for (name, may, [without, with]) in things {
@@ -217,7 +217,7 @@ impl Bench<'_> {
 
     fn noise(&mut self) -> Result<Noise, RealtimeError> {
         let span_ns = self.effort.span_ns as f64 * NOISE;
-        (self.tell)(Progress { what: "hardware noise", done: 0.0 });
+        (self.report)(Progress { what: "hardware noise", done: 0.0 });
         self.done_ns += span_ns;
         slice::gaps(&self.base, span_ns as u64)
     }
@@ -289,7 +289,7 @@ impl Bench<'_> {
             for turn in 0..count {
                 let contender = &mut contenders[(round + turn) % count];
                 let done = self.done_ns / self.effort.span_ns as f64;
-                (self.tell)(Progress { what, done: done.min(1.0) });
+                (self.report)(Progress { what, done: done.min(1.0) });
                 contender.run(cycles)?;
                 self.done_ns += span_ns * contender.period_ns as f64 / (turn_ns * rounds) as f64;
             }

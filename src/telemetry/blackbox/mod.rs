@@ -276,7 +276,7 @@ impl Keep for BlackBox {
         }
     }
 
-    fn ask(&mut self) {
+    fn request(&mut self) {
         let (cycle, from) = (self.newest, self.newest + self.aftermath);
         self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
@@ -399,7 +399,7 @@ mod tests {
             }
             black_box.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
         }
-        black_box.ask();
+        black_box.request();
         let [written] = &black_box.write(true)[..] else { panic!() };
         let (header, records) = file::load(&written.path).unwrap();
         let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
@@ -429,7 +429,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
         (0..10).for_each(|index| cycle(&mut black_box, index, |_| {}));
-        black_box.ask();
+        black_box.request();
         (10..200).for_each(|index| cycle(&mut black_box, index, |drive| drive.fault = 5));
         let [written] = &black_box.write(true)[..] else { panic!() };
         assert_eq!(
@@ -447,7 +447,7 @@ mod tests {
         for index in 0..4_400 {
             cycle(&mut black_box, index, |drive| drive.fault = u32::from(index % 10 == 9 && index < 4_000));
             if index == 4_200 {
-                black_box.ask();
+                black_box.request();
             }
             // To the end of each, so that the order of the files is that of the failures.
             while !black_box.writing.is_empty() {
@@ -518,7 +518,7 @@ mod tests {
         for (place, possible) in [(directory.path().join("a/b"), true), (file.join("a"), false)] {
             let mut black_box = BlackBox::new(&plan(100 * MS), &place).unwrap();
             cycle(&mut black_box, 3, |_| {});
-            black_box.ask();
+            black_box.request();
             let [written] = &black_box.write(true)[..] else { panic!() };
             assert_eq!((written.why.as_str(), written.cycle), ("requested", 3));
             assert_eq!(written.error.is_none(), possible, "{written:?}");

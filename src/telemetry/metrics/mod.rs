@@ -31,7 +31,7 @@ use crate::telemetry::Monitor;
 /// How often the thread looks whether it is to end, at least: a client and the end wake it up at once.
 const LOOK_EVERY: Duration = Duration::from_secs(60);
 
-/// A client has so long to ask and to take its answer.
+/// A client has so long to send its request and to take its answer.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Bytes of a request. Those of Prometheus have 300.
@@ -322,7 +322,7 @@ mod tests {
     }
 
     /// Everything that `client` says to a server whose page is `page`; what came back, and how many pages panicked.
-    fn talk(page: fn() -> String, client: impl FnOnce(&mut TcpStream)) -> (String, u32) {
+    fn exchange(page: fn() -> String, client: impl FnOnce(&mut TcpStream)) -> (String, u32) {
         let endpoint = Endpoint::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).unwrap();
         let mut stream = TcpStream::connect(endpoint.address()).unwrap();
         let Endpoint { listener, names, .. } = endpoint;
@@ -345,7 +345,7 @@ mod tests {
 
     #[test]
     fn a_request_in_pieces_is_answered_once() {
-        let (text, _) = talk(
+        let (text, _) = exchange(
             || String::from("# EOF\n"),
             |stream| {
                 for piece in [&b"GET /met"[..], b"rics HTTP/1.1\r\nHost", b": localhost\r\n\r\n"] {
@@ -361,13 +361,13 @@ mod tests {
     #[test]
     fn a_client_that_goes_away_gets_nothing() {
         let gone = |stream: &mut TcpStream| stream.shutdown(Shutdown::Write).unwrap();
-        assert_eq!(talk(String::new, gone), (String::new(), 0));
+        assert_eq!(exchange(String::new, gone), (String::new(), 0));
     }
 
     #[test]
     fn a_page_that_panics_is_counted_and_the_next_client_is_served() {
-        let asks = |stream: &mut TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n").unwrap();
+        let request = |stream: &mut TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n").unwrap();
         let panics = || std::panic::resume_unwind(Box::new("on purpose"));
-        assert_eq!(talk(panics, asks), (String::new(), 1));
+        assert_eq!(exchange(panics, request), (String::new(), 1));
     }
 }
