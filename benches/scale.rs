@@ -766,7 +766,7 @@ fn line_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &m
 
 /// A master with all of its threads against the bare loop.
 fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
-    let (rounds, cycles) = if quick { (2, 500) } else { (11, 2_000) };
+    let (rounds, cycles) = if quick { (3, 1_000) } else { (11, 2_000) };
     println!(
         "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} rounds"
     );

@@ -36,6 +36,7 @@ pub fn plan(interface: &str, drives: usize) -> EthercatPlan {
     let drive = |place: usize| {
         let mut drive = KollmorgenDrive::new(format!("k{place}"), place as u16, Family::S700);
         drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
+        drive.axis.stop.deceleration = 100.0;
         drive.axis.health.bucket = 1_000_000;
         drive.axis.enable_timeout = Duration::from_secs(60);
         drive
