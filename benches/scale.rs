@@ -14,8 +14,8 @@
 //!   in the next, in one cycle at 1 kHz: nothing planned is left out, each exchange is closed; and the same against a
 //!   bare loop.
 //! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
-//! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare loop
-//!   alone at 1 kHz, in turns.
+//! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
+//!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
 //!   same.
