@@ -98,8 +98,8 @@ const LONGEST_SPAN_NS: u64 = 50 * MS;
 /// Late cycles that wait for their sample. More at once are judged by what is known.
 const MOST_PENDING: usize = 4096;
 
-/// Samples kept: with one every 5 ms those of more than [`STEAL_TELLS_NS`].
-const MOST_SAMPLES: usize = 512;
+/// Samples kept: with one every 10 ms those of more than [`STEAL_TELLS_NS`].
+const MOST_SAMPLES: usize = 256;
 
 /// Joins late cycles and samples.
 #[derive(Clone, Debug)]

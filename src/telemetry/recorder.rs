@@ -27,7 +27,7 @@ const EMPTY_EVERY: Duration = Duration::from_millis(20);
 
 /// The same for [`CLOSELY_NS`] after a late cycle. One more is likely to follow, and what the thread usually runs in a
 /// cycle is learned between them only.
-const EMPTY_CLOSELY_EVERY: Duration = Duration::from_millis(5);
+const EMPTY_CLOSELY_EVERY: Duration = Duration::from_millis(10);
 const CLOSELY_NS: u64 = 250 * MS;
 
 /// How often what the kernel counted against the loop's thread is read: it takes some hundred microseconds.
