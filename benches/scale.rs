@@ -778,7 +778,7 @@ fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
     let measured = fleets.map(|(what, fleet)| {
         let steal = Steal::begin();
         let whole = Whole::measure(granted, fleet, rounds, cycles);
-        let p50 = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value);
+        let p50 = |rounds: &[f64]| (!rounds.is_empty()).then(|| median(rounds).round());
         let threads: Vec<(&str, Option<f64>)> =
             whole.threads.iter().map(|(name, sample)| (name.as_str(), p50(sample))).collect();
         let by_thread: Vec<String> =

@@ -15,7 +15,7 @@ use fieldbeat::time::MS;
 use super::bare;
 use super::fleet::{Fleet, Side};
 use super::rig::{self, give_up};
-use super::stats::{Interval, Sample};
+use super::stats::{Interval, median, over_rounds};
 
 /// Simulated drives may take so long until they are in operation.
 const BRING_UP: Duration = Duration::from_secs(60);
@@ -23,15 +23,15 @@ const BRING_UP: Duration = Duration::from_secs(60);
 /// The simulated drives are no part of a master.
 const SIMULATED: &str = "fieldbeat-sim";
 
-/// What came of it, ns a cycle.
+/// What came of it, ns a cycle: the mean of each round.
 #[derive(Debug, Default)]
 pub struct Whole {
     /// Of each thread of ours, by its name.
-    pub threads: BTreeMap<String, Sample>,
+    pub threads: BTreeMap<String, Vec<f64>>,
     /// Of all of them.
-    pub ours: Sample,
+    pub ours: Vec<f64>,
     /// Of the bare loop.
-    pub bare: Sample,
+    pub bare: Vec<f64>,
 }
 
 impl Whole {
@@ -45,7 +45,7 @@ impl Whole {
         super::in_turns(rounds, 2, |who| match who {
             0 => whole.ours(fleet, cycles),
             _ => match rig::on_loop_thread(|_| bare::alone(fleet, Wait::Poll, MS, cycles)) {
-                Ok(Ok(ns)) => whole.bare.push(vec![ns]),
+                Ok(Ok(ns)) => whole.bare.push(ns as f64),
                 Ok(Err(why)) => println!("a slice without the bare loop: {why}"),
                 Err(error) => give_up(error),
             },
@@ -73,15 +73,19 @@ impl Whole {
         for (id, (name, ns)) in after {
             let ns = ns - before.get(&id).map_or(0, |(_, ns)| *ns);
             all += ns;
-            self.threads.entry(name).or_default().push(vec![ns / executed.max(1)]);
+            self.threads.entry(name).or_default().push(ns as f64 / executed.max(1) as f64);
         }
-        self.ours.push(vec![all / executed.max(1)]);
+        self.ours.push(all as f64 / executed.max(1) as f64);
         master.finish();
     }
 
-    /// Ours / bare.
+    /// Ours / bare, of the medians; rounds are drawn for its interval.
     pub fn ratio(&self) -> Option<Interval> {
-        self.ours.ratio(&self.bare, 0.5)
+        let rounds = self.ours.len().min(self.bare.len());
+        let of = |rounds: &[f64], chosen: &[usize]| {
+            median(&chosen.iter().map(|round| rounds[*round]).collect::<Vec<_>>())
+        };
+        (rounds > 0).then(|| over_rounds(rounds, |chosen| of(&self.ours, chosen) / of(&self.bare, chosen)))
     }
 }
 
