@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
+use crate::axis::doorbell::Bells;
 use crate::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
@@ -241,6 +242,7 @@ pub fn assemble<C: Clock>(
     let (status_in, status) = cell::cell(Status::default());
     let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
     let machine = plan.axes();
+    let bells = Bells::new(machine.len());
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (entries.len(), bus.notes());
@@ -308,6 +310,7 @@ pub fn assemble<C: Clock>(
                 acyclic.clone(),
                 AxisEnds {
                     commands: posted_in,
+                    bell: bells.bell(axes.len()),
                     rows: row_in,
                     setpoints: setpoint_in,
                     events: event_out,
@@ -347,7 +350,7 @@ pub fn assemble<C: Clock>(
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
-    let channels = Channels { control, pulse: pulse.clone(), records: record_in, status: status_in };
+    let channels = Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in };
     let engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
     engine.memory(&mut regions);
     Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::cell::Packed;
+use super::cell::{Packed, Writer};
 use crate::named::named;
 use crate::time::Time;
 
@@ -144,22 +144,13 @@ impl fmt::Display for Fault<'_> {
 }
 
 /// What a drive reported last, in user units.
+///
+/// The order of the fields keeps together what is copied and compared in each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct DriveStatus {
     /// When the values were taken in.
     pub at: Time,
-    /// The drive's state.
-    pub state: State,
-    /// Homed, as the drive reports it.
-    pub homed: bool,
-    /// The drive's setpoint generator is running.
-    pub moving: bool,
-    /// In the target window, as the drive reports it.
-    pub in_target: bool,
-    /// The drive's hardware enable (STO) is missing: power cannot come on.
-    pub inhibited: bool,
-    /// The reply could be that of an earlier request (no sequence number on this wire).
-    pub suspect: bool,
     /// Actual position, user units; NaN if the drive reports none, like the three below.
     pub position: f64,
     /// Demand position as the drive reports it, user units.
@@ -172,6 +163,18 @@ pub struct DriveStatus {
     pub warning: u32,
     /// The drive's fault code, 0 = none.
     pub fault: u32,
+    /// The drive's state.
+    pub state: State,
+    /// Homed, as the drive reports it.
+    pub homed: bool,
+    /// The drive's setpoint generator is running.
+    pub moving: bool,
+    /// In the target window, as the drive reports it.
+    pub in_target: bool,
+    /// The drive's hardware enable (STO) is missing: power cannot come on.
+    pub inhibited: bool,
+    /// The reply could be that of an earlier request (no sequence number on this wire).
+    pub suspect: bool,
     /// The monitored variables, in the units of the plan; `None` where no variable is configured, or it is not set
     /// up yet.
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
@@ -180,17 +183,18 @@ pub struct DriveStatus {
 /// The newest feedback of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
+#[repr(C)]
 pub struct Feedback {
     /// The cycle that published it.
     pub cycle: u64,
+    /// Round trip of the last clean exchange, ns.
+    pub rtt_ns: Option<u32>,
     /// Cycles since the status left the drive: 0 = from this cycle. A missed exchange keeps the status.
     pub age: u32,
     /// Link health.
     pub link: Link,
     /// The latch: why the master stopped this axis.
     pub stopped: Option<StopCause>,
-    /// Round trip of the last clean exchange, ns.
-    pub rtt_ns: Option<u32>,
     /// What the drive reported last.
     pub status: DriveStatus,
 }
@@ -242,11 +246,19 @@ impl Feedback {
     }
 }
 
-impl Packed for Feedback {
-    type Words = [u64; 13];
-
+impl Feedback {
+    /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none.
     #[inline]
-    fn pack(&self) -> [u64; 13] {
+    pub(crate) fn write_to(&self, cell: &mut Writer<Feedback>) {
+        match self.status.monitor {
+            [None, None, None, None] => cell.write_words(self.first_words(0).into_iter()),
+            _ => cell.write(self),
+        }
+    }
+
+    /// Its words but for the monitored values; `shown` has a bit for each of these that there is.
+    #[inline]
+    fn first_words(&self, shown: u8) -> [u64; 9] {
         let status = &self.status;
         let flags = u64::from(status.homed)
             | u64::from(status.moving) << 1
@@ -258,7 +270,6 @@ impl Packed for Feedback {
             | (status.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
             | u64::from(self.age) << 32;
-        let (shown, [first, second, third, fourth]) = Shown::from(status.monitor).to_words();
         [
             self.cycle,
             flags,
@@ -269,11 +280,20 @@ impl Packed for Feedback {
             status.current.to_bits(),
             u64::from(status.warning) | u64::from(status.fault) << 32,
             u64::from(self.rtt_ns.unwrap_or(0)) | u64::from(shown) << 32,
-            first,
-            second,
-            third,
-            fourth,
         ]
+    }
+}
+
+impl Packed for Feedback {
+    type Words = [u64; 13];
+
+    #[inline]
+    fn pack(&self) -> [u64; 13] {
+        let (shown, values) = Shown::from(self.status.monitor).to_words();
+        let mut words = [0; 13];
+        words[..9].copy_from_slice(&self.first_words(shown));
+        words[9..].copy_from_slice(&values);
+        words
     }
 
     fn unpack(words: &[u64; 13]) -> Feedback {

@@ -17,6 +17,7 @@ use super::command::{
     Abort, Command, CommandId, Failure, GroupCall, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
     StreamRow, Target,
 };
+use super::doorbell::Bell;
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
@@ -120,6 +121,8 @@ pub struct Axis {
 pub struct AxisEnds {
     /// Commands to the loop.
     pub commands: Producer<QueuedCommand>,
+    /// To be rung after each command and each setpoint.
+    pub bell: Bell,
     /// Rows to the loop.
     pub rows: Producer<StreamRow>,
     /// Velocity and torque setpoints to the loop.
@@ -353,6 +356,7 @@ impl Axis {
             let command = parts.first().map_or("", |part| part.command.name());
             return Err(self.full(command, self.plan.command_queue));
         }
+        self.ends.bell.ring();
         Ok(())
     }
 
@@ -392,6 +396,7 @@ impl Axis {
 
     fn give(&mut self, setpoint: Setpoint) {
         self.ends.setpoints.write(setpoint);
+        self.ends.bell.ring();
         self.pulse.beat();
     }
 

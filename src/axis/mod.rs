@@ -9,6 +9,7 @@
 //! | `event` | what happened, each event once |
 //! | `cell` | the newest value for any number of readers, without a lock |
 //! | `newest` | the newest setpoint from the application to the loop |
+//! | `doorbell` | which axes have something to be taken by the loop |
 //! | `limits` | what is refused on submission |
 //! | `streams` | which stream a row belongs to |
 //! | `acyclic` | calls outside the cycle: parameters, and other services of a protocol |
@@ -21,6 +22,7 @@
 pub mod acyclic;
 pub mod cell;
 pub mod command;
+pub mod doorbell;
 pub mod event;
 pub mod feedback;
 pub mod group;

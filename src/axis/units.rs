@@ -74,13 +74,19 @@ impl Units {
 
     /// The distance from one user position to another: on a rotary axis the shorter way, at most half a turn.
     pub fn way(&self, from: f64, to: f64) -> f64 {
-        match self.modulo {
-            Some(turn) => {
-                let ahead = (to - from).rem_euclid(turn);
-                if ahead > turn / 2.0 { ahead - turn } else { ahead }
-            }
-            None => to - from,
+        way(self.modulo, from, to)
+    }
+}
+
+/// The same on an axis with this [`modulo`](Units::modulo).
+#[inline]
+pub(crate) fn way(modulo: Option<f64>, from: f64, to: f64) -> f64 {
+    match modulo {
+        Some(turn) => {
+            let ahead = (to - from).rem_euclid(turn);
+            if ahead > turn / 2.0 { ahead - turn } else { ahead }
         }
+        None => to - from,
     }
 }
 

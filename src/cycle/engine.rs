@@ -24,9 +24,10 @@ use super::status::{AxisInfo, DriveNumbers, Numbers, Status};
 use super::task::{Axes, Task};
 use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
+use crate::axis::doorbell::Bells;
 use crate::axis::{Link, Pulse, StopCause};
 use crate::bus::{Cycle, Slot};
-use crate::drive::controller::{DriveController, take_commands, take_rows};
+use crate::drive::controller::{DriveController, take_calls, take_commands, take_rows};
 use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -64,6 +65,8 @@ pub struct Channels {
     pub control: Control,
     /// The application's sign of life.
     pub pulse: Pulse,
+    /// The axes that it has given something.
+    pub bells: Bells,
     /// Records to the telemetry thread.
     pub records: Producer<Record>,
     /// The numbers of the loop, newest only.
@@ -117,6 +120,8 @@ pub struct Engine<C> {
     heartbeat: Heartbeat,
     channels: Channels,
     status: Status,
+    /// More of it than its counts has changed since it was published.
+    changed: bool,
     /// The loop was awake before the grid point of this slot.
     spun: bool,
     /// The previous executed cycle was late.
@@ -152,6 +157,16 @@ pub enum Flow {
     Continue,
     /// The shutdown is complete.
     End,
+}
+
+/// What is left to be written of what is desired, once each axis was looked at alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Left {
+    Nothing,
+    /// That of the axes that follow rows.
+    Rows,
+    /// Something has begun or stopped: all of it is written again.
+    All,
 }
 
 /// Wake-ups measured before the first cycle to choose the guard.
@@ -219,6 +234,7 @@ impl<C: Clock> Engine<C> {
             controllers,
             channels,
             status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
+            changed: true,
             reference,
             spun: false,
             was_late: false,
@@ -243,6 +259,7 @@ impl<C: Clock> Engine<C> {
         self.groups.memory(regions);
         self.heartbeat.memory(regions);
         regions.add(&*self.channels.control.0);
+        self.channels.bells.memory(regions);
         regions.add(&*self.buses);
         self.window.memory(regions);
         self.channels.status.memory(regions);
@@ -302,10 +319,9 @@ impl<C: Clock> Engine<C> {
             // The requests were built before.
             self.arm(&cycle, now);
         }
-        let flow = self.execute(&cycle, now);
+        let (flow, now) = self.execute(&cycle, now);
 
         self.grid.advance(1);
-        let now = self.clock.now();
         let passed = self.grid.passed(now, 0);
         if passed > 0 {
             self.pass_over(now, passed, false);
@@ -324,11 +340,10 @@ impl<C: Clock> Engine<C> {
         Cycle { index, grid, period_ns: self.plan.period_ns, deadline: grid + self.deadline_ns }
     }
 
-    fn execute(&mut self, cycle: &Cycle, woke: Time) -> Flow {
+    /// Executes a cycle; returns when that was done.
+    fn execute(&mut self, cycle: &Cycle, woke: Time) -> (Flow, Time) {
         let wake_ns = woke.since(cycle.grid);
-        self.status.wake_max.see(wake_ns, cycle.index);
         let jitter_ns = self.wake_before_ns.replace(wake_ns).map_or(0, |before| wake_ns.abs_diff(before));
-        self.status.jitter_max.see(jitter_ns, cycle.index);
 
         // 1 send
         self.panics.stage = Some(Stage::Send);
@@ -338,11 +353,6 @@ impl<C: Clock> Engine<C> {
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
         self.skips.executed();
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            if slot.due {
-                controller.sent(cycle, slot);
-            }
-        }
         let sent = self.clock.now();
 
         // 2 receive
@@ -350,41 +360,48 @@ impl<C: Clock> Engine<C> {
         self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
         let received = self.clock.now();
 
-        // 3 evaluate
+        // 3 evaluate, what was sent included
         self.panics.stage = Some(Stage::Evaluate);
         let missed = self.evaluate(cycle, received);
         self.steer(cycle);
         let evaluated = self.clock.now();
 
-        // 4 commands. The task comes first: its commands leave with the next send.
+        // 4 commands, and what they desire of the drives. The task comes first: its commands leave with the next send.
         self.panics.stage = Some(Stage::Commands);
+        let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
         let ended = self.end(cycle, received);
-        if self.ending.is_none() {
-            self.run_task(cycle, received);
-            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-                controller.exchange(cycle, received, slot);
+        let left = match self.ending {
+            Some(_) => Left::All,
+            None => {
+                self.run_task(cycle, received);
+                self.command(cycle, &next, received)
             }
-            self.groups.open(cycle, received, &mut self.controllers);
-        }
-
+        };
         let commanded = self.clock.now();
 
         // 5 prepare
         self.panics.stage = Some(Stage::Prepare);
-        let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
-        self.arm(&next, received);
-
+        match left {
+            Left::Nothing => {}
+            Left::Rows => self.feed(&next, received, false),
+            Left::All => self.propose(&next, received),
+        }
+        self.build(&next);
         let prepared = self.clock.now();
 
         // 6 publish
         self.panics.stage = Some(Stage::Publish);
         self.publish();
+        // What follows is the same in each cycle: the cycle ends here.
         let published = self.clock.now();
         let ends = [woke, sent, received, evaluated, commanded, prepared, published];
         let stages_ns: [u64; 6] = std::array::from_fn(|stage| ends[stage + 1].since(ends[stage]));
+        let mut changed = self.status.wake_max.see(wake_ns, cycle.index);
+        changed |= self.status.jitter_max.see(jitter_ns, cycle.index);
         for (peak, ns) in self.status.stage_max.iter_mut().zip(stages_ns) {
-            peak.see(ns, cycle.index);
+            changed |= peak.see(ns, cycle.index);
         }
+        self.changed |= changed;
         let record = CycleRecord {
             index: cycle.index,
             grid: cycle.grid,
@@ -396,7 +413,7 @@ impl<C: Clock> Engine<C> {
             look: None,
         };
         self.account(record);
-        if ended { Flow::End } else { Flow::Continue }
+        (if ended { Flow::End } else { Flow::Continue }, published)
     }
 
     /// Reports an executed cycle. If it was late, it also reads, with a system call, what the kernel has counted
@@ -428,24 +445,34 @@ impl<C: Clock> Engine<C> {
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
     fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
         // What was posted before a stop ends with it.
-        take_commands(&mut self.controllers);
-        let mut missed = 0_u16;
+        take_commands(&mut self.controllers, &mut self.channels.bells);
+        let (mut missed, mut stopped) = (0_u16, false);
+        let (mut operational, mut online, mut unanswered) = (0, 0, 0);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            let online = controller.feedback().link == Link::Online;
+            let was_online = controller.feedback().link == Link::Online;
             let reply = controller.evaluate(cycle, now, slot);
-            missed += u16::from(online && reply == Reply::Missed);
+            missed += u16::from(was_online && reply == Reply::Missed);
+            unanswered += u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
+            stopped |= controller.just_stopped();
+            let feedback = controller.feedback();
+            operational += u32::from(feedback.is_operational());
+            online += u32::from(feedback.link == Link::Online);
         }
+        self.status.missed += unanswered;
+        (self.status.operational, self.status.online) = (operational, online);
         for bus in &self.buses {
             if bus.bus.helper_ended() {
                 for controller in &mut self.controllers[bus.first..bus.end] {
                     controller.stop(cycle, now, StopCause::LinkThread);
                 }
+                stopped = true;
             }
         }
         if self.heartbeat.is_silent(cycle) {
             for controller in &mut self.controllers {
                 controller.stop_if_armed(cycle, now, StopCause::Heartbeat);
             }
+            stopped = true;
         }
         self.groups.judge(&mut self.controllers);
         while let Some(lead) = self.groups.take_full() {
@@ -454,16 +481,43 @@ impl<C: Clock> Engine<C> {
                     controller.stop(cycle, now, StopCause::GroupLink);
                 }
             }
+            stopped = true;
         }
-        self.take_groups_along(cycle, now);
+        if stopped {
+            self.take_groups_along(cycle, now);
+        }
         missed
+    }
+
+    /// Begins what may begin at each axis, and writes at once what is desired of it with the send of `next`. Returns
+    /// what is left of that: rows come to all members of a group together, and what begins or stops at one axis may
+    /// begin or stop others before it.
+    fn command(&mut self, cycle: &Cycle, next: &Cycle, now: Time) -> Left {
+        take_calls(&mut self.controllers, &mut self.channels.bells);
+        let (mut calls, mut stops, mut rows) = (false, false, false);
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            controller.exchange(cycle, now, slot);
+            slot.due = controller.is_due(next.index);
+            slot.guarded = controller.is_guarded();
+            calls |= controller.waiting().is_some();
+            stops |= controller.just_stopped();
+            rows |= controller.takes_rows();
+            if !controller.follows_rows() {
+                controller.propose(next, slot);
+            }
+        }
+        if calls {
+            self.groups.open(cycle, now, &mut self.controllers);
+        }
+        match (calls || stops, rows) {
+            (true, _) => Left::All,
+            (false, true) => Left::Rows,
+            (false, false) => Left::Nothing,
+        }
     }
 
     /// An axis that was stopped stops its stop group.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        if !self.controllers.iter().any(DriveController::just_stopped) {
-            return;
-        }
         while let Some(group) = self.controllers.iter_mut().find_map(DriveController::take_group_stop) {
             self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
         }
@@ -478,7 +532,7 @@ impl<C: Clock> Engine<C> {
         chosen: impl Fn(Option<u16>) -> bool,
     ) {
         // What was posted before the stop ends with it.
-        take_commands(&mut self.controllers);
+        take_commands(&mut self.controllers, &mut self.channels.bells);
         for controller in &mut self.controllers {
             if chosen(controller.plan().stop.group) {
                 controller.stop(cycle, now, cause);
@@ -508,6 +562,7 @@ impl<C: Clock> Engine<C> {
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
+            self.changed = true;
         }
         self.buses_down
     }
@@ -530,24 +585,46 @@ impl<C: Clock> Engine<C> {
             self.stop_axes(cycle, before, StopCause::Task, |_| true);
         }
         // The task may have run for long.
-        take_commands(&mut self.controllers);
+        take_commands(&mut self.controllers, &mut self.channels.bells);
     }
 
     /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
     fn arm(&mut self, next: &Cycle, now: Time) {
+        self.propose(next, now);
+        self.build(next);
+    }
+
+    /// Writes what is desired of each drive with the send of `next`. It may be called again for the same send.
+    #[inline(never)]
+    fn propose(&mut self, next: &Cycle, now: Time) {
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
         }
+        self.feed(next, now, true);
+    }
+
+    /// Gives the axes that follow their rows, and writes what is desired of them, or of `all`.
+    #[inline(never)]
+    fn feed(&mut self, next: &Cycle, now: Time, all: bool) {
         take_rows(&mut self.controllers, &self.slots);
+        let mut all = all;
         for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
             controller.feed(next, now, slot);
+            all |= controller.just_stopped();
         }
-        // What stopped since the evaluation leaves with the same send.
-        self.take_groups_along(next, now);
+        if all {
+            // What stopped since the evaluation leaves with the same send.
+            self.take_groups_along(next, now);
+        }
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            controller.propose(next, slot);
+            if all || controller.follows_rows() {
+                controller.propose(next, slot);
+            }
         }
+    }
+
+    fn build(&mut self, next: &Cycle) {
         for open in &mut self.buses {
             open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }
@@ -566,6 +643,7 @@ impl<C: Clock> Engine<C> {
         let too_many = self.skips.skipped(count);
         self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
         self.status.wake_max.see(late_ns, first);
+        self.changed = true;
         // An overrun is late, but the previous cycle may have been counted for it already.
         let late = woke_late || !self.was_late;
         self.status.late += u64::from(late);
@@ -584,7 +662,7 @@ impl<C: Clock> Engine<C> {
         }));
         self.grid.advance(count);
         self.status.planned = self.grid.planned();
-        self.channels.status.write(&self.status);
+        self.publish_status();
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let stop = match self.plan.overrun {
             Overrun::Stop => true,
@@ -599,28 +677,35 @@ impl<C: Clock> Engine<C> {
 
     fn publish(&mut self) {
         let turn = self.status.executed;
-        let (mut operational, mut online, mut lost) = (0, 0, 0);
-        self.status.missed = 0;
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
-            self.status.missed += slot.counters.missed + slot.counters.unsent;
+        let mut lost = 0;
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
             let lost_records = &mut self.status.lost_records;
             self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
             if let Some(record) = controller.take_shown(axis as u16) {
                 self.channels.record(Record::Monitor(record), lost_records);
             }
-            if (turn + axis as u64).is_multiple_of(self.numbers_every) {
-                self.axes[axis].numbers.write(&controller.numbers(slot));
-            }
-            operational += u32::from(controller.feedback().is_operational());
-            online += u32::from(controller.feedback().link == Link::Online);
-            lost += controller.lost_events + controller.lost_samples;
+            lost += controller.lost;
         }
-        if turn.is_multiple_of(self.numbers_every) {
+        // Those whose turn it is.
+        let (axes, every) = (self.axes.len(), self.numbers_every);
+        let first = (every - turn % every) % every;
+        for axis in (first as usize..axes).step_by(every as usize) {
+            self.axes[axis].numbers.write(&self.controllers[axis].numbers(&self.slots[axis]));
+        }
+        if first == 0 {
             self.buses.iter_mut().for_each(OpenBus::publish);
         }
         self.status.planned = self.grid.planned() + 1;
-        (self.status.operational, self.status.online, self.status.lost_events) = (operational, online, lost);
-        self.channels.status.write(&self.status);
+        self.status.lost_events = lost;
+        self.publish_status();
+    }
+
+    /// Publishes the numbers of the loop; what changes only now and then, only if it has changed.
+    fn publish_status(&mut self) {
+        match std::mem::take(&mut self.changed) || self.status.reference.is_some() {
+            true => self.channels.status.write(&self.status),
+            false => self.channels.status.write_words(self.status.counts().into_iter()),
+        }
     }
 
     fn record(&mut self, record: Record) {

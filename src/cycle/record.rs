@@ -37,7 +37,7 @@ impl Record {
 
 named! {
     /// The stages of a cycle, in their order.
-    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
     #[repr(u8)]
     pub enum Stage {
         /// Draining the sockets and handing the requests to the kernel.

@@ -71,14 +71,33 @@ pub struct ReferenceStatus {
 
 parts! {
     Status {
-        planned, executed, skipped, overruns, longest_skip, late, wake_max, jitter_max, stage_max, cut_off, operational,
-        online, missed, lost_records, lost_events, reference
+        planned, executed, skipped, overruns, longest_skip, late, operational, online, missed, lost_records, lost_events,
+        cut_off, wake_max, jitter_max, stage_max, reference
     }
     ReferenceStatus { locked, losses, samples, silent, error_ns, error_max, step_ns, step_max }
     BusClock { error_ns, locked, error_max_ns, window_ns }
     Unmatched { datagrams, dropped, errors }
 }
 packed!(Status, Option<BusClock>, Unmatched);
+
+impl Status {
+    /// Its counts, which are its first words: all that changes in a usual cycle.
+    pub(crate) fn counts(&self) -> [u64; 11] {
+        [
+            self.planned,
+            self.executed,
+            self.skipped,
+            self.overruns,
+            self.longest_skip,
+            self.late,
+            self.operational.into(),
+            self.online.into(),
+            self.missed,
+            self.lost_records,
+            self.lost_events,
+        ]
+    }
+}
 
 /// What stays the same of an axis for the readers of its numbers.
 #[derive(Clone, Debug)]
@@ -255,8 +274,11 @@ mod tests {
                 online: 24,
                 ..Status::default()
             };
+            let counted = Status { planned: 1, skipped: 3, overruns: 4, longest_skip: 5, late: 6, ..counted };
+            let counted = Status { operational: 23, missed: 25, lost_records: 26, ..counted };
             let status = Status { lost_events: 27, reference, ..counted };
             assert_eq!(Status::unpack(&status.pack()), status);
+            assert_eq!(status.pack()[..11], status.counts(), "a write of the counts alone");
         }
         let extent = |value: f64| Some(Extent { value, min: value - 1.0, max: value + 1.0 });
         let counters =

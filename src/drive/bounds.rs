@@ -6,6 +6,7 @@
 //! speed such a drive gains until a stop reaches it is not known; the way it makes is longer by as much.
 
 use crate::axis::AxisPlan;
+use crate::axis::units::way;
 use crate::time::Time;
 
 /// One clean report of the drive.
@@ -43,7 +44,8 @@ impl Sample {
 }
 
 /// The watch over one axis.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub(super) struct Bounds {
     last: Option<Sample>,
     /// Velocity of the demand between the last two reports, or the actual one, user units/s.
@@ -54,6 +56,21 @@ pub(super) struct Bounds {
     forward: bool,
     /// The last report is new since the last evaluation.
     fresh: bool,
+    rules: Rules,
+}
+
+/// What the plan allows, as it is compared in each cycle.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Rules {
+    /// Of positions, user units.
+    rounding: f64,
+    /// One turn of a rotary axis.
+    modulo: Option<f64>,
+    velocity: Option<f64>,
+    position: Option<(f64, f64)>,
+    homing: Option<f64>,
+    deceleration: f64,
 }
 
 /// So many reports in a row are proof: one that a disturbance has made leads there and back again.
@@ -69,16 +86,35 @@ const ACTUAL_SPEED_MARGIN: f64 = 1.2;
 const COUNTS: f64 = 2.0;
 
 impl Bounds {
+    /// The watch over the axis of `plan`.
+    pub(super) fn new(plan: &AxisPlan) -> Bounds {
+        let rules = Rules {
+            rounding: (COUNTS / plan.units.counts_per_unit).abs(),
+            modulo: plan.units.modulo,
+            velocity: plan.limits.velocity,
+            position: plan.limits.position,
+            homing: plan.limits.homing_velocity(),
+            deceleration: plan.stop.deceleration,
+        };
+        Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, rules }
+    }
+
+    /// What was reported so far says nothing any more.
+    pub(super) fn forget(&mut self) {
+        let rules = self.rules;
+        *self = Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, rules };
+    }
+
     /// A report came in.
-    pub(super) fn take(&mut self, sample: Sample, plan: &AxisPlan) {
+    #[inline]
+    pub(super) fn take(&mut self, sample: Sample) {
         self.velocity = match self.last {
             _ if !sample.tells_demand() => sample.velocity,
             Some(last) if last.homed == sample.homed && last.tells_demand() => {
                 // Which of the two telegrams was delayed is not known: the longer time is the safe one.
                 let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
-                let way = plan.units.way(last.position, sample.position);
-                let rounding = (COUNTS / plan.units.counts_per_unit).abs();
-                (way.abs() - rounding).max(0.0).copysign(way) * 1e9 / ns as f64
+                let way = way(self.rules.modulo, last.position, sample.position);
+                (way.abs() - self.rules.rounding).max(0.0).copysign(way) * 1e9 / ns as f64
             }
             // Homing gave the positions another origin, or there was none before: that was no motion.
             _ => 0.0,
@@ -93,19 +129,21 @@ impl Bounds {
 
     /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range,
     /// from where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
-    pub(super) fn are_broken(&mut self, plan: &AxisPlan, watched: Watched, seconds: f64) -> bool {
+    #[inline]
+    pub(super) fn are_broken(&mut self, watched: Watched, seconds: f64) -> bool {
         let Watched { homing, braking } = watched;
-        let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
+        let (Some(sample), true) = (&self.last, std::mem::take(&mut self.fresh)) else { return false };
+        let rules = &self.rules;
         let velocity = self.velocity;
         // Written so that an unknown value is not inside.
         let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
-        let most = if homing { plan.limits.homing_velocity() } else { plan.limits.velocity };
+        let most = if homing { rules.homing } else { rules.velocity };
         let slow = most.is_none_or(|most| velocity.abs() <= most * margin);
-        let inside = plan.limits.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
+        let inside = rules.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
             let reaction = f64::from(REPORTS + 2) * seconds;
-            let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
+            let time = if braking { velocity.abs() / (2.0 * rules.deceleration) + reaction } else { 0.0 };
             let end = sample.position + velocity * time;
-            let rounding = (COUNTS / plan.units.counts_per_unit).abs();
+            let rounding = rules.rounding;
             // From outside, a motion may lead back in.
             velocity == 0.0
                 || velocity > 0.0 && end <= high + rounding
@@ -151,12 +189,12 @@ mod tests {
         homed: bool,
         reported: &[(f64, f64)],
     ) -> Option<usize> {
-        let mut bounds = Bounds::default();
+        let mut bounds = Bounds::new(plan);
         reported.iter().enumerate().position(|(index, (demand, velocity))| {
             let at = Time(MS * index as u64);
             let (position, velocity) = (*demand, *velocity);
-            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity }, plan);
-            bounds.are_broken(plan, Watched { homing: false, braking }, 0.001)
+            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity });
+            bounds.are_broken(Watched { homing: false, braking }, 0.001)
         })
     }
 
@@ -182,13 +220,13 @@ mod tests {
 
     #[test]
     fn neither_the_begin_nor_the_end_of_a_torque_makes_a_speed() {
-        let (plan, mut bounds) = (plan(), Bounds::default());
+        let mut bounds = Bounds::new(&plan());
         // The demand that is reported meanwhile stays where it was, or follows something unknown.
         for index in 0..40_u32 {
             let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
             let at = Time(MS * u64::from(index));
-            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 }, &plan);
-            assert!(!bounds.are_broken(&plan, Watched { homing: false, braking: true }, 0.001), "{index}");
+            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 });
+            assert!(!bounds.are_broken(Watched { homing: false, braking: true }, 0.001), "{index}");
             assert_eq!(bounds.velocity, 0.0, "{index}");
         }
     }
@@ -287,12 +325,12 @@ mod tests {
         let (mut plan, homing) = (plan(), Watched { homing: true, braking: true });
         let mut trips = |limit: Option<f64>, speed: f64| {
             (plan.limits.homing, plan.limits.position) = (limit, Some((0.0, 1.0)));
-            let mut bounds = Bounds::default();
+            let mut bounds = Bounds::new(&plan);
             (0..20_u32).position(|index| {
                 let (at, position) = (Time(MS * u64::from(index)), f64::from(index) * speed * 1e-3);
                 let sample = Sample { sent_at: at, at, homed: true, led: true, position, velocity: speed };
-                bounds.take(sample, &plan);
-                bounds.are_broken(&plan, homing, 0.001)
+                bounds.take(sample);
+                bounds.are_broken(homing, 0.001)
             })
         };
         assert_eq!(
@@ -304,13 +342,13 @@ mod tests {
 
     #[test]
     fn a_report_that_was_held_up_makes_no_speed() {
-        let (plan, mut bounds) = (plan(), Bounds::default());
+        let mut bounds = Bounds::new(&plan());
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
             let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
             let sample = Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0 };
-            bounds.take(sample, &plan);
+            bounds.take(sample);
             assert!(
-                !bounds.are_broken(&plan, Watched { homing: false, braking: false }, 0.001),
+                !bounds.are_broken(Watched { homing: false, braking: false }, 0.001),
                 "sent after {sent_ms} ms"
             );
         }

@@ -3,21 +3,23 @@
 //! Here: the drive as evaluated, and stopping.
 
 mod commands;
+mod duty;
 mod setpoints;
 
-pub use self::commands::take_commands;
+pub use self::commands::{take_calls, take_commands};
 pub use self::setpoints::take_rows;
 
 use std::collections::VecDeque;
 
 use rtrb::{Consumer, Producer};
 
+use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
 use super::bounds::{Bounds, Sample, Watched};
 use super::health::LinkHealth;
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
-use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
+use super::record::{DriveRecord, Measured, MonitorRecord, Published, Reply, measured, short};
 use super::rest::{Motion, Rest};
 use super::stop::{Sight, StopSequence};
 use crate::axis::cell::Writer;
@@ -54,17 +56,51 @@ pub struct Queues {
 }
 
 /// What the loop keeps of one axis.
+///
+/// What each cycle touches stands first, together, in the order of the cycle: the plan with its names, the queues and
+/// what a command needs lie behind it.
 #[derive(Debug)]
+#[repr(C)]
 pub struct DriveController {
-    machine: Machine,
-    plan: AxisPlan,
-    queues: Queues,
     health: LinkHealth,
+    /// The slot from which on the setpoint of the running command may be too old.
+    ages_at: u64,
+    /// Something is to be looked at with the next commands: its bell has rung, or a command waits.
+    called: bool,
+    /// Its exchange waits for its turn on a half-duplex wire.
+    queued: bool,
+    /// The drive was found restarted in this cycle.
+    restarted: bool,
+    /// Stopped since the loop last checked: its group stops with it.
+    just_stopped: bool,
+    /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
+    rising: u8,
+    /// How the exchange of this cycle was closed.
+    closed: Option<Closed>,
+    /// What this cycle has measured, for the telemetry.
+    measured: Measured,
+    /// How long after its grid point the previous request left.
+    phase_ns: Option<u64>,
+    /// The slot of the grid that was evaluated last.
+    grid: Time,
+    /// The slot of the values in the feedback.
+    fresh_at: u64,
+    /// The largest times.
+    peaks: Peaks,
     feedback: Feedback,
-    claim: Claim,
-    latch: Latch,
-    /// The running command, and when it began.
-    active: Option<QueuedCommand>,
+    bounds: Bounds,
+    /// From one row to the next, s.
+    row_seconds: f64,
+    rest: Rest,
+    machine: Machine,
+    duty: Duty,
+    queues: Queues,
+    /// Events and samples for which the queues had no room.
+    pub lost: u64,
+    /// The monitored variables of this cycle.
+    shown: Shown,
+    plan: AxisPlan,
+    /// When the running command began.
     began: Time,
     /// A command of the in-loop task, to be taken before the queue.
     task_command: Option<QueuedCommand>,
@@ -72,96 +108,24 @@ pub struct DriveController {
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
     waiting: Option<QueuedCommand>,
-    /// From one row to the next, s.
-    row_seconds: f64,
     /// The id of the next command of the application.
     next_id: u64,
     follow: Follow,
     /// The slot in which the velocity or torque of the running command came, and the newest one for a command to come.
     level_at: u64,
     ahead: Setpoint,
-    bounds: Bounds,
-    rest: Rest,
-    /// The drive was found restarted in this cycle.
-    restarted: bool,
-    /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
-    rising: u8,
     /// A call of the application that commands the drive is under way.
     commanded: bool,
     /// The enable that waits for its end, and since when.
     held: Option<(CommandId, Time)>,
-    /// How the exchange of this cycle was closed.
-    closed: Option<Closed>,
-    /// The slot of the grid that was evaluated last.
-    grid: Time,
-    /// Its exchange waits for its turn on a half-duplex wire.
-    queued: bool,
-    /// The slot of the values in the feedback.
-    fresh_at: u64,
     /// The drive was online at least once.
     seen: bool,
-    /// Stopped since the loop last checked: its group stops with it.
-    just_stopped: bool,
-    /// The telemetry record of this cycle.
-    record: DriveRecord,
-    /// The monitored variables of this cycle.
-    shown: Shown,
-    /// How long after its grid point the previous request left.
-    phase_ns: Option<u64>,
     /// Times that the link was lost.
     losses: u64,
     /// The orderly end has begun.
     ends: bool,
-    /// The largest times.
-    peaks: Peaks,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
-    /// Events for which the queue had no room.
-    pub lost_events: u64,
-    /// Samples for which the queue had no room.
-    pub lost_samples: u64,
-}
-
-/// Who owns the drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Claim {
-    /// Only read so far: not ours to brake or to power off.
-    Found,
-    /// Something was requested of it.
-    Ours,
-    /// Enabled: it is expected to stay in operation.
-    Armed,
-}
-
-/// Whether the axis is stopped, and why.
-#[derive(Clone, Copy, Debug)]
-enum Latch {
-    Open,
-    /// Nothing was requested of the drive: it was not ours.
-    Kept(StopCause),
-    /// In the stop sequence, or at its end.
-    Down(StopCause, StopSequence),
-}
-
-impl Latch {
-    fn is_open(&self) -> bool {
-        matches!(self, Latch::Open)
-    }
-
-    fn cause(&self) -> Option<StopCause> {
-        match self {
-            Latch::Open => None,
-            Latch::Kept(cause) | Latch::Down(cause, _) => Some(*cause),
-        }
-    }
-
-    /// Nothing is under way.
-    fn is_settled(&self) -> bool {
-        match self {
-            Latch::Open | Latch::Kept(_) => true,
-            Latch::Down(_, sequence) => sequence.is_down(),
-        }
-    }
 }
 
 /// How an exchange ended.
@@ -189,44 +153,43 @@ impl DriveController {
         let (divisor, phase) = (plan.divisor, plan.phase);
         let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
         DriveController {
-            machine,
-            plan,
-            queues,
             health,
+            ages_at: u64::MAX,
+            called: false,
+            queued: false,
+            restarted: false,
+            just_stopped: false,
+            rising: 0,
+            closed: None,
+            measured: Measured::default(),
+            phase_ns: None,
+            grid: Time(0),
+            fresh_at: 0,
+            peaks: Peaks::default(),
             feedback: Feedback::default(),
-            claim: Claim::Found,
-            latch: Latch::Open,
-            active: None,
+            bounds: Bounds::new(&plan),
+            row_seconds,
+            rest: Rest::default(),
+            machine,
+            duty: Duty::new(),
+            queues,
+            lost: 0,
+            shown: Shown::default(),
+            plan,
             began: Time(0),
             task_command: None,
             task_row: None,
             waiting: None,
-            row_seconds,
             next_id: 1,
             follow: Follow::default(),
             level_at: 0,
             ahead: Setpoint::default(),
-            bounds: Bounds::default(),
-            rest: Rest::default(),
-            restarted: false,
-            rising: 0,
             commanded: false,
             held: None,
-            closed: None,
-            grid: Time(0),
-            queued: false,
-            fresh_at: 0,
             seen: false,
-            just_stopped: false,
-            record: DriveRecord::default(),
-            shown: Shown::default(),
-            phase_ns: None,
             losses: 0,
             ends: false,
-            peaks: Peaks::default(),
             monitor: [None; MONITOR_CHANNELS],
-            lost_events: 0,
-            lost_samples: 0,
         }
     }
 
@@ -251,29 +214,34 @@ impl DriveController {
     /// application's own control word is the application's concern.
     #[inline]
     pub fn is_guarded(&self) -> bool {
-        let on = self.feedback.status.state.is_powered()
-            || self.claim == Claim::Armed
+        let on = self.duty.claim() == Claim::Armed
+            || self.feedback.status.state.is_powered()
             || self.rising > 0
             || self.held.is_some()
-            || !self.latch.is_settled();
-        on && !self.is_native(NativeOwner::Application)
+            || !self.duty.latch().is_settled();
+        on && !self.duty.follows().is_free
     }
 
     /// Whether an exchange is due in slot `index`.
+    #[inline]
     pub fn is_due(&self, index: u64) -> bool {
         self.health.is_due(index)
     }
 
     /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
-    /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
-    pub fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
+    /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed. Its
+    /// exchange may have been closed since then.
+    #[inline]
+    fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
         self.queued = false;
         if let Some(grid) = slot.gone.grid.take() {
             self.machine.commit(grid);
         }
         match slot.exchange {
-            // The usual one.
-            Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            // The usual ones.
+            Exchange::Answered { sent_at, .. } | Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => {
+                self.left(cycle, sent_at)
+            }
             _ => self.sent_otherwise(cycle, slot),
         }
     }
@@ -284,14 +252,15 @@ impl DriveController {
         self.health.requested(cycle.index, true);
         self.follow.held = false;
         let phase_ns = sent_at.since(cycle.grid);
-        self.record.phase_ns = measured(phase_ns);
+        self.measured.phase_ns = measured(phase_ns);
         if let Some(before) = self.phase_ns.replace(phase_ns) {
             let jitter_ns = phase_ns.abs_diff(before);
-            self.record.jitter_ns = measured(jitter_ns);
+            self.measured.jitter_ns = measured(jitter_ns);
             self.peaks.send_jitter.see(jitter_ns, cycle.index);
         }
     }
 
+    #[inline(never)]
     fn sent_otherwise(&mut self, cycle: &Cycle, slot: &Slot) {
         match slot.exchange.sent_at() {
             Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
@@ -306,8 +275,11 @@ impl DriveController {
         }
     }
 
-    /// Evaluates this cycle, and watches the axis. Returns the result of the exchange.
+    /// Evaluates this cycle, what was sent included, and watches the axis. Returns the result of the exchange.
     pub fn evaluate(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        if std::mem::take(&mut slot.due) {
+            self.sent(cycle, slot);
+        }
         let reply = self.judge(cycle, now, slot);
         self.watch(cycle, now, slot);
         reply
@@ -320,15 +292,53 @@ impl DriveController {
         if self.queued {
             self.sent(cycle, slot);
         }
-        let mut rtt = None;
-        let mut sent = None;
         (self.closed, self.grid) = (None, cycle.grid);
-        self.record.was_online = self.feedback.link == Link::Online;
-        let reply = match slot.exchange {
+        self.measured.was_online = self.feedback.link == Link::Online;
+        let mut rtt = None;
+        // The usual end of an exchange, in a cycle that has one.
+        let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
+            slot.exchange = Exchange::Idle;
+            self.closed = Some(Closed::Answered);
+            self.health.answered(cycle.index);
+            let rtt_ns = at.since(sent_at);
+            self.peaks.rtt.see(rtt_ns, cycle.index);
+            self.measured.rtt_ns = measured(rtt_ns);
+            rtt = Some(short(rtt_ns));
+            if slot.notices.fresh && !slot.notices.restarted {
+                self.take_sample(sent_at, slot);
+            }
+            Reply::Answered
+        } else {
+            let reply = self.judge_otherwise(cycle, now, slot);
+            self.health.watch_silence(cycle.index);
+            reply
+        };
+        self.measured.reply = reply;
+        if slot.reachable {
+            slot.reachable = false;
+            self.health.reachable(cycle.index + 1);
+        }
+        if slot.notices.restarted {
+            self.bounds.forget();
+        }
+        self.take_status(cycle, now, slot, rtt);
+        self.take_link(cycle, now, slot);
+        // The first answer need not report the drive's state.
+        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
+        {
+            let age_ns = now.since(self.feedback.status.at);
+            self.measured.age_ns = measured(age_ns);
+            self.peaks.age.see(age_ns, cycle.index);
+        }
+        reply
+    }
+
+    /// No exchange was answered for certain.
+    #[inline(never)]
+    fn judge_otherwise(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        match slot.exchange {
             Exchange::Idle | Exchange::Missed => {
-                if slot.notices.fresh {
-                    self.take_packet(slot);
-                }
+                self.take_packet(slot);
                 Reply::None
             }
             Exchange::Queued => Reply::Queued,
@@ -338,9 +348,7 @@ impl DriveController {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
                 self.health.answered(cycle.index);
-                if slot.notices.fresh {
-                    self.take_packet(slot);
-                }
+                self.take_packet(slot);
                 Reply::Current
             }
             Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
@@ -357,57 +365,29 @@ impl DriveController {
                 }
                 Reply::Unsent
             }
-            Exchange::Answered { sent_at, at, suspect } => {
+            Exchange::Answered { .. } => {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
                 self.health.answered(cycle.index);
-                if suspect {
-                    Reply::Suspect
-                } else {
-                    let rtt_ns = at.since(sent_at);
-                    self.peaks.rtt.see(rtt_ns, cycle.index);
-                    self.record.rtt_ns = measured(rtt_ns);
-                    rtt = Some(short(rtt_ns));
-                    sent = Some(sent_at);
-                    Reply::Answered
-                }
+                Reply::Suspect
             }
-        };
-        self.record.reply = reply;
-        self.health.watch_silence(cycle.index);
-        if std::mem::take(&mut slot.reachable) {
-            self.health.reachable(cycle.index + 1);
         }
-        if slot.notices.restarted {
-            self.bounds = Bounds::default();
-        } else if let Some(sent_at) = sent.filter(|_| slot.notices.fresh) {
-            self.take_sample(sent_at, slot);
-        }
-        self.take_status(cycle, now, slot, rtt);
-        self.take_link(cycle, now, slot);
-        // The first answer need not report the drive's state.
-        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
-        {
-            let age_ns = now.since(self.feedback.status.at);
-            self.record.age_ns = measured(age_ns);
-            self.peaks.age.see(age_ns, cycle.index);
-        }
-        reply
     }
 
     /// A packet of a drive with its own clock, with an exchange or without: it has a stamp of its own.
-    #[inline(never)]
     fn take_packet(&mut self, slot: &Slot) {
-        self.take_sample(slot.status.at, slot);
+        if slot.notices.fresh {
+            self.take_sample(slot.status.at, slot);
+        }
     }
 
     /// The report to a request that left at `sent_at` counts for the limits.
     #[inline]
     fn take_sample(&mut self, sent_at: Time, slot: &Slot) {
         let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
-        let led = !self.is_under_torque();
+        let led = !self.duty.is_under_torque();
         let position = if led { demand } else { position };
-        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity });
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {
@@ -422,7 +402,7 @@ impl DriveController {
     pub fn moves_in_group(&self) -> Option<GroupCall> {
         let moves =
             |active: &QueuedCommand| active.command.is_motion() || matches!(active.command, Command::Home);
-        self.active.filter(moves).and_then(|active| active.call)
+        self.duty.active().filter(moves).and_then(|active| active.call)
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -431,6 +411,7 @@ impl DriveController {
     }
 
     /// Takes the drive's status into the feedback, with an event for each change.
+    #[inline]
     fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
         let Slot { status, notices, .. } = slot;
         self.feedback.cycle = cycle.index;
@@ -440,43 +421,64 @@ impl DriveController {
             return self.take_emergency(cycle, now, slot);
         }
         self.fresh_at = cycle.index - u64::from(status.suspect).min(cycle.index);
-        if self.rising > 0 && self.active.is_none() && !status.state.is_powered() && !status.suspect {
-            self.rising -= 1;
+        if self.rising > 0 {
+            self.fall(status);
         }
-        let DriveStatus { state, inhibited, warning, fault, .. } = self.feedback.status;
+        let before = Shows::of(&self.feedback.status);
         self.feedback.status = *status;
         self.feedback.age = u32::from(status.suspect);
         self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
-        if std::mem::take(&mut notices.monitor_fresh) {
-            self.shown = status.monitor.into();
-            for (extent, value) in self.monitor.iter_mut().zip(status.monitor) {
-                if let Some(value) = value.filter(|value| !value.is_nan()) {
-                    Extent::see(extent, value);
-                }
+        if notices.monitor_fresh {
+            notices.monitor_fresh = false;
+            self.take_monitored();
+        }
+        let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
+        if noticed || before != Shows::of(&self.feedback.status) {
+            self.report(cycle, now, slot, before);
+        }
+    }
+
+    /// A report of a drive whose enable has not ended as done.
+    #[cold]
+    fn fall(&mut self, status: &DriveStatus) {
+        if self.duty.active().is_none() && !status.state.is_powered() && !status.suspect {
+            self.rising -= 1;
+        }
+    }
+
+    #[inline(never)]
+    fn take_monitored(&mut self) {
+        let monitor = self.feedback.status.monitor;
+        self.shown = monitor.into();
+        for (extent, value) in self.monitor.iter_mut().zip(monitor) {
+            if let Some(value) = value.filter(|value| !value.is_nan()) {
+                Extent::see(extent, value);
             }
         }
-        // Rarely any of them.
-        if notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some() {
-            if let Some((channel, status)) = notices.monitor_refused.take() {
-                self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
-            }
-            if std::mem::take(&mut notices.restarted) {
-                self.restarted = true;
-                self.emit(cycle, now, EventKind::Restarted);
-            }
-            self.take_emergency(cycle, now, slot);
+    }
+
+    /// Reports what is new, or differs from what was shown `before`.
+    #[cold]
+    fn report(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, before: Shows) {
+        if let Some((channel, status)) = slot.notices.monitor_refused.take() {
+            self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
         }
-        let reported = self.feedback.status;
-        if inhibited != reported.inhibited {
+        if std::mem::take(&mut slot.notices.restarted) {
+            self.restarted = true;
+            self.emit(cycle, now, EventKind::Restarted);
+        }
+        self.take_emergency(cycle, now, slot);
+        let reported = Shows::of(&self.feedback.status);
+        if before.inhibited != reported.inhibited {
             self.emit(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
         }
-        if state != reported.state {
+        if before.state != reported.state {
             self.emit(cycle, now, EventKind::State(reported.state));
         }
-        if fault != reported.fault {
+        if before.fault != reported.fault {
             self.emit(cycle, now, EventKind::Fault(reported.fault));
         }
-        if warning != reported.warning {
+        if before.warning != reported.warning {
             self.emit(cycle, now, EventKind::Warning(reported.warning));
         }
     }
@@ -484,17 +486,22 @@ impl DriveController {
     /// Takes the emergency that the drive reported; it may come without an exchange.
     fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         if let Some(emergency) = slot.notices.emergency.take() {
-            self.record.emergency = Some(emergency.into());
+            self.measured.emergency = Some(emergency.into());
             self.emit(cycle, now, EventKind::Emergency(emergency));
         }
     }
 
     /// The link as evaluated: events, loss, and a drive found running.
+    #[inline]
     fn take_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        let (before, link) = (self.feedback.link, self.health.link());
-        if before == link {
-            return;
+        if self.feedback.link != self.health.link() {
+            self.change_link(cycle, now, slot);
         }
+    }
+
+    #[cold]
+    fn change_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let (before, link) = (self.feedback.link, self.health.link());
         self.feedback.link = link;
         slot.link = link;
         self.emit(cycle, now, EventKind::Link(link));
@@ -508,7 +515,7 @@ impl DriveController {
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.status.state.is_powered() || self.feedback.status.moving;
-                if running && self.claim != Claim::Armed && !slot.notices.other_master {
+                if running && self.duty.claim() != Claim::Armed && !slot.notices.other_master {
                     self.find_running(cycle, now, Braked::BySetpoints);
                 }
             }
@@ -518,14 +525,14 @@ impl DriveController {
 
     /// A drive runs that this master has not enabled: it was found so, or began later.
     fn find_running(&mut self, cycle: &Cycle, now: Time, braked: Braked) {
-        match self.latch {
+        match *self.duty.latch() {
             // What a living master runs is not taken over.
             Latch::Down(..) | Latch::Kept(StopCause::OtherMaster) => return,
             Latch::Kept(_) => {}
             Latch::Open => self.latch(cycle, now, StopCause::FoundRunning),
         }
         // A drive that this master has commanded is never only read again.
-        if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
+        if self.plan.on_found_running == FoundRunning::Stop || self.duty.claim() != Claim::Found {
             self.brake(now, braked);
         }
     }
@@ -539,47 +546,77 @@ impl DriveController {
         if std::mem::take(&mut slot.notices.other_master) {
             self.stop(cycle, now, StopCause::OtherMaster);
         }
-        if slot.notices.fresh {
-            let cause = self.left_operation(restarted).or_else(|| self.watch_motion(now, slot));
-            match cause {
-                Some(_) if self.claim == Claim::Found => {
-                    // Before it is online it is found, as it will be then; later, something else has begun to move it.
-                    let online = self.feedback.link == Link::Online;
-                    let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
-                    self.find_running(cycle, now, braked);
+        if std::mem::take(&mut slot.notices.fresh) {
+            let follows = self.duty.follows();
+            if follows.is_led && self.feedback.status.state == State::OperationEnabled {
+                // It is where it is expected, and what leads it is checked before it is sent.
+                self.rest.interrupt();
+                if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds) {
+                    self.breaks(cycle, now, StopCause::Limit);
                 }
-                Some(cause) if self.latch.is_open() => {
-                    // What no command has begun follows no setpoint, nor does what goes on under a stop.
-                    let follows = self.active.is_some_and(|active| !stops(active));
-                    let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
-                    let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
-                    self.stop_by(braked, cycle, now, cause);
-                }
-                Some(cause) => self.stop_again(cycle, now, cause),
-                None => {}
+            } else {
+                self.watch_any(cycle, now, slot, restarted);
             }
+            if self.duty.follows().stops {
+                self.watch_stop(cycle, now, true);
+            }
+        } else if self.duty.follows().stops {
+            self.watch_stop(cycle, now, false);
         }
+    }
+
+    /// The same of an axis in any state.
+    #[inline(never)]
+    fn watch_any(&mut self, cycle: &Cycle, now: Time, slot: &Slot, restarted: bool) {
+        if let Some(cause) = self.left_operation(restarted).or_else(|| self.watch_motion(now, slot)) {
+            self.breaks(cycle, now, cause);
+        }
+    }
+
+    /// It is not where it is expected to be, or does what it must not.
+    #[cold]
+    fn breaks(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        if self.duty.claim() == Claim::Found {
+            // Before it is online it is found, as it will be then; later, something else has begun to move it.
+            let online = self.feedback.link == Link::Online;
+            let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
+            self.find_running(cycle, now, braked);
+        } else if self.duty.latch().is_open() {
+            // What no command has begun follows no setpoint, nor does what goes on under a stop.
+            let follows = self.duty.active().is_some_and(|active| !stops(active));
+            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+            let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
+            self.stop_by(braked, cycle, now, cause);
+        } else {
+            self.stop_again(cycle, now, cause);
+        }
+    }
+
+    /// One cycle of the stop that runs.
+    #[inline(never)]
+    fn watch_stop(&mut self, cycle: &Cycle, now: Time, fresh: bool) {
         if self.is_stopping_too_long(now) {
             self.latch(cycle, now, StopCause::StopTimeout);
             let (stop, load) = (self.plan.stop, self.plan.load);
             let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
-            self.latch = Latch::Down(StopCause::StopTimeout, sequence);
+            self.duty.set_latch(Latch::Down(StopCause::StopTimeout, sequence));
             self.issue(Some(command));
         }
         let sight = Sight {
-            fresh: slot.notices.fresh,
+            fresh,
             answers: self.answers(),
             failed: matches!(self.machine.end(), Some(Err(_))),
             powered: self.feedback.status.state.is_powered(),
             moving: self.feedback.status.moving,
             velocity: self.feedback.status.velocity,
         };
-        slot.notices.fresh = false;
-        if let Latch::Down(cause, sequence) = &mut self.latch
+        if let Some((cause, sequence)) = self.duty.sequence()
             && let Some(command) = sequence.step(now, sight)
         {
-            let why = Abort::Stopped(*cause);
-            if let Some(active) = self.active.filter(|active| !matches!(active.command, Command::Reset)) {
+            let why = Abort::Stopped(cause);
+            if let Some(active) =
+                self.duty.active().filter(|active| !matches!(active.command, Command::Reset))
+            {
                 self.end(cycle, now, active, Outcome::Aborted(why));
             }
             self.issue(Some(command));
@@ -590,7 +627,7 @@ impl DriveController {
     fn left_operation(&self, restarted: bool) -> Option<StopCause> {
         // Where the application owns the control word, the drive's state is the application's concern.
         let free = self.is_native(NativeOwner::Application);
-        if !(self.claim == Claim::Armed || free) {
+        if !(self.duty.claim() == Claim::Armed || free) {
             return None;
         }
         match self.feedback.status.state {
@@ -615,20 +652,20 @@ impl DriveController {
             return None;
         }
         let seconds = self.row_seconds;
-        let braking = matches!(&self.latch, Latch::Down(_, sequence) if !sequence.is_down());
+        let braking = matches!(self.duty.latch(), Latch::Down(_, sequence) if !sequence.is_down());
         // What is on already is not moved by being enabled.
-        let commanded = self.active.as_ref().is_some_and(|active| match active.command {
+        let commanded = self.duty.active().as_ref().is_some_and(|active| match active.command {
             Command::Reset | Command::ResetFault => false,
             Command::Enable => state != State::OperationEnabled,
             _ => true,
         });
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
-        let native = self.active.is_some_and(|active| matches!(active.command, Command::Native(_)));
+        let native = self.duty.active().is_some_and(|active| matches!(active.command, Command::Native(_)));
         let watched = Watched {
-            homing: self.active.is_some_and(|active| matches!(active.command, Command::Home)),
-            braking: native || self.active.is_none() || self.is_under_torque(),
+            homing: self.duty.active().is_some_and(|active| matches!(active.command, Command::Home)),
+            braking: native || self.duty.active().is_none() || self.is_under_torque(),
         };
-        let broken = self.bounds.are_broken(&self.plan, watched, seconds);
+        let broken = self.bounds.are_broken(watched, seconds);
         if braking {
             self.rest.stop();
         } else if commanded {
@@ -646,8 +683,8 @@ impl DriveController {
 
     /// The application's stop has not ended in its time, although the drive answers.
     fn is_stopping_too_long(&self, now: Time) -> bool {
-        self.active.is_some_and(stops)
-            && self.latch.is_open()
+        self.duty.active().is_some_and(stops)
+            && self.duty.latch().is_open()
             && self.answers()
             && now.since(self.began) > nanos(self.plan.stop.timeout)
     }
@@ -670,49 +707,51 @@ impl DriveController {
     }
 
     fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
-        if !self.latch.is_open() {
+        if !self.duty.latch().is_open() {
             return;
         }
         self.latch(cycle, now, cause);
-        if self.claim != Claim::Found {
+        if self.duty.claim() != Claim::Found {
             self.brake(now, braked);
         }
     }
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.active.is_some_and(|active| matches!(active.command, Command::Enable));
-        if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
+        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
+        if self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
             self.stop(cycle, now, cause);
         }
     }
 
     /// Whether no position leads the drive, and its reported demand is meaningless.
     fn is_under_torque(&self) -> bool {
-        self.machine.command().is_some_and(|command| command.takes_torques())
+        self.duty.is_under_torque()
     }
 
     fn is_native(&self, owner: NativeOwner) -> bool {
-        matches!(self.active, Some(QueuedCommand { command: Command::Native(own), .. }) if own == owner)
+        matches!(self.duty.active(), Some(QueuedCommand { command: Command::Native(own), .. }) if *own == owner)
     }
 
     /// Starts the stop sequence of an axis that is latched.
     fn brake(&mut self, now: Time, braked: Braked) {
-        let Some(cause) = self.latch.cause() else { return };
+        let Some(cause) = self.duty.latch().cause() else { return };
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
         let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque();
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
         let (sequence, command) = start(self.plan.stop, self.plan.load, now, self.speed());
-        self.latch = Latch::Down(cause, sequence);
+        self.duty.set_latch(Latch::Down(cause, sequence));
         self.issue(Some(command));
     }
 
     /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
     fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let speed = self.speed();
-        let command = match &mut self.latch {
-            Latch::Down(_, sequence) if sequence.is_down() => sequence.again(now, speed),
-            Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive),
+        if matches!(self.duty.latch(), Latch::Kept(_)) {
+            return self.brake(now, Braked::ByTheDrive);
+        }
+        let command = match self.duty.sequence() {
+            Some((_, sequence)) if sequence.is_down() => sequence.again(now, speed),
             _ => return,
         };
         self.rest.interrupt();
@@ -724,7 +763,7 @@ impl DriveController {
 
     /// Latches without touching the drive.
     fn latch(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        self.latch = Latch::Kept(cause);
+        self.duty.set_latch(Latch::Kept(cause));
         self.disarm();
         self.just_stopped = true;
         self.feedback.stopped = Some(cause);
@@ -734,8 +773,8 @@ impl DriveController {
 
     /// It is no longer expected to stay in operation.
     fn disarm(&mut self) {
-        if self.claim == Claim::Armed {
-            self.claim = Claim::Ours;
+        if self.duty.claim() == Claim::Armed {
+            self.duty.set_claim(Claim::Ours);
         }
     }
 
@@ -755,11 +794,11 @@ impl DriveController {
         self.ends = true;
         self.stop(cycle, now, StopCause::Shutdown);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
-        if matches!(self.latch, Latch::Kept(_)) && self.claim != Claim::Found {
+        if matches!(self.duty.latch(), Latch::Kept(_)) && self.duty.claim() != Claim::Found {
             self.brake(now, Braked::BySetpoints);
         }
         // Only ever read: not ours to power off.
-        let Latch::Down(_, sequence) = &mut self.latch else { return true };
+        let Some((_, sequence)) = self.duty.sequence() else { return true };
         sequence.shut_down(now, self.feedback.status.state.is_powered());
         let command = if hurry { sequence.hurry(now) } else { None };
         let down = sequence.is_down();
@@ -770,25 +809,22 @@ impl DriveController {
     }
 
     /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
+    #[inline]
     pub fn publish(&mut self, axis: u16) -> DriveRecord {
-        self.queues.feedback.write(&self.feedback);
+        self.feedback.write_to(&mut self.queues.feedback);
         if let Some(samples) = &mut self.queues.samples
             && samples.push(self.feedback).is_err()
         {
-            self.lost_samples += 1;
+            self.lost += 1;
         }
-        DriveRecord {
-            index: self.feedback.cycle,
-            axis,
-            link: self.feedback.link,
-            stopped: self.feedback.stopped,
-            command: self.active.as_ref().map_or(0, |active| active.command.code()),
-            // What send and evaluation found.
-            ..std::mem::take(&mut self.record).showing(&self.feedback.status)
-        }
+        let Feedback { cycle, link, stopped, ref status, .. } = self.feedback;
+        let command = self.duty.follows().command;
+        let of = Published { index: cycle, axis, link, stopped, command };
+        DriveRecord::new(of, std::mem::take(&mut self.measured), status)
     }
 
     /// The monitored variables of this cycle for the telemetry, if the drive reported some; once.
+    #[inline]
     pub fn take_shown(&mut self, axis: u16) -> Option<MonitorRecord> {
         if self.shown.is_empty() {
             return None;
@@ -805,7 +841,7 @@ impl DriveController {
 
     /// Ends everything that the application has requested.
     fn flush(&mut self, cycle: &Cycle, now: Time, why: Abort) {
-        if let Some(active) = self.active {
+        if let Some(active) = *self.duty.active() {
             self.end(cycle, now, active, Outcome::Aborted(why));
         }
         if let Some(command) = self.task_command.take() {
@@ -823,8 +859,8 @@ impl DriveController {
         if matches!(queued.command, Command::Follow) {
             self.drop_rows(queued.stream);
         }
-        if self.active.is_some_and(|active| active.id == queued.id) {
-            self.active = None;
+        if self.duty.active().is_some_and(|active| active.id == queued.id) {
+            self.duty.set_active(None);
             if outcome != Outcome::Done {
                 // The drive may still be braking.
                 self.rest.fail();
@@ -833,13 +869,31 @@ impl DriveController {
         self.emit(cycle, now, EventKind::Ended { id: queued.id, command: queued.command.name(), outcome });
     }
 
+    #[inline(never)]
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;
         if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
-            self.lost_events += 1;
+            self.lost += 1;
         }
+    }
+}
+
+/// What of a status is reported when it changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shows {
+    state: State,
+    inhibited: bool,
+    warning: u32,
+    fault: u32,
+}
+
+impl Shows {
+    #[inline]
+    fn of(status: &DriveStatus) -> Shows {
+        let DriveStatus { state, inhibited, warning, fault, .. } = *status;
+        Shows { state, inhibited, warning, fault }
     }
 }
 

@@ -126,6 +126,7 @@ impl GroupState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::doorbell::Bells;
     use crate::axis::{
         Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, StopCause,
     };
@@ -140,6 +141,7 @@ mod tests {
         slots: Vec<Slot>,
         ends: Vec<Ends>,
         groups: GroupSync,
+        bells: Bells,
         ids: Vec<u64>,
         index: u64,
     }
@@ -153,7 +155,8 @@ mod tests {
                 .map(|x| (x.controller, (Slot { due: true, ..x.slot }, (x.commands, x.rows, x.events))))
                 .unzip();
             // The first command was the enable.
-            Machine { controllers, slots, ends, groups: GroupSync::new(axes), ids: vec![2; axes], index: 50 }
+            let (groups, bells) = (GroupSync::new(axes), Bells::new(axes));
+            Machine { controllers, slots, ends, groups, bells, ids: vec![2; axes], index: 50 }
         }
 
         /// Posts a command to a group, or to one axis alone.
@@ -180,13 +183,14 @@ mod tests {
                 })
                 .collect();
             self.ends[parts[0].0].0.push_entire_slice(&entry).unwrap();
+            self.bells.bell(parts[0].0).ring();
         }
 
         /// One cycle of the commands.
         fn turn(&mut self) {
             let cycle = cycle(self.index);
             self.index += 1;
-            take_commands(&mut self.controllers);
+            take_commands(&mut self.controllers, &mut self.bells);
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(&cycle, cycle.grid, slot);
             }

@@ -5,24 +5,27 @@ use crate::time::nanos;
 
 /// The link to one drive as the loop evaluates it.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub struct LinkHealth {
-    rules: Health,
-    divisor: u64,
-    phase: u64,
-    /// Cycles between two probes of a drive that does not answer.
-    probe_every: u64,
-    next_probe: u64,
     link: Link,
-    /// Misses in the bucket.
-    level: u32,
+    /// Each slot is one of its own.
+    each_slot: bool,
+    /// The drive sends by its own clock, and its watchdog needs the requests whatever the link.
+    own_clock: bool,
     /// Good exchanges since the last miss or leak.
     good: u32,
     /// The slot of the last good one.
     good_at: u64,
-    /// The most slots since then, executed or not.
+    rules: Health,
+    /// Misses in the bucket.
+    level: u32,
+    divisor: u64,
+    phase: u64,
+    next_probe: u64,
+    /// Cycles between two probes of a drive that does not answer.
+    probe_every: u64,
+    /// The most slots since the last good one, executed or not.
     silence: u64,
-    /// The drive sends by its own clock, and its watchdog needs the requests whatever the link.
-    own_clock: bool,
 }
 
 impl LinkHealth {
@@ -40,17 +43,18 @@ impl LinkHealth {
     ) -> LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
         LinkHealth {
-            rules,
-            divisor: u64::from(divisor.max(1)),
-            phase: u64::from(phase),
-            probe_every,
-            next_probe: first_probe,
             link: Link::Unseen,
-            level: 0,
+            each_slot: divisor <= 1 && phase == 0,
+            own_clock,
             good: 0,
             good_at: 0,
+            rules,
+            level: 0,
+            divisor: u64::from(divisor.max(1)),
+            phase: u64::from(phase),
+            next_probe: first_probe,
+            probe_every,
             silence,
-            own_clock,
         }
     }
 
@@ -62,14 +66,16 @@ impl LinkHealth {
     /// Whether an exchange is due in slot `index`: every own slot while the drive answers, one probe per interval
     /// while it does not. Requests to a dead address would otherwise fill the shared socket's send buffer and
     /// starve the other drives.
+    #[inline]
     pub fn is_due(&self, index: u64) -> bool {
         match self.link {
             Link::Unseen | Link::Lost => index >= self.next_probe,
-            Link::Qualifying | Link::Online => index % self.divisor == self.phase,
+            Link::Qualifying | Link::Online => self.each_slot || index % self.divisor == self.phase,
         }
     }
 
     /// Notes that an exchange was sent in slot `index`, or that the attempt failed.
+    #[inline]
     pub fn requested(&mut self, index: u64, sent: bool) {
         if matches!(self.link, Link::Unseen | Link::Lost) {
             self.next_probe = if sent { self.again(index) } else { index + self.probe_every };
@@ -93,9 +99,18 @@ impl LinkHealth {
     }
 
     /// An exchange was answered in slot `index`.
+    #[inline]
     pub fn answered(&mut self, index: u64) {
         self.good_at = index;
         self.good += 1;
+        // Usually it is up, and nothing leaks yet.
+        if self.link != Link::Online || self.good >= self.rules.leak {
+            self.improve();
+        }
+    }
+
+    #[inline(never)]
+    fn improve(&mut self) {
         match self.link {
             Link::Unseen | Link::Lost => {
                 self.link = Link::Qualifying;

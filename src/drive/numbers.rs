@@ -14,11 +14,14 @@ pub struct Peak {
 }
 
 impl Peak {
-    /// Takes one more value in.
-    pub fn see(&mut self, ns: u64, index: u64) {
-        if ns > self.ns {
+    /// Takes one more value in; returns whether it is the largest.
+    #[inline]
+    pub fn see(&mut self, ns: u64, index: u64) -> bool {
+        let largest = ns > self.ns;
+        if largest {
             *self = Peak { ns, index };
         }
+        largest
     }
 }
 

@@ -89,6 +89,28 @@ pub struct DriveRecord {
     pub demand: f64,
 }
 
+/// What a cycle has measured of a drive, as in its [`DriveRecord`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Measured {
+    pub reply: Reply,
+    pub was_online: bool,
+    pub emergency: Option<ShortEmergency>,
+    pub phase_ns: Option<NonZeroU32>,
+    pub jitter_ns: Option<NonZeroU32>,
+    pub rtt_ns: Option<NonZeroU32>,
+    pub age_ns: Option<NonZeroU32>,
+}
+
+/// What is published of an axis besides the status of its drive, as in its [`DriveRecord`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Published {
+    pub index: u64,
+    pub axis: u16,
+    pub link: Link,
+    pub stopped: Option<StopCause>,
+    pub command: u8,
+}
+
 /// An emergency in compact form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShortEmergency([u8; 2], u8);
@@ -106,20 +128,33 @@ impl From<ShortEmergency> for Emergency {
 }
 
 impl DriveRecord {
-    /// Takes over what it shows of a drive's status.
+    /// What was published, what was measured, and what it shows of a drive's status.
     #[inline]
-    pub(crate) fn showing(self, status: &DriveStatus) -> DriveRecord {
+    pub(crate) fn new(of: Published, measured: Measured, status: &DriveStatus) -> DriveRecord {
+        let Published { index, axis, link, stopped, command } = of;
+        let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns } = measured;
         DriveRecord {
+            index,
+            axis,
+            reply,
+            link,
+            was_online,
             state: status.state,
+            stopped,
+            command,
             moving: status.moving,
             inhibited: status.inhibited,
+            phase_ns,
+            jitter_ns,
+            rtt_ns,
+            age_ns,
             fault: status.fault,
             warning: status.warning,
+            emergency,
             current: status.current as f32,
             velocity: status.velocity as f32,
             position: status.position,
             demand: status.demand,
-            ..self
         }
     }
 
@@ -169,9 +204,10 @@ mod tests {
             }
         };
         let status = DriveStatus { fault: 1, warning: 2, ..status };
-        let before = DriveRecord { index: 7, rtt_ns: measured(0), ..DriveRecord::default() };
-        let shown = before.showing(&status);
-        assert_eq!((shown.index, shown.rtt_ns), (7, NonZeroU32::new(1)));
+        let of = Published { index: 7, axis: 3, link: Link::Online, stopped: None, command: 5 };
+        let shown = DriveRecord::new(of, Measured { rtt_ns: measured(0), ..Measured::default() }, &status);
+        assert_eq!((shown.index, shown.axis, shown.rtt_ns), (7, 3, NonZeroU32::new(1)));
+        assert_eq!((shown.link, shown.command), (Link::Online, 5));
         assert_eq!((shown.state, shown.moving, shown.inhibited), (State::Fault, true, true));
         assert_eq!((shown.fault, shown.warning), (1, 2));
         assert_eq!((shown.current, shown.velocity, shown.position, shown.demand), (0.25, 0.5, 3.0, 4.0));

@@ -1,12 +1,14 @@
-//! What holds in every interleaving: of two writes and readers of a cell, and of an application that posts, cancels and
-//! polls calls while the loop takes and ends them.
+//! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop takes
+//! their bells; and of an application that posts, cancels and polls calls while the loop takes and ends them.
 
 use std::time::Duration;
 
 use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
+use fieldbeat_loom::axis::doorbell::Bells;
 use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
 use fieldbeat_loom::calls;
 use loom::sync::Arc;
+use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
 
 /// As many words as it takes to be torn.
@@ -60,6 +62,47 @@ fn a_reader_never_sees_an_older_value_than_before() {
             writer.write(&Pair([value; 2]));
         }
         other.join().unwrap();
+    });
+}
+
+/// What two applications put into the queues of their axes, once or twice, before they ring: nothing else orders it.
+fn given(axes: usize) -> Arc<Vec<AtomicU64>> {
+    Arc::new((0..axes).map(|_| AtomicU64::new(0)).collect())
+}
+
+#[test]
+fn what_was_given_before_a_bell_rang_is_seen_once_the_bell_is_taken_and_no_bell_is_lost() {
+    bounded(3, || {
+        let mut bells = Bells::new(2);
+        let queues = given(2);
+        let ring = |axis: usize, times: u64| {
+            let (bell, queues) = (bells.bell(axis), Arc::clone(&queues));
+            thread::spawn(move || {
+                for value in 1..=times {
+                    queues[axis].store(value, Ordering::Relaxed);
+                    bell.ring();
+                }
+            })
+        };
+        let applications = [ring(0, 2), ring(1, 1)];
+        let mut seen = [0; 2];
+        let look = |bells: &mut Bells, seen: &mut [u64; 2]| {
+            if bells.take() {
+                for axis in bells.rung() {
+                    let value = queues[axis].load(Ordering::Relaxed);
+                    assert!(value > 0 && value >= seen[axis], "axis {axis} rang for {value}");
+                    seen[axis] = value;
+                }
+                // Their queues are empty now.
+                bells.silence(|_| false);
+            }
+        };
+        look(&mut bells, &mut seen);
+        for application in applications {
+            application.join().unwrap();
+        }
+        look(&mut bells, &mut seen);
+        assert_eq!(seen, [2, 1], "all of it was seen, and looked for only where it rang");
     });
 }
 

@@ -1,4 +1,4 @@
-//! The feedback cell and the acyclic queue, built with the primitives of a model checker.
+//! The feedback cell, the doorbell and the acyclic queue, built with the primitives of a model checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
 //! access is a point at which another thread may run, and there is no memory to be locked.
@@ -11,6 +11,8 @@ pub mod axis {
     pub mod acyclic;
     #[path = "../../src/axis/cell.rs"]
     pub mod cell;
+    #[path = "../../src/axis/doorbell.rs"]
+    pub mod doorbell;
     #[path = "../../src/axis/feedback.rs"]
     pub mod feedback;
     #[path = "../../src/axis/pulse.rs"]

@@ -163,6 +163,10 @@ impl<C: Clock> Engine<C> {
         }
         // A cycle that was begun is closed, so that no exchange stays open.
         if stage.is_some() && cycle.index == slot {
+            if stage.is_some_and(|stage| stage > Stage::Evaluate) {
+                // What is due by now is due at the next send.
+                self.slots.iter_mut().for_each(|slot| slot.due = false);
+            }
             self.judge_all(&cycle, now.max(cycle.deadline));
             self.grid.advance(1);
         }
@@ -209,13 +213,6 @@ impl<C: Clock> Engine<C> {
             }
         }
         self.status.executed += 1;
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
-            if slot.due {
-                self.panics.guard(cycle.index, Some(Stage::Send), Part::Axis(axis), || {
-                    controller.sent(&cycle, slot)
-                });
-            }
-        }
         // All that comes by the deadline is in the sockets then.
         self.sleep(&cycle, cycle.deadline);
         for bus in 0..self.buses.len() {
@@ -295,8 +292,8 @@ impl<C: Clock> Engine<C> {
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = requested == HURRY && before == STOP;
         self.ending = Some((since, requested));
-        let controllers = &mut self.controllers;
-        self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers));
+        let (controllers, bells) = (&mut self.controllers, &mut self.channels.bells);
+        self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers, bells));
         let mut down = true;
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
             let work = || controller.shut_down(cycle, now, hurry);

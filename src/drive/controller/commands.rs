@@ -4,13 +4,13 @@ use rtrb::Consumer;
 
 use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
+use crate::axis::doorbell::Bells;
 use crate::axis::limits::{check_command, check_position, check_torque, check_velocity};
 use crate::axis::{
     Abort, Command, CommandId, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint,
     State, StopCause, Target,
 };
 use crate::bus::{Cycle, Exchange, Slot};
-use crate::drive::bounds::Bounds;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
@@ -18,10 +18,27 @@ use crate::time::{Time, nanos};
 ///
 /// The calls to groups that an axis was in stand in the queues of their first members: the ids of its commands are
 /// their sequence. Bounded by the room in the queues of the axes: the application may go on posting.
-pub fn take_commands(controllers: &mut [DriveController]) {
+#[inline]
+pub fn take_commands(controllers: &mut [DriveController], bells: &mut Bells) {
+    if bells.take() {
+        take_posted(controllers, bells);
+    }
+}
+
+/// Notes the axes that may have a newer setpoint; their commands are left where they are.
+#[inline]
+pub fn take_calls(controllers: &mut [DriveController], bells: &mut Bells) {
+    if bells.take() {
+        bells.rung().for_each(|axis| controllers[axis].called = true);
+    }
+}
+
+#[inline(never)]
+fn take_posted(controllers: &mut [DriveController], bells: &mut Bells) {
     let mut again = true;
     while std::mem::take(&mut again) {
-        for index in 0..controllers.len() {
+        for index in bells.rung() {
+            controllers[index].called = true;
             while let Some(first) = entry(&mut controllers[index].queues.posted, 0) {
                 let parts = first.call.map_or(1, |call| call.parts as usize);
                 let next = (0..parts).all(|place| {
@@ -34,7 +51,7 @@ pub fn take_commands(controllers: &mut [DriveController]) {
                 for _ in 0..parts {
                     if let Ok(command) = controllers[index].queues.posted.pop() {
                         let axis = &mut controllers[command.member as usize];
-                        axis.next_id += 1;
+                        (axis.called, axis.next_id) = (true, axis.next_id + 1);
                         axis.queues.commands.push_back(command);
                     }
                 }
@@ -42,6 +59,8 @@ pub fn take_commands(controllers: &mut [DriveController]) {
             }
         }
     }
+    // What cannot be taken yet is looked at again in the next cycle.
+    bells.silence(|axis| !controllers[axis].queues.posted.is_empty());
 }
 
 impl DriveController {
@@ -52,19 +71,35 @@ impl DriveController {
 
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
+    #[inline]
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
+        if self.called || self.machine.end().is_some() {
+            self.exchange_all(cycle, now, slot);
+        }
+        if cycle.index >= self.ages_at {
+            self.age_setpoint(cycle, now);
+        }
+    }
+
+    #[inline(never)]
+    fn exchange_all(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         self.waiting = None;
         self.commanded = slot.commanded;
         let held = self.held.take();
         self.take_setpoints(cycle);
         let resets = |active: &QueuedCommand| matches!(active.command, Command::Reset);
-        if self.machine.end().is_some() || self.active.as_ref().is_some_and(resets) {
+        if self.machine.end().is_some() || self.duty.active().as_ref().is_some_and(resets) {
             self.end_active(cycle, now);
         }
         if self.task_command.is_some() || !self.queues.commands.is_empty() {
             self.begin_next(cycle, now, held);
         }
-        self.age_setpoint(cycle, now);
+        // What waits is looked at again in the next cycle.
+        self.called = self.task_command.is_some()
+            || !self.queues.commands.is_empty()
+            || self.waiting.is_some()
+            || self.held.is_some()
+            || self.duty.active().as_ref().is_some_and(resets);
     }
 
     /// Begins those that may begin.
@@ -74,7 +109,7 @@ impl DriveController {
         for _ in 0..=self.queues.commands.len() {
             let next = self.task_command.or_else(|| self.queues.commands.front().copied());
             let Some(next) = next else { break };
-            if self.active.is_some_and(|active| !replaces(&next, &active)) {
+            if self.duty.active().is_some_and(|active| !replaces(&next, &active)) {
                 break;
             }
             if self.admit(&next) == Err(Failure::BeingWritten) {
@@ -104,6 +139,7 @@ impl DriveController {
     }
 
     /// The group command that waits until all other members are ready for it.
+    #[inline]
     pub fn waiting(&self) -> Option<GroupCall> {
         self.waiting.and_then(|command| command.call)
     }
@@ -121,6 +157,7 @@ impl DriveController {
     /// Begins the waiting command, unless it is refused to all members or may not begin at this one.
     pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
+        self.called = true;
         self.queues.commands.pop_front();
         self.start(cycle, now, command, refused);
     }
@@ -128,7 +165,7 @@ impl DriveController {
     /// Ends the running command as its drive machine has ended it.
     #[inline(never)]
     fn end_active(&mut self, cycle: &Cycle, now: Time) {
-        let Some(active) = self.active else { return };
+        let Some(active) = *self.duty.active() else { return };
         if matches!(active.command, Command::Reset) {
             self.try_reset(cycle, now, active);
             return;
@@ -137,8 +174,8 @@ impl DriveController {
             None => {}
             Some(Ok(())) => {
                 if matches!(active.command, Command::Enable) {
-                    self.claim = Claim::Armed;
-                    self.bounds = Bounds::default();
+                    self.duty.set_claim(Claim::Armed);
+                    self.bounds.forget();
                 }
                 if matches!(active.command, Command::Enable | Command::Disable) {
                     // From here on the drive's report says it.
@@ -153,7 +190,7 @@ impl DriveController {
                     self.rising = 0;
                 }
                 self.end(cycle, now, active, Outcome::Failed(failure));
-                if matches!(active.command, Command::Stop { .. }) && self.latch.is_open() {
+                if matches!(active.command, Command::Stop { .. }) && self.duty.latch().is_open() {
                     // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
                     self.issue(Some(Command::QuickStop));
                 }
@@ -193,10 +230,10 @@ impl DriveController {
     }
 
     fn begin(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand) {
-        if let Some(active) = self.active {
+        if let Some(active) = *self.duty.active() {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(queued.id)));
         }
-        self.active = Some(queued);
+        self.duty.set_active(Some(queued));
         self.began = now;
         match queued.command {
             Command::Reset => self.try_reset(cycle, now, queued),
@@ -205,7 +242,7 @@ impl DriveController {
                 self.issue(Some(Command::Disable));
             }
             command => {
-                if let (Command::QuickStop, Latch::Down(_, sequence)) = (command, &mut self.latch) {
+                if let (Command::QuickStop, Some((_, sequence))) = (command, self.duty.sequence()) {
                     sequence.quicken();
                 }
                 if command == Command::Enable {
@@ -213,7 +250,7 @@ impl DriveController {
                 }
                 self.issue(Some(self.bounded(command)));
                 // The first setpoint may come later: it has the whole age for that.
-                self.level_at = cycle.index;
+                (self.level_at, self.ages_at) = (cycle.index, 0);
                 if self.ahead.of == queued.id {
                     self.set_level(cycle.index, self.ahead.value);
                 }
@@ -230,7 +267,7 @@ impl DriveController {
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
     fn admit(&self, queued: &QueuedCommand) -> Result<(), Failure> {
-        match (queued.command, &self.latch) {
+        match (queued.command, self.duty.latch()) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
                 if latch.is_settled() => {}
@@ -242,7 +279,7 @@ impl DriveController {
         let motion = queued.command.is_motion() || matches!(queued.command, Command::Home);
         let native = |owner| queued.command == Command::Native(owner);
         match queued.command {
-            Command::Reset if !self.latch.is_settled() && !self.answers() => Err(Failure::NotOnline),
+            Command::Reset if !self.duty.latch().is_settled() && !self.answers() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
@@ -254,7 +291,7 @@ impl DriveController {
             _ if state != State::OperationEnabled && !native(NativeOwner::Master) => {
                 Err(Failure::WrongState(state))
             }
-            _ if self.claim != Claim::Armed => Err(Failure::NotEnabled),
+            _ if self.duty.claim() != Claim::Armed => Err(Failure::NotEnabled),
             Command::Home | Command::Native(_) => Ok(()),
             _ if self.plan.limits.position.is_some() && !self.feedback.status.homed => Err(Failure::NotHomed),
             Command::Move(Move { target: Target::Relative(distance), .. }) => {
@@ -267,7 +304,8 @@ impl DriveController {
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
         let moved = self
-            .active
+            .duty
+            .active()
             .is_some_and(|active| active.command.is_motion() || matches!(active.command, Command::Home));
         let slow = self.feedback.status.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.status.moving && slow && self.feedback.age < self.plan.divisor
@@ -275,34 +313,36 @@ impl DriveController {
 
     /// The latch opens once the stop sequence is complete.
     fn try_reset(&mut self, cycle: &Cycle, now: Time, queued: QueuedCommand) {
-        if !self.latch.is_settled() {
+        if !self.duty.latch().is_settled() {
             if !self.answers() {
                 // The sequence waits for the drive; so would the reset.
                 self.end(cycle, now, queued, Outcome::Failed(Failure::NotOnline));
             }
             return;
         }
-        let found = matches!(self.latch, Latch::Kept(_));
+        let found = matches!(self.duty.latch(), Latch::Kept(_));
         if found && self.feedback.link == Link::Online && self.feedback.status.state.is_powered() {
             // A drive that was only read until now: from here on it is ours, in its present state. It moves only
             // after an Enable, which changes nothing of a drive in operation.
             self.issue(None);
         }
-        self.latch = Latch::Open;
+        self.duty.set_latch(Latch::Open);
         self.feedback.stopped = None;
         self.end(cycle, now, queued, Outcome::Done);
     }
 
     /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
     pub(super) fn issue(&mut self, command: Option<Command>) {
-        if self.claim == Claim::Found {
-            self.claim = Claim::Ours;
+        if self.duty.claim() == Claim::Found {
+            self.duty.set_claim(Claim::Ours);
         }
         self.machine.start(self.grid, command);
+        self.duty.set_ordered(command);
         self.follow.held = false;
     }
 
     /// Writes what is desired of the drive with the send of `next`, if one is due then.
+    #[inline]
     pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
         if slot.due || slot.exchange == Exchange::Queued {
             self.machine.propose(next.grid, slot);
@@ -331,6 +371,7 @@ impl DriveController {
                 "the axis moves in a group: only a stop can be given to it alone",
             ));
         }
+        self.called = true;
         // A stop does not wait for the commands before it.
         if let Some(waiting) = self.task_command.replace(queued) {
             self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(queued.id)));
@@ -360,7 +401,9 @@ impl DriveController {
     /// The setpoint is for the command that begins now, or else for the running one; a command that takes no
     /// setpoints ignores it.
     fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Command) -> bool) {
-        if let Some(queued) = self.task_command.or(self.active).filter(|queued| takes(&queued.command)) {
+        if let Some(queued) =
+            self.task_command.or(*self.duty.active()).filter(|queued| takes(&queued.command))
+        {
             self.take_setpoint(cycle, Setpoint { of: queued.id, value });
         }
     }

@@ -75,7 +75,7 @@ impl DriveController {
 
     /// A setpoint that is not for the running command waits for its own.
     pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
-        match self.active {
+        match *self.duty.active() {
             Some(active) if active.id == setpoint.of => self.set_level(cycle, setpoint.value),
             _ => self.ahead = setpoint,
         }
@@ -83,29 +83,47 @@ impl DriveController {
 
     /// Sets the velocity or torque of the running command.
     pub(super) fn set_level(&mut self, cycle: u64, value: f64) {
-        (self.machine.input.level, self.level_at) = (value, cycle);
+        self.machine.input.level = value;
+        (self.level_at, self.ages_at) = (cycle, 0);
     }
 
-    /// Stops an axis whose velocity or torque is older than it may be.
+    /// Stops an axis whose velocity or torque is older than it may be, and notes when to look at that again.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time) {
-        let (most, cause) = match self.active.as_ref().map(|active| &active.command) {
+        let age = match self.duty.active().as_ref().map(|active| &active.command) {
             Some(Command::Velocity { .. } | Command::Torque { .. }) => {
-                (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
+                Some((u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint))
             }
-            Some(Command::Jog(_)) => match self.plan.jog_deadman {
-                Some(limit) => (nanos(limit).div_ceil(cycle.period_ns), StopCause::DeadMan),
-                None => return,
-            },
-            _ => return,
+            Some(Command::Jog(_)) => self
+                .plan
+                .jog_deadman
+                .map(|limit| (nanos(limit).div_ceil(cycle.period_ns), StopCause::DeadMan)),
+            _ => None,
         };
-        if cycle.index - self.level_at > most {
+        let Some((most, cause)) = age else {
+            self.ages_at = u64::MAX;
+            return;
+        };
+        self.ages_at = self.level_at.saturating_add(most).saturating_add(1);
+        if cycle.index >= self.ages_at {
             self.stop(cycle, now, cause);
         }
     }
 
+    /// It follows rows.
+    #[inline]
+    pub fn follows_rows(&self) -> bool {
+        self.duty.follows().rows
+    }
+
+    /// It follows rows, or the in-loop task has given one: [`feed`](Self::feed) has something to do.
+    #[inline]
+    pub fn takes_rows(&self) -> bool {
+        self.follows_rows() || self.task_row.is_some()
+    }
+
     /// The follow that takes a row for the next send.
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
-        let follow = self.active.filter(|active| matches!(active.command, Command::Follow))?;
+        let follow = self.duty.active().filter(|active| matches!(active.command, Command::Follow))?;
         let due = slot.due && matches!(self.machine.command(), Some(Command::Follow));
         let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
         (due && !done).then_some(follow)
@@ -115,7 +133,7 @@ impl DriveController {
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if self.active.is_none_or(|active| !matches!(active.command, Command::Follow)) {
+            if self.duty.active().is_none_or(|active| !matches!(active.command, Command::Follow)) {
                 self.task_row = None;
             }
             return;
@@ -178,7 +196,7 @@ impl DriveController {
     }
 
     fn fail_follow(&mut self, cycle: &Cycle, now: Time, failure: Failure, cause: StopCause) {
-        if let Some(active) = self.active {
+        if let Some(active) = *self.duty.active() {
             self.end(cycle, now, active, Outcome::Failed(failure));
         }
         self.stop(cycle, now, cause);

@@ -6,6 +6,7 @@ use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
 use super::*;
+use crate::axis::doorbell::Bells;
 use crate::axis::newest::{NewestIn, newest};
 use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
 use crate::bus::desired::Generator;
@@ -19,6 +20,7 @@ pub(in crate::drive) struct Alone {
     pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
     _setpoints: NewestIn,
+    bells: Bells,
     pub events: Consumer<Event>,
     index: u64,
     id: u64,
@@ -85,7 +87,17 @@ impl Alone {
         };
         let controller = DriveController::new(plan, can(), queues, MS, 0, 100, false);
         let slot = Slot::default();
-        Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
+        Alone {
+            controller,
+            slot,
+            commands,
+            rows,
+            _setpoints: setpoints,
+            bells: Bells::new(1),
+            events,
+            index: 0,
+            id: 0,
+        }
     }
 
     /// One cycle up to the commands. The drive answers with the report in the slot.
@@ -108,7 +120,7 @@ impl Alone {
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);
-        take_commands(from_mut(controller));
+        take_commands(from_mut(controller), &mut self.bells);
         controller.exchange(&cycle, now, slot);
     }
 
@@ -121,6 +133,7 @@ impl Alone {
         self.commands
             .push(QueuedCommand { id: CommandId(self.id), member: 0, command, stream: 0, call: None })
             .unwrap();
+        self.bells.bell(0).ring();
         self.id
     }
 
@@ -656,7 +669,7 @@ fn motion_under_a_command_that_moves_nothing_is_uncommanded() {
         x.post(command);
         x.turn();
         (x.slot.status.state, x.slot.status.velocity) = (state, 50.0);
-        x.controller.claim = Claim::Ours;
+        x.controller.duty.set_claim(Claim::Ours);
         x.turns(10);
         assert_eq!(x.controller.feedback().stopped, stopped, "{command:?} {state}");
     }
@@ -906,6 +919,7 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
         let call = Some(GroupCall { parts: 1, together: 2, lead: 0, id });
         let native = Command::Native(NativeOwner::Master);
         x.commands.push(QueuedCommand { id, member: 0, command: native, stream: 0, call }).unwrap();
+        x.bells.bell(0).ring();
         x.turn();
         x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), false);
         let target = Target::Relative(distance);

@@ -205,6 +205,7 @@ impl Machine {
     }
 
     /// How the newest command has ended; `None`: it is under way, or there is none.
+    #[inline]
     pub fn end(&self) -> End {
         self.end
     }
@@ -224,7 +225,7 @@ impl Machine {
     /// Writes what is desired of the drive with the send in slot `grid`.
     #[inline]
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
-        if self.waiting.is_none() && self.state.keeps_setpoint(&self.rules, &self.input, slot) {
+        if self.waiting.is_none() && self.state.keeps_setpoint(&self.input, slot) {
             return;
         }
         self.plan(grid, slot);
@@ -272,6 +273,7 @@ impl Machine {
     }
 
     /// The proposed request has gone out in this slot of the grid.
+    #[inline]
     pub fn commit(&mut self, grid: Time) {
         if self.waiting.is_some() {
             self.commit_command();

@@ -43,6 +43,8 @@ pub(super) struct Course {
     sent_at: Option<Time>,
     /// A velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
     is_constant: bool,
+    /// What it was requested to be then, before it was limited.
+    level: f64,
 }
 
 /// At a velocity or a torque.
@@ -69,6 +71,7 @@ impl Course {
             next: Point::default(),
             sent_at: None,
             is_constant: false,
+            level: 0.0,
         }
     }
 
@@ -96,7 +99,11 @@ impl Course {
         self.plan(Trajectory::on(point));
     }
 
+    #[inline]
     pub(super) fn sent(&mut self, grid: Time) {
+        if !self.is_used {
+            return;
+        }
         (self.passed_ns, self.demand, self.sent_at) = (self.next_ns, self.next, Some(grid));
     }
 
@@ -163,10 +170,17 @@ impl State {
 
     /// The setpoint in the slot is that of the next send, too.
     #[inline]
-    pub(super) fn keeps_setpoint(&self, rules: &Rules, input: &Input, slot: &Slot) -> bool {
+    pub(super) fn keeps_setpoint(&self, input: &Input, slot: &Slot) -> bool {
+        if self.is_new {
+            return false;
+        }
+        if !self.course.is_used {
+            // Only rows are setpoints of a drive that makes its own.
+            return !matches!(self.step, Step::FollowWaiting | Step::Following | Step::FollowEnding { .. });
+        }
         self.course.is_constant
-            && !self.is_new
-            && matches!(&self.step, Step::Turning(turning) if turning.velocity == rules.within_limit(input.level))
+            && input.level == self.course.level
+            && matches!(self.step, Step::Turning(_))
             && slot.evidence.mode == ModeIs::Own
     }
 
@@ -217,6 +231,7 @@ impl State {
         course.next = course.motion.at(course.next_ns);
         let is_place = view.quantity() == Some(Quantity::Position) || view.rules.limits.position.is_some();
         course.is_constant = !is_place && course.motion.is_over(course.next_ns);
+        course.level = view.input.level;
         end
     }
 
