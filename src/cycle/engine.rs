@@ -357,7 +357,7 @@ impl<C: Clock> Engine<C> {
 
         // 2 receive
         self.panics.stage = Some(Stage::Receive);
-        self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
+        self.window.run(&mut self.clock, cycle, sent, &mut self.buses, &mut self.slots);
         let received = self.clock.now();
 
         // 3 evaluate, what was sent included

@@ -46,7 +46,7 @@ named! {
         Receive = 1: "receive",
         /// Link health, limits, stop sequences.
         Evaluate = 2: "evaluate",
-        /// Command queues and the in-loop task.
+        /// Command queues and the in-loop task, and what they desire of each drive.
         Commands = 3: "commands",
         /// Building the next requests.
         Prepare = 4: "prepare",

@@ -96,12 +96,19 @@ impl Window {
         regions.add(&*self.missing);
     }
 
-    /// Runs the window of `cycle`.
+    /// Runs the window of `cycle`, which begins `now`.
     #[inline]
-    pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
+    pub fn run<C: Clock>(
+        &mut self,
+        clock: &mut C,
+        cycle: &Cycle,
+        now: Time,
+        buses: &mut [OpenBus],
+        slots: &mut [Slot],
+    ) {
         match self.polls {
-            false => self.turns::<C, false>(clock, cycle, buses, slots),
-            true => self.turns::<C, true>(clock, cycle, buses, slots),
+            false => self.turns::<C, false>(clock, cycle, now, buses, slots),
+            true => self.turns::<C, true>(clock, cycle, now, buses, slots),
         }
     }
 
@@ -111,15 +118,17 @@ impl Window {
         &mut self,
         clock: &mut C,
         cycle: &Cycle,
+        begin: Time,
         buses: &mut [OpenBus],
         slots: &mut [Slot],
     ) {
+        let mut begin = Some(begin);
         let (mut left, mut poll_at) = (self.count(cycle, buses, slots), poll_at::<POLLS>(buses));
         let owed = left;
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
         while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
-            let now = clock.now();
+            let now = begin.take().unwrap_or_else(|| clock.now());
             let over = now >= cycle.deadline;
             if !over && poll_at.is_some_and(|at| at <= now) {
                 let due =
@@ -314,7 +323,8 @@ mod tests {
         let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
         slots.resize(owed.max(1), Slot::default());
         let mut buses = [open_bus(Box::new(bus), 0..slots.len(), poll_at_us.is_some())];
-        Window::new(wait, &buses).run(&mut clock, &cycle, &mut buses, &mut slots);
+        let begin = clock.now();
+        Window::new(wait, &buses).run(&mut clock, &cycle, begin, &mut buses, &mut slots);
         clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
     }
 
@@ -389,7 +399,7 @@ mod tests {
             open_bus(Box::new(OnSocket { socket, reads: Arc::clone(&reads[place]) }), place..place + 1, false)
         };
         let mut buses = [open(0), open(1), open(2)];
-        Window::new(Wait::Poll, &buses).run(&mut MonotonicClock, &cycle, &mut buses, &mut slots);
+        Window::new(Wait::Poll, &buses).run(&mut MonotonicClock, &cycle, cycle.grid, &mut buses, &mut slots);
         assert_eq!(slots[0].exchange, Exchange::Idle);
         assert_eq!(reads.map(|reads| reads.load(Ordering::Relaxed)), [1, 0, 1]);
     }
