@@ -100,6 +100,9 @@ impl Handler for Endpoints<'_> {
             Some(End::Drive(station, slot)) => {
                 station.service.advance(now, slot.link, slot.guarded);
                 slot.commanded = station.service.commands();
+                if slot.commanded {
+                    station.unsettle();
+                }
             }
             Some(End::Device(device)) => device.service.advance(now, Link::Online, false),
             None => {}

@@ -498,10 +498,11 @@ impl Bus for EthercatBus {
         let frames = self.image.frames_mut();
         for (DriveEnd { station, built, offsets, .. }, slot) in self.drives.iter_mut().zip(&mut *slots) {
             if slot.due {
-                station.profile.encode(cycle.grid, &slot.desired, frames[offsets.frame].outputs(offsets));
+                station.encode(cycle.grid, slot, frames[offsets.frame].outputs(offsets));
             } else if *built {
                 // Its send was passed over.
                 frames[offsets.frame].keep_outputs(offsets);
+                station.profile.outputs_replaced();
             }
             *built = slot.due;
         }

@@ -147,12 +147,8 @@ impl Segment {
             return false;
         }
         let Some(views) = self.slaves.in_operation(frame.range.clone(), back.received) else { return false };
-        for view in views {
-            if let Some(inputs) = back.received.get(view.inputs.clone()) {
-                let taken = Taken { at: back.at, al: AlState::Op, inputs, in_window: back.in_window };
-                handler.take(view.owner, taken);
-            }
-        }
+        let inputs = |view: &View| Some((view.owner, back.received.get(view.inputs.clone())?));
+        handler.take_all(back.at, back.in_window, views.iter().filter_map(inputs));
         true
     }
 

@@ -70,6 +70,12 @@ pub trait Handler {
     /// The inputs of a slave, as a frame brought them; `in_window`: in time for the exchange of a drive.
     fn take(&mut self, owner: Owner, taken: Taken<'_>);
 
+    /// The same of slaves that are all in OP.
+    #[inline]
+    fn take_all<'a>(&mut self, at: Time, in_window: bool, all: impl Iterator<Item = (Owner, &'a [u8])>) {
+        all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al: AlState::Op, inputs, in_window }));
+    }
+
     /// The frame of this window came back without it, or contains nothing of it.
     fn passed_by(&mut self, owner: Owner);
 

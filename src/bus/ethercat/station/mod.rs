@@ -64,7 +64,7 @@ pub struct Station {
     /// The last position, and its slot of the grid.
     last: Option<(i64, Time)>,
     pub(super) sent_grid: Time,
-    /// Outputs were written since OP: there is a demand.
+    /// The setpoints of the outputs are its demand, and reach it.
     led: bool,
     /// The outputs of the last exchange reach the drive.
     reached: bool,
@@ -77,6 +77,9 @@ pub struct Station {
     was_restarted: bool,
     /// The application writes a parameter that may command the drive.
     commanded: bool,
+    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
+    /// the values of its process data count then.
+    is_steady: bool,
 }
 
 impl Station {
@@ -120,6 +123,7 @@ impl Station {
             warning: 0,
             was_restarted: false,
             commanded: false,
+            is_steady: false,
         };
         (station, application, ends)
     }
@@ -130,8 +134,20 @@ impl Station {
         self.service.memory(regions);
     }
 
+    /// What changed is taken into account with the next report.
+    pub fn unsettle(&mut self) {
+        self.is_steady = false;
+    }
+
+    /// Writes the outputs of the exchange in slot `grid`.
+    #[inline]
+    pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
+        self.is_steady &= !self.profile.encode(grid, &slot.desired, outputs);
+    }
+
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
     pub fn operational(&mut self, al: Option<AlState>, slot: &mut Slot) {
+        self.unsettle();
         let before = std::mem::replace(&mut self.al, al);
         if before == al {
             return;
@@ -148,12 +164,14 @@ impl Station {
     }
 
     fn leave_operation(&mut self) {
+        self.unsettle();
         (self.inputs.operational, self.led) = (false, false);
         self.profile.dropped();
     }
 
     /// The drive was found power-cycled. It is reported with its next report.
     pub fn restarted(&mut self) {
+        self.unsettle();
         self.was_restarted = true;
         self.profile.drive_restarted();
         self.requests.forget();
@@ -166,23 +184,32 @@ impl Station {
     /// The frame with the prepared outputs went out.
     #[inline]
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
-        self.open(sent_at, reply_by, slot);
+        self.owe(sent_at, reply_by, slot);
         self.reached = true;
-        self.profile.sent();
+        self.is_steady &= self.profile.grid < self.requests.next_show();
+        if !self.is_steady {
+            self.request();
+        }
+        self.profile.sent(self.is_steady);
         slot.gone.grid = Some(self.profile.grid);
     }
 
     /// A frame was sent that only reads this drive: its outputs do not count there yet.
-    #[inline]
     pub fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
-        slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
-        (self.sent_grid, self.reached) = (self.profile.grid, false);
+        self.unsettle();
+        self.owe(sent_at, reply_by, slot);
+        self.reached = false;
         self.request();
     }
 
-    /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
     #[inline]
+    fn owe(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
+        self.sent_grid = self.profile.grid;
+    }
+
+    /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
     fn request(&mut self) {
         if self.al.is_none() {
             return;
@@ -211,6 +238,24 @@ impl Station {
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
         let counts = self.profile.read(inputs);
+        match counts {
+            Some(counts) if self.is_steady && al == AlState::Op && counts.status == self.inputs.status.0 => {
+                slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
+                slot.counters.answered += 1;
+                self.profile.answered();
+                self.profile.publish(at, false, inputs);
+                self.take_values(counts);
+                self.profile.prove_values(&self.inputs, &mut slot.evidence);
+                self.report_values(at, counts, slot);
+            }
+            counts => self.take_anew(at, inputs, counts, al, slot),
+        }
+    }
+
+    /// The same where more may have changed than the values.
+    #[inline(never)]
+    fn take_anew(&mut self, at: Time, inputs: &[u8], counts: Option<Counts>, al: AlState, slot: &mut Slot) {
+        let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
         if counts.is_some_and(|counts| counts.status == 0) && inputs.iter().all(|byte| *byte == 0) {
             // As the master has sent them: the slave has counted for its AL status alone.
             Own::PassedBy.count(&mut slot.counters);
@@ -230,9 +275,16 @@ impl Station {
         }
         self.led = operational && self.reached && self.profile.writes();
         self.inputs.operational = operational;
-        self.profile.publish(at, inputs);
+        self.profile.publish(at, self.profile.is_native(), inputs);
+        self.is_steady = false;
         if let Some(counts) = counts {
             self.read(at, counts, slot);
+            self.is_steady = self.reached
+                && operational
+                && !self.commanded
+                && (self.emergency.code, self.faulted_at) == (0, None)
+                && self.requests.are_idle(self.profile.mode_wanted())
+                && self.profile.is_steady(&self.inputs);
         }
     }
 
@@ -247,60 +299,14 @@ impl Station {
             Some(Clearing::Warning) => self.warning = emergency.code,
             _ => (self.emergency, self.emergency_at) = (emergency, self.profile.grid),
         }
+        self.unsettle();
         slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
     /// The drive's report, in user units.
-    #[inline]
     fn read(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
         let (status, before) = (StatusWord(counts.status), self.inputs.status);
-        if status.0 != self.inputs.status.0 || !self.inputs.seen {
-            self.inputs.state = status.state();
-            self.inputs.status = status;
-        }
-        let position = self.take_position(counts, before);
-        self.take_fault(at, counts);
-        let inputs = &mut self.inputs;
-        (inputs.seen, inputs.position) = (true, position.unwrap_or(0.0));
-        let Slot { status: report, notices, evidence, .. } = slot;
-        notices.fresh = true;
-        report.at = at;
-        report.suspect = false;
-        notices.restarted |= std::mem::take(&mut self.was_restarted);
-        report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
-        let powered = report.state.is_powered();
-        self.profile.look(inputs);
-        self.profile.prove(inputs, self.requests.mode(), evidence);
-        evidence.reference = self.requests.reference();
-        report.inhibited = !powered && self.profile.is_inhibited();
-        report.moving = powered && (self.profile.is_moving() || inputs.velocity.abs() > self.standstill);
-        let homing = self.profile.is_homing();
-        let led = self.has_place && self.led && !homing && !self.profile.is_native();
-        report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.profile.is_moving());
-        report.homed = !homing && self.requests.homed == Some(true);
-        let units = &self.units;
-        report.position = position.map_or(f64::NAN, |position| units.folded(position));
-        report.demand = report.position;
-        if led {
-            let count = self.demand.next(self.profile.setpoint_sent());
-            report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
-        }
-        report.velocity = inputs.velocity;
-        report.current =
-            counts.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
-        report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
-        report.fault = u32::from(inputs.fault);
-        if let Some(shown) = self.requests.take_shown() {
-            (report.monitor, notices.monitor_fresh) = (*shown, true);
-            if let Some(refusal) = self.requests.refusal.take() {
-                notices.monitor_refused = Some(refusal);
-            }
-        }
-    }
-
-    /// The actual position, not folded, and the velocity.
-    #[inline]
-    fn take_position(&mut self, counts: Counts, before: StatusWord) -> Option<f64> {
+        (self.inputs.state, self.inputs.status, self.inputs.seen) = (status.state(), status, true);
         let homing = self.profile.is_homing();
         if homing {
             // The positions have a new origin.
@@ -310,22 +316,72 @@ impl Station {
                 self.requests.request_reference();
             }
         }
+        let velocity = self.inputs.velocity;
+        self.take_values(counts);
+        if homing && counts.velocity.is_none() {
+            let attained = counts.status & !before.0 & StatusWord::MODE_12 != 0;
+            if attained || self.inputs.velocity.abs() > self.most_velocity {
+                // That was no motion.
+                self.inputs.velocity = velocity;
+            }
+        }
+        self.take_fault(at, counts);
+        let Slot { status: report, notices, evidence, .. } = slot;
+        let inputs = &self.inputs;
+        report.suspect = false;
+        notices.restarted |= std::mem::take(&mut self.was_restarted);
+        report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
+        self.profile.look(inputs);
+        self.profile.prove(inputs, self.requests.mode(), evidence);
+        evidence.reference = self.requests.reference();
+        // Its own mode may have come back with this report.
+        let homing = self.profile.is_homing();
+        report.inhibited = !report.state.is_powered() && self.profile.is_inhibited();
+        report.homed = !homing && self.requests.homed == Some(true);
+        report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
+        report.fault = u32::from(inputs.fault);
+        if let Some(shown) = self.requests.take_shown() {
+            (report.monitor, notices.monitor_fresh) = (*shown, true);
+            if let Some(refusal) = self.requests.refusal.take() {
+                notices.monitor_refused = Some(refusal);
+            }
+        }
+        self.led &= self.has_place && !homing && !self.profile.is_native();
+        self.report_values(at, counts, slot);
+    }
+
+    /// The actual position, not folded, and the velocity.
+    #[inline]
+    fn take_values(&mut self, counts: Counts) {
         let count = counts.position.map(|raw| self.actual.next(raw));
         if let Some(velocity) = counts.velocity {
             self.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
         } else if let Some(count) = count {
-            let velocity = self.inputs.velocity;
             self.differ(count);
-            if homing {
-                let attained = counts.status & !before.0 & StatusWord::MODE_12 != 0;
-                if attained || self.inputs.velocity.abs() > self.most_velocity {
-                    // That was no motion.
-                    self.inputs.velocity = velocity;
-                }
-            }
         }
         self.last = count.map(|count| (count, self.sent_grid));
-        Some(count? as f64 * self.unit_per_count + self.units.offset)
+        self.inputs.position =
+            count.map_or(0.0, |count| count as f64 * self.unit_per_count + self.units.offset);
+    }
+
+    /// What changes from report to report.
+    #[inline]
+    fn report_values(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
+        let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.inputs, &self.units);
+        notices.fresh = true;
+        report.at = at;
+        let is_led_on = self.profile.is_moving();
+        report.moving = report.state.is_powered() && (is_led_on || inputs.velocity.abs() > self.standstill);
+        report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
+        report.position = counts.position.map_or(f64::NAN, |_| units.folded(inputs.position));
+        report.demand = report.position;
+        if self.led {
+            let count = self.demand.next(self.profile.setpoint_sent());
+            report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
+        }
+        report.velocity = inputs.velocity;
+        report.current =
+            counts.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
     }
 
     /// The velocity of a drive that reports none: the distance since the last exchange.

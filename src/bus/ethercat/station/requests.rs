@@ -101,6 +101,12 @@ impl Requests {
         self.outdated |= self.pending == Some(Pending::Reference);
     }
 
+    /// When a monitored object is to be read next.
+    #[inline]
+    pub(super) fn next_show(&self) -> Time {
+        self.next_show
+    }
+
     /// What a homing has left; `None`: not known yet.
     pub(super) fn reference(&self) -> Option<Reference> {
         self.homed.map(|homed| match homed {
@@ -130,16 +136,19 @@ impl Requests {
     }
 
     /// Takes the result of the last SDO, and begins the next; false: there was nothing to do.
-    #[inline]
     pub(super) fn advance(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) -> bool {
-        let rests = self.content == Some(wanted) && now < self.next_show;
-        if !rests {
+        let is_idle = self.are_idle(wanted) && now < self.next_show;
+        if !is_idle {
             self.go_on(now, wanted, service);
         }
-        !rests
+        !is_idle
     }
 
-    #[inline(never)]
+    /// With this mode wanted there is nothing to do, except for monitored objects.
+    pub(super) fn are_idle(&self, wanted: ModeWanted) -> bool {
+        self.content == Some(wanted)
+    }
+
     fn go_on(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) {
         self.content = None;
         if let Some(pending) = self.pending

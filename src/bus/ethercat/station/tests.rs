@@ -129,9 +129,9 @@ impl Rig {
     fn prepare(&mut self) {
         let before = self.setpoint();
         self.machine.propose(self.now, &mut self.slot);
-        self.station.profile.encode(self.now, &self.slot.desired, &mut self.outputs);
+        self.station.encode(self.now, &self.slot, &mut self.outputs);
         let built = self.outputs.clone();
-        self.station.profile.encode(self.now, &self.slot.desired, &mut self.outputs);
+        self.station.encode(self.now, &self.slot, &mut self.outputs);
         assert_eq!(built, self.outputs, "built again it is the same");
         self.steepest = self.steepest.max(self.setpoint().wrapping_sub(before).saturating_abs());
     }

@@ -1,16 +1,22 @@
 //! What is desired of a Kollmorgen drive as control word and setpoint, and what its answers prove.
 //!
+//! | file | what |
+//! |---|---|
+//! | `mod` | what is desired, as outputs; what is proved |
+//! | `offsets` | where the values are in the PDOs |
+//!
 //! Inputs that come with a frame are from before its outputs: an output is answered by the exchange after it.
 //!
 //! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is
 //! commanded to switch on and stays off without a fault has no hardware enable.
 
+mod offsets;
+
+use self::offsets::Offsets;
+pub(super) use self::offsets::{Counts, tells_position};
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
-use super::native::{NativeOutput, NativePort, PDO_MAX};
-use super::object::number::{
-    CONTROL_WORD, ERROR_CODE, INCREMENTS, MAXIMUM_TORQUE, POSITION, STATUS_WORD, TORQUE, VELOCITY,
-};
-use super::object::pdo::{Entry, Layout};
+use super::native::{NativeOutput, NativePort};
+use super::object::number::CONTROL_WORD;
 use super::plan::{KollmorgenDrive, Setpoint};
 use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;
@@ -23,9 +29,9 @@ use crate::rt::Regions;
 use crate::time::{MS, S, Time};
 
 /// The answer to an output comes with so many exchanges.
-const ANSWERS: u32 = 2;
+const ANSWERS: u64 = 2;
 /// Exchanges that a drive may take from its order to home until bit 12 refers to this homing (assumed).
-const HOME_ANSWERS: u32 = 3;
+const HOME_ANSWERS: u64 = 3;
 /// A drive that is commanded to switch on does so within this time, ns, or its hardware enable is missing
 /// (assumed).
 const ON_WITHIN_NS: u64 = 500 * MS;
@@ -79,27 +85,30 @@ impl Inputs {
     }
 }
 
-/// A serial, and the exchanges that were answered since one with it was sent.
+/// A serial, and the number of answered exchanges when the first one with it was sent.
 #[derive(Clone, Copy, Debug, Default)]
 struct Carried {
     serial: u64,
-    answers: u32,
+    since: u64,
 }
 
 impl Carried {
-    fn sent(&mut self, serial: u64) {
+    #[inline]
+    fn sent(&mut self, serial: u64, answers: u64) {
         if serial != self.serial {
-            *self = Carried { serial, answers: 0 };
+            *self = Carried { serial, since: answers };
         }
     }
 
-    fn answered(&mut self) {
-        self.answers = self.answers.saturating_add(1);
+    /// Delivered: an exchange after the one that carried it was answered.
+    #[inline]
+    fn is_delivered(self, answers: u64) -> bool {
+        answers - self.since >= ANSWERS
     }
 
-    /// Delivered: an exchange after the one that carried it was answered.
-    fn accepted(self, so_far: u64) -> u64 {
-        if self.answers >= ANSWERS { self.serial } else { so_far }
+    #[inline]
+    fn accepted(self, answers: u64, so_far: u64) -> u64 {
+        if self.is_delivered(answers) { self.serial } else { so_far }
     }
 }
 
@@ -124,12 +133,16 @@ pub(super) struct Profile {
     wanted: Desired,
     control: ControlWord,
     setpoint: i32,
+    /// What is neither control word nor setpoint is in the outputs.
+    is_filled: bool,
     /// It homes, or has not left the mode of that.
     homes: bool,
     /// The next native output of the application; `is_sent`: it went out.
     output: Option<NativeOutput>,
     is_sent: bool,
     sent: Sent,
+    /// The exchanges that were answered.
+    answers: u64,
     power: Carried,
     motion: Carried,
     row: Carried,
@@ -220,10 +233,12 @@ impl Profile {
             wanted: Desired::default(),
             control: ControlWord(0),
             setpoint: 0,
+            is_filled: false,
             homes: false,
             output: None,
             is_sent: true,
             sent: Sent::default(),
+            answers: 0,
             power: Carried::default(),
             motion: Carried::default(),
             row: Carried::default(),
@@ -235,18 +250,20 @@ impl Profile {
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.native.memory(regions);
+        self.offsets.memory(regions);
     }
 
-    /// Writes the output PDO of the exchange in slot `grid`, whole. Built again for the same send, it is the same:
-    /// state that changes with every exchange changes in [`sent`](Self::sent).
+    /// Writes the output PDO of the exchange in slot `grid` over the one before; true: something else is desired.
+    /// Built again for the same send, it is the same: state that changes with every exchange changes in
+    /// [`sent`](Self::sent).
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, desired: &Desired, outputs: &mut [u8]) {
+    pub(super) fn encode(&mut self, grid: Time, desired: &Desired, outputs: &mut [u8]) -> bool {
         self.grid = grid;
         let Desired { power, mode, motion, setpoint } = desired;
         let Desired { power: last_power, mode: last_mode, motion: last_motion, .. } = &self.wanted;
-        if (power.serial, mode.serial, motion.serial)
-            != (last_power.serial, last_mode.serial, last_motion.serial)
-        {
+        let is_new = (power.serial, mode.serial, motion.serial)
+            != (last_power.serial, last_mode.serial, last_motion.serial);
+        if is_new {
             self.change(desired);
         }
         self.wanted.setpoint.row = setpoint.row;
@@ -259,10 +276,19 @@ impl Profile {
             Quantity::Torque => rounded(setpoint.torque * self.scale) as i32,
             Quantity::Unknown => 0,
         };
+        if !std::mem::replace(&mut self.is_filled, true) {
+            self.offsets.fill(outputs);
+        }
         self.offsets.write(self.control.0, self.setpoint, outputs);
         if let Some(owner) = self.native_owner() {
             self.encode_native(owner, outputs);
         }
+        is_new
+    }
+
+    /// The outputs are not the ones that were written last.
+    pub(super) fn outputs_replaced(&mut self) {
+        self.is_filled = false;
     }
 
     /// Writes the native outputs of the application over those of the master.
@@ -274,17 +300,18 @@ impl Profile {
             (self.output, self.is_sent) = (Some(output), false);
         }
         let Some(output) = &self.output else { return };
+        self.is_filled = false;
         let size = output.bytes().len().min(outputs.len());
         outputs[..size].copy_from_slice(&output.bytes()[..size]);
         if owner == NativeOwner::Master {
-            put(outputs, self.offsets.control, self.control.0.to_le_bytes());
+            self.offsets.write_control(self.control.0, outputs);
         }
     }
 
     /// Publishes the inputs to the application.
     #[inline]
-    pub(super) fn publish(&mut self, at: Time, inputs: &[u8]) {
-        self.native.publish(at, self.is_native(), inputs);
+    pub(super) fn publish(&mut self, at: Time, is_native: bool, inputs: &[u8]) {
+        self.native.publish(at, is_native, inputs);
     }
 
     /// Reads the input PDO; `None`: it has no status word.
@@ -350,18 +377,25 @@ impl Profile {
         self.mode_refused = self.mode_wanted() == desired::Mode::Homing;
     }
 
-    /// The last built exchange was sent, and its outputs count.
+    /// The last built exchange was sent, and its outputs count. `is_steady`: since the one before, nothing has
+    /// changed but the setpoint and its row.
     #[inline]
-    pub(super) fn sent(&mut self) {
-        let Desired { power, motion, setpoint, .. } = &self.wanted;
-        self.power.sent(power.serial);
-        self.motion.sent(motion.serial);
-        self.row.sent(setpoint.row);
+    pub(super) fn sent(&mut self, is_steady: bool) {
+        self.row.sent(self.wanted.setpoint.row, self.answers);
+        self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
+        self.is_sent = true;
+        if !is_steady {
+            self.sent_anew();
+        }
+    }
+
+    fn sent_anew(&mut self) {
+        let Desired { power, motion, .. } = &self.wanted;
+        self.power.sent(power.serial, self.answers);
+        self.motion.sent(motion.serial, self.answers);
         let sent = &mut self.sent;
         sent.follows = power.value == Power::EnableOperation;
         sent.homes = motion.value == Motion::Home;
-        sent.setpoints = (self.setpoint, sent.setpoints.0);
-        self.is_sent = true;
         if sent.control != Some(self.control) || sent.before != Some(self.control) {
             sent.before = sent.control.replace(self.control);
             let on = ControlWord::ENABLE_VOLTAGE | ControlWord::NO_QUICK_STOP;
@@ -373,16 +407,14 @@ impl Profile {
     /// An exchange was answered by a drive that outputs reach.
     #[inline]
     pub(super) fn answered(&mut self) {
-        self.power.answered();
-        self.motion.answered();
-        self.row.answered();
+        self.answers += 1;
     }
 
     /// Outputs no longer reach the drive.
     pub(super) fn dropped(&mut self) {
         self.switching = Switching::default();
         // What is sent from now on is proved anew.
-        (self.power.answers, self.motion.answers, self.row.answers) = (0, 0, 0);
+        (self.power.since, self.motion.since, self.row.since) = (self.answers, self.answers, self.answers);
     }
 
     /// The drive has lost its commands.
@@ -454,12 +486,11 @@ impl Profile {
             }
         }
         let accepted = &mut evidence.accepted;
-        accepted.power = self.power.accepted(accepted.power);
-        accepted.motion = self.motion.accepted(accepted.motion);
-        accepted.row = self.row.accepted(accepted.row);
+        accepted.power = self.power.accepted(self.answers, accepted.power);
+        accepted.motion = self.motion.accepted(self.answers, accepted.motion);
         evidence.outputs_count = inputs.operational;
         evidence.mode = mode;
-        let refers = self.sent.homes && self.motion.answers > HOME_ANSWERS;
+        let refers = self.sent.homes && self.answers - self.motion.since > HOME_ANSWERS;
         evidence.homing = if refers { homing(inputs.status) } else { Homing::Open };
         let faulted = inputs.faulted();
         let resettable = if faulted { resettable(inputs) } else { Resettable::Now };
@@ -470,7 +501,27 @@ impl Profile {
         } else if self.found_otherwise && self.watched {
             evidence.obstacle = Some(FOUND_UNWATCHED);
         }
+        self.prove_values(inputs, evidence);
+    }
+
+    /// The same, if nothing has changed but the row and the values.
+    #[inline]
+    pub(super) fn prove_values(&self, inputs: &Inputs, evidence: &mut Evidence) {
+        evidence.accepted.row = self.row.accepted(self.answers, evidence.accepted.row);
         evidence.position = inputs.position;
+    }
+
+    /// What is desired was sent and proved; what else is written and proved stays the same while the status does.
+    pub(super) fn is_steady(&self, inputs: &Inputs) -> bool {
+        let Desired { power, mode, motion, .. } = &self.wanted;
+        let is_delivered =
+            |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
+        let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
+        let is_written = self.sent.control == Some(self.control) && self.sent.before == Some(self.control);
+        let homes = self.homes || self.sent.homes || mode.value == desired::Mode::Homing;
+        // A missing hardware enable shows in the course of time.
+        let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
+        is_proved && is_written && !homes && !self.is_native() && !is_dark
     }
 }
 
@@ -495,193 +546,4 @@ fn resettable(inputs: &Inputs) -> Resettable {
 #[inline]
 fn rounded(value: f64) -> f64 {
     value + 0.5_f64.copysign(value)
-}
-
-/// Its inputs have an actual position.
-pub(super) fn tells_position(drive: &KollmorgenDrive) -> bool {
-    let is_one =
-        |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
-    is_one(POSITION) || is_one(INCREMENTS)
-}
-
-/// The largest torque of a drive: 0 would be none. If the plan does not set it, it is this, per mille (assumed: the
-/// drive's own limit acts below it).
-const MOST_PERMILLE: u64 = 3_000;
-
-/// The offset of a value that is not there: past the end.
-const NOWHERE: usize = PDO_MAX;
-
-/// The offsets of the values in the outputs and inputs.
-#[derive(Clone, Debug)]
-struct Offsets {
-    /// The outputs without control word and setpoint.
-    rest: [u8; PDO_MAX],
-    size: usize,
-    control: usize,
-    setpoint: usize,
-    /// The setpoint has 16 bits.
-    is_short: bool,
-    status: usize,
-    position: usize,
-    velocity: usize,
-    torque: usize,
-    fault: usize,
-}
-
-/// The drive's report, as counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Counts {
-    pub status: u16,
-    pub position: Option<i32>,
-    pub velocity: Option<i32>,
-    pub torque: Option<i16>,
-    pub fault: Option<u16>,
-}
-
-impl Offsets {
-    fn new(drive: &KollmorgenDrive) -> Offsets {
-        let (outputs, inputs) = (&drive.outputs, &drive.inputs);
-        let sized = |layout: &Layout, object, bytes| {
-            let is_it = |(_, entry): &(usize, Entry)| entry.object == object && entry.kind.bytes() == bytes;
-            layout.places().find(is_it).map_or(NOWHERE, |(at, _)| at.min(PDO_MAX))
-        };
-        let setpoint = drive.setpoint().map(|setpoint| setpoint.shape().0);
-        let setpoint = setpoint
-            .and_then(|object| outputs.places().find(|(_, entry)| entry.object == object))
-            .map(|(at, entry)| (at.min(PDO_MAX), entry.kind.bytes() == 2));
-        let (setpoint, is_short) = setpoint.unwrap_or((NOWHERE, false));
-        let position = match sized(inputs, POSITION, 4) {
-            NOWHERE => sized(inputs, INCREMENTS, 4),
-            position => position,
-        };
-        Offsets {
-            rest: rest(drive),
-            size: outputs.size().min(PDO_MAX),
-            control: sized(outputs, CONTROL_WORD, 2),
-            setpoint,
-            is_short,
-            status: sized(inputs, STATUS_WORD, 2),
-            position,
-            velocity: sized(inputs, VELOCITY, 4),
-            torque: sized(inputs, TORQUE, 2),
-            fault: sized(inputs, ERROR_CODE, 2),
-        }
-    }
-
-    /// Writes the output PDO, whole.
-    #[inline]
-    fn write(&self, control: u16, setpoint: i32, outputs: &mut [u8]) {
-        let size = self.size.min(outputs.len());
-        outputs[..size].copy_from_slice(&self.rest[..size]);
-        if self.is_short {
-            let most = i32::from(i16::MAX);
-            put(outputs, self.setpoint, (setpoint.clamp(-most, most) as i16).to_le_bytes());
-        } else {
-            put(outputs, self.setpoint, setpoint.to_le_bytes());
-        }
-        self.write_control(control, outputs);
-    }
-
-    /// Writes the control word over the present one.
-    #[inline]
-    fn write_control(&self, control: u16, outputs: &mut [u8]) {
-        put(outputs, self.control, control.to_le_bytes());
-    }
-
-    /// Reads the input PDO; `None`: it has no status word.
-    #[inline]
-    fn read(&self, inputs: &[u8]) -> Option<Counts> {
-        Some(Counts {
-            status: u16::from_le_bytes(get(inputs, self.status)?),
-            position: get(inputs, self.position).map(i32::from_le_bytes),
-            velocity: get(inputs, self.velocity).map(i32::from_le_bytes),
-            torque: get(inputs, self.torque).map(i16::from_le_bytes),
-            fault: get(inputs, self.fault).map(u16::from_le_bytes),
-        })
-    }
-}
-
-#[inline]
-fn put<const N: usize>(outputs: &mut [u8], at: usize, value: [u8; N]) {
-    if let Some(place) = outputs.get_mut(at..).and_then(<[u8]>::first_chunk_mut) {
-        *place = value;
-    }
-}
-
-#[inline]
-fn get<const N: usize>(inputs: &[u8], at: usize) -> Option<[u8; N]> {
-    inputs.get(at..)?.first_chunk().copied()
-}
-
-/// The other outputs: as the plan writes the objects at the start, otherwise 0.
-fn rest(drive: &KollmorgenDrive) -> [u8; PDO_MAX] {
-    let mut rest = [0; PDO_MAX];
-    for (at, entry) in drive.outputs.places() {
-        let planned = drive.slave.start_up.iter().rev().find(|start| start.object == entry.object);
-        let raw = match (planned, entry.object) {
-            (Some(start), _) => start.raw,
-            (None, MAXIMUM_TORQUE) => MOST_PERMILLE,
-            (None, _) => 0,
-        };
-        let bytes = entry.kind.bytes();
-        if let Some(place) = rest.get_mut(at..at + bytes) {
-            place.copy_from_slice(&raw.to_le_bytes()[..bytes]);
-        }
-    }
-    rest
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::bus::ethercat::object::{Family, Object, pdo};
-    use crate::bus::ethercat::plan::Start;
-
-    fn drive(family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {
-        let mut drive = KollmorgenDrive::new("x", 0, family);
-        for layout in pdo::fixed(family) {
-            match layout.pdo {
-                number if number == outputs => drive.outputs = layout,
-                number if number == inputs => drive.inputs = layout,
-                _ => {}
-            }
-        }
-        drive
-    }
-
-    #[test]
-    fn outputs_and_inputs_are_those_of_the_sheet() {
-        let offsets = Offsets::new(&drive(Family::S700, 0x1702, 0x1B03));
-        let mut outputs = [0xEE; 6];
-        offsets.write(0x0F, 100_000, &mut outputs);
-        assert_eq!(outputs, [0xA0, 0x86, 0x01, 0, 0x0F, 0]);
-        let said = offsets.read(&[0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06]).unwrap();
-        assert_eq!((said.status, said.position, said.torque), (0x0637, Some(123_456), Some(-250)));
-        assert_eq!((said.velocity, said.fault), (None, None));
-    }
-
-    #[test]
-    fn what_else_is_mapped_is_as_planned_and_no_torque_is_taken_away() {
-        let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
-        let outputs = Object::new(0x60FE, 1);
-        akd.slave.start_up.push(Start {
-            object: outputs,
-            kind: crate::bus::ethercat::object::Type::U32,
-            raw: 3,
-        });
-        let offsets = Offsets::new(&akd);
-        let mut out = vec![0xEE; akd.outputs.size()];
-        offsets.write(6, -1, &mut out);
-        assert_eq!(out, [6, 0, 0xFF, 0xFF, 0xFF, 0xFF, 3, 0, 0, 0, 0, 0, 0, 0, 0xB8, 0x0B]);
-    }
-
-    #[test]
-    fn areas_that_are_too_short_are_neither_read_nor_written_beyond() {
-        let offsets = Offsets::new(&drive(Family::S700, 0x1702, 0x1B03));
-        for length in 0..6 {
-            let mut outputs = vec![0; length];
-            offsets.write(0x0F, -1, &mut outputs);
-        }
-        assert!((0..8).all(|length| offsets.read(&vec![0; length]).is_none()));
-    }
 }

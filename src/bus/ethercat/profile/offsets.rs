@@ -1,0 +1,208 @@
+//! The offsets of control word, setpoint and reported values in the PDOs of a drive, computed once from their layouts.
+
+use crate::bus::ethercat::native::PDO_MAX;
+use crate::bus::ethercat::object::number::{
+    CONTROL_WORD, ERROR_CODE, INCREMENTS, MAXIMUM_TORQUE, POSITION, STATUS_WORD, TORQUE, VELOCITY,
+};
+use crate::bus::ethercat::object::pdo::{Entry, Layout};
+use crate::bus::ethercat::plan::KollmorgenDrive;
+use crate::rt::Regions;
+
+/// Its inputs have an actual position.
+pub(in crate::bus::ethercat) fn tells_position(drive: &KollmorgenDrive) -> bool {
+    let is_one =
+        |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
+    is_one(POSITION) || is_one(INCREMENTS)
+}
+
+/// The largest torque of a drive: 0 would be none. If the plan does not set it, it is this, per mille (assumed: the
+/// drive's own limit acts below it).
+const MOST_PERMILLE: u64 = 3_000;
+
+/// The offset of a value that is not there: past the end.
+const NOWHERE: usize = PDO_MAX;
+
+/// The offsets of the values in the outputs and inputs.
+#[derive(Clone, Debug)]
+pub(super) struct Offsets {
+    /// The outputs without control word and setpoint.
+    rest: Box<[u8]>,
+    control: usize,
+    setpoint: usize,
+    /// The setpoint has 16 bits.
+    is_short: bool,
+    status: usize,
+    position: usize,
+    velocity: usize,
+    torque: usize,
+    fault: usize,
+}
+
+/// The drive's report, as counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::bus::ethercat) struct Counts {
+    pub status: u16,
+    pub position: Option<i32>,
+    pub velocity: Option<i32>,
+    pub torque: Option<i16>,
+    pub fault: Option<u16>,
+}
+
+impl Offsets {
+    pub(super) fn new(drive: &KollmorgenDrive) -> Offsets {
+        let (outputs, inputs) = (&drive.outputs, &drive.inputs);
+        let sized = |layout: &Layout, object, bytes| {
+            let is_it = |(_, entry): &(usize, Entry)| entry.object == object && entry.kind.bytes() == bytes;
+            layout.places().find(is_it).map_or(NOWHERE, |(at, _)| at.min(PDO_MAX))
+        };
+        let setpoint = drive.setpoint().map(|setpoint| setpoint.shape().0);
+        let setpoint = setpoint
+            .and_then(|object| outputs.places().find(|(_, entry)| entry.object == object))
+            .map(|(at, entry)| (at.min(PDO_MAX), entry.kind.bytes() == 2));
+        let (setpoint, is_short) = setpoint.unwrap_or((NOWHERE, false));
+        let position = match sized(inputs, POSITION, 4) {
+            NOWHERE => sized(inputs, INCREMENTS, 4),
+            position => position,
+        };
+        Offsets {
+            rest: rest(drive)[..outputs.size().min(PDO_MAX)].into(),
+            control: sized(outputs, CONTROL_WORD, 2),
+            setpoint,
+            is_short,
+            status: sized(inputs, STATUS_WORD, 2),
+            position,
+            velocity: sized(inputs, VELOCITY, 4),
+            torque: sized(inputs, TORQUE, 2),
+            fault: sized(inputs, ERROR_CODE, 2),
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.rest);
+    }
+
+    /// Writes the output PDO without control word and setpoint.
+    pub(super) fn fill(&self, outputs: &mut [u8]) {
+        let size = self.rest.len().min(outputs.len());
+        outputs[..size].copy_from_slice(&self.rest[..size]);
+    }
+
+    /// Writes control word and setpoint.
+    #[inline]
+    pub(super) fn write(&self, control: u16, setpoint: i32, outputs: &mut [u8]) {
+        if self.is_short {
+            let most = i32::from(i16::MAX);
+            put(outputs, self.setpoint, (setpoint.clamp(-most, most) as i16).to_le_bytes());
+        } else {
+            put(outputs, self.setpoint, setpoint.to_le_bytes());
+        }
+        self.write_control(control, outputs);
+    }
+
+    /// Writes the control word over the present one.
+    #[inline]
+    pub(super) fn write_control(&self, control: u16, outputs: &mut [u8]) {
+        put(outputs, self.control, control.to_le_bytes());
+    }
+
+    /// Reads the input PDO; `None`: it has no status word.
+    #[inline]
+    pub(super) fn read(&self, inputs: &[u8]) -> Option<Counts> {
+        Some(Counts {
+            status: u16::from_le_bytes(get(inputs, self.status)?),
+            position: get(inputs, self.position).map(i32::from_le_bytes),
+            velocity: get(inputs, self.velocity).map(i32::from_le_bytes),
+            torque: get(inputs, self.torque).map(i16::from_le_bytes),
+            fault: get(inputs, self.fault).map(u16::from_le_bytes),
+        })
+    }
+}
+
+#[inline]
+fn put<const N: usize>(outputs: &mut [u8], at: usize, value: [u8; N]) {
+    if let Some(place) = outputs.get_mut(at..).and_then(<[u8]>::first_chunk_mut) {
+        *place = value;
+    }
+}
+
+#[inline]
+fn get<const N: usize>(inputs: &[u8], at: usize) -> Option<[u8; N]> {
+    inputs.get(at..)?.first_chunk().copied()
+}
+
+/// The other outputs: as the plan writes the objects at the start, otherwise 0.
+fn rest(drive: &KollmorgenDrive) -> [u8; PDO_MAX] {
+    let mut rest = [0; PDO_MAX];
+    for (at, entry) in drive.outputs.places() {
+        let planned = drive.slave.start_up.iter().rev().find(|start| start.object == entry.object);
+        let raw = match (planned, entry.object) {
+            (Some(start), _) => start.raw,
+            (None, MAXIMUM_TORQUE) => MOST_PERMILLE,
+            (None, _) => 0,
+        };
+        let bytes = entry.kind.bytes();
+        if let Some(place) = rest.get_mut(at..at + bytes) {
+            place.copy_from_slice(&raw.to_le_bytes()[..bytes]);
+        }
+    }
+    rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::object::{Family, Object, pdo};
+    use crate::bus::ethercat::plan::Start;
+
+    fn drive(family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {
+        let mut drive = KollmorgenDrive::new("x", 0, family);
+        for layout in pdo::fixed(family) {
+            match layout.pdo {
+                number if number == outputs => drive.outputs = layout,
+                number if number == inputs => drive.inputs = layout,
+                _ => {}
+            }
+        }
+        drive
+    }
+
+    #[test]
+    fn outputs_and_inputs_are_those_of_the_sheet() {
+        let offsets = Offsets::new(&drive(Family::S700, 0x1702, 0x1B03));
+        let mut outputs = [0xEE; 6];
+        offsets.fill(&mut outputs);
+        offsets.write(0x0F, 100_000, &mut outputs);
+        assert_eq!(outputs, [0xA0, 0x86, 0x01, 0, 0x0F, 0]);
+        let said = offsets.read(&[0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06]).unwrap();
+        assert_eq!((said.status, said.position, said.torque), (0x0637, Some(123_456), Some(-250)));
+        assert_eq!((said.velocity, said.fault), (None, None));
+    }
+
+    #[test]
+    fn what_else_is_mapped_is_as_planned_and_no_torque_is_taken_away() {
+        let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
+        let outputs = Object::new(0x60FE, 1);
+        akd.slave.start_up.push(Start {
+            object: outputs,
+            kind: crate::bus::ethercat::object::Type::U32,
+            raw: 3,
+        });
+        let offsets = Offsets::new(&akd);
+        let mut out = vec![0xEE; akd.outputs.size()];
+        offsets.fill(&mut out);
+        offsets.write(6, -1, &mut out);
+        assert_eq!(out, [6, 0, 0xFF, 0xFF, 0xFF, 0xFF, 3, 0, 0, 0, 0, 0, 0, 0, 0xB8, 0x0B]);
+    }
+
+    #[test]
+    fn areas_that_are_too_short_are_neither_read_nor_written_beyond() {
+        let offsets = Offsets::new(&drive(Family::S700, 0x1702, 0x1B03));
+        for length in 0..6 {
+            let mut outputs = vec![0; length];
+            offsets.fill(&mut outputs);
+            offsets.write(0x0F, -1, &mut outputs);
+        }
+        assert!((0..8).all(|length| offsets.read(&vec![0; length]).is_none()));
+    }
+}
