@@ -323,6 +323,12 @@ pub trait Bus: Send {
         false
     }
 
+    /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
+    /// they are sent.
+    fn is_one_frame(&self) -> bool {
+        false
+    }
+
     /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any
     /// other bus with a clock synchronises its clock to the grid.
     fn lead(&mut self) {}

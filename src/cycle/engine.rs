@@ -111,6 +111,8 @@ pub struct Engine<C> {
     guard: GuardTuner,
     window: Window,
     buses: Vec<OpenBus>,
+    /// The buses in the order of their sends.
+    send_order: Box<[usize]>,
     slots: Vec<Slot>,
     controllers: Vec<DriveController>,
     axes: Vec<AxisOutlet>,
@@ -187,6 +189,14 @@ const BUSES_END_NS: u64 = 10_000 * MS;
 /// A computer that was suspended for longer has left its drives alone, ns.
 const SUSPENDED_NS: u64 = MS;
 
+/// A frame that serves a whole bus leaves first: it is under way while the requests of the others are sent. Otherwise
+/// the order is that of the configuration.
+fn send_order(are_one_frame: impl Iterator<Item = bool>) -> Box<[usize]> {
+    let mut order: Vec<(bool, usize)> = are_one_frame.map(|is_one_frame| !is_one_frame).zip(0..).collect();
+    order.sort();
+    order.into_iter().map(|(_, place)| place).collect()
+}
+
 impl<C: Clock> Engine<C> {
     /// An engine over axes, in slot order, and their open buses, one of which leads the grid if the plan names it.
     pub fn new(
@@ -212,6 +222,7 @@ impl<C: Clock> Engine<C> {
             buses[reference.bus()].bus.lead();
         }
         let panics = Panics::new(buses.len(), controllers.len());
+        let send_order = send_order(buses.iter().map(|open| open.bus.is_one_frame()));
         Engine {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
@@ -225,6 +236,7 @@ impl<C: Clock> Engine<C> {
             },
             window,
             buses,
+            send_order,
             slots: vec![Slot::default(); controllers.len()],
             axes,
             task,
@@ -261,6 +273,7 @@ impl<C: Clock> Engine<C> {
         regions.add(&*self.channels.control.0);
         self.channels.bells.memory(regions);
         regions.add(&*self.buses);
+        regions.add(&*self.send_order);
         self.window.memory(regions);
         self.channels.status.memory(regions);
         regions.add(&*self.axes);
@@ -347,8 +360,8 @@ impl<C: Clock> Engine<C> {
 
         // 1 send
         self.panics.stage = Some(Stage::Send);
-        for open in &mut self.buses {
-            open.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
+        for place in &self.send_order {
+            self.buses[*place].work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
@@ -744,5 +757,16 @@ impl<C: Clock> Engine<C> {
             page_faults: None,
             involuntary_switches: None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_frame_for_a_whole_bus_leaves_before_the_requests_of_the_others() {
+        assert_eq!(*send_order([false, true, false, true].into_iter()), [1, 3, 0, 2]);
+        assert_eq!(*send_order([false; 3].into_iter()), [0, 1, 2]);
     }
 }

@@ -542,6 +542,10 @@ impl Bus for EthercatBus {
         Some(&mut self.ends)
     }
 
+    fn is_one_frame(&self) -> bool {
+        true
+    }
+
     fn lead(&mut self) {
         self.segment.leads = true;
     }
