@@ -147,7 +147,8 @@ impl NativePort {
 
     #[inline]
     pub(super) fn publish(&mut self, at: Time, running: bool, inputs: &[u8]) {
-        self.inputs.write_words(packed(at, running, &inputs[..inputs.len().min(PDO_MAX)]));
+        let inputs = &inputs[..inputs.len().min(PDO_MAX)];
+        self.inputs.write_with(|places| pack(at, running, inputs, |word| places.push(word)));
     }
 
     pub(super) fn next(&mut self) -> Option<NativeOutput> {
@@ -327,7 +328,8 @@ impl TerminalPort {
 
     /// Its inputs came in.
     pub fn publish(&mut self, at: Time, operational: bool, inputs: &[u8]) {
-        self.inputs.write_words(packed(at, operational, &inputs[..inputs.len().min(TERMINAL_MAX)]));
+        let inputs = &inputs[..inputs.len().min(TERMINAL_MAX)];
+        self.inputs.write_with(|places| pack(at, operational, inputs, |word| places.push(word)));
     }
 }
 
@@ -365,11 +367,16 @@ impl<const N: usize> Image<N> {
 
 /// The words of an image with these bytes; missing bytes of its last word are 0.
 #[inline]
-fn packed(at: Time, flag: bool, data: &[u8]) -> impl Iterator<Item = u64> {
-    let (words, rest) = data.as_chunks::<WORD>();
-    let last = (!rest.is_empty()).then(|| short_word(rest));
-    let flags = u64::from(flag) << 63 | data.len() as u64;
-    [at.0, flags].into_iter().chain(words.iter().map(|word| u64::from_le_bytes(*word))).chain(last)
+fn pack(at: Time, flag: bool, bytes: &[u8], mut push: impl FnMut(u64)) {
+    push(at.0);
+    push(u64::from(flag) << 63 | bytes.len() as u64);
+    let (words, rest) = bytes.as_chunks();
+    for word in words {
+        push(u64::from_le_bytes(*word));
+    }
+    if !rest.is_empty() {
+        push(short_word(rest));
+    }
 }
 
 /// Fewer bytes than a word has; the missing ones are 0. Of four and more by two loads that overlap: a loop over bytes

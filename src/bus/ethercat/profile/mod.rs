@@ -67,6 +67,8 @@ pub(super) struct Inputs {
     pub status: StatusWord,
     /// By the status word.
     pub state: State,
+    /// It has power, as it is reported: below OP it follows no setpoint.
+    pub is_powered: bool,
     /// Actual position, user units, not folded into one turn.
     pub position: f64,
     /// User units/s.

@@ -20,22 +20,22 @@ pub(in crate::bus::ethercat) fn tells_position(drive: &KollmorgenDrive) -> bool 
 const MOST_PERMILLE: u64 = 3_000;
 
 /// The offset of a value that is not there: past the end.
-const NOWHERE: usize = PDO_MAX;
+const NOWHERE: u16 = PDO_MAX as u16;
 
 /// The offsets of the values in the outputs and inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Offsets {
     /// The outputs without control word and setpoint.
     rest: Box<[u8]>,
-    control: usize,
-    setpoint: usize,
+    control: u16,
+    setpoint: u16,
     /// The setpoint has 16 bits.
     is_short: bool,
-    status: usize,
-    position: usize,
-    velocity: usize,
-    torque: usize,
-    fault: usize,
+    status: u16,
+    position: u16,
+    velocity: u16,
+    torque: u16,
+    fault: u16,
 }
 
 /// The drive's report, as counts.
@@ -53,12 +53,12 @@ impl Offsets {
         let (outputs, inputs) = (&drive.outputs, &drive.inputs);
         let sized = |layout: &Layout, object, bytes| {
             let is_it = |(_, entry): &(usize, Entry)| entry.object == object && entry.kind.bytes() == bytes;
-            layout.places().find(is_it).map_or(NOWHERE, |(at, _)| at.min(PDO_MAX))
+            layout.places().find(is_it).map_or(NOWHERE, |(at, _)| at.min(PDO_MAX) as u16)
         };
         let setpoint = drive.setpoint().map(|setpoint| setpoint.shape().0);
         let setpoint = setpoint
             .and_then(|object| outputs.places().find(|(_, entry)| entry.object == object))
-            .map(|(at, entry)| (at.min(PDO_MAX), entry.kind.bytes() == 2));
+            .map(|(at, entry)| (at.min(PDO_MAX) as u16, entry.kind.bytes() == 2));
         let (setpoint, is_short) = setpoint.unwrap_or((NOWHERE, false));
         let position = match sized(inputs, POSITION, 4) {
             NOWHERE => sized(inputs, INCREMENTS, 4),
@@ -120,15 +120,17 @@ impl Offsets {
 }
 
 #[inline]
-fn put<const N: usize>(outputs: &mut [u8], at: usize, value: [u8; N]) {
-    if let Some(place) = outputs.get_mut(at..).and_then(<[u8]>::first_chunk_mut) {
+fn put<const N: usize>(outputs: &mut [u8], at: u16, value: [u8; N]) {
+    let at = usize::from(at);
+    if let Some(place) = outputs.get_mut(at..at + N).and_then(|place| <&mut [u8; N]>::try_from(place).ok()) {
         *place = value;
     }
 }
 
 #[inline]
-fn get<const N: usize>(inputs: &[u8], at: usize) -> Option<[u8; N]> {
-    inputs.get(at..)?.first_chunk().copied()
+fn get<const N: usize>(inputs: &[u8], at: u16) -> Option<[u8; N]> {
+    let at = usize::from(at);
+    inputs.get(at..at + N)?.try_into().ok()
 }
 
 /// The other outputs: as the plan writes the objects at the start, otherwise 0.

@@ -41,8 +41,9 @@ fn take(slave: &Slave, al: AlState, back: &Back<'_>, handler: &mut impl Handler)
 #[derive(Debug)]
 struct View {
     owner: Owner,
-    inputs: Range<usize>,
-    al: usize,
+    /// The offsets of its inputs, and of its AL status.
+    inputs: Range<u16>,
+    al: u16,
 }
 
 /// All slaves. Access that may change one unsettles the segment, until each of its frames has shown its slaves as
@@ -77,8 +78,8 @@ impl Slaves {
         let slaves: Box<[Slave]> = slaves.collect();
         let view = |Slave { owner, offsets, .. }: &Slave| View {
             owner: *owner,
-            inputs: offsets.inputs.clone(),
-            al: offsets.al,
+            inputs: offsets.inputs.start as u16..offsets.inputs.end as u16,
+            al: offsets.al as u16,
         };
         Slaves { views: slaves.iter().map(view).collect(), slaves, are_settled: false }
     }
@@ -95,8 +96,9 @@ impl Slaves {
     fn in_operation(&self, range: Range<usize>, received: &[u8]) -> Option<&[View]> {
         let views = self.views.get(range)?;
         let shown = |view: &View| {
-            let bytes = received.get(view.al..).and_then(<[u8]>::first_chunk::<AL_SIZE>);
-            bytes.is_some_and(|bytes| u16::from_le_bytes(*bytes) & AlStatus::SHOWN == OPERATIONAL.0)
+            let al = usize::from(view.al);
+            let bytes = received.get(al..al + AL_SIZE).and_then(|bytes| bytes.try_into().ok());
+            bytes.is_some_and(|bytes| u16::from_le_bytes(bytes) & AlStatus::SHOWN == OPERATIONAL.0)
         };
         views.iter().all(shown).then_some(views)
     }
@@ -147,7 +149,10 @@ impl Segment {
             return false;
         }
         let Some(views) = self.slaves.in_operation(frame.range.clone(), back.received) else { return false };
-        let inputs = |view: &View| Some((view.owner, back.received.get(view.inputs.clone())?));
+        let inputs = |view: &View| {
+            let range = usize::from(view.inputs.start)..usize::from(view.inputs.end);
+            Some((view.owner, back.received.get(range)?))
+        };
         handler.take_all(back.at, back.in_window, views.iter().filter_map(inputs));
         true
     }

@@ -327,16 +327,17 @@ impl Station {
         }
         self.take_fault(at, counts);
         let Slot { status: report, notices, evidence, .. } = slot;
-        let inputs = &self.inputs;
         report.suspect = false;
         notices.restarted |= std::mem::take(&mut self.was_restarted);
-        report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
+        report.state = if self.inputs.operational { self.inputs.state } else { below_op(self.inputs.state) };
+        self.inputs.is_powered = report.state.is_powered();
+        let inputs = &self.inputs;
         self.profile.look(inputs);
         self.profile.prove(inputs, self.requests.mode(), evidence);
         evidence.reference = self.requests.reference();
         // Its own mode may have come back with this report.
         let homing = self.profile.is_homing();
-        report.inhibited = !report.state.is_powered() && self.profile.is_inhibited();
+        report.inhibited = !inputs.is_powered && self.profile.is_inhibited();
         report.homed = !homing && self.requests.homed == Some(true);
         report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
@@ -351,7 +352,7 @@ impl Station {
     }
 
     /// The actual position, not folded, and the velocity.
-    #[inline]
+    #[inline(always)] // As `report_values`.
     fn take_values(&mut self, counts: Counts) {
         let count = counts.position.map(|raw| self.actual.next(raw));
         if let Some(velocity) = counts.velocity {
@@ -365,13 +366,13 @@ impl Station {
     }
 
     /// What changes from report to report.
-    #[inline]
+    #[inline(always)] // It has two callers, and is most of what the usual one does.
     fn report_values(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
         let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.inputs, &self.units);
         notices.fresh = true;
         report.at = at;
         let is_led_on = self.profile.is_moving();
-        report.moving = report.state.is_powered() && (is_led_on || inputs.velocity.abs() > self.standstill);
+        report.moving = inputs.is_powered && (is_led_on || inputs.velocity.abs() > self.standstill);
         report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
         report.position = counts.position.map_or(f64::NAN, |_| units.folded(inputs.position));
         report.demand = report.position;
