@@ -49,8 +49,8 @@ pub(crate) fn most_unended(plan: &AxisPlan) -> usize {
     plan.command_queue + URGENT_ROOM + 2
 }
 
-/// The feedback of every cycle, oldest first: an iterator that ends where the newest is taken, and goes on when there is
-/// another one. A full queue loses the newest; the loop counts them.
+/// The feedback of every cycle, oldest first: an iterator that ends where the newest is taken, and goes on when there
+/// is another one. A full queue loses the newest; the loop counts them.
 #[derive(Debug)]
 pub struct Samples(Consumer<Feedback>);
 

@@ -1,4 +1,4 @@
-//! What the buses of all protocols do with their drives: their locks, the application's ends, the faults of their plans.
+//! What the buses of all protocols do with their drives: locks, the application's ends, the faults of their plans.
 
 use std::any::Any;
 use std::net::SocketAddrV4;

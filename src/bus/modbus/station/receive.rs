@@ -39,8 +39,8 @@ impl Expected {
     /// The bytes before the values: header, function, number of bytes.
     pub(super) const FRONT: usize = 9;
 
-    /// The reply to a request that reads `block` by `function`, whatever its id. There is none for a block longer than a
-    /// message, nor for one that has to be sorted.
+    /// The reply to a request that reads `block` by `function`, whatever its id. There is none for a block longer than
+    /// a message, nor for one that has to be sorted.
     pub(super) fn new(block: &Block, unit: u8, function: u8) -> Expected {
         let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
         let Some(bytes) = bytes.filter(|_| block.in_order) else {
