@@ -382,12 +382,6 @@ impl Frame {
         (answer.working_counter > 0 && self.bytes[place.at] != Command::Nop.number()).then_some(time)
     }
 
-    /// How many slaves answered, and their AL status or-ed.
-    pub fn states_of(&self, received: &[u8]) -> Option<(u16, u16)> {
-        let answer = answer(received, self.states?)?;
-        Some((answer.working_counter, u16::from_le_bytes(answer.data.try_into().ok()?)))
-    }
-
     /// The answers of the slot.
     pub fn answers_of<'a>(&self, received: &'a [u8]) -> Answers<'a> {
         self.slot.map(|place| answer(received, place?))

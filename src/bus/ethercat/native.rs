@@ -248,8 +248,6 @@ pub struct TerminalPort {
     newest: [u8; TERMINAL_MAX],
     /// The outputs of the next frame were taken: built again, it has the same.
     taken: bool,
-    /// The application wrote outputs.
-    written: bool,
     size: usize,
     regions: Regions,
 }
@@ -271,7 +269,6 @@ pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
             emergencies: reported,
             newest,
             taken: false,
-            written: false,
             size: sizes.0,
             regions,
         },
@@ -290,17 +287,12 @@ impl TerminalPort {
         if !std::mem::replace(&mut self.taken, true) {
             for _ in 0..OUTPUTS {
                 match self.outputs.pop() {
-                    Ok(image) => (self.newest, self.written) = (image, true),
+                    Ok(image) => self.newest = image,
                     Err(_) => break,
                 }
             }
         }
         &self.newest[..self.size]
-    }
-
-    /// The application wrote outputs, and they are still valid.
-    pub fn is_written(&self) -> bool {
-        self.written
     }
 
     /// The application has room for an emergency.
@@ -323,7 +315,7 @@ impl TerminalPort {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
         }
-        (self.newest, self.written, self.taken) = ([0; TERMINAL_MAX], false, false);
+        (self.newest, self.taken) = ([0; TERMINAL_MAX], false);
     }
 
     /// Its inputs came in.

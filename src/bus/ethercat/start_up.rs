@@ -67,14 +67,6 @@ pub fn verify_found(drive: &KollmorgenDrive) -> Vec<Start> {
     list
 }
 
-/// Objects required of a device that is found in OP: the value that is written to each object last.
-pub fn last_written(start_up: &[Start]) -> Vec<Start> {
-    let is_last = |(nth, start): &(usize, &Start)| {
-        start_up.iter().skip(nth + 1).all(|later| later.object != start.object)
-    };
-    start_up.iter().enumerate().filter(is_last).map(|(_, start)| *start).collect()
-}
-
 /// The entries of a PDO.
 fn mapped(layout: &Layout) -> impl Iterator<Item = Start> {
     layout.entries.iter().zip(1..).map(|(entry, sub)| {
@@ -173,14 +165,6 @@ mod tests {
             (0x1A00, 3, 0x6041_0010),
         ];
         assert_eq!(read(&drive), [&outputs[..], &inputs].concat());
-    }
-
-    #[test]
-    fn of_a_device_the_last_value_of_each_object_is_looked_at() {
-        let start = |sub, raw| Start { object: Object::new(0x1C12, sub), kind: Type::U8, raw };
-        let all = [start(0, 0), start(1, 5), start(0, 1)];
-        assert_eq!(last_written(&all), [start(1, 5), start(0, 1)]);
-        assert!(last_written(&[]).is_empty());
     }
 
     #[test]

@@ -146,10 +146,8 @@ impl Handler for Endpoints<'_> {
     }
 
     fn wants_outputs(&self, owner: Owner) -> bool {
-        match owner {
-            Owner::Drive(index) => self.drives.get(index).is_some_and(|drive| drive.station.profile.writes()),
-            Owner::Device(index) => self.devices.get(index).is_some_and(|device| device.port.is_written()),
-        }
+        let Owner::Drive(index) = owner else { return false };
+        self.drives.get(index).is_some_and(|drive| drive.station.profile.writes())
     }
 
     fn powered(&self, owner: Owner) -> Option<(bool, Time)> {

@@ -29,7 +29,7 @@ use super::profile;
 use super::scan::{Busy, Shown, require_idle};
 use super::segment::{Back, Segment, Sent};
 use super::service::Service;
-use super::start_up::{last_written, start_up, verify, verify_found};
+use super::start_up::{start_up, verify, verify_found};
 use super::station::Station;
 use super::wire::frame::{self, ETHERTYPE, FRAME_MAX, FrameError, datagrams};
 use crate::axis::acyclic::{self, AcyclicEnds, Commanding, Notation};
@@ -129,9 +129,6 @@ impl EthercatBus {
             drive.slave.start_up = start_up(drive, period_ns);
             drive.slave.verify = verify(drive);
             drive.slave.verify_found = verify_found(drive);
-        }
-        for device in &mut plan.devices {
-            device.slave.verify_found = last_written(&device.slave.start_up);
         }
         let mut source = net.mac();
         source[0] &= !frame::PASSED;

@@ -5,7 +5,6 @@
 //! | `mod` | who owns the slot of the next frame |
 //! | `judge` | the slaves, and which of them took part in a frame that has come back |
 //! | `slave` | one slave, step by step |
-//! | `unconfigured` | unconfigured slaves |
 //! | `running` | a slave that runs on a clock set by another master |
 //! | `sii` | the content of its EEPROM |
 //! | `clock` | the time of the segment |
@@ -17,13 +16,12 @@ pub mod note;
 mod running;
 mod sii;
 pub mod slave;
-mod unconfigured;
 
 use self::clock::SegmentClock;
 use self::judge::{FrameState, Slaves};
 use self::note::Notes;
-use self::slave::{Context, Happened, Mapped, Slave, TimeSource};
-use self::unconfigured::Unconfigured;
+use self::running::Running;
+use self::slave::{Context, Happened, Mapped, Slave};
 use super::cia402::Mode;
 use super::counters::Own;
 use super::image::{Frame, Offsets};
@@ -61,7 +59,7 @@ pub trait Handler {
     /// It will be silent for a while, caused by the master.
     fn expect_silence(&mut self, owner: Owner);
 
-    /// Its outputs shall go out.
+    /// The outputs of a drive shall go out.
     fn wants_outputs(&self, owner: Owner) -> bool;
 
     /// Whether a drive has power, and since which report.
@@ -120,17 +118,14 @@ pub struct Segment {
     pub leads: bool,
     /// The reference's time goes to all.
     timed: bool,
-    /// Before that: the position of the slave that ran already, and whose time the segment has.
-    time_source: Option<u16>,
-    /// The slave whose SYNC0 sets the segment's phase, until it is joined.
-    phase_source: Option<usize>,
-    count: u16,
+    /// Before that: the slave that was found running, and whose time the segment has.
+    time_source: Option<usize>,
     /// Whose turn it is; and among the slaves on their way up, whether this slot is for them.
     turn: usize,
     climb: usize,
     climbs: bool,
     requester: Option<Requester>,
-    unconfigured: Unconfigured,
+    ending: bool,
     /// Frames in a row that did not come back.
     dark: u32,
     /// Another master is on the segment: no slave is brought up, and none of its registers is written.
@@ -147,7 +142,6 @@ pub struct Segment {
 enum Requester {
     Slave(usize),
     Mailbox(usize),
-    Unconfigured,
 }
 
 /// A frame that was sent.
@@ -180,7 +174,6 @@ impl Segment {
     /// The segment of `plan`, with the process data offsets of its slaves.
     pub fn new(plan: &EthercatPlan, offsets: Vec<Offsets>, period_ns: u64) -> Segment {
         let slaves = plan.slaves();
-        let places: Vec<u16> = slaves.iter().map(|(_, slave)| slave.place).collect();
         let slave = |((owner, slave), offsets): ((Owner, &_), Offsets)| {
             let found_running = match owner {
                 Owner::Drive(index) => plan.drives[index].axis.on_found_running,
@@ -201,7 +194,6 @@ impl Segment {
             slaves,
             frames,
             clock: SegmentClock::new(period_ns, plan.ahead_of_sync_ns.unwrap_or(period_ns / 2)),
-            unconfigured: Unconfigured::new(&places),
             notes,
             ..Segment::default()
         }
@@ -211,7 +203,6 @@ impl Segment {
     pub fn memory(&self, regions: &mut Regions) {
         self.slaves.memory(regions);
         regions.add(&*self.frames);
-        self.unconfigured.memory(regions);
         self.notes.memory(regions);
     }
 
@@ -275,15 +266,12 @@ impl Segment {
 
     /// All slaves were read, and none runs on a time other than the segment's.
     fn may_have_time(&self) -> bool {
-        self.unconfigured.are_read
-            && self.slaves.iter().all(|slave| slave.looked_at)
-            && self.other_time().is_none()
+        self.slaves.iter().all(|slave| slave.looked_at) && self.other_time().is_none()
     }
 
     /// The position of a slave that runs on a time other than the segment's.
     fn other_time(&self) -> Option<u16> {
-        let slave = self.slaves.iter().find(|slave| slave.other_time);
-        slave.map(|slave| slave.plan.place).or_else(|| self.unconfigured.other_time())
+        self.slaves.iter().find(|slave| slave.other_time).map(|slave| slave.plan.place)
     }
 
     /// The slave whose clock is the segment's, if it is set.
@@ -291,30 +279,18 @@ impl Segment {
         Some(&self.slaves[self.reference?]).filter(|slave| slave.clock_set)
     }
 
-    /// The segment has a time that is not that of the slave at `place` alone.
-    fn has_time(&self, place: u16) -> bool {
-        self.timed || self.clock.seen || self.time_source.is_some_and(|source| source != place)
+    /// The segment has a time that is not that of slave `index` alone.
+    fn has_time(&self, index: usize) -> bool {
+        let is_running = |source: usize| source != index && self.slaves[source].al == Some(AlState::Op);
+        self.set_clock().is_some() || self.time_source.is_some_and(is_running)
     }
 
-    /// A slave other than `index` gave the segment its phase, and is being joined.
-    fn has_phase_from_other(&self, index: usize) -> bool {
-        let source = self.phase_source.filter(|source| *source != index);
-        source.is_some_and(|source| self.slaves[source].is_being_joined())
-    }
-
-    /// The slave at `place` runs, and gives the segment its time.
-    fn take_time(&mut self, place: u16, sent: &Sent, source: TimeSource) {
-        self.clock.take_over(&sent.cycle, sent.at, source.time, source.phase_ns);
-        self.time_source = Some(place);
-    }
-
-    /// The time of a running clock of an unconfigured slave.
-    fn unconfigured_runs(&mut self, place: u16, sent: &Sent, time: u32) {
-        if !self.has_time(place) {
-            self.take_time(place, sent, TimeSource { time, phase_ns: None });
-        } else if !self.clock.is_time_of(&sent.cycle, sent.at, time) {
-            self.unconfigured.found = Some(place);
-        }
+    /// Slave `index` was found running, and gives the segment its time and the phase of its SYNC0.
+    fn take_time(&mut self, index: usize, sent: &Sent, running: &Running) {
+        self.clock.take_over(&sent.cycle, sent.at, running.time, None);
+        let phase_ns = running.phase_ns(&self.clock, &sent.cycle, sent.at);
+        self.clock.take_over(&sent.cycle, sent.at, running.time, phase_ns);
+        self.time_source = Some(index);
     }
 
     /// Who owns the slot.
@@ -322,10 +298,6 @@ impl Segment {
         self.ask.clear();
         self.requester = None;
         if self.left {
-            return;
-        }
-        if self.unconfigured.request(cycle.grid, self.count, self.timed, cycle.period_ns, &mut self.ask) {
-            self.requester = Some(Requester::Unconfigured);
             return;
         }
         let settled = self.is_settled();
@@ -415,17 +387,16 @@ impl Segment {
     }
 
     fn context<'a>(&self, index: usize, sent: &'a Sent, handler: &impl Handler) -> Context<'a> {
-        let Slave { owner, plan, .. } = &self.slaves[index];
+        let owner = &self.slaves[index].owner;
         Context {
             cycle: &sent.cycle,
             sent_at: sent.at,
             clock: self.clock,
             reference: self.reference.map(|index| self.slaves[index].station()),
             timed: self.timed,
-            phased: self.set_clock().is_some() || self.has_phase_from_other(index),
             may_begin: self.timed || self.may_have_time(),
             other_time: if self.timed { None } else { self.other_time() },
-            has_time: self.has_time(plan.place),
+            has_time: self.has_time(index),
             timing_taken: self.slaves.iter().any(Slave::is_timing),
             turn_ns: sent.cycle.period_ns.saturating_mul(self.slaves.len() as u64),
             wants_outputs: handler.wants_outputs(*owner),
@@ -437,9 +408,6 @@ impl Segment {
     pub fn receive(&mut self, back: &Back<'_>, number: usize, handler: &mut impl Handler) {
         if number == 0 {
             self.dark = 0;
-            if let Some((count, _)) = back.frame.states_of(back.received) {
-                self.count = count;
-            }
         }
         self.judge(back, number, handler);
         if number == 0 {
@@ -475,12 +443,6 @@ impl Segment {
             Some(Requester::Mailbox(index)) => {
                 handler.mailbox_received(self.slaves[index].owner, back.sent.cycle.grid, &answers);
             }
-            Some(Requester::Unconfigured) => {
-                let place = self.unconfigured.place();
-                if let Some(running) = self.unconfigured.receive(&answers) {
-                    self.unconfigured_runs(place, &back.sent, running.time);
-                }
-            }
             None => {}
         }
     }
@@ -494,12 +456,11 @@ impl Segment {
     ) {
         let context = self.context(index, &back.sent, handler);
         let slave = &mut self.slaves[index];
-        let (owner, place) = (slave.owner, slave.plan.place);
-        let (happened, source) = slave.receive(&context, answers);
+        let owner = slave.owner;
+        let (happened, running) = slave.receive(&context, answers);
         self.notes.set(index, slave.note());
-        if let Some(source) = source {
-            self.phase_source = source.phase_ns.map(|_| index).or(self.phase_source);
-            self.take_time(place, &back.sent, source);
+        if let Some(running) = running {
+            self.take_time(index, &back.sent, &running);
         }
         match happened {
             Happened::Nothing => {}
@@ -512,7 +473,7 @@ impl Segment {
 
     /// Takes all slaves out of operation that this master has put there; true: done.
     pub fn shut_down(&mut self, now: Time) -> bool {
-        if !std::mem::replace(&mut self.unconfigured.ended, true) {
+        if !std::mem::replace(&mut self.ending, true) {
             // Earlier answers no longer match the state of the slaves.
             self.requester = None;
         }

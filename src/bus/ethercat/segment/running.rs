@@ -1,5 +1,5 @@
 //! A slave that runs on a clock that another master has set, or this one before it was restarted.
-//! The segment's time goes to all slaves with a clock, configured or not. For a running slave it must be the time
+//! The segment's time goes to all slaves with a clock. For a configured slave that is found in OP it must be the time
 //! that it runs on: any other time would move its clock, and a drive goes into a fault by that (F28).
 
 use super::clock::SegmentClock;
@@ -53,8 +53,8 @@ impl Running {
         self.active & CYCLIC != 0
     }
 
-    /// The offset of SYNC0 in the periods of its time, if that is near to the segment's; `None`: it has none of
-    /// this period.
+    /// The offset of SYNC0 in the periods of its time, which is near to the segment's; `None`: it has none of this
+    /// period.
     pub fn phase_ns(&self, clock: &SegmentClock, cycle: &Cycle, at: Time) -> Option<u64> {
         let period = clock.period_ns;
         if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {
@@ -78,10 +78,10 @@ mod tests {
 
     #[test]
     fn half_a_time_is_made_whole_near_to_the_one_that_is_known() {
-        for line in [0_u64, 5, 0xFFFF_FFFF, 0x1_0000_0000, 0x7_8000_0000] {
+        for segment in [0_u64, 5, 0xFFFF_FFFF, 0x1_0000_0000, 0x7_8000_0000] {
             for off in [-2_000_000_000_i64, -1, 0, 1, 2_000_000_000] {
-                let time = line.wrapping_add(off as u64);
-                assert_eq!(near(line, time as u32), time);
+                let time = segment.wrapping_add(off as u64);
+                assert_eq!(near(segment, time as u32), time);
             }
         }
     }

@@ -459,13 +459,25 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
 }
 
 #[test]
-fn an_address_of_ours_is_taken_from_a_slave_that_gets_it_later() {
+fn an_address_of_ours_is_taken_from_whoever_has_it() {
     let mut rig = Rig::on(&drives(1), drives(2));
-    rig.all_up(4_000);
     rig.poke(1, address::STATION, &FIRST_STATION.to_le_bytes());
-    rig.run(500);
+    rig.all_up(4_000);
     assert_eq!(rig.peek(1, address::STATION, 2), [0; 2]);
     assert_eq!(rig.receive(100), [100]);
+}
+
+#[test]
+fn a_segment_that_was_cut_off_as_a_whole_has_its_time_again() {
+    let mut rig = Rig::new(&drives(2));
+    rig.all_up(4_000);
+    assert!(rig.line.timed);
+    rig.sim.cut(Some(0));
+    rig.run(50);
+    rig.sim.cut(None);
+    rig.all_up(6_000);
+    rig.until("one time for all", 500, |rig| rig.line.timed);
+    assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
 }
 
 #[test]
@@ -476,5 +488,5 @@ fn a_place_beyond_all_addresses_is_no_panic() {
     let slaves = plan.slaves();
     let (_, offsets) = Image::new(&slaves, 0x1000_0000, [0x10; 6], true, true).unwrap();
     let line = Segment::new(&plan, offsets, MS);
-    assert_eq!((line.slaves[0].station(), line.unconfigured.place()), (0x1000, 0));
+    assert_eq!(line.slaves[0].station(), 0x1000);
 }

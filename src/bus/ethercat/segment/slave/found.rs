@@ -1,20 +1,18 @@
-//! A drive or device that is in OP already, as another master has left it, or this one before it was restarted.
-//! It is joined as it is if its SyncManagers, PDOs and SYNC0 are those of the configuration: its inputs first, its
+//! A drive that is in OP already, as another master has left it, or this one before it was restarted. It is joined as
+//! it is if its SyncManagers, PDOs and SYNC0 are those of the configuration, and it has power: its inputs first, its
 //! outputs with the first order; its station knows its mode before its state, since a setpoint may not count in
 //! that mode. Until then the master writes only its station address and the FMMUs of its inputs and AL status, none
 //! of which another master writes by; objects are only read. Without the watchdog of the configuration it takes no
 //! motion until it was set up again. That happens as soon as it is without power: at once, and without a report to
 //! its station, if it is found so.
 //!
-//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are
-//! until the application writes some.
-//!
-//! A slave that cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as
+//! A drive that cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as
 //! `on_found_running` says. While one that is left alone runs on a time other than the segment's, the segment's
-//! time goes to no slave.
+//! time goes to no slave. The first one gives the segment its time. Anything else that is found in OP is set up from
+//! INIT.
 
 use super::setup::WATCHDOG_DIVIDER;
-use super::{Context, List, Mapped, Note, Slave, Step, TimeSource};
+use super::{Context, List, Mapped, Note, Slave, Step};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
 use crate::bus::ethercat::segment::running::Running;
@@ -43,7 +41,6 @@ impl Slave {
 
     /// Its inputs and AL status; after the FMMU of its outputs.
     pub(super) fn request_join(&self, ask: &mut Ask) {
-        ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
         let (fmmus, length) = self.fmmus();
         let behind = if self.plan.outputs.length > 0 { Fmmu::SIZE } else { 0 };
         ask.write(self.writes(address::FMMU + behind as u16), &fmmus[behind..length]);
@@ -69,11 +66,7 @@ impl Slave {
         self.watched = self.managers().all(arms)
             && (word(0), word(WATCHDOGS - 2)) == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()));
         let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
-        // A setting that a device lacks now would be missing for good.
-        let is_safe = self.watched || !self.is_device() || self.plan.outputs.length == 0;
-        // With SYNC0 the time is read again.
-        let in_time = self.plan.sync || !self.other_time;
-        if is_own && is_safe && in_time {
+        if is_own && self.clock_fits {
             self.enter(now, Step::FoundFmmus);
         } else {
             self.not_joinable(now);
@@ -86,65 +79,37 @@ impl Slave {
         let written = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(behind).map(|bytes| Fmmu::new(*bytes));
         if written.into_iter().any(|fmmu| fmmu.active && fmmu.output) {
             self.not_joinable(now);
-        } else if self.plan.sync {
-            self.enter(now, Step::FoundClock);
         } else {
-            self.enter(now, Step::Join);
+            self.enter(now, Step::Address { joins: true });
         }
     }
 
-    /// It runs: on the segment's time, or on another one. Its own becomes the segment's, if that has none.
-    fn meet(&mut self, context: &Context<'_>, running: &Running) -> Option<TimeSource> {
-        let is_same = context.clock.is_time_of(context.cycle, context.sent_at, running.time);
-        self.other_time = running.is_cyclic() && context.has_time && !is_same;
-        let lends = running.is_cyclic() && !context.has_time;
-        lends.then_some(TimeSource { time: running.time, phase_ns: None })
-    }
-
-    /// The time that it runs on, read before anything else.
-    pub(super) fn runs_on(
+    /// The time that it runs on, read before anything else; returned, if it is to become the segment's. SYNC0 has to
+    /// come where all others have theirs.
+    pub(super) fn found_clock(
         &mut self,
         context: &Context<'_>,
         answers: &Answers<'_>,
         note: Option<Note>,
-    ) -> Option<TimeSource> {
-        let now = context.cycle.grid;
+    ) -> Option<Running> {
+        let (now, sent_at, clock) = (context.cycle.grid, context.sent_at, &context.clock);
         let running = Running::receive(answers)?;
+        let is_same = clock.is_time_of(context.cycle, sent_at, running.time);
         self.looked_at = true;
-        let source = self.meet(context, &running);
+        self.other_time = running.is_cyclic() && context.has_time && !is_same;
+        let phase_ns = running.phase_ns(clock, context.cycle, sent_at);
+        let is_in_phase = phase_ns.is_some_and(|phase| !context.has_time || context.is_phase(phase));
+        self.clock_fits = !self.other_time && if self.plan.sync { is_in_phase } else { !running.is_cyclic() };
         match note {
             Some(note) => self.refuse(now, note),
             None => self.enter(now, Step::Sii(Reader::default())),
         }
-        source
-    }
-
-    /// Its SYNC0: it has to run on the segment's time, and come where all others have theirs. Returns that offset
-    /// if there is none yet.
-    pub(super) fn found_clock(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Option<TimeSource> {
-        let now = context.cycle.grid;
-        let running = Running::receive(answers)?;
-        let source = self.meet(context, &running);
-        let phase = running.phase_ns(&context.clock, context.cycle, context.sent_at);
-        let Some(phase) =
-            phase.filter(|phase| !self.other_time && (!context.phased || context.is_phase(*phase)))
-        else {
-            self.not_joinable(now);
-            return source;
-        };
-        self.enter(now, Step::Join);
-        let phase_ns = (!context.phased).then_some(phase);
-        phase_ns.map(|_| TimeSource { time: running.time, phase_ns }).or(source)
-    }
-
-    /// Its clock fits, or the segment's was made to.
-    pub fn is_being_joined(&self) -> bool {
-        self.joined || matches!(self.step, Step::Join)
+        (running.is_cyclic() && !context.has_time).then_some(running)
     }
 
     /// It is part of the exchange: its PDOs and mode have still to be read.
     pub(super) fn join(&mut self, now: Time) {
-        (self.addressed, self.joined, self.known, self.found_mode) = (true, true, true, None);
+        (self.joined, self.known, self.found_mode) = (true, true, None);
         (self.mapped, self.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
         self.clock_set = self.plan.sync;
         self.al = Some(AlState::Op);
@@ -180,7 +145,7 @@ impl Slave {
     /// brought up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
         let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
-        self.other_time = false;
+        (self.looked_at, self.other_time) = (true, false);
         (self.addressed, self.mapped, self.mailbox_open) = (true, Mapped::All, self.plan.mailbox.is_some());
         match al {
             AlState::Op => {

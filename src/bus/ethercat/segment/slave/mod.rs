@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `mod` | the slave, its steps, and how it leaves them |
 //! | `request`, `receive` | the request of a step; the answer to it |
+//! | `objects` | what is written and read over its mailbox |
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
 //! | `setup` | its SyncManagers, FMMUs and watchdog |
@@ -11,10 +12,10 @@
 //!
 //! | step | what |
 //! |---|---|
-//! | look | whether it is there, its state, the features of its controller, its station address |
+//! | look | whether it is there, its state, the features of its controller, its station address; in OP: its clock |
 //! | SII | its identity, and whether its buffers are where the configuration has them |
 //! | INIT | down, whatever its state was; errors acknowledged |
-//! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address |
+//! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address, taken from whoever has it |
 //! | PREOP | the mailbox, then the objects of its start-up |
 //! | process data | watchdog, SyncManagers, FMMUs; read back |
 //! | clock | delay and offset, until its own clock is synchronised to the segment's; SYNC0 |
@@ -24,6 +25,7 @@
 
 mod found;
 mod frames;
+mod objects;
 mod receive;
 mod request;
 mod setup;
@@ -34,15 +36,12 @@ use super::note::Note;
 use super::sii::{Contents, Reader};
 use crate::axis::FoundRunning;
 use crate::bus::Cycle;
-use crate::bus::ethercat::cia402::{Mode, StatusWord};
+use self::objects::List;
+use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::image::Offsets;
-use crate::bus::ethercat::object::Type;
-use crate::bus::ethercat::object::number::{MODE_DISPLAY, STATUS_WORD};
-use crate::bus::ethercat::plan::{Owner, SlavePlan, Start};
-use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
+use crate::bus::ethercat::plan::{Owner, SlavePlan};
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
-use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
 use crate::rt::Regions;
 use crate::time::{MS, S, Time, US};
 
@@ -72,10 +71,8 @@ pub struct Context<'a> {
     pub may_begin: bool,
     /// The position of a slave that runs on a time other than the segment's: it may not begin yet.
     pub other_time: Option<u16>,
-    /// The segment has a time, and not from this slave.
+    /// The segment has a time, and not from this slave: SYNC0 comes where that has it.
     pub has_time: bool,
-    /// A clock of the segment is set: SYNC0 comes where that has it.
-    pub phased: bool,
     /// Another slave reads receive times.
     pub timing_taken: bool,
     /// The longest wait of a slave for its turn, ns.
@@ -113,21 +110,24 @@ enum Step {
     /// Nothing until then.
     Rest(Time),
     Look,
-    /// It runs: the time that it runs on is read. Then it is refused, or its identity is read.
-    Time(Option<Note>),
+    /// In OP already: the time that it runs on is read. Then it is refused, or its identity is read.
+    FoundClock(Option<Note>),
     SiiOwner,
     Sii(Reader),
-    /// It has the address of another position, and is refused without it.
-    GiveBack(Note),
-    /// In OP already: its SyncManagers and watchdog, then its FMMUs, its clock, ...
+    /// A drive in OP: its SyncManagers and watchdog, its FMMUs, its station address, ...
     Found,
     FoundFmmus,
-    FoundClock,
     /// ... its inputs, and its PDOs and mode.
     Join,
     Ports,
     Clear(u8),
-    Address,
+    /// Its station address is set, and read. `joins`: of a drive in OP.
+    Address {
+        joins: bool,
+    },
+    AddressCheck {
+        joins: bool,
+    },
     Mailbox,
     /// Objects over the mailbox.
     Objects {
@@ -175,21 +175,6 @@ enum Step {
     Code,
 }
 
-const STATE: [Start; 2] = [Start::new(MODE_DISPLAY, Type::I8, 0), Start::new(STATUS_WORD, Type::U16, 0)];
-
-/// A list of objects, and what is done with them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum List {
-    /// Written at start-up.
-    Write,
-    /// Read, and compared with the configuration.
-    Verify,
-    /// The same of a drive that was found in OP.
-    Found,
-    /// Its mode and status word then.
-    State,
-}
-
 /// A change of state.
 #[derive(Clone, Copy, Debug)]
 struct Change {
@@ -204,15 +189,6 @@ impl Step {
     fn to(state: AlState) -> Step {
         Step::State(Change { to: state, said: false, errors: 0, acknowledge: None })
     }
-}
-
-/// What a running slave gives to the segment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TimeSource {
-    /// Its time, as the frame passed it: the lower half.
-    pub time: u32,
-    /// The offset of SYNC0 in its periods, if the segment is to have it there.
-    pub phase_ns: Option<u64>,
 }
 
 /// What happened to a slave that others have to know.
@@ -265,6 +241,8 @@ pub struct Slave {
     pub looked_at: bool,
     /// It runs on a time other than the segment's, as far as is known.
     pub other_time: bool,
+    /// Found in OP: its clock and SYNC0 are as the segment's.
+    clock_fits: bool,
     /// It was given its station address, and has not been switched off since.
     known: bool,
     /// All of it was set up here, and nothing has contradicted that since.
@@ -321,6 +299,7 @@ impl Slave {
             clock_set: false,
             looked_at: false,
             other_time: false,
+            clock_fits: false,
             known: false,
             ours: false,
             ending: false,
@@ -442,105 +421,19 @@ impl Slave {
             _ if self.joined && self.mapped == Mapped::Inputs => true,
             Step::Rest(_)
             | Step::Look
-            | Step::Time(_)
+            | Step::FoundClock(_)
             | Step::SiiOwner
             | Step::Sii(_)
-            | Step::GiveBack(_)
             | Step::Found
             | Step::FoundFmmus
-            | Step::FoundClock
+            | Step::Address { joins: true }
+            | Step::AddressCheck { joins: true }
             | Step::Join => true,
             _ => {
                 self.was_operational = false;
                 self.enter(now, Step::to(AlState::Init));
                 false
             }
-        }
-    }
-
-    /// Continues with objects, over its mailbox.
-    pub fn objects(&mut self, now: Time, service: Option<&mut Service>) {
-        let Step::Objects { list, next, begun } = self.step else { return };
-        let objects = match list {
-            List::Write => &self.plan.start_up[..],
-            List::Verify => &self.plan.verify,
-            List::Found => &self.plan.verify_found,
-            List::State => &STATE,
-        };
-        let (Some(start), Some(service)) = (objects.get(next).copied(), service) else {
-            return self.all_objects(now, list);
-        };
-        if !begun {
-            // An earlier request of another user is of no use any more.
-            let _ = service.take_end();
-            if service.is_free() {
-                service.begin(match list {
-                    List::Write => {
-                        Transfer::Write { object: start.object, raw: start.raw, bytes: start.bytes() as u8 }
-                    }
-                    _ => Transfer::Read(start.object),
-                });
-                self.step = Step::Objects { list, next, begun: true };
-            }
-            return;
-        }
-        let Some(end) = service.take_end() else { return };
-        let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
-        let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
-        match end {
-            Ok(found) if list == List::State && start.object == MODE_DISPLAY => {
-                self.found_mode = Some(Mode(found as u8 as i8));
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(found) if list == List::State => self.joined_as(now, StatusWord(found as u16)),
-            Ok(found) if list != List::Write && start.is_factor() => {
-                self.factor = found.max(1);
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(found) if list != List::Write && (found ^ wanted) & mask != 0 => {
-                self.differs(now, list, start.object, found);
-            }
-            // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
-            // its PDOs.
-            Err(SdoFailure::Abort(_))
-                if matches!(list, List::Verify | List::State) || list == List::Found && self.is_device() =>
-            {
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
-            Err(_) if matches!(list, List::Found | List::State) => self.not_joinable(now),
-            Err(failure) => {
-                let abort = match failure {
-                    SdoFailure::Abort(code) => code,
-                    SdoFailure::Silent if list == List::Verify => {
-                        return self.refuse(now, Note::Unread(start.object));
-                    }
-                    SdoFailure::Silent => AbortCode(0),
-                };
-                self.refuse(now, Note::StartUp { object: start.object, abort });
-            }
-        }
-    }
-
-    fn all_objects(&mut self, now: Time, list: List) {
-        match list {
-            List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
-            List::Verify if self.plan.outputs.length > 0 => self.enter(now, Step::Watchdog),
-            List::Verify if self.plan.inputs.length > 0 => self.enter(now, Step::SyncManagers),
-            // A coupler's head exchanges only its state.
-            List::Verify if self.fmmus().1 > 0 => self.enter(now, Step::Fmmus),
-            List::Verify => self.enter(now, Step::to(AlState::SafeOp)),
-            List::Found if self.is_device() => self.joined_whole(now),
-            List::Found => self.enter(now, Step::Objects { list: List::State, next: 0, begun: false }),
-            List::State => self.joined_whole(now),
-        }
-    }
-
-    fn differs(&mut self, now: Time, list: List, object: Object, found: u32) {
-        if list == List::Found {
-            self.not_joinable(now);
-        } else {
-            self.refuse(now, Note::Differs { object, found });
         }
     }
 }

@@ -2,8 +2,9 @@
 
 use super::request::{AL_LOOK, LOOK};
 use super::setup::WATCHDOG_DIVIDER;
-use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step, TimeSource};
+use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::plan::FIRST_STATION;
+use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::segment::sii::{Contents, Reader, Reading};
 use crate::bus::ethercat::slot::{Answer, Answers};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
@@ -15,30 +16,29 @@ const SILENT: u8 = 3;
 const ERRORS: u8 = 3;
 
 impl Slave {
-    /// Takes the answer to its request; returns the time of a running slave, if the segment has none or is to have
-    /// its SYNC0 there.
-    pub fn receive(
-        &mut self,
-        context: &Context<'_>,
-        answers: &Answers<'_>,
-    ) -> (Happened, Option<TimeSource>) {
+    /// Takes the answer to its request; returns the time of a running slave, if the segment is to have it.
+    pub fn receive(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> (Happened, Option<Running>) {
         let step = self.step;
-        let happened = self.hear(context, answers);
+        let happened = self.take_answers(context, answers);
         let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
-        let source = match step {
-            Step::FoundClock if is_received => self.found_clock(context, answers),
-            Step::Time(note) if is_received => self.runs_on(context, answers, note),
+        let running = match step {
+            Step::FoundClock(note) if is_received => self.found_clock(context, answers, note),
             _ => None,
         };
-        (happened, source)
+        (happened, running)
     }
 
-    fn hear(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
+    fn take_answers(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
         let now = context.cycle.grid;
         // A lost frame: the same is requested again.
         let Some(first) = answers[0] else { return Happened::Nothing };
-        // AL control may still be unread by the firmware, and not accept a second request.
-        let may_be_zero = matches!(self.step, Step::Latch | Step::State(Change { said: false, .. }));
+        // AL control may still be unread by the firmware, and not accept a second request; usually nobody else has
+        // its station address.
+        let may_be_zero = match self.step {
+            Step::Latch | Step::State(Change { said: false, .. }) => true,
+            Step::Address { .. } => answers[1].is_some_and(|given| given.working_counter > 0),
+            _ => false,
+        };
         let nobody = |answer: &Option<Answer<'_>>| answer.is_some_and(|answer| answer.working_counter == 0);
         if answers.iter().any(nobody) && matches!(self.step, Step::ReferenceTimes { .. }) {
             // The reference itself does not answer.
@@ -61,7 +61,6 @@ impl Slave {
                 Reading::Done => self.identified(now, reader.contents()),
                 Reading::Failed => self.refuse(now, Note::Sii),
             },
-            Step::GiveBack(note) => self.refuse(now, note),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
             Step::Join => self.join(now),
@@ -70,9 +69,10 @@ impl Slave {
                 // The last ones are followed by one that is not counted.
                 let over = done >= self.fmmus.max(self.managers);
                 let next = done.saturating_add(FMMUS_AT_ONCE);
-                self.enter(now, if over { Step::Address } else { Step::Clear(next) });
+                self.enter(now, if over { Step::Address { joins: false } } else { Step::Clear(next) });
             }
-            Step::Address => self.was_addressed(now, answers),
+            Step::Address { joins } => self.enter(now, Step::AddressCheck { joins }),
+            Step::AddressCheck { joins } => self.was_addressed(now, first, joins),
             Step::Mailbox => self.enter(now, Step::to(AlState::PreOp)),
             Step::Watchdog => self.enter(now, Step::WatchdogCheck),
             Step::WatchdogCheck => {
@@ -98,7 +98,7 @@ impl Slave {
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
             Step::Code => return self.receive_code(now, first.data),
-            Step::Rest(_) | Step::Time(_) | Step::FoundClock => {}
+            Step::Rest(_) | Step::FoundClock(_) => {}
             Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
@@ -139,15 +139,14 @@ impl Slave {
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);
         self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
         self.note = Note::Starting;
-        // Of a running drive nothing is taken by force; and the time that it runs on comes first.
-        let runs = self.runs();
-        let unusable = self.unusable(station);
-        let others = runs && self.features.has_clock();
-        (self.looked_at, self.other_time) = (!others, others);
-        if let Some(note) = unusable {
-            match others {
-                true => self.enter(now, Step::Time(Some(note))),
-                false => self.turn_away(now, note),
+        // In OP nothing is taken by force; and the time that it runs on comes first.
+        let runs = self.al == Some(AlState::Op);
+        let has_time = runs && self.features.has_clock();
+        (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
+        if let Some(note) = self.unusable(station) {
+            match has_time {
+                true => self.enter(now, Step::FoundClock(Some(note))),
+                false => self.refuse(now, note),
             }
             return Happened::Nothing;
         }
@@ -161,7 +160,7 @@ impl Slave {
             self.enter(
                 now,
                 match runs {
-                    _ if others => Step::Time(None),
+                    _ if has_time => Step::FoundClock(None),
                     true => Step::Sii(Reader::default()),
                     false => Step::SiiOwner,
                 },
@@ -170,19 +169,6 @@ impl Slave {
         if restarted { Happened::Restarted } else { Happened::Nothing }
     }
 
-    /// It is in a state in which it works.
-    fn runs(&self) -> bool {
-        self.al.is_some_and(|al| al >= AlState::SafeOp)
-    }
-
-    /// It is another slave: if it does not run, it must not keep an address that may be another position's.
-    fn turn_away(&mut self, now: Time, note: Note) {
-        if self.runs() {
-            self.refuse(now, note);
-        } else {
-            self.enter(now, Step::GiveBack(note));
-        }
-    }
 
     /// Why a slave with this station address cannot be used here.
     fn unusable(&self, station: u16) -> Option<Note> {
@@ -192,7 +178,7 @@ impl Slave {
             _ if self.plan.sync && !self.features.has_clock() => Some(Note::NoClock),
             _ if usize::from(self.fmmus) < self.wanted_fmmus() => Some(Note::Fmmus(self.fmmus)),
             // It was given this address at another position, and works there.
-            Some(place) if self.runs() => Some(Note::WrongPlace(place)),
+            Some(place) if self.al.is_some_and(|al| al >= AlState::SafeOp) => Some(Note::WrongPlace(place)),
             _ => None,
         }
     }
@@ -209,14 +195,13 @@ impl Slave {
             () => None,
         };
         if let Some(note) = note {
-            return self.turn_away(now, note);
+            return self.refuse(now, note);
         }
-        let running = self.al == Some(AlState::Op);
-        self.enter(now, if running { Step::Found } else { Step::to(AlState::Init) });
+        let is_found = self.al == Some(AlState::Op) && !self.is_device();
+        self.enter(now, if is_found { Step::Found } else { Step::to(AlState::Init) });
     }
 
-    fn was_addressed(&mut self, now: Time, answers: &Answers<'_>) {
-        let Some(read) = answers[1] else { return };
+    fn was_addressed(&mut self, now: Time, read: Answer<'_>, joins: bool) {
         if read.working_counter > 1 {
             return self.refuse(now, Note::AddressTwice);
         }
@@ -224,8 +209,14 @@ impl Slave {
             return self.absent(now);
         }
         self.addressed = true;
-        let has_mailbox = self.plan.mailbox.is_some();
-        self.enter(now, if has_mailbox { Step::Mailbox } else { Step::to(AlState::PreOp) });
+        self.enter(
+            now,
+            match self.plan.mailbox {
+                _ if joins => Step::Join,
+                Some(_) => Step::Mailbox,
+                None => Step::to(AlState::PreOp),
+            },
+        );
     }
 
     /// The settings were read back.

@@ -47,10 +47,7 @@ impl Slave {
                 ask.read(self.reads(address::AL_STATUS), AL_LOOK);
                 ask.read(self.reads(address::TYPE), LOOK);
             }
-            Step::Time(_) | Step::FoundClock => self.request_running(ask),
-            Step::GiveBack(_) => {
-                ask.write(self.writes(address::STATION), &[0; 2]);
-            }
+            Step::FoundClock(_) => self.request_running(ask),
             Step::SiiOwner => {
                 ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
                 ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
@@ -67,8 +64,12 @@ impl Slave {
                 ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
             }
             Step::Clear(done) => self.request_clear(done, ask),
-            Step::Address => {
+            Step::Address { .. } => {
+                // Whoever has it from another master, or from another position, loses it.
+                ask.write(Command::Fpwr(self.station(), address::STATION), &[0; 2]);
                 ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
+            }
+            Step::AddressCheck { .. } => {
                 ask.read(Command::Fprd(self.station(), address::STATION), 2);
             }
             Step::Mailbox => {
@@ -232,10 +233,6 @@ impl Slave {
     /// Its outputs are released.
     pub(super) fn release(&mut self, now: Time) {
         self.mapped = Mapped::All;
-        if self.is_device() {
-            // It has everything that it would have been set up with.
-            (self.joined, self.ours) = (false, true);
-        }
         self.enter(now, Step::Up);
     }
 }

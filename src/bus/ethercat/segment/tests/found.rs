@@ -1,4 +1,4 @@
-//! Slaves that run already when the master comes.
+//! Drives and devices that are in OP already when the master comes.
 
 use super::*;
 use crate::bus::ethercat::wire::registers::Fmmu;
@@ -11,8 +11,8 @@ fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, Etherca
     (EthercatPlan { drives: plan.drives[..known].to_vec(), ..plan }, whole)
 }
 
-/// The line's time is led to the grid slowly, and by half a period at most. To another time it would have gone by a
-/// whole one long ago.
+/// The segment's time is led to the grid slowly, and by half a period at most. To another time it would have gone by
+/// a whole one long ago.
 const LED_NS: i64 = 502_000;
 /// Times of others are told from each other by this, ns: whole periods, so that SYNC0 comes where it came.
 const APART: u64 = 123 * MS;
@@ -35,28 +35,14 @@ impl Rig {
 }
 
 #[test]
-fn a_slave_that_runs_and_is_not_configured_gives_the_line_its_time_and_is_not_dragged() {
-    let (plan, whole) = running(2, &[1], 1);
-    let mut rig = Rig::on(&plan, whole);
-    let before = rig.time_off(1);
-    rig.all_up(4_000);
-    rig.run(2_000);
-    let (after, own) = (rig.time_off(1), rig.time_off(0));
-    // As far as all clocks have it: the lower half.
-    let apart = i64::from((own - after) as i32);
-    assert!((after - before).abs() < LED_NS, "dragged by {} ns", after - before);
-    assert!(apart.abs() < 2_000, "one time for both: {apart} ns");
-    assert_eq!((rig.al(1), rig.note(0)), (AlState::Op, Note::None));
-}
-
-#[test]
-fn the_time_of_the_line_goes_to_nobody_while_another_one_runs_on_another() {
-    let (plan, whole) = running(3, &[1, 2], 1);
+fn the_time_of_the_segment_goes_to_nobody_while_a_drive_that_is_left_alone_runs_on_another() {
+    let (mut plan, whole) = running(3, &[1, 2], 3);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
     let mut rig = Rig::on(&plan, whole);
     rig.set_apart(2);
     let before = [rig.time_off(1), rig.time_off(2)];
     rig.run(3_000);
-    assert_eq!(rig.note(0), Note::OtherTime(2));
+    assert_eq!([0, 2].map(|index| rig.note(index)), [Note::OtherTime(2), Note::FoundRunning]);
     assert_eq!([rig.time_off(1), rig.time_off(2)], before);
     assert_eq!([rig.al(1), rig.al(2)], [AlState::Op; 2]);
     // It is switched off and on, and has none then.
@@ -118,40 +104,23 @@ fn an_fmmu_by_which_another_master_writes_is_left_alone() {
 }
 
 #[test]
-fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
+fn a_device_found_in_op_is_set_up_from_init() {
     let mut plan = drives(0);
     plan.devices = vec![coupler(0)];
     let mut rig = Rig::new(&plan);
-    let write = |rig: &mut Rig, byte: u8| {
-        let offsets = rig.line.slaves[0].offsets.clone();
-        rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[byte]);
-    };
-    write(&mut rig, 0xA5);
     rig.all_up(2_000);
-    rig.run(3);
-    assert_eq!(rig.reported.inputs, [0xA5]);
     // Another master, with an image of its own.
     let next = Rig::based(&plan, &plan, 0x2000_0000);
     (rig.line, rig.image) = (next.line, next.image);
-    rig.reported = Reports::default();
-    for _ in 0..1_000 {
-        rig.run(1);
-        assert_eq!(rig.al(0), AlState::Op);
-        assert!(rig.reported.inputs.is_empty() || rig.reported.inputs == [0xA5], "{:?}", rig.reported.inputs);
-    }
-    assert!(rig.line.is_operational(0) && !rig.line.outputs_count(0) && rig.reported.taken.len() > 900);
-    write(&mut rig, 0x5A);
-    rig.reported.wants_outputs = true;
-    rig.run(5);
-    assert_eq!((rig.al(0), rig.reported.inputs.as_slice()), (AlState::Op, &[0x5A][..]));
-    assert!(rig.line.slaves[0].wants_nothing());
+    rig.until("it leaves OP", 500, |rig| rig.al(0) == AlState::Init);
+    rig.all_up(2_000);
+    assert!(rig.line.outputs_count(0) && rig.line.slaves[0].wants_nothing());
 }
 
 #[test]
 fn a_time_that_goes_to_nobody_is_still_known() {
     // The clocks of all are faster than the master's, and those that run stay together.
-    let (mut plan, mut whole) = running(4, &[0, 1, 2], 4);
-    plan.drives.remove(2);
+    let (mut plan, mut whole) = running(3, &[0, 1], 3);
     plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
     whole.settings.drift_ppm = vec![100.0];
     let mut rig = Rig::on(&plan, whole);
@@ -161,5 +130,5 @@ fn a_time_that_goes_to_nobody_is_still_known() {
     let now = rig.cycle.grid;
     rig.sim.restart(now, 1);
     rig.all_up(6_000);
-    assert_eq!(rig.al(2), AlState::Op, "the one that is not configured");
+    assert_eq!(rig.al(0), AlState::Op, "the one that gave its time");
 }
