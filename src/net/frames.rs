@@ -1,8 +1,10 @@
 //! Whole Ethernet frames on the real-time thread: the contract of a carrier below IP.
 
 use std::fmt::Debug;
-use std::os::fd::RawFd;
+use std::os::fd::{BorrowedFd, RawFd};
 use std::sync::Arc;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use crate::rt::Regions;
 use crate::time::Time;
@@ -41,6 +43,16 @@ pub trait Frames: Send {
 
     /// Adds the memory that it touches on the real-time thread, to be locked.
     fn memory(&self, regions: &mut Regions);
+
+    /// Waits until a frame arrives, or for so long at most. For normal threads. A carrier without a descriptor has
+    /// nothing to wait for.
+    fn wait(&self, most_ms: u8) {
+        let Some(fd) = self.fd() else { return };
+        // SAFETY: the carrier holds it, and is borrowed here.
+        let fd = unsafe { BorrowedFd::borrow_raw(fd) };
+        // A signal wakes it early, too: the caller decides whether to go on.
+        let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(most_ms));
+    }
 }
 
 /// Incoming frames that a carrier dropped because they were not taken in soon enough. For normal threads: reading

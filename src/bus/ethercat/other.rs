@@ -6,13 +6,9 @@
 //! only if they are whole EtherCAT frames of one sender and one kind, and if they come again and again: the last frames
 //! of a master that has ended may arrive in a burst.
 //!
-//! A state of a slave that nobody requested here is the second evidence (`line::member`): a slave that leaves OP by
+//! A state of a slave that nobody requested here is the second evidence (`segment::slave`): a slave that leaves OP by
 //! itself sets the error bit of its AL status (ETG.1000.6), one that another master takes down does not. Statusword and
 //! mode of a drive (6041h, 6061h) are no evidence: its terminal and its own reactions change them too.
-
-use std::os::fd::BorrowedFd;
-
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use super::image::Mark;
 use super::wire::frame::{FRAME_MAX, Mac, datagrams, source};
@@ -108,17 +104,8 @@ pub fn listen(interface: &str, net: &mut dyn Frames) -> Option<Mac> {
             return None;
         }
         let left_ms = u8::try_from(until.since(now) / MS + 1).unwrap_or(u8::MAX);
-        wait(&*net, left_ms);
+        net.wait(left_ms);
     }
-}
-
-/// Until a frame arrives, or for so long at most. A carrier without a descriptor has nothing to wait for.
-pub fn wait(net: &dyn Frames, most_ms: u8) {
-    let Some(fd) = net.fd() else { return };
-    // SAFETY: the carrier holds it, and is borrowed here.
-    let fd = unsafe { BorrowedFd::borrow_raw(fd) };
-    // A signal wakes it early, too: the caller decides whether to go on.
-    let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(most_ms));
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@
 
 use super::ScanError;
 use crate::bus::ethercat::image::Mark;
-use crate::bus::ethercat::other::wait;
 use crate::bus::ethercat::wire::frame::{
     BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position, source,
 };
@@ -135,7 +134,7 @@ impl<'a> Exchange<'a> {
                 if self.now() >= until {
                     return Ok(None);
                 }
-                wait(&*self.frames, LOOK_MS);
+                self.frames.wait(LOOK_MS);
                 continue;
             };
             match self.judge(&room[..length.min(FRAME_MAX)], asks) {
