@@ -13,6 +13,7 @@
 //! | `image` | the process data of the segment, and its frames |
 //! | `segment` | bringing the slaves to OP, and the clock of the segment |
 //! | `slot` | the acyclic slot of a frame |
+//! | `sii` | reads the EEPROM of a slave, for the segment and for a scan |
 //! | `service` | SDOs and emergencies of a slave |
 //! | `station`, `profile` | the master's view of one drive; what is desired as outputs, and what answers prove |
 //! | `start_up` | objects written to a drive before its process data run |
@@ -40,6 +41,7 @@ mod plan;
 mod profile;
 mod segment;
 mod service;
+mod sii;
 mod slot;
 mod start_up;
 mod station;

@@ -28,6 +28,10 @@ pub(super) struct Ask {
 }
 
 impl Ask {
+    pub(super) fn new(command: Command, data: &[u8]) -> Ask {
+        Ask { command, data: data.to_vec() }
+    }
+
     pub(super) fn read(command: Command, length: usize) -> Ask {
         Ask { command, data: vec![0; length] }
     }

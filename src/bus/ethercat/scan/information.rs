@@ -1,31 +1,24 @@
-//! The content of a slave's SII (ETG.2010), read word by word.
+//! The content of a slave's SII (ETG.2010), for people.
 
 use thiserror::Error;
 
-use super::exchange::Ask;
-use super::{ScanError, Visit, byte, word};
+use super::exchange;
+use super::{ScanError, Visit, byte};
 use crate::bus::ethercat::plan::Area;
+use crate::bus::ethercat::sii::{Content, Reader, Reading};
+use crate::bus::ethercat::slot::{self, Ask};
+use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{SyncManager, address};
 use crate::bus::ethercat::wire::sii::{self, Category, Identity, Protocols, Status, Use};
 use crate::time::MS;
 
 /// The longest time of a command; 20 ms is usual, and this thread is a normal one.
 const WITHIN_NS: u64 = 100 * MS;
-/// A command that failed is repeated once.
-const ATTEMPTS: usize = 2;
-/// More categories than any slave has: where the end is missing.
-const CATEGORIES_MAX: usize = 64;
 /// The most words of a category that are read.
 const WORDS_MAX: u16 = 1024;
-/// In the status: the slave has not loaded it, or its checksum is wrong.
-const UNSOUND: u16 = 1 << 11 | 1 << 12;
-/// In the status: the command failed.
-const FAILED: u16 = 1 << 13 | 1 << 14;
-/// From the control register to the end of the data.
-const REGISTERS: usize = 14;
-const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
-/// The offset of the name's text number in the general category.
+/// The offset of the name's text number in the general category, and the words up to it.
 const NAME_AT: usize = 3;
+const NAME_WORDS: u16 = 2;
 
 /// The content of a slave's SII.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -104,99 +97,82 @@ impl Visit<'_, '_> {
     }
 
     fn own(&mut self, owner: &[u8]) -> Result<(), ScanError> {
-        self.write(address::SII_OWNER, owner).map(drop)
-    }
-
-    /// Whether the slave accepted it.
-    fn write(&mut self, register: u16, data: &[u8]) -> Result<bool, ScanError> {
-        let asks = [Ask::write_to(self.place, register, data)];
-        let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
-        Ok(answers.iter().all(|answer| answer.count > 0))
+        let asks = [exchange::Ask::write_to(self.place, address::SII_OWNER, owner)];
+        self.exchange.ask(&asks)?.ok_or_else(|| self.lost()).map(drop)
     }
 
     fn all(&mut self) -> Result<Information, End> {
-        let mut information = Information { sound: true, ..Information::default() };
-        let numbers = self.words(&mut information, sii::word::VENDOR, 8)?;
-        let number = |n: usize| u32::from(word(&numbers, 4 * n)) | u32::from(word(&numbers, 4 * n + 2)) << 16;
-        information.identity = Identity { vendor: number(0), product: number(1), revision: number(2) };
-        information.serial = number(3);
-        let boxes = self.words(&mut information, sii::word::MAILBOX_OUT, 5)?;
-        let areas = [0, 4].map(|at| Area { start: word(&boxes, at), length: word(&boxes, at + 2) });
-        let is_there = areas.iter().all(|area| !matches!(area.length, 0 | 0xFFFF));
-        information.mailbox = is_there.then_some(areas);
-        information.protocols = Protocols(if is_there { word(&boxes, 8) } else { 0 });
-        self.categories(&mut information)?;
-        Ok(information)
-    }
-
-    fn categories(&mut self, information: &mut Information) -> Result<(), End> {
-        let (mut texts, mut name) = (Vec::new(), 0);
-        let mut at = Some(sii::word::CATEGORIES);
-        for _ in 0..CATEGORIES_MAX {
-            let Some(here) = at else { break };
-            let head = self.words(information, here, 2)?;
-            let Some(category) = head.first_chunk().and_then(|head| Category::new(*head)) else { break };
-            let (Some(begin), words) = (here.checked_add(2), category.words.min(WORDS_MAX)) else { break };
-            match category.kind {
-                Category::STRINGS => texts = self.words(information, begin, words)?,
-                Category::GENERAL => name = byte(&self.words(information, begin, words.min(2))?, NAME_AT),
-                Category::SYNC_MANAGERS => {
-                    let entries = self.words(information, begin, words)?;
-                    information.managers =
-                        entries.as_chunks().0.iter().map(|entry| sii::sync_manager(*entry)).collect();
-                }
-                _ => {}
-            }
-            at = begin.checked_add(category.words);
-        }
-        information.name = printable(text(&texts, name).unwrap_or_default());
-        Ok(())
-    }
-
-    /// So many words from `at` on.
-    fn words(&mut self, information: &mut Information, at: u16, count: u16) -> Result<Vec<u8>, End> {
-        let wanted = 2 * usize::from(count);
-        let mut bytes = Vec::with_capacity(wanted);
-        while bytes.len() < wanted {
-            let Some(next) = at.checked_add((bytes.len() / 2) as u16) else { break };
-            let (status, data) = self.piece(next)?;
-            information.sound &= status.0 & UNSOUND == 0;
-            let size = if status.reads_eight() { 8 } else { 4 };
-            bytes.extend_from_slice(&data[..size.min(wanted - bytes.len())]);
-        }
-        Ok(bytes)
-    }
-
-    /// Two or four words from `at` on.
-    fn piece(&mut self, at: u16) -> Result<(Status, [u8; 8]), End> {
-        for _ in 0..ATTEMPTS {
-            self.rest()?;
-            if !self.write(address::SII_CONTROL, &sii::read(at))? {
-                continue;
-            }
-            let (status, data) = self.rest()?;
-            if status.0 & FAILED == 0 {
-                return Ok((status, data));
-            }
-            self.write(address::SII_CONTROL, &Status::IDLE.to_le_bytes())?;
-        }
-        Err(Unread::Refused.into())
-    }
-
-    /// Waits until no command is under way.
-    fn rest(&mut self) -> Result<(Status, [u8; 8]), End> {
-        let until = self.exchange.now() + WITHIN_NS;
+        let place = position(self.place);
+        // The time limits the looks.
+        let mut reader = Reader::new(Categories { sound: true, ..Categories::default() }, u16::MAX);
+        let mut until = self.exchange.now() + WITHIN_NS;
         loop {
-            let [registers] = self.read([(address::SII_CONTROL, REGISTERS)])?;
-            let status = Status(word(&registers, 0));
-            if !status.busy() {
-                let data = registers.get(DATA_AT..).and_then(<[u8]>::first_chunk);
-                return Ok((status, data.copied().unwrap_or_default()));
-            }
-            if self.exchange.now() >= until {
-                return Err(Unread::Busy.into());
+            let mut ask = Ask::default();
+            let (read, write) =
+                (|register| Command::Aprd(place, register), |register| Command::Apwr(place, register));
+            reader.request(read, write, &mut ask);
+            let asks: Vec<_> =
+                ask.datagrams().map(|(command, data)| exchange::Ask::new(command, data)).collect();
+            let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
+            let answer = answers.first().filter(|answer| answer.count > 0);
+            let answer =
+                answer.map(|answer| slot::Answer { working_counter: answer.count, data: &answer.data });
+            // A command is refused while another one is under way.
+            let reading = answer.map_or(Reading::Busy, |answer| reader.receive(&[Some(answer), None]));
+            match reading {
+                Reading::On => until = self.exchange.now() + WITHIN_NS,
+                Reading::Busy if self.exchange.now() >= until => return Err(Unread::Busy.into()),
+                Reading::Busy => {}
+                Reading::Failed => return Err(Unread::Refused.into()),
+                Reading::Done => break,
             }
         }
+        let (head, Categories { sound, texts, general, managers }) = (reader.head, reader.content);
+        let is_there = head.mailboxes.iter().all(|area| !matches!(area.length, 0 | 0xFFFF));
+        Ok(Information {
+            sound,
+            identity: head.identity,
+            serial: head.serial,
+            name: printable(text(&texts, byte(&general, NAME_AT)).unwrap_or_default()),
+            mailbox: is_there.then_some(head.mailboxes),
+            protocols: if is_there { head.protocols } else { Protocols::default() },
+            managers: managers.as_chunks().0.iter().map(|entry| sii::sync_manager(*entry)).collect(),
+        })
+    }
+}
+
+/// The categories that are shown.
+#[derive(Debug, Default)]
+struct Categories {
+    sound: bool,
+    texts: Vec<u8>,
+    general: Vec<u8>,
+    managers: Vec<u8>,
+}
+
+impl Content for Categories {
+    fn accepts(&mut self, status: Status) -> bool {
+        self.sound &= !status.unsound();
+        !status.failed()
+    }
+
+    fn wants(&self, kind: u16) -> u16 {
+        match kind {
+            Category::STRINGS | Category::SYNC_MANAGERS => WORDS_MAX,
+            Category::GENERAL => NAME_WORDS,
+            _ => 0,
+        }
+    }
+
+    fn take(&mut self, kind: u16, at: usize, data: &[u8]) {
+        let bytes = match kind {
+            Category::STRINGS => &mut self.texts,
+            Category::GENERAL => &mut self.general,
+            _ => &mut self.managers,
+        };
+        // Of two categories of one kind the last one counts.
+        bytes.truncate(at);
+        bytes.extend_from_slice(data);
     }
 }
 

@@ -6,7 +6,6 @@
 //! | `judge` | the slaves, and which of them took part in a frame that has come back |
 //! | `slave` | one slave, step by step |
 //! | `running` | a slave that runs on a clock set by another master |
-//! | `sii` | the content of its EEPROM |
 //! | `clock` | the time of the segment |
 //! | `note` | why a slave is not in operation |
 
@@ -14,7 +13,6 @@ pub mod clock;
 mod judge;
 pub mod note;
 mod running;
-mod sii;
 pub mod slave;
 
 use self::clock::SegmentClock;

@@ -13,6 +13,8 @@ pub mod word {
     pub const PRODUCT: u16 = 0x0A;
     /// See [`VENDOR`].
     pub const REVISION: u16 = 0x0C;
+    /// The serial number.
+    pub const SERIAL: u16 = 0x0E;
     /// Offset and size of the mailbox that the master writes.
     pub const MAILBOX_OUT: u16 = 0x18;
     /// Offset and size of the mailbox that the master reads.
@@ -56,7 +58,17 @@ impl Status {
 
     /// The command failed, the checksum is wrong, or nothing is loaded.
     pub const fn error(self) -> bool {
-        self.0 & 0x7800 != 0
+        self.failed() || self.unsound()
+    }
+
+    /// The command failed.
+    pub const fn failed(self) -> bool {
+        self.0 & (1 << 13 | 1 << 14) != 0
+    }
+
+    /// The slave has not loaded it, or its checksum is wrong.
+    pub const fn unsound(self) -> bool {
+        self.0 & (1 << 11 | 1 << 12) != 0
     }
 }
 

@@ -16,7 +16,6 @@ use super::{Context, List, Mapped, Note, Slave, Step};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
 use crate::bus::ethercat::segment::running::Running;
-use crate::bus::ethercat::segment::sii::Reader;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
 use crate::time::{MS, Time};
@@ -102,7 +101,7 @@ impl Slave {
         self.clock_fits = !self.other_time && if self.plan.sync { is_in_phase } else { !running.is_cyclic() };
         match note {
             Some(note) => self.refuse(now, note),
-            None => self.enter(now, Step::Sii(Reader::default())),
+            None => self.enter(now, Step::sii()),
         }
         (running.is_cyclic() && !context.has_time).then_some(running)
     }

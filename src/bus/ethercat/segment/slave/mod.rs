@@ -31,15 +31,15 @@ mod request;
 mod setup;
 mod sync;
 
+use self::objects::List;
 use super::clock::SegmentClock;
 use super::note::Note;
-use super::sii::{Contents, Reader};
 use crate::axis::FoundRunning;
 use crate::bus::Cycle;
-use self::objects::List;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::image::Offsets;
 use crate::bus::ethercat::plan::{Owner, SlavePlan};
+use crate::bus::ethercat::sii::{Managers, Reader};
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
 use crate::rt::Regions;
@@ -113,7 +113,7 @@ enum Step {
     /// In OP already: the time that it runs on is read. Then it is refused, or its identity is read.
     FoundClock(Option<Note>),
     SiiOwner,
-    Sii(Reader),
+    Sii(Reader<Managers>),
     /// A drive in OP: its SyncManagers and watchdog, its FMMUs, its station address, ...
     Found,
     FoundFmmus,
@@ -185,7 +185,14 @@ struct Change {
     acknowledge: Option<AlStatus>,
 }
 
+/// The most looks at a busy SII before the command is repeated.
+const SII_LOOKS: u16 = 200;
+
 impl Step {
+    fn sii() -> Step {
+        Step::Sii(Reader::new(Managers::default(), SII_LOOKS))
+    }
+
     fn to(state: AlState) -> Step {
         Step::State(Change { to: state, said: false, errors: 0, acknowledge: None })
     }
@@ -222,7 +229,8 @@ pub struct Slave {
     features: Features,
     fmmus: u8,
     managers: u8,
-    contents: Contents,
+    /// Its SyncManagers as its SII has them.
+    delivered: Managers,
     pub mapped: Mapped,
     pub has_al: bool,
     /// Its state, as far as is known; `None`: it is not there.
@@ -287,7 +295,7 @@ impl Slave {
             features: Features::default(),
             fmmus: 0,
             managers: 0,
-            contents: Contents::default(),
+            delivered: Managers::default(),
             mapped: Mapped::None,
             has_al: false,
             al: None,

@@ -5,7 +5,7 @@ use super::setup::WATCHDOG_DIVIDER;
 use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::plan::FIRST_STATION;
 use crate::bus::ethercat::segment::running::Running;
-use crate::bus::ethercat::segment::sii::{Contents, Reader, Reading};
+use crate::bus::ethercat::sii::{Head, Managers, Reading};
 use crate::bus::ethercat::slot::{Answer, Answers};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
 use crate::time::Time;
@@ -55,10 +55,10 @@ impl Slave {
         self.silent = 0;
         match self.step {
             Step::Look => return self.looked(now, answers),
-            Step::SiiOwner => self.enter(now, Step::Sii(Reader::default())),
+            Step::SiiOwner => self.enter(now, Step::sii()),
             Step::Sii(mut reader) => match reader.receive(answers) {
-                Reading::On => self.step = Step::Sii(reader),
-                Reading::Done => self.identified(now, reader.contents()),
+                Reading::Busy | Reading::On => self.step = Step::Sii(reader),
+                Reading::Done => self.identified(now, &reader.head, reader.content),
                 Reading::Failed => self.refuse(now, Note::Sii),
             },
             Step::Found => self.found(now, answers),
@@ -161,14 +161,13 @@ impl Slave {
                 now,
                 match runs {
                     _ if has_time => Step::FoundClock(None),
-                    true => Step::Sii(Reader::default()),
+                    true => Step::sii(),
                     false => Step::SiiOwner,
                 },
             );
         }
         if restarted { Happened::Restarted } else { Happened::Nothing }
     }
-
 
     /// Why a slave with this station address cannot be used here.
     fn unusable(&self, station: u16) -> Option<Note> {
@@ -183,15 +182,15 @@ impl Slave {
         }
     }
 
-    fn identified(&mut self, now: Time, contents: &Contents) {
-        self.contents = *contents;
-        let (expected, found) = (&self.plan.identity, contents.identity);
+    fn identified(&mut self, now: Time, head: &Head, delivered: Managers) {
+        self.delivered = delivered;
+        let (expected, found) = (&self.plan.identity, head.identity);
         let differs = |expected: Option<u32>, found: u32| expected.is_some_and(|expected| expected != found);
         let note = match () {
             () if differs(expected.vendor, found.vendor) => Some(Note::Vendor(found.vendor)),
             () if differs(expected.product, found.product) => Some(Note::Product(found.product)),
             () if differs(expected.revision, found.revision) => Some(Note::Revision(found.revision)),
-            () if self.plan.check_sii && !contents.is_blank() => self.contradicts(contents),
+            () if self.plan.check_sii && !head.is_blank() => self.contradicts(head),
             () => None,
         };
         if let Some(note) = note {

@@ -4,7 +4,7 @@ use super::Slave;
 use crate::bus::ethercat::image::AL_SIZE;
 use crate::bus::ethercat::plan::Area;
 use crate::bus::ethercat::segment::note::Note;
-use crate::bus::ethercat::segment::sii::Contents;
+use crate::bus::ethercat::sii::Head;
 use crate::bus::ethercat::wire::registers::{Fmmu, SyncManager, address};
 use crate::bus::ethercat::wire::sii::Use;
 
@@ -55,7 +55,7 @@ impl Slave {
             (None, Use::Outputs) => 0,
             (None, _) => u16::from(self.plan.outputs.length > 0),
         };
-        let said = self.contents.manager(usage).filter(|_| self.plan.check_sii);
+        let said = self.delivered.of(usage).filter(|_| self.plan.check_sii);
         let (number, control) = said.map_or((number, control), |(number, manager)| (number, manager.control));
         let watched = self.plan.watchdog_ns.is_some() && usage == Use::Outputs;
         let watchdog = if watched { SyncManager::WATCHDOG } else { 0 };
@@ -84,12 +84,12 @@ impl Slave {
     }
 
     /// A difference between the SII and the configuration.
-    pub(super) fn contradicts(&self, contents: &Contents) -> Option<Note> {
-        if self.plan.mailbox.is_some() && !contents.protocols.coe() {
+    pub(super) fn contradicts(&self, head: &Head) -> Option<Note> {
+        if self.plan.mailbox.is_some() && !head.protocols.coe() {
             return Some(Note::NoCoe);
         }
         let mailboxes = self.plan.mailbox.map_or([None; 2], |areas| areas.map(Some));
-        for (usage, (own, named)) in (1..).zip(mailboxes.into_iter().zip(contents.mailboxes)) {
+        for (usage, (own, named)) in (1..).zip(mailboxes.into_iter().zip(head.mailboxes)) {
             if let Some(own) = own
                 && named.start != 0
                 && own != named
@@ -99,7 +99,7 @@ impl Slave {
         }
         let areas = [(3, Use::Outputs, self.plan.outputs), (4, Use::Inputs, self.plan.inputs)];
         areas.into_iter().find_map(|(usage, kind, area)| {
-            let (_, SyncManager { start, length, .. }) = contents.manager(kind)?;
+            let (_, SyncManager { start, length, .. }) = self.delivered.of(kind)?;
             (area.length > 0 && start != area.start).then_some(Note::SyncManager { usage, start, length })
         })
     }

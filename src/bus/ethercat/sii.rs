@@ -1,0 +1,269 @@
+//! Reads the SII of a slave step by step, four bytes at a time: in the slots of the cycle, and for a scan.
+
+use super::plan::Area;
+use super::slot::{Answers, Ask};
+use super::wire::frame::Command;
+use super::wire::registers::{SyncManager, address};
+use super::wire::sii::{self, Category, Identity, Protocols, Status, Use, word};
+
+/// The most SyncManagers that are kept for bring-up.
+const MANAGERS: usize = 8;
+/// The most categories that are walked through, more than any slave has: where the end is missing.
+const CATEGORIES: u8 = 64;
+/// The repetitions of a command that failed.
+const REPETITIONS: u8 = 3;
+/// Control, address and data follow each other.
+const LOOK: usize = 14;
+const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
+/// The value of an EEPROM that was never written.
+const BLANK: u32 = u32::MAX;
+
+/// The words before the categories, in this order.
+const HEAD: [u16; 7] = [
+    word::VENDOR,
+    word::PRODUCT,
+    word::REVISION,
+    word::SERIAL,
+    word::MAILBOX_OUT,
+    word::MAILBOX_IN,
+    word::PROTOCOLS,
+];
+
+/// The words before the categories.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Head {
+    /// The slave's identity.
+    pub identity: Identity,
+    /// Its serial number.
+    pub serial: u32,
+    /// Its mailboxes: out, in; at 0: it names none.
+    pub mailboxes: [Area; 2],
+    /// Their protocols.
+    pub protocols: Protocols,
+}
+
+impl Head {
+    /// The EEPROM was never written.
+    pub fn is_blank(&self) -> bool {
+        matches!(self.identity.vendor, 0 | BLANK)
+    }
+
+    /// Takes what `word` and the word after it have.
+    fn take(&mut self, at: u16, data: [u8; 4]) {
+        let number = u32::from_le_bytes(data);
+        let area = Area { start: number as u16, length: (number >> 16) as u16 };
+        match at {
+            word::VENDOR => self.identity.vendor = number,
+            word::PRODUCT => self.identity.product = number,
+            word::REVISION => self.identity.revision = number,
+            word::SERIAL => self.serial = number,
+            word::MAILBOX_OUT => self.mailboxes[0] = area,
+            word::MAILBOX_IN => self.mailboxes[1] = area,
+            _ => self.protocols = Protocols(number as u16),
+        }
+    }
+}
+
+/// What is kept of the categories, and of the status of each read.
+pub trait Content {
+    /// The slave has loaded the SII, and its checksum is right, or what is read is to be kept nevertheless.
+    fn accepts(&mut self, status: Status) -> bool;
+
+    /// The most words that are read of a category of this kind.
+    fn wants(&self, kind: u16) -> u16;
+
+    /// Four bytes of such a category, or its last two, so many behind its begin.
+    fn take(&mut self, kind: u16, at: usize, data: &[u8]);
+}
+
+/// What is being read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Item {
+    /// So many of the head were read.
+    Head(usize),
+    /// The header of category `nth`.
+    Category {
+        at: u16,
+        nth: u8,
+    },
+    /// The words of a category that are left, and the header of the next one.
+    Words {
+        kind: u16,
+        begin: u16,
+        at: u16,
+        end: u16,
+        next: Option<u16>,
+        nth: u8,
+    },
+    Done,
+}
+
+/// What is requested next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Request {
+    /// The failed command is ended.
+    Clear,
+    Command,
+    Look,
+}
+
+/// The progress of reading.
+#[derive(Clone, Copy, Debug)]
+pub struct Reader<C> {
+    item: Item,
+    next: Request,
+    /// Looks at a busy SII, and the most of them until the command is repeated.
+    looks: u16,
+    most_looks: u16,
+    repetitions: u8,
+    /// What was read.
+    pub head: Head,
+    /// The same of its categories.
+    pub content: C,
+}
+
+/// The result of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reading {
+    /// The command is under way.
+    Busy,
+    /// It continues.
+    On,
+    /// Everything is read.
+    Done,
+    /// It cannot be read.
+    Failed,
+}
+
+impl<C: Content> Reader<C> {
+    /// Nothing was read yet. A command is repeated after so many looks at a busy SII.
+    pub fn new(content: C, most_looks: u16) -> Reader<C> {
+        let (item, next, head) = (Item::Head(0), Request::Command, Head::default());
+        Reader { item, next, looks: 0, most_looks, repetitions: 0, head, content }
+    }
+
+    fn word(&self) -> Option<u16> {
+        match self.item {
+            Item::Head(nth) => HEAD.get(nth).copied(),
+            Item::Category { at, .. } | Item::Words { at, .. } => Some(at),
+            Item::Done => None,
+        }
+    }
+
+    /// Requests the next part, with commands that reach the slave at a register.
+    pub fn request(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
+        let Some(word) = self.word() else { return };
+        let control = address::SII_CONTROL;
+        match self.next {
+            Request::Clear => ask.write(write(control), &Status::IDLE.to_le_bytes()),
+            Request::Command => ask.write(write(control), &sii::read(word)),
+            Request::Look => ask.read(read(control), LOOK),
+        };
+    }
+
+    /// Takes the answer.
+    pub fn receive(&mut self, answers: &Answers<'_>) -> Reading {
+        // A lost frame: the same is requested again.
+        let Some(answer) = answers[0] else { return Reading::On };
+        if self.next != Request::Look {
+            self.next = if self.next == Request::Clear { Request::Command } else { Request::Look };
+            return Reading::On;
+        }
+        let Some(status) = answer.data.first_chunk::<2>() else { return Reading::On };
+        let status = Status(u16::from_le_bytes(*status));
+        if status.busy() {
+            self.looks = self.looks.saturating_add(1);
+            return if self.looks > self.most_looks { self.again(Request::Command) } else { Reading::Busy };
+        }
+        if !self.content.accepts(status) {
+            return self.again(Request::Clear);
+        }
+        let Some(data) = answer.data.get(DATA_AT..).and_then(<[u8]>::first_chunk::<4>) else {
+            return Reading::Failed;
+        };
+        (self.next, self.looks, self.repetitions) = (Request::Command, 0, 0);
+        self.take(*data);
+        if self.item == Item::Done { Reading::Done } else { Reading::On }
+    }
+
+    fn again(&mut self, next: Request) -> Reading {
+        (self.next, self.looks) = (next, 0);
+        self.repetitions += 1;
+        if self.repetitions > REPETITIONS { Reading::Failed } else { Reading::On }
+    }
+
+    fn take(&mut self, data: [u8; 4]) {
+        self.item = match self.item {
+            Item::Head(nth) => {
+                self.head.take(HEAD[nth], data);
+                match nth + 1 {
+                    next if next < HEAD.len() => Item::Head(next),
+                    _ => Item::Category { at: word::CATEGORIES, nth: 0 },
+                }
+            }
+            Item::Category { at, nth } => self.next_category(at, nth, data),
+            Item::Words { kind, begin, at, end, next, nth } => {
+                let bytes = 2 * usize::from(end - at);
+                self.content.take(kind, 2 * usize::from(at - begin), &data[..bytes.min(data.len())]);
+                match at.checked_add(2) {
+                    Some(at) if at < end => Item::Words { kind, begin, at, end, next, nth },
+                    _ => next.map_or(Item::Done, |at| Item::Category { at, nth: nth + 1 }),
+                }
+            }
+            Item::Done => Item::Done,
+        };
+    }
+
+    /// The header of a category was read.
+    fn next_category(&self, at: u16, nth: u8, header: [u8; 4]) -> Item {
+        let category = Category::new(header).filter(|_| nth < CATEGORIES && u32::from_le_bytes(header) != 0);
+        let (Some(Category { kind, words }), Some(begin)) = (category, at.checked_add(2)) else {
+            return Item::Done;
+        };
+        let next = begin.checked_add(words);
+        let wanted = words.min(self.content.wants(kind));
+        if wanted > 0 {
+            let end = begin.saturating_add(wanted);
+            return Item::Words { kind, begin, at: begin, end, next, nth };
+        }
+        next.map_or(Item::Done, |at| Item::Category { at, nth: nth + 1 })
+    }
+}
+
+/// The SyncManagers as delivered, in their order, and the use of each: what bring-up compares.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Managers {
+    entries: [Option<(SyncManager, Use)>; MANAGERS],
+    /// The first half of an entry.
+    first: [u8; 4],
+}
+
+impl Content for Managers {
+    fn accepts(&mut self, status: Status) -> bool {
+        !status.error()
+    }
+
+    fn wants(&self, kind: u16) -> u16 {
+        if kind == Category::SYNC_MANAGERS { 4 * MANAGERS as u16 } else { 0 }
+    }
+
+    fn take(&mut self, _kind: u16, at: usize, data: &[u8]) {
+        let Ok(data) = <[u8; 4]>::try_from(data) else { return };
+        if at.is_multiple_of(8) {
+            self.first = data;
+        } else if let Some(entry) = self.entries.get_mut(at / 8) {
+            let ([a, b, c, d], [e, f, g, h]) = (self.first, data);
+            *entry = Some(sii::sync_manager([a, b, c, d, e, f, g, h]));
+        }
+    }
+}
+
+impl Managers {
+    /// The SyncManager of this use, and its number.
+    pub fn of(&self, usage: Use) -> Option<(u16, SyncManager)> {
+        let found = |(number, entry): (usize, &Option<(SyncManager, Use)>)| {
+            entry.filter(|(_, other)| *other == usage).map(|(manager, _)| (number as u16, manager))
+        };
+        self.entries.iter().enumerate().find_map(found)
+    }
+}
