@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | what is desired, as outputs; what is proved |
+//! | `capabilities` | what a drive can do, by its plan |
 //! | `offsets` | where the values are in the PDOs |
 //!
 //! Inputs that come with a frame are from before its outputs: an output is answered by the exchange after it.
@@ -10,20 +11,20 @@
 //! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is
 //! commanded to switch on and stays off without a fault has no hardware enable.
 
+mod capabilities;
 mod offsets;
 
+pub(super) use self::capabilities::capabilities;
+use self::capabilities::quantity;
 use self::offsets::Offsets;
 pub(super) use self::offsets::{Counts, tells_position};
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
-use super::object::number::CONTROL_WORD;
-use super::plan::{KollmorgenDrive, Setpoint};
-use crate::axis::Lacks;
+use super::plan::KollmorgenDrive;
 use crate::axis::command::NativeOwner;
 use crate::axis::{State, Units};
 use crate::bus::desired::{
-    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, ModeIs, Motion, Power, Quantity,
-    Resettable,
+    self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable,
 };
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
@@ -42,14 +43,6 @@ const DARK_NS: u64 = S;
 /// stands for a moment.
 const SETTLED: u8 = 3;
 
-const NO_CONTROL: &str = "its outputs have no control word: map 6040h";
-const BLIND: &str = "its setpoint is a position, and its inputs have none: map 6064h or 6063h";
-const NO_POSITION: &str = "its setpoint is no position: take outputs with one (PDO 1701h), or jog";
-const NO_VELOCITY: &str =
-    "its setpoint is neither a position nor a velocity: take outputs with one (PDO 1702h)";
-const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1703h)";
-const NOT_WATCHED: &str = "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or \
-    no_drive_watchdog = \"accept\"";
 const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, \
     so that it can be set up again";
 const MODE_REFUSED: &str =
@@ -173,48 +166,6 @@ struct Sent {
 struct Switching {
     was_powered: bool,
     since: Option<Time>,
-}
-
-fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
-    let axis = &drive.axis;
-    let turns = axis.units.counts_per_unit / drive.scaling.increments();
-    match drive.setpoint() {
-        Some(Setpoint::Position(_)) => (Quantity::Position, axis.units.counts_per_unit),
-        Some(Setpoint::Velocity(_)) => (Quantity::Velocity, turns * 60.0 / drive.scaling.rpm_per_count),
-        Some(Setpoint::Torque(_)) => {
-            let permille = 10.0_f64.copysign(axis.units.counts_per_unit);
-            (Quantity::Torque, permille / drive.scaling.permille_per_count)
-        }
-        None => (Quantity::Unknown, 0.0),
-    }
-}
-
-/// What a drive can do.
-pub(super) fn capabilities(drive: &KollmorgenDrive) -> Capabilities {
-    let (quantity, _) = quantity(drive);
-    let is_controlled = drive.outputs.entries.iter().any(|entry| entry.object == CONTROL_WORD);
-    let is_blind = quantity == Quantity::Position && !tells_position(drive);
-    // A position is held, even if the master dies.
-    let unwatched =
-        quantity != Quantity::Position && !drive.accept_no_watchdog && drive.slave.watchdog_ns.is_none();
-    let positions = (quantity != Quantity::Position).then_some(NO_POSITION);
-    let unwatched = unwatched.then_some(NOT_WATCHED);
-    let speeds = matches!(quantity, Quantity::Torque | Quantity::Unknown).then_some(NO_VELOCITY);
-    let torques = (quantity != Quantity::Torque).then_some(NO_TORQUE);
-    Capabilities {
-        lacks: Lacks {
-            control: (!is_controlled).then_some(NO_CONTROL),
-            enable: is_blind.then_some(BLIND),
-            moves: positions,
-            rows: positions,
-            velocities: speeds.or(unwatched),
-            torques: torques.or(unwatched),
-            homing: None,
-        },
-        switches_on_at_once: false,
-        still_reports: SETTLED,
-        ..Capabilities::of(Generator::Master(quantity))
-    }
 }
 
 impl Profile {

@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the master's transfers, the application's calls behind them, emergencies |
+//! | `emergencies` | those that wait to be taken |
 //! | `mailbox` | how a message gets into the slave, and out of it |
 //! | `sdo` | one transfer, message by message |
 //!
@@ -13,9 +14,11 @@
 //!
 //! It runs on the real-time thread: bounded, without allocation.
 
+mod emergencies;
 mod mailbox;
 mod sdo;
 
+use self::emergencies::Emergencies;
 use self::mailbox::{Mailbox, Received};
 use self::sdo::{Failure, KEPT, Sdo, Step};
 use super::counters::Own;
@@ -34,8 +37,6 @@ use crate::time::{MS, Time};
 /// The time limit of a transfer of the master.
 const LIMIT_NS: u64 = 700 * MS;
 const LIMIT_TURNS: u64 = 12;
-/// Emergencies that wait to be taken; later ones are counted and dropped.
-const EMERGENCIES: usize = 8;
 
 /// An SDO of the master itself, of eight bytes at most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -149,33 +150,6 @@ fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
             kind.raw((raw << above) as i64 >> above)
         }
         _ => raw,
-    }
-}
-
-/// Emergencies in their order.
-#[derive(Debug, Default)]
-struct Emergencies {
-    places: [Emergency; EMERGENCIES],
-    first: usize,
-    count: usize,
-}
-
-impl Emergencies {
-    /// False: there is no room.
-    fn push(&mut self, emergency: Emergency) -> bool {
-        let has_room = self.count < EMERGENCIES;
-        if has_room {
-            self.places[(self.first + self.count) % EMERGENCIES] = emergency;
-            self.count += 1;
-        }
-        has_room
-    }
-
-    fn pop(&mut self) -> Option<Emergency> {
-        self.count = self.count.checked_sub(1)?;
-        let next = self.places[self.first];
-        self.first = (self.first + 1) % EMERGENCIES;
-        Some(next)
     }
 }
 

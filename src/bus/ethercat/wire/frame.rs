@@ -7,7 +7,11 @@
 //! | 14-15 | length, type | bits 0-10 bytes of all datagrams, bits 12-15 = 1 |
 //! | 16- | datagrams | ten bytes of header, data, working counter; then padding to 60 bytes |
 //!
-//! The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
+//! `read` has the received ones. The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
+
+mod read;
+
+pub use self::read::{Datagram, Datagrams, FrameError, datagrams, first_datagram};
 
 /// On the wire, big-endian.
 pub const ETHERTYPE: u16 = 0x88A4;
@@ -275,121 +279,6 @@ pub fn set_command(frame: &mut [u8], place: Place, command: Command) {
 pub fn set_index(frame: &mut [u8], place: Place, index: u8) {
     if let Some(byte) = frame.get_mut(place.at + 1) {
         *byte = index;
-    }
-}
-
-/// Why bytes are not a valid frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameError {
-    /// Its Ethertype or its type is another one.
-    Foreign,
-    /// It is too short, or a datagram does not end within it.
-    Broken,
-}
-
-/// A datagram as it was received.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Datagram<'a> {
-    /// Where it stands.
-    pub place: Place,
-    /// Its number on the wire; an unknown command is forwarded like `NOP`.
-    pub number: u8,
-    /// Its four bytes of address.
-    pub address: u32,
-    /// As it was sent.
-    pub index: u8,
-    /// It circulated without passing the master: its content is old.
-    pub circulated: bool,
-    /// Event bits of all slaves, or-ed.
-    pub interrupts: u16,
-    /// The data that were read, or written.
-    pub data: &'a [u8],
-    /// How often it was carried out.
-    pub working_counter: u16,
-}
-
-impl<'a> Datagram<'a> {
-    /// The datagram at byte `at` of a frame, and whether another one follows.
-    fn parse(frame: &'a [u8], at: usize, end: usize) -> Result<(Datagram<'a>, bool), FrameError> {
-        let header =
-            frame.get(at..end).and_then(<[u8]>::first_chunk::<DATAGRAM_HEADER>).ok_or(FrameError::Broken)?;
-        let [number, index, a, b, c, d, low, high, event_low, event_high] = *header;
-        let flags = u16::from_le_bytes([low, high]);
-        let place = Place { at, length: usize::from(flags & LENGTH_MASK) };
-        if place.end() > end {
-            return Err(FrameError::Broken);
-        }
-        let counter = place.data().end;
-        let datagram = Datagram {
-            place,
-            number,
-            address: u32::from_le_bytes([a, b, c, d]),
-            index,
-            circulated: flags & CIRCULATED != 0,
-            interrupts: u16::from_le_bytes([event_low, event_high]),
-            data: &frame[place.data()],
-            working_counter: u16::from_le_bytes([frame[counter], frame[counter + 1]]),
-        };
-        Ok((datagram, flags & MORE != 0))
-    }
-
-    /// Its command; `None`: an unknown one.
-    pub fn command(&self) -> Option<Command> {
-        Command::new(self.number, self.address)
-    }
-}
-
-/// The datagrams of a received frame. Each is read on request; the first error ends them.
-#[derive(Clone, Debug)]
-pub struct Datagrams<'a> {
-    frame: &'a [u8],
-    next: Option<usize>,
-    end: usize,
-}
-
-/// Reads a frame; the error names a frame that is not EtherCAT.
-pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
-    let header = frame.first_chunk::<HEADER>().ok_or(FrameError::Broken)?;
-    let ethertype = u16::from_be_bytes([header[12], header[13]]);
-    let length = u16::from_le_bytes([header[14], header[15]]);
-    if ethertype != ETHERTYPE || length & !LENGTH_MASK & !(1 << 11) != TYPE_DATAGRAMS {
-        return Err(FrameError::Foreign);
-    }
-    let says = usize::from(length & LENGTH_MASK);
-    if says > frame.len() - HEADER {
-        return Err(FrameError::Broken);
-    }
-    Ok(Datagrams { frame, next: (says > 0).then_some(HEADER), end: HEADER + says })
-}
-
-/// The number and the data of the first datagram of a received frame, if that has `N` bytes: identifies the sender
-/// before all of the frame is read.
-#[inline]
-pub fn first_datagram<const N: usize>(frame: &[u8]) -> Option<(u8, &[u8; N])> {
-    let header = frame.first_chunk::<{ HEADER + DATAGRAM_HEADER }>()?;
-    let data = frame.get(HEADER + DATAGRAM_HEADER..)?.first_chunk::<N>()?;
-    let word = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
-    let ethertype = u16::from_be_bytes([header[ETHERTYPE_AT], header[ETHERTYPE_AT + 1]]);
-    let length = word(LENGTH_AT);
-    let is_one = ethertype == ETHERTYPE
-        && length & !LENGTH_MASK & !(1 << 11) == TYPE_DATAGRAMS
-        && usize::from(length & LENGTH_MASK) <= frame.len() - HEADER
-        && usize::from(word(HEADER + 6) & LENGTH_MASK) == N;
-    is_one.then_some((header[HEADER], data))
-}
-
-impl<'a> Iterator for Datagrams<'a> {
-    type Item = Result<Datagram<'a>, FrameError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let at = self.next.take()?;
-        match Datagram::parse(self.frame, at, self.end) {
-            Ok((datagram, more)) => {
-                self.next = more.then(|| datagram.place.end());
-                Some(Ok(datagram))
-            }
-            Err(error) => Some(Err(error)),
-        }
     }
 }
 
