@@ -53,8 +53,6 @@ const COLD_START: &str =
 /// The drive's last report.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
-    /// There was a report at all.
-    pub seen: bool,
     /// It is in OP: outputs count.
     pub operational: bool,
     pub status: StatusWord,

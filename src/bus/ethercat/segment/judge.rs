@@ -197,7 +197,7 @@ impl Segment {
 
     fn judge_slave(&mut self, index: usize, verdict: Verdict, back: &Back<'_>, handler: &mut impl Handler) {
         let slave = &mut self.slaves[index];
-        if slave.mapped == Mapped::None {
+        if slave.way.mapped == Mapped::None {
             return;
         }
         let now = back.sent.cycle.grid;
@@ -221,7 +221,7 @@ impl Segment {
             return self.report(index, handler);
         }
         slave.missing = 0;
-        if slave.has_al && (slave.al != slave.shown.state() || slave.shown.error()) {
+        if slave.has_al && (slave.way.al != slave.shown.state() || slave.shown.error()) {
             self.lowered |= slave.is_lowered(now);
             slave.show(now);
         }

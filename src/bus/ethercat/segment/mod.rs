@@ -218,7 +218,7 @@ impl Segment {
 
     /// The outputs of slave `index` reach it.
     pub fn outputs_count(&self, index: usize) -> bool {
-        self.slaves.get(index).is_some_and(|slave| slave.mapped == Mapped::All)
+        self.slaves.get(index).is_some_and(|slave| slave.way.mapped == Mapped::All)
     }
 
     /// The relation of the clock of the segment and the grid; `None`: there is none.
@@ -279,7 +279,7 @@ impl Segment {
 
     /// The segment has a time that is not that of slave `index` alone.
     fn has_time(&self, index: usize) -> bool {
-        let is_running = |source: usize| source != index && self.slaves[source].al == Some(AlState::Op);
+        let is_running = |source: usize| source != index && self.slaves[source].way.al == Some(AlState::Op);
         self.set_clock().is_some() || self.time_source.is_some_and(is_running)
     }
 
@@ -345,16 +345,16 @@ impl Segment {
         let slave = &self.slaves[index];
         let owner = slave.owner;
         handler.advance(owner, cycle.grid);
-        if slave.wants_nothing() && slave.is_open == slave.mailbox_open {
+        if slave.wants_nothing() && slave.is_open == slave.way.mailbox_open {
             // Usually only its mailbox may have a request.
             return self.request_of_mailbox(index, cycle, handler);
         }
         let slave = &mut self.slaves[index];
         let mut service = handler.service(owner);
         if let Some(service) = &mut service
-            && slave.is_open != slave.mailbox_open
+            && slave.is_open != slave.way.mailbox_open
         {
-            slave.is_open = slave.mailbox_open;
+            slave.is_open = slave.way.mailbox_open;
             service.open(slave.is_open);
         }
         slave.objects(cycle.grid, service);
@@ -379,7 +379,7 @@ impl Segment {
         cycle: &Cycle,
         handler: &mut impl Handler,
     ) -> Option<Requester> {
-        let slave = Some(&self.slaves[index]).filter(|slave| slave.mailbox_open)?;
+        let slave = Some(&self.slaves[index]).filter(|slave| slave.way.mailbox_open)?;
         handler.service(slave.owner)?.request(cycle.grid, &mut self.ask);
         (!self.ask.is_empty()).then_some(Requester::Mailbox(index))
     }
@@ -426,7 +426,7 @@ impl Segment {
         let al = slave.state_of_replies();
         if al != slave.reported {
             let before = std::mem::replace(&mut slave.reported, al);
-            let found_mode = slave.found_mode.filter(|_| slave.joined && before.is_none());
+            let found_mode = slave.found_mode.filter(|_| slave.way.joined && before.is_none());
             let state = SlaveState { al, is_watched: slave.watched, found_mode };
             handler.state(slave.owner, state);
             self.notes.set(index, slave.note());

@@ -37,6 +37,21 @@ const NAMED_WITHIN_NS: u64 = 100 * MS;
 const NAMED_TURNS: u64 = 6;
 const ANY_ERROR: u16 = 0x1000;
 
+/// What was read of a drive since it was switched on.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    inputs: Inputs,
+    actual: Unwrap,
+    demand: Unwrap,
+    /// The last position, and its slot of the grid.
+    last: Option<(i64, Time)>,
+    /// The newest emergency that is no warning; code 0: none.
+    emergency: Emergency,
+    emergency_at: Time,
+    faulted_at: Option<Time>,
+    warning: u16,
+}
+
 /// One drive as the master sees it.
 #[derive(Debug)]
 pub struct Station {
@@ -54,25 +69,18 @@ pub struct Station {
     /// Its setpoint is a position, and it reports its own.
     has_place: bool,
     pub(super) profile: Profile,
-    inputs: Inputs,
+    /// What was read of it.
+    seen: Seen,
     pub(super) requests: Requests,
     pub(super) service: Service,
     /// The slave's state; `None`: below SAFEOP, or not there.
     al: Option<AlState>,
-    actual: Unwrap,
-    demand: Unwrap,
-    /// The last position, and its slot of the grid.
-    last: Option<(i64, Time)>,
     pub(super) sent_grid: Time,
     /// The setpoints of the outputs are its demand, and reach it.
     led: bool,
     /// The outputs of the last exchange reach the drive.
     reached: bool,
-    emergency: Emergency,
-    emergency_at: Time,
-    faulted_at: Option<Time>,
     named_within_ns: u64,
-    warning: u16,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
     /// The application writes a parameter that may command the drive.
@@ -106,21 +114,14 @@ impl Station {
             interval_ns,
             has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && tells_position(drive),
             profile,
-            inputs: Inputs::default(),
+            seen: Seen::default(),
             requests: Requests::new(drive),
             service: Service::new(&drive.slave, Some(port), turn_ns),
             al: None,
-            actual: Unwrap::default(),
-            demand: Unwrap::default(),
-            last: None,
             sent_grid: Time(0),
             led: false,
             reached: false,
-            emergency: Emergency::default(),
-            emergency_at: Time(0),
-            faulted_at: None,
             named_within_ns: NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns),
-            warning: 0,
             was_restarted: false,
             commanded: false,
             is_steady: false,
@@ -165,7 +166,7 @@ impl Station {
 
     fn leave_operation(&mut self) {
         self.unsettle();
-        (self.inputs.operational, self.led) = (false, false);
+        (self.seen.inputs.operational, self.led) = (false, false);
         self.profile.dropped();
     }
 
@@ -175,10 +176,7 @@ impl Station {
         self.was_restarted = true;
         self.profile.drive_restarted();
         self.requests.forget();
-        self.actual.reset();
-        self.demand.reset();
-        (self.last, self.inputs.seen, self.inputs.velocity) = (None, false, 0.0);
-        (self.emergency, self.faulted_at, self.warning) = (Emergency::default(), None, 0);
+        self.seen = Seen::default();
     }
 
     /// The frame with the prepared outputs went out.
@@ -239,13 +237,15 @@ impl Station {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
         let counts = self.profile.read(inputs);
         match counts {
-            Some(counts) if self.is_steady && al == AlState::Op && counts.status == self.inputs.status.0 => {
+            Some(counts)
+                if self.is_steady && al == AlState::Op && counts.status == self.seen.inputs.status.0 =>
+            {
                 slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
                 slot.counters.answered += 1;
                 self.profile.answered();
                 self.profile.publish(at, false, inputs);
                 self.take_values(counts);
-                self.profile.prove_values(&self.inputs, &mut slot.evidence);
+                self.profile.prove_values(&self.seen.inputs, &mut slot.evidence);
                 self.report_values(at, counts, slot);
             }
             counts => self.take_anew(at, inputs, counts, al, slot),
@@ -269,12 +269,12 @@ impl Station {
             self.profile.answered();
         } else {
             Own::NotOperational.count(&mut slot.counters);
-            if self.inputs.operational {
+            if self.seen.inputs.operational {
                 self.leave_operation();
             }
         }
         self.led = operational && self.reached && self.profile.writes();
-        self.inputs.operational = operational;
+        self.seen.inputs.operational = operational;
         self.profile.publish(at, self.profile.is_native(), inputs);
         self.is_steady = false;
         if let Some(counts) = counts {
@@ -282,9 +282,9 @@ impl Station {
             self.is_steady = self.reached
                 && operational
                 && !self.commanded
-                && (self.emergency.code, self.faulted_at) == (0, None)
+                && (self.seen.emergency.code, self.seen.faulted_at) == (0, None)
                 && self.requests.are_idle(self.profile.mode_wanted())
-                && self.profile.is_steady(&self.inputs);
+                && self.profile.is_steady(&self.seen.inputs);
         }
     }
 
@@ -296,8 +296,8 @@ impl Station {
         }
         let Some(emergency) = self.service.take_emergency() else { return };
         match Clearing::of(&emergency) {
-            Some(Clearing::Warning) => self.warning = emergency.code,
-            _ => (self.emergency, self.emergency_at) = (emergency, self.profile.grid),
+            Some(Clearing::Warning) => self.seen.warning = emergency.code,
+            _ => (self.seen.emergency, self.seen.emergency_at) = (emergency, self.profile.grid),
         }
         self.unsettle();
         slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
@@ -305,33 +305,37 @@ impl Station {
 
     /// The drive's report, in user units.
     fn read(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
-        let (status, before) = (StatusWord(counts.status), self.inputs.status);
-        (self.inputs.state, self.inputs.status, self.inputs.seen) = (status.state(), status, true);
+        let (status, before) = (StatusWord(counts.status), self.seen.inputs.status);
+        (self.seen.inputs.state, self.seen.inputs.status) = (status.state(), status);
         let homing = self.profile.is_homing();
         if homing {
             // The positions have a new origin.
-            self.actual.reset();
-            self.demand.reset();
+            self.seen.actual.reset();
+            self.seen.demand.reset();
             if self.profile.is_finding_home() {
                 self.requests.request_reference();
             }
         }
-        let velocity = self.inputs.velocity;
+        let velocity = self.seen.inputs.velocity;
         self.take_values(counts);
         if homing && counts.velocity.is_none() {
             let attained = counts.status & !before.0 & StatusWord::MODE_12 != 0;
-            if attained || self.inputs.velocity.abs() > self.most_velocity {
+            if attained || self.seen.inputs.velocity.abs() > self.most_velocity {
                 // That was no motion.
-                self.inputs.velocity = velocity;
+                self.seen.inputs.velocity = velocity;
             }
         }
         self.take_fault(at, counts);
         let Slot { status: report, notices, evidence, .. } = slot;
         report.suspect = false;
         notices.restarted |= std::mem::take(&mut self.was_restarted);
-        report.state = if self.inputs.operational { self.inputs.state } else { below_op(self.inputs.state) };
-        self.inputs.is_powered = report.state.is_powered();
-        let inputs = &self.inputs;
+        report.state = if self.seen.inputs.operational {
+            self.seen.inputs.state
+        } else {
+            below_op(self.seen.inputs.state)
+        };
+        self.seen.inputs.is_powered = report.state.is_powered();
+        let inputs = &self.seen.inputs;
         self.profile.look(inputs);
         self.profile.prove(inputs, self.requests.mode(), evidence);
         evidence.reference = self.requests.reference();
@@ -339,7 +343,8 @@ impl Station {
         let homing = self.profile.is_homing();
         report.inhibited = !inputs.is_powered && self.profile.is_inhibited();
         report.homed = !homing && self.requests.homed == Some(true);
-        report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
+        report.warning =
+            if status.has(StatusWord::WARNING) { u32::from(self.seen.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
         if let Some(shown) = self.requests.take_shown() {
             (report.monitor, notices.monitor_fresh) = (*shown, true);
@@ -354,21 +359,21 @@ impl Station {
     /// The actual position, not folded, and the velocity.
     #[inline(always)] // As `report_values`.
     fn take_values(&mut self, counts: Counts) {
-        let count = counts.position.map(|raw| self.actual.next(raw));
+        let count = counts.position.map(|raw| self.seen.actual.next(raw));
         if let Some(velocity) = counts.velocity {
-            self.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
+            self.seen.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
         } else if let Some(count) = count {
             self.differ(count);
         }
-        self.last = count.map(|count| (count, self.sent_grid));
-        self.inputs.position =
+        self.seen.last = count.map(|count| (count, self.sent_grid));
+        self.seen.inputs.position =
             count.map_or(0.0, |count| count as f64 * self.unit_per_count + self.units.offset);
     }
 
     /// What changes from report to report.
     #[inline(always)] // It has two callers, and is most of what the usual one does.
     fn report_values(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
-        let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.inputs, &self.units);
+        let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.seen.inputs, &self.units);
         notices.fresh = true;
         report.at = at;
         let is_led_on = self.profile.is_moving();
@@ -377,7 +382,7 @@ impl Station {
         report.position = counts.position.map_or(f64::NAN, |_| units.folded(inputs.position));
         report.demand = report.position;
         if self.led {
-            let count = self.demand.next(self.profile.setpoint_sent());
+            let count = self.seen.demand.next(self.profile.setpoint_sent());
             report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
         }
         report.velocity = inputs.velocity;
@@ -388,38 +393,39 @@ impl Station {
     /// The velocity of a drive that reports none: the distance since the last exchange.
     #[inline]
     fn differ(&mut self, count: i64) {
-        let Some((last, grid)) = self.last else {
-            self.inputs.velocity = 0.0;
+        let Some((last, grid)) = self.seen.last else {
+            self.seen.inputs.velocity = 0.0;
             return;
         };
         let passed_ns = self.sent_grid.since(grid);
         let way = (count - last) as f64;
         if passed_ns == self.interval_ns {
-            self.inputs.velocity = way * self.rate;
+            self.seen.inputs.velocity = way * self.rate;
         } else if passed_ns > 0 {
-            self.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
+            self.seen.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
         }
     }
 
     /// Takes what is known of the fault in the status.
     #[inline]
     fn take_fault(&mut self, at: Time, counts: Counts) {
-        let inputs = &mut self.inputs;
+        let inputs = &mut self.seen.inputs;
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
             // An emergency that no fault has followed by then names no later one.
-            let is_over = self.emergency.code != 0 && at.since(self.emergency_at) > self.named_within_ns;
-            if self.faulted_at.take().is_some() || is_over {
-                self.emergency = Emergency::default();
+            let is_over =
+                self.seen.emergency.code != 0 && at.since(self.seen.emergency_at) > self.named_within_ns;
+            if self.seen.faulted_at.take().is_some() || is_over {
+                self.seen.emergency = Emergency::default();
             }
             (inputs.fault, inputs.named, inputs.cold) = (0, false, false);
             return;
         }
-        let since = *self.faulted_at.get_or_insert(at);
-        let reported = counts.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
+        let since = *self.seen.faulted_at.get_or_insert(at);
+        let reported = counts.fault.filter(|code| *code != 0).unwrap_or(self.seen.emergency.code);
         let waited = at.since(since) > self.named_within_ns;
         inputs.fault = if reported == 0 && waited { ANY_ERROR } else { reported };
         inputs.named = inputs.fault != 0;
-        let clearing = Clearing::of(&self.emergency);
+        let clearing = Clearing::of(&self.seen.emergency);
         inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));
     }
 }

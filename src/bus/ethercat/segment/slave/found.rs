@@ -12,7 +12,7 @@
 //! INIT.
 
 use super::setup::WATCHDOG_DIVIDER;
-use super::{Context, List, Mapped, Note, Slave, Step};
+use super::{Context, List, Mapped, Note, Slave, Step, Way};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
 use crate::bus::ethercat::segment::running::Running;
@@ -108,10 +108,10 @@ impl Slave {
 
     /// It is part of the exchange: its PDOs and mode have still to be read.
     pub(super) fn join(&mut self, now: Time) {
-        (self.joined, self.known, self.found_mode) = (true, true, None);
-        (self.mapped, self.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
+        (self.way.joined, self.known, self.found_mode) = (true, true, None);
+        (self.way.mapped, self.way.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
         self.clock_set = self.plan.sync;
-        self.al = Some(AlState::Op);
+        self.way.al = Some(AlState::Op);
         self.enter(now, Step::Objects { list: List::Found, next: 0, begun: false });
     }
 
@@ -126,14 +126,14 @@ impl Slave {
 
     /// All of it is as configured.
     pub(super) fn joined_whole(&mut self, now: Time) {
-        (self.was_operational, self.note, self.refused) = (true, Note::None, Note::None);
+        (self.way.was_operational, self.note, self.refused) = (true, Note::None, Note::None);
         self.enter(now, Step::Up);
     }
 
     /// It is not as configured.
     pub(super) fn not_joinable(&mut self, now: Time) {
         if self.found_running == FoundRunning::Stop {
-            (self.mapped, self.mailbox_open, self.joined) = (Mapped::None, false, false);
+            self.way = Way::default();
             self.enter(now, Step::to(AlState::Init));
         } else {
             self.refuse(now, Note::FoundRunning);
@@ -143,13 +143,14 @@ impl Slave {
     /// It was set up here, and its frames were lost for a while only: where it continues. `None`: it has to be
     /// brought up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
-        let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
+        let Some(al) = self.way.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
         (self.looked_at, self.other_time) = (true, false);
-        (self.addressed, self.mapped, self.mailbox_open) = (true, Mapped::All, self.plan.mailbox.is_some());
+        (self.way.addressed, self.way.mapped, self.way.mailbox_open) =
+            (true, Mapped::All, self.plan.mailbox.is_some());
         match al {
             AlState::Op => {
                 self.clock_set = self.plan.sync;
-                (self.was_operational, self.note) = (true, Note::None);
+                (self.way.was_operational, self.note) = (true, Note::None);
                 self.enter(now, Step::Up);
             }
             // Its clock ran by itself meanwhile.
@@ -175,7 +176,7 @@ impl Slave {
                 self.set_up(now);
                 true
             }
-            _ if self.mapped == Mapped::Inputs && context.wants_outputs => {
+            _ if self.way.mapped == Mapped::Inputs && context.wants_outputs => {
                 self.enter(now, Step::Release);
                 true
             }

@@ -17,7 +17,7 @@ impl Slave {
             let al = received.get(self.offsets.al..).and_then(<[u8]>::first_chunk::<AL_SIZE>);
             return AlStatus(al.map_or(0, |bytes| u16::from_le_bytes(*bytes) & AlStatus::SHOWN));
         }
-        AlStatus(self.al.filter(|_| self.has_inputs(received)).map_or(0, |al| al.number().into()))
+        AlStatus(self.way.al.filter(|_| self.has_inputs(received)).map_or(0, |al| al.number().into()))
     }
 
     /// There is anything of its inputs: the master sends zeros.
@@ -30,12 +30,12 @@ impl Slave {
     pub fn counts(&self) -> (u16, u16) {
         let inputs = u16::from(self.has_al || self.plan.inputs.length > 0);
         let all = inputs + self.written();
-        let full = if self.mapped == Mapped::Inputs { inputs } else { all };
+        let full = if self.way.mapped == Mapped::Inputs { inputs } else { all };
         match self.shown.state() {
             // Nothing shows whether it is there.
             _ if !self.has_al => (0, all),
             _ if self.shown.0 == 0 => (0, 0),
-            Some(AlState::SafeOp | AlState::Op) if self.mapped != Mapped::None => match self.step {
+            Some(AlState::SafeOp | AlState::Op) if self.way.mapped != Mapped::None => match self.step {
                 Step::Release => (full, all),
                 _ => (full, full),
             },
@@ -48,7 +48,7 @@ impl Slave {
     #[inline]
     pub fn is_steady(&self) -> bool {
         const OP: Option<AlState> = Some(AlState::Op);
-        self.wants_nothing() && self.was_operational && (self.al, self.reported) == (OP, OP)
+        self.wants_nothing() && self.way.was_operational && (self.way.al, self.reported) == (OP, OP)
     }
 
     /// What it adds to the working counter when it is steady.
@@ -69,22 +69,22 @@ impl Slave {
     /// Another master has taken it out of OP, by the state that its image shows: a slave that falls by itself reports
     /// an error (ETG.1000.6). It was in OP for a while: no older frame shows this.
     pub fn is_lowered(&self, now: Time) -> bool {
-        let was_up = matches!(self.step, Step::Up) && !self.joined && self.al == Some(AlState::Op);
+        let was_up = matches!(self.step, Step::Up) && !self.way.joined && self.way.al == Some(AlState::Op);
         was_up && now.since(self.since) > UP_FOR_NS && self.shown == AlStatus::request(AlState::SafeOp)
     }
 
     /// Its image shows another state than before, or an error.
     pub fn show(&mut self, now: Time) {
-        if !self.was_operational && !self.is_settled() {
+        if !self.way.was_operational && !self.is_settled() {
             return;
         }
-        self.al = self.shown.state();
-        if !self.is_settled() || !self.shown.error() && self.al == Some(AlState::Op) {
+        self.way.al = self.shown.state();
+        if !self.is_settled() || !self.shown.error() && self.way.al == Some(AlState::Op) {
             return;
         }
         // In SAFEOP it waits for the lock.
         let waits = matches!(self.step, Step::Lock) && self.shown == AlStatus::request(AlState::SafeOp);
-        match self.al {
+        match self.way.al {
             _ if waits => {}
             Some(AlState::SafeOp | AlState::Op) => self.enter(now, Step::Code),
             _ => self.start_over(now, 0, Note::Starting),

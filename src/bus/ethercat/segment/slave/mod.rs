@@ -211,6 +211,23 @@ pub enum Happened {
     Restarted,
 }
 
+/// What was reached on the way to OP. It begins anew with another one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Way {
+    /// It has its station address.
+    addressed: bool,
+    /// Its process data are in the frames.
+    pub mapped: Mapped,
+    /// Its mailbox can be used.
+    pub mailbox_open: bool,
+    /// It was joined in OP: not all of it was set up here.
+    pub joined: bool,
+    /// It has been in OP.
+    was_operational: bool,
+    /// Its state, as far as is known; `None`: it is not there.
+    pub al: Option<AlState>,
+}
+
 /// One slave of the segment.
 #[derive(Debug)]
 pub struct Slave {
@@ -225,24 +242,18 @@ pub struct Slave {
     step: Step,
     since: Time,
     silent: u8,
-    addressed: bool,
+    /// How far it is.
+    pub way: Way,
     features: Features,
     fmmus: u8,
     managers: u8,
     /// Its SyncManagers as its SII has them.
     delivered: Managers,
-    pub mapped: Mapped,
     pub has_al: bool,
-    /// Its state, as far as is known; `None`: it is not there.
-    pub al: Option<AlState>,
-    /// It was joined in OP: not all of it was set up here.
-    pub joined: bool,
     /// The mode that it showed then.
     pub found_mode: Option<Mode>,
     /// Its watchdog is set as configured.
     pub watched: bool,
-    was_operational: bool,
-    pub mailbox_open: bool,
     /// Its clock was set to the segment's, and it has not been away since.
     pub clock_set: bool,
     /// It was read, or does not answer.
@@ -291,19 +302,14 @@ impl Slave {
             step: Step::Look,
             since: Time(0),
             silent: 0,
-            addressed: false,
+            way: Way::default(),
             features: Features::default(),
             fmmus: 0,
             managers: 0,
             delivered: Managers::default(),
-            mapped: Mapped::None,
             has_al: false,
-            al: None,
-            joined: false,
             found_mode: None,
             watched: true,
-            was_operational: false,
-            mailbox_open: false,
             clock_set: false,
             looked_at: false,
             other_time: false,
@@ -337,7 +343,7 @@ impl Slave {
     /// The state of its replies; `None`: they do not count, since it has not been in OP, or its inputs are not
     /// valid.
     pub fn state_of_replies(&self) -> Option<AlState> {
-        self.al.filter(|al| self.was_operational && *al >= AlState::SafeOp)
+        self.way.al.filter(|al| self.way.was_operational && *al >= AlState::SafeOp)
     }
 
     /// Why it is not in operation: while it is tried again, the last refusal, until it gets further.
@@ -360,7 +366,7 @@ impl Slave {
 
     /// It is up, and stays so as far as is known here: it has no request.
     pub fn wants_nothing(&self) -> bool {
-        matches!(self.step, Step::Up) && self.mapped == Mapped::All && self.has_al && !self.joined
+        matches!(self.step, Step::Up) && self.way.mapped == Mapped::All && self.has_al && !self.way.joined
     }
 
     /// It reads receive times: no other slave may have them latched meanwhile.
@@ -374,7 +380,7 @@ impl Slave {
     }
 
     fn reads(&self, register: u16) -> Command {
-        if self.addressed {
+        if self.way.addressed {
             Command::Fprd(self.station(), register)
         } else {
             Command::Aprd(position(self.plan.place), register)
@@ -382,7 +388,7 @@ impl Slave {
     }
 
     fn writes(&self, register: u16) -> Command {
-        if self.addressed {
+        if self.way.addressed {
             Command::Fpwr(self.station(), register)
         } else {
             Command::Apwr(position(self.plan.place), register)
@@ -395,9 +401,7 @@ impl Slave {
 
     /// It begins anew, after a while.
     fn start_over(&mut self, now: Time, after_ns: u64, note: Note) {
-        (self.addressed, self.mapped, self.mailbox_open) = (false, Mapped::None, false);
-        (self.joined, self.al, self.was_operational) = (false, None, false);
-        self.note = note;
+        (self.way, self.note) = (Way::default(), note);
         self.enter(now, Step::Rest(now + after_ns));
     }
 
@@ -426,7 +430,7 @@ impl Slave {
         match self.step {
             Step::State(Change { to: AlState::Init, .. }) => false,
             // It is not ours.
-            _ if self.joined && self.mapped == Mapped::Inputs => true,
+            _ if self.way.joined && self.way.mapped == Mapped::Inputs => true,
             Step::Rest(_)
             | Step::Look
             | Step::FoundClock(_)
@@ -438,7 +442,7 @@ impl Slave {
             | Step::AddressCheck { joins: true }
             | Step::Join => true,
             _ => {
-                self.was_operational = false;
+                self.way.was_operational = false;
                 self.enter(now, Step::to(AlState::Init));
                 false
             }

@@ -92,7 +92,7 @@ impl Slave {
                 self.checked(now, is_set, Step::Fmmus);
             }
             Step::Fmmus => {
-                self.mapped = Mapped::All;
+                self.way.mapped = Mapped::All;
                 self.enter(now, if self.plan.sync { Step::Latch } else { Step::to(AlState::SafeOp) });
             }
             Step::State(change) => return self.went(now, change, answers),
@@ -133,14 +133,14 @@ impl Slave {
         let (Some((status, _)), Some(look)) = (al(status.data), look.data.first_chunk::<LOOK>()) else {
             return Happened::Nothing;
         };
-        self.al = status.state();
+        self.way.al = status.state();
         (self.fmmus, self.managers) = (look[4], look[5]);
         self.features = Features(u16::from_le_bytes([look[8], look[9]]));
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);
         self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
         self.note = Note::Starting;
         // In OP nothing is taken by force; and the time that it runs on comes first.
-        let runs = self.al == Some(AlState::Op);
+        let runs = self.way.al == Some(AlState::Op);
         let has_time = runs && self.features.has_clock();
         (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
         if let Some(note) = self.unusable(station) {
@@ -150,7 +150,7 @@ impl Slave {
             }
             return Happened::Nothing;
         }
-        let restarted = self.known && (station != self.station() || self.al == Some(AlState::Init));
+        let restarted = self.known && (station != self.station() || self.way.al == Some(AlState::Init));
         self.known &= !restarted;
         if restarted {
             (self.clock_set, self.ours, self.refused) = (false, false, Note::None);
@@ -177,7 +177,9 @@ impl Slave {
             _ if self.plan.sync && !self.features.has_clock() => Some(Note::NoClock),
             _ if usize::from(self.fmmus) < self.wanted_fmmus() => Some(Note::Fmmus(self.fmmus)),
             // It was given this address at another position, and works there.
-            Some(place) if self.al.is_some_and(|al| al >= AlState::SafeOp) => Some(Note::WrongPlace(place)),
+            Some(place) if self.way.al.is_some_and(|al| al >= AlState::SafeOp) => {
+                Some(Note::WrongPlace(place))
+            }
             _ => None,
         }
     }
@@ -196,7 +198,7 @@ impl Slave {
         if let Some(note) = note {
             return self.refuse(now, note);
         }
-        let is_found = self.al == Some(AlState::Op) && !self.is_device();
+        let is_found = self.way.al == Some(AlState::Op) && !self.is_device();
         self.enter(now, if is_found { Step::Found } else { Step::to(AlState::Init) });
     }
 
@@ -207,7 +209,7 @@ impl Slave {
         if read.data != self.station().to_le_bytes() {
             return self.absent(now);
         }
-        self.addressed = true;
+        self.way.addressed = true;
         self.enter(
             now,
             match self.plan.mailbox {
@@ -275,15 +277,15 @@ impl Slave {
         self.note = Note::Starting;
         match state {
             AlState::PreOp => {
-                (self.mailbox_open, self.known) = (self.plan.mailbox.is_some(), true);
+                (self.way.mailbox_open, self.known) = (self.plan.mailbox.is_some(), true);
                 self.enter(now, Step::Objects { list: List::Write, next: 0, begun: false });
             }
             AlState::SafeOp => {
-                (self.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
+                (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
                 self.enter(now, Step::Lock);
             }
             AlState::Op => {
-                (self.al, self.was_operational) = (Some(AlState::Op), true);
+                (self.way.al, self.way.was_operational) = (Some(AlState::Op), true);
                 (self.note, self.refused) = (Note::None, Note::None);
                 self.enter(now, Step::Up);
                 return Happened::Operational;
@@ -292,7 +294,7 @@ impl Slave {
                 self.start_over(now, 0, Note::None);
             }
             AlState::Init | AlState::Boot => {
-                (self.mailbox_open, self.other_time) = (false, false);
+                (self.way.mailbox_open, self.other_time) = (false, false);
                 self.enter(now, Step::Ports);
             }
         }
@@ -303,11 +305,11 @@ impl Slave {
     fn receive_code(&mut self, now: Time, data: &[u8]) -> Happened {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
         // The image may not have shown it.
-        self.al = status.state();
+        self.way.al = status.state();
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
             // Its own watchdog has stopped it.
-            Some(AlState::SafeOp) if self.joined => self.set_up(now),
+            Some(AlState::SafeOp) if self.way.joined => self.set_up(now),
             Some(AlState::Op | AlState::SafeOp) => {
                 self.note = Note::State { to: AlState::Op, code };
                 let acknowledge = status.error().then(|| acknowledging(status));

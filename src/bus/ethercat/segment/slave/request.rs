@@ -103,7 +103,7 @@ impl Slave {
             Step::Lock => self.request_lock(context, ask),
             Step::State(change) => self.request_state(now, change, ask),
             Step::Up => {
-                let next = self.joined && self.go_on_joined(context);
+                let next = self.way.joined && self.go_on_joined(context);
                 if !next && !self.has_al && now.since(self.since) >= super::LOOK_EVERY_NS {
                     // The image does not show its state.
                     self.enter(now, Step::Code);
@@ -232,7 +232,7 @@ impl Slave {
 
     /// Its outputs are released.
     pub(super) fn release(&mut self, now: Time) {
-        self.mapped = Mapped::All;
+        self.way.mapped = Mapped::All;
         self.enter(now, Step::Up);
     }
 }
