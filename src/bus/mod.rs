@@ -22,6 +22,7 @@ pub mod modbus;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod tools;
+pub mod variant;
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -33,6 +34,7 @@ use thiserror::Error;
 
 use self::desired::{Capabilities, Desired, Evidence, Gone};
 pub use self::drives::Ends;
+use self::variant::Variant;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, DriveStatus, Emergency, FaultNames, Link, MonitorChannel, Observer, PlanFault};
@@ -134,6 +136,11 @@ pub trait BusPlan: Any + Debug + Send + Sync {
 
     /// The IP addresses of its drives, in slot order; empty if they have none.
     fn addresses(&self) -> Vec<SocketAddrV4>;
+
+    /// This bus in a machine that is otherwise like its own; `None`: it cannot be had so.
+    fn variant(&self, _wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        None
+    }
 
     /// What drive `index` can do, in a cycle of `period_ns`.
     fn capabilities(&self, index: usize) -> Capabilities;

@@ -1,8 +1,10 @@
 //! `[cycle]`, and what of it cannot work.
 
+use std::ops::RangeInclusive;
+
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
-use crate::keys::table::{Table, time};
+use crate::keys::table::{Table, time, within_times};
 use crate::keys::value::{alternatives, plain_name};
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, S, US};
@@ -12,11 +14,19 @@ pub(super) const REALTIMES: [(&str, Realtime); 3] =
     [("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)];
 pub(super) const MEMORIES: [(&str, Memory); 2] = [("process", Memory::Process), ("own", Memory::Own)];
 
+/// The periods that a cycle may have, ns.
+const PERIODS: RangeInclusive<u64> = 50 * US..=S;
+const PERIOD_HINT: &str = "1ms is 1000 cycles a second";
+
+/// Why a cycle cannot have this period.
+pub(super) fn period_fault(period_ns: u64) -> Option<String> {
+    within_times(period_ns, &PERIODS, PERIOD_HINT).err()
+}
+
 /// Reads `[cycle]`; every key has its default in [`CyclePlan`].
 pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
     let default = CyclePlan::default();
-    let period_ns =
-        table.time("period", 50 * US..=S, "1ms is 1000 cycles a second").unwrap_or(default.period_ns);
+    let period_ns = table.time("period", PERIODS, PERIOD_HINT).unwrap_or(default.period_ns);
     CyclePlan {
         period_ns,
         core: table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one"),

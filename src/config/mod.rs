@@ -28,7 +28,7 @@ pub use json::json;
 pub use crate::cycle::starvation;
 pub use crate::keys::error::{ConfigError, ConfigErrors};
 
-use crate::bus::PROTOCOLS;
+use crate::bus::{BusPlan, PROTOCOLS};
 use crate::cycle::{GroupPlan, Plan};
 use crate::keys::file;
 use crate::keys::machine::Machine;
@@ -64,9 +64,18 @@ impl Master {
 
 /// Reads the configuration `text`; messages call it `file`.
 pub fn parse(text: &str, file: &str) -> Result<Configuration, ConfigErrors> {
+    parse_changed(text, file, |_, _| {})
+}
+
+/// The same with a change to the plan before it is checked as a whole.
+fn parse_changed(
+    text: &str,
+    file: &str,
+    change: impl FnOnce(&mut Plan, &Table<'_>),
+) -> Result<Configuration, ConfigErrors> {
     let page = Page::new(file, text);
     let entries = page.parse()?;
-    let mut read = machine(Table::root(&page, &entries));
+    let mut read = machine(Table::root(&page, &entries), change);
     page.verdict()?;
     read.plan.source = Some(PathBuf::from(file));
     Ok(read)
@@ -95,7 +104,7 @@ fn known_protocols() -> String {
     text
 }
 
-fn machine(mut root: Table<'_>) -> Configuration {
+fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> Configuration {
     let cycle = root.table("cycle", cycle::cycle);
     let mut machine = Machine::new(cycle.period_ns);
     if !root.gives("bus") {
@@ -103,24 +112,32 @@ fn machine(mut root: Table<'_>) -> Configuration {
     }
     let readers = PROTOCOLS.map(|protocol| (protocol.name, protocol.read));
     let protocols = known_protocols();
-    let (mut buses, mut simulation) = (Vec::new(), SimPlan::default());
+    let (mut buses, mut tables): (Vec<Box<dyn BusPlan>>, Vec<(String, Table<'_>)>) = Default::default();
     for mut table in root.tables("bus") {
         table.require("protocol", &protocols);
         if let Some(read) = table.word("protocol", &readers) {
             let bus = read(&mut table, &mut machine);
-            simulation.read(&mut table.again(), &*bus, cycle.period_ns);
+            tables.push((bus.name().to_owned(), table));
             buses.push(bus);
-            table.finish();
         }
     }
     machine.check_groups(&root);
-    cycle::check_reference(&root, &cycle, &buses);
     for message in machine.periods {
         root.fault("cycle.period", message);
     }
-    let drives = buses.iter().map(|bus| bus.axes().len()).sum();
-    cycle::check_period(&root, &cycle, drives);
     let mut plan = Plan { source: None, cycle, buses, groups: Vec::new() };
+    change(&mut plan, &root);
+    let mut simulation = SimPlan::default();
+    // The drives are simulated as the change made them; a bus that it left out has none.
+    for bus in &plan.buses {
+        if let Some(at) = tables.iter().position(|(name, _)| name == bus.name()) {
+            let (_, table) = tables.remove(at);
+            simulation.read(&mut table.again(), &**bus, plan.cycle.period_ns);
+            table.finish();
+        }
+    }
+    cycle::check_reference(&root, &plan.cycle, &plan.buses);
+    cycle::check_period(&root, &plan.cycle, plan.axes().len());
     if let Some(why) = plan.black_box_fault() {
         root.fault("cycle.black_box", why);
     }

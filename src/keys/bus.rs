@@ -27,15 +27,20 @@ pub fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize
     drives
 }
 
-/// How the drives of a bus that is read otherwise are simulated; `read` reads the key `simulate` of one.
+/// How the drives of a bus that is read otherwise are simulated; `read` reads the key `simulate` of one. Of more drives
+/// than there are tables, the others are like the first one.
 pub fn simulated<D, S>(
     bus: &mut Table<'_>,
     drives: &[D],
     mut read: impl FnMut(&mut Table<'_>, &D, usize) -> S,
 ) -> Vec<S> {
-    let tables = drive_tables(bus, &[]).into_iter().zip(drives).enumerate();
-    tables
-        .map(|(index, (mut table, drive))| table.table("simulate", |table| read(table, drive, index)))
+    let tables = drive_tables(bus, &[]);
+    let table_of = |index| tables.get(index).or(tables.first()).map(Table::again);
+    let drives = drives.iter().enumerate();
+    drives
+        .filter_map(|(index, drive)| {
+            Some(table_of(index)?.table("simulate", |table| read(table, drive, index)))
+        })
         .collect()
 }
 

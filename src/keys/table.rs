@@ -357,6 +357,11 @@ pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> R
         .as_str()
         .and_then(value::duration)
         .ok_or_else(|| format!("must be a time like \"250us\", \"1ms\" or \"0.5s\"; {hint}"))?;
+    within_times(ns, range, hint)
+}
+
+/// The time `ns` if it is within `range`.
+pub fn within_times(ns: u64, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
     inside(ns, range, hint, |bound| Ns(bound).to_string())
 }
 

@@ -17,6 +17,7 @@ use super::wire::sii::Identity;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::is_plain_name;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::bus::variant::Variant;
 use crate::time::MS;
 
 /// The slaves of one line, behind one interface.
@@ -264,6 +265,17 @@ impl EthercatPlan {
             Owner::Drive(index) => &self.drives[index].axis.name,
             Owner::Device(index) => &self.devices[index].name,
         }
+    }
+
+    /// This segment in another machine; `None` if it does not take the period, or is to have other drives.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<EthercatPlan> {
+        if wanted.drives.is_some() {
+            return None;
+        }
+        let mut plan = self.clone();
+        plan.interface = wanted.interface(&plan.interface);
+        plan.drives.iter_mut().for_each(|drive| wanted.schedule(&mut drive.axis, 0));
+        plan.findings(wanted.period_ns).is_empty().then_some(plan)
     }
 }
 

@@ -13,6 +13,7 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, Cycle, Ends, OpenError, Slot, Unmatched, drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
@@ -278,6 +279,10 @@ impl BusPlan for LinUdpPlan {
         drive.axis.on_found_running = FoundRunning::Refuse;
         drive.monitor = MonitorPlan::Off;
         Some(Box::new(LinUdpPlan { drives: vec![drive], ..self.clone() }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(LinUdpPlan::variant(self, wanted)?))
     }
 
     fn addresses(&self) -> Vec<SocketAddrV4> {

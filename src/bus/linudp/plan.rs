@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::upid::Upid;
 use crate::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
+use crate::bus::variant::{self, Variant};
 use crate::net::SendMode;
 use crate::time::{MS, Ns, US, nanos};
 
@@ -55,6 +56,24 @@ impl LinUdpPlan {
     pub fn new(bind: Ipv4Addr, drives: Vec<LinUdpDrive>) -> LinUdpPlan {
         let bind = SocketAddrV4::new(bind, MASTER_PORT);
         LinUdpPlan { name: "linudp-v2".into(), bind, send: SendMode::default(), drives }
+    }
+
+    /// This bus in another machine. A drive is due so rarely that it takes its stream, or has none.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<LinUdpPlan> {
+        let mut plan = self.clone();
+        plan.bind.set_ip(wanted.address(*plan.bind.ip()));
+        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
+            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
+            drive.address = variant::address_behind(drive.address, ahead);
+        });
+        for drive in &mut plan.drives {
+            drive.address.set_ip(wanted.address(*drive.address.ip()));
+            let least_ns = drive.stream.map_or(0, |stream| stream.period_range_ns().0);
+            wanted.schedule(&mut drive.axis, least_ns);
+            let every_ns = wanted.every_ns(&drive.axis);
+            drive.stream = drive.stream.filter(|stream| stream.takes(every_ns));
+        }
+        Some(plan)
     }
 }
 

@@ -16,6 +16,7 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::variant::Variant;
 use crate::bus::{
     Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
 };
@@ -294,6 +295,10 @@ impl BusPlan for ModbusPlan {
         drive.map.show = [None; MONITOR_CHANNELS];
         drive.map.also.clear();
         Some(Box::new(ModbusPlan { name: self.name.clone(), bind: self.bind, drives: vec![drive] }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(ModbusPlan::variant(self, wanted)?))
     }
 
     fn addresses(&self) -> Vec<SocketAddrV4> {

@@ -5,6 +5,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::parameter::{Addressing, Parameter, Width};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::bus::variant::{self, Variant};
 use crate::time::{MS, S};
 
 /// Where a drive listens unless Pr S.15.005 says otherwise (SI-Ethernet guide).
@@ -184,6 +185,28 @@ impl ModbusPlan {
     /// A bus of these drives.
     pub fn new(drives: Vec<UnidriveDrive>) -> ModbusPlan {
         ModbusPlan { name: super::PROTOCOL.into(), bind: None, drives }
+    }
+
+    /// This bus in another machine.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<ModbusPlan> {
+        let mut plan = self.clone();
+        plan.bind = plan.bind.map(|bind| wanted.address(bind));
+        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
+            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
+            drive.address = variant::address_behind(drive.address, ahead);
+        });
+        for drive in &mut plan.drives {
+            let was_ns = wanted.was_ns.saturating_mul(drive.axis.divisor.into());
+            let is_usual =
+                drive.reply_within_ns == UnidriveDrive::usual_reply_within(&drive.watchdog, was_ns);
+            drive.address.set_ip(wanted.address(*drive.address.ip()));
+            wanted.schedule(&mut drive.axis, 0);
+            if is_usual {
+                let every_ns = wanted.every_ns(&drive.axis);
+                drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, every_ns);
+            }
+        }
+        Some(plan)
     }
 }
 

@@ -37,6 +37,7 @@ use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::variant::Variant;
 use crate::bus::{
     Bus, BusClock, BusPlan, Counters, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched,
 };
@@ -636,6 +637,10 @@ impl BusPlan for EthercatPlan {
         drive.axis.on_found_running = FoundRunning::Refuse;
         drive.show = [None; MONITOR_CHANNELS];
         Some(Box::new(EthercatPlan { drives: vec![drive], devices: Vec::new(), ..self.clone() }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(EthercatPlan::variant(self, wanted)?))
     }
 
     fn addresses(&self) -> Vec<SocketAddrV4> {
