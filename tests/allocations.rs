@@ -18,7 +18,7 @@ use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimLine, Simulated};
+use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
@@ -201,7 +201,7 @@ fn unwatched<T>(body: impl FnOnce() -> T) -> T {
     done
 }
 
-impl SimLine for UnwatchedLine {
+impl SimSegment for UnwatchedLine {
     crate::forward_sim_line!(line => line.0);
 
     fn interface(&self) -> &str {
@@ -267,7 +267,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         ..CyclePlan::default()
     };
     let drives = UnwatchedLine(EthercatSim::of(&line));
-    let drives = Simulated { lines: vec![Box::new(drives)], ..Simulated::default() };
+    let drives = Simulated { segments: vec![Box::new(drives)], ..Simulated::default() };
     let plan = Plan { source: None, cycle, buses: vec![Box::new(line)], groups: Vec::new() };
     let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
     let mut sim = Master::from_plan(plan).simulate_with(drives, options).unwrap();

@@ -104,7 +104,7 @@ impl Duel<'_> {
         };
         let (mut simulated, theirs) = (self.fleet.simulate(Side::Ours), fleet.simulate(side));
         simulated.drives.extend(theirs.drives);
-        simulated.lines.extend(theirs.lines);
+        simulated.segments.extend(theirs.segments);
         let server = rig::serve(simulated, self.granted);
         let outcome = match self.rival {
             Rival::Bare => rig::on_loop_thread(|_| self.against_bare()),

@@ -15,7 +15,7 @@ use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::rt::{MonotonicClock, Regions};
-use fieldbeat::sim::SimLine;
+use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::Time;
 

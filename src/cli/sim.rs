@@ -48,9 +48,9 @@ impl Sim {
         server.end();
         // A frame of an EtherCAT segment is one request to all of its slaves.
         let drives = server.stats().into_iter().map(|drive| (drive.received, drive.answered));
-        let lines = server.lines().into_iter().map(|line| (line.received, line.answered));
+        let buses = server.buses().into_iter().map(|bus| (bus.received, bus.answered));
         let (received, answered) = drives
-            .chain(lines)
+            .chain(buses)
             .fold((0, 0), |(received, answered), one| (received + one.0, answered + one.1));
         print(format_args!("{} received, {answered} answered", plural(received, "request")))
     }

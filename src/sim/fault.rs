@@ -449,7 +449,7 @@ impl Parcel {
 pub struct Queue {
     room: usize,
     /// Parcels that arrive in the order in which they left, as most do ...
-    line: VecDeque<Ticket>,
+    queue: VecDeque<Ticket>,
     /// ... and those that overtake or are overtaken.
     overtaken: BinaryHeap<Reverse<Ticket>>,
     slots: Vec<Option<Parcel>>,
@@ -471,7 +471,7 @@ impl Queue {
     pub fn new(room: usize) -> Queue {
         Queue {
             room,
-            line: VecDeque::with_capacity(room),
+            queue: VecDeque::with_capacity(room),
             overtaken: BinaryHeap::with_capacity(room),
             slots: (0..room).map(|_| None).collect(),
             free: (0..room).rev().collect(),
@@ -516,10 +516,10 @@ impl Queue {
         };
         self.slots[slot] = Some(parcel);
         let ticket = Ticket { due, number: self.pushed, slot };
-        while self.line.back().is_some_and(|last| last.due > due) {
-            self.overtaken.extend(self.line.pop_back().map(Reverse));
+        while self.queue.back().is_some_and(|last| last.due > due) {
+            self.overtaken.extend(self.queue.pop_back().map(Reverse));
         }
-        self.line.push_back(ticket);
+        self.queue.push_back(ticket);
         self.pushed += 1;
     }
 
@@ -529,7 +529,7 @@ impl Queue {
     }
 
     fn next(&self) -> Option<&Ticket> {
-        match (self.line.front(), self.overtaken.peek()) {
+        match (self.queue.front(), self.overtaken.peek()) {
             (Some(ticket), Some(Reverse(other))) => Some(ticket.min(other)),
             (ticket, other) => ticket.or(other.map(|Reverse(other)| other)),
         }
@@ -538,8 +538,8 @@ impl Queue {
     /// Takes out the next parcel that has arrived by `now`, with the instant of its arrival.
     pub fn pop(&mut self, now: Time) -> Option<(Time, Parcel)> {
         let next = self.next().filter(|ticket| ticket.due <= now)?;
-        let ticket = match self.line.front() {
-            Some(front) if front == next => self.line.pop_front()?,
+        let ticket = match self.queue.front() {
+            Some(front) if front == next => self.queue.pop_front()?,
             _ => self.overtaken.pop()?.0,
         };
         self.free.push(ticket.slot);

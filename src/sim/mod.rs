@@ -142,7 +142,7 @@ pub struct Truth {
 /// real interface and in virtual time.
 ///
 /// A fault of the drive itself, injected when a datagram passes, hits the slaves of a segment in turn.
-pub trait SimLine: Any + Send {
+pub trait SimSegment: Any + Send {
     /// The master's interface, as its bus names it.
     fn interface(&self) -> &str;
 
@@ -189,7 +189,7 @@ pub struct Simulated {
     /// Drives with an address of their own, in slot order.
     pub drives: Vec<Box<dyn SimDrive>>,
     /// Segments.
-    pub lines: Vec<Box<dyn SimLine>>,
+    pub segments: Vec<Box<dyn SimSegment>>,
     /// Serial wires.
     pub wires: Vec<SerialWire>,
 }
@@ -198,7 +198,7 @@ impl std::fmt::Debug for Simulated {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Simulated")
             .field("drives", &self.drives.len())
-            .field("lines", &self.lines.len())
+            .field("segments", &self.segments.len())
             .field("wires", &self.wires.len())
             .finish()
     }

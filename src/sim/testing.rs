@@ -3,7 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex};
 
-use super::{Carrier, FaultPlan, SimDrive, SimLine, SimSerial};
+use super::{Carrier, FaultPlan, SimDrive, SimSegment, SimSerial};
 use crate::net::{Parity, SerialLine};
 use crate::time::{MS, Time};
 
@@ -85,7 +85,7 @@ impl Tally {
     }
 }
 
-impl SimLine for Tally {
+impl SimSegment for Tally {
     fn interface(&self) -> &str {
         &self.name
     }

@@ -3,38 +3,38 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::fault::{Datagram, DriveFault, Injected, Injector, Parcel, Queue, Way};
-use super::{FaultPlan, SimLine};
+use super::{FaultPlan, SimSegment};
 use crate::time::Time;
 
 /// The most frames under way in one direction; more are lost.
 const UNDER_WAY: usize = 1_024;
 /// Placeholder addresses of the two ends, where faults and digests need an address.
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
-const LINE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 2);
+const SEGMENT: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 2);
 
 /// A segment and its wire.
 pub(super) struct Wire {
-    line: Box<dyn SimLine>,
+    segment: Box<dyn SimSegment>,
     injector: Injector,
     /// The frames under way, by [`Way`].
     under_way: [Queue; 2],
 }
 
 impl Wire {
-    pub(super) fn new(line: Box<dyn SimLine>) -> Wire {
+    pub(super) fn new(segment: Box<dyn SimSegment>) -> Wire {
         Wire {
-            injector: Injector::of_frames(line.faults()),
+            injector: Injector::of_frames(segment.faults()),
             under_way: [Queue::new(UNDER_WAY), Queue::new(UNDER_WAY)],
-            line,
+            segment,
         }
     }
 
-    pub(super) fn line(&self) -> &dyn SimLine {
-        &*self.line
+    pub(super) fn segment(&self) -> &dyn SimSegment {
+        &*self.segment
     }
 
-    pub(super) fn line_mut(&mut self) -> &mut dyn SimLine {
-        &mut *self.line
+    pub(super) fn segment_mut(&mut self) -> &mut dyn SimSegment {
+        &mut *self.segment
     }
 
     /// Uses the faults of `plan` from now on; the counts restart.
@@ -50,30 +50,30 @@ impl Wire {
     /// A frame leaves at one end, to be at the other one at `due` without a fault.
     pub(super) fn depart(&mut self, way: Way, now: Time, due: Time, bytes: &[u8]) {
         let (from, to) = match way {
-            Way::Request => (MASTER, LINE),
-            Way::Reply => (LINE, MASTER),
+            Way::Request => (MASTER, SEGMENT),
+            Way::Reply => (SEGMENT, MASTER),
         };
         let frame = Datagram { from, to, bytes };
         let fault = self.injector.pass(way, now, due, frame, |_| {}, &mut self.under_way[way as usize]);
         let Some(fault) = fault else { return };
-        let place = fault.place(self.injector.injected(), self.line.slaves());
+        let place = fault.place(self.injector.injected(), self.segment.slaves());
         match fault {
-            DriveFault::Restart => self.line.restart(now, place),
-            DriveFault::Inhibit(until) => self.line.inhibit(place, until),
+            DriveFault::Restart => self.segment.restart(now, place),
+            DriveFault::Inhibit(until) => self.segment.inhibit(place, until),
         }
     }
 
     /// A foreign frame, to be at the master at `due`.
     pub(super) fn inject(&mut self, due: Time, bytes: &[u8]) {
         let queue = &mut self.under_way[Way::Reply as usize];
-        let parcel = queue.parcel(Datagram { from: LINE, to: MASTER, bytes });
+        let parcel = queue.parcel(Datagram { from: SEGMENT, to: MASTER, bytes });
         queue.push(due, parcel);
     }
 
     /// A frame that has arrived at the segment passes through it, and leaves again to be at the master at `due`;
     /// false: it does not come back.
     pub(super) fn pass(&mut self, now: Time, due: Time, frame: &mut [u8]) -> bool {
-        let comes_back = self.line.pass(now, frame);
+        let comes_back = self.segment.pass(now, frame);
         if comes_back {
             self.depart(Way::Reply, now, due, frame);
         }
@@ -91,8 +91,8 @@ impl Wire {
             return Some((at, Way::Request, parcel));
         }
         let (at, mut parcel) = self.under_way[Way::Reply as usize].pop(now)?;
-        if parcel.from != LINE {
-            self.line.mislabel(&mut parcel.bytes);
+        if parcel.from != SEGMENT {
+            self.segment.mislabel(&mut parcel.bytes);
         }
         Some((at, Way::Reply, parcel))
     }

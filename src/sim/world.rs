@@ -10,12 +10,12 @@
 //! | `clock` | its clock |
 //! | `datagrams` | datagrams from carrier to drive and back |
 //! | `streams` | connections |
-//! | `lines` | segments, and their frames |
+//! | `segments` | segments, and their frames |
 //! | `wires` | serial wires, and their bytes |
 
 mod clock;
 mod datagrams;
-mod lines;
+mod segments;
 mod streams;
 #[cfg(test)]
 mod tests;
@@ -30,7 +30,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub use self::clock::WorldClock;
 
 use self::datagrams::{Port, Socket};
-use self::lines::Lines;
+use self::segments::Segments;
 use self::streams::Links;
 use self::wires::Wires;
 use super::drives::Drives;
@@ -90,7 +90,7 @@ impl World {
     ///
     /// Two drives with one address, two segments on one interface, or two serial wires at one port.
     pub fn new(simulated: impl Into<Simulated>, options: WorldOptions) -> io::Result<World> {
-        let Simulated { drives, lines, wires } = simulated.into();
+        let Simulated { drives, segments, wires } = simulated.into();
         Ok(World(Arc::new(Mutex::new(Inner {
             now: options.start,
             random: fastrand::Rng::with_seed(options.seed),
@@ -100,7 +100,7 @@ impl World {
             drives: Drives::new(drives, |address, _| taken(address))?,
             ports: Vec::new(),
             links: Links::default(),
-            lines: Lines::new(lines)?,
+            segments: Segments::new(segments)?,
             wires: Wires::new(wires)?,
             under_way: Queue::new(UNDER_WAY),
             digest: 0,
@@ -250,7 +250,7 @@ struct Inner {
     drives: Drives,
     ports: Vec<Port>,
     links: Links,
-    lines: Lines,
+    segments: Segments,
     wires: Wires,
     under_way: Queue,
     digest: u64,
@@ -299,7 +299,7 @@ impl Inner {
 
     /// When the next thing happens.
     fn next_due(&self) -> Option<Time> {
-        let moving = [self.under_way.next_due(), self.lines.next_due(), self.wires.next_due()];
+        let moving = [self.under_way.next_due(), self.segments.next_due(), self.wires.next_due()];
         moving.into_iter().chain([self.drives.next_due(), self.links.alarm()]).flatten().min()
     }
 

@@ -18,8 +18,8 @@ pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let more = subject.can().shared && reported.len() > 3;
     assert!(reported.len() == 3 || more, "a paragraph a drive: {reported:#?}");
     assert!(reported.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
-    let Simulated { drives, lines, .. } = subject.simulated(&drives);
-    assert_eq!(drives.len() + lines.iter().map(|line| line.slaves()).sum::<usize>(), 3);
+    let Simulated { drives, segments, .. } = subject.simulated(&drives);
+    assert_eq!(drives.len() + segments.iter().map(|segment| segment.slaves()).sum::<usize>(), 3);
     let addresses: Vec<_> = drives.iter().map(|drive| drive.address()).collect();
     assert_eq!(plan.addresses(), addresses);
     assert!(!plan.protocol().is_empty() && !plan.name().is_empty());

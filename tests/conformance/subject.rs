@@ -6,7 +6,7 @@ use fieldbeat::Time;
 use fieldbeat::axis::AxisPlan;
 use fieldbeat::axis::acyclic::Call;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::sim::{SimLine, Simulated};
+use fieldbeat::sim::{SimSegment, Simulated};
 
 /// One protocol, in one way of configuring it.
 ///
@@ -75,7 +75,7 @@ pub trait Subject: Sync {
     }
 
     /// Brings about the fault of [`fault`](Self::fault) in the drive at this place of a line.
-    fn provoke(&self, _line: &mut dyn SimLine, _place: usize) {}
+    fn provoke(&self, _line: &mut dyn SimSegment, _place: usize) {}
 
     /// Whether this request, behind those `before` it, tells the drive to stop: along a ramp, or by its quick stop.
     fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;

@@ -14,7 +14,7 @@ use fieldbeat::net::{
 };
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::world::World;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimLine, Simulated};
+use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated};
 
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 
@@ -103,8 +103,8 @@ impl Wire {
     /// The wire of these drives, and all that is simulated of it.
     pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> (Wire, Simulated) {
         let plan: Arc<dyn BusPlan> = subject.plan(drives).into();
-        let Simulated { drives: simulated, mut lines, .. } = subject.simulated(drives);
-        let line = lines.pop();
+        let Simulated { drives: simulated, mut segments, .. } = subject.simulated(drives);
+        let line = segments.pop();
         let ends: Vec<_> = match &line {
             None => simulated.iter().map(|drive| (drive.address(), drive.faults())).collect(),
             // Nobody has an address.
@@ -136,11 +136,11 @@ impl Wire {
         };
         let tap_line = |line| {
             let drives = vec![TappedEnd::default(); drives.len()];
-            Box::new(TappedLine { line, wire: wire.clone(), drives, cut: None }) as Box<dyn SimLine>
+            Box::new(TappedLine { line, wire: wire.clone(), drives, cut: None }) as Box<dyn SimSegment>
         };
         let simulated = Simulated {
             drives: simulated.into_iter().enumerate().map(tap).collect(),
-            lines: line.into_iter().map(tap_line).collect(),
+            segments: line.into_iter().map(tap_line).collect(),
             ..Simulated::default()
         };
         (wire, simulated)
@@ -225,7 +225,7 @@ struct TappedEnd {
 }
 
 struct TappedLine {
-    line: Box<dyn SimLine>,
+    line: Box<dyn SimSegment>,
     wire: Wire,
     drives: Vec<TappedEnd>,
     cut: Option<usize>,
@@ -278,7 +278,7 @@ impl TappedLine {
     }
 }
 
-impl SimLine for TappedLine {
+impl SimSegment for TappedLine {
     fn interface(&self) -> &str {
         self.line.interface()
     }

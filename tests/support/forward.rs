@@ -117,43 +117,43 @@ macro_rules! forward_sim_drive {
     };
 }
 
-/// All of `SimLine` but its names, `slaves`, `pass`, `live` and `restart`, by the segment that is reached from `this`.
+/// All of `SimSegment` but its names, `slaves`, `pass`, `live` and `restart`, by the segment that is reached from `this`.
 #[macro_export]
 macro_rules! forward_sim_line {
     ($this:ident => $line:expr) => {
         fn ethertype(&self) -> u16 {
             let $this = self;
-            fieldbeat::sim::SimLine::ethertype(&$line)
+            fieldbeat::sim::SimSegment::ethertype(&$line)
         }
 
         fn faults(&self) -> fieldbeat::sim::FaultPlan {
             let $this = self;
-            fieldbeat::sim::SimLine::faults(&$line)
+            fieldbeat::sim::SimSegment::faults(&$line)
         }
 
         fn delay_ns(&self) -> u64 {
             let $this = self;
-            fieldbeat::sim::SimLine::delay_ns(&$line)
+            fieldbeat::sim::SimSegment::delay_ns(&$line)
         }
 
         fn mislabel(&self, frame: &mut [u8]) {
             let $this = self;
-            fieldbeat::sim::SimLine::mislabel(&$line, frame);
+            fieldbeat::sim::SimSegment::mislabel(&$line, frame);
         }
 
         fn cut(&mut self, place: Option<usize>) {
             let $this = self;
-            fieldbeat::sim::SimLine::cut(&mut $line, place);
+            fieldbeat::sim::SimSegment::cut(&mut $line, place);
         }
 
         fn deafen(&mut self, place: usize, deaf: bool) {
             let $this = self;
-            fieldbeat::sim::SimLine::deafen(&mut $line, place, deaf);
+            fieldbeat::sim::SimSegment::deafen(&mut $line, place, deaf);
         }
 
         fn inhibit(&mut self, place: usize, until: fieldbeat::Time) {
             let $this = self;
-            fieldbeat::sim::SimLine::inhibit(&mut $line, place, until);
+            fieldbeat::sim::SimSegment::inhibit(&mut $line, place, until);
         }
     };
 }

@@ -124,7 +124,7 @@ impl Led {
         let passes = self.newest().grid + self.way_ns;
         let shown = self.look(line, |slaves, now| {
             let since = now.0.wrapping_sub(passes.0) as i64 as f64 * (1.0 + self.drift_ppm[line][0] * 1e-6);
-            slaves.slave(0).unwrap().line_time(now).wrapping_sub(since.round() as i64 as u64)
+            slaves.slave(0).unwrap().system_time(now).wrapping_sub(since.round() as i64 as u64)
         });
         self.off(shown as i64 + self.ahead_ns as i64)
     }
@@ -133,7 +133,7 @@ impl Led {
     fn apart(&self) -> Vec<i64> {
         self.look(0, |line, now| {
             let times: Vec<_> =
-                (0..self.drift_ppm[0].len()).map(|n| line.slave(n).unwrap().line_time(now)).collect();
+                (0..self.drift_ppm[0].len()).map(|n| line.slave(n).unwrap().system_time(now)).collect();
             times.iter().map(|time| time.wrapping_sub(times[0]) as i64).collect()
         })
     }

@@ -8,7 +8,7 @@ use fieldbeat::bus::ethercat::wire::registers::{AlState, AlStatus, address as re
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::wire::Request;
 use fieldbeat::net::frames::MAC;
-use fieldbeat::sim::SimLine;
+use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::{MS, Time};
 

@@ -326,8 +326,8 @@ impl Chip {
         let runs = self.watchdog_ns().is_none() || (self.fed.is_some() && !self.expired);
         self.put(address::WATCHDOG_STATUS, &[u8::from(runs)]);
         if self.features.has_clock() {
-            let (line, difference) = (self.clock.line(), self.clock.difference());
-            self.put(address::DC_TIME, &line.to_le_bytes());
+            let (system_time, difference) = (self.clock.system_time(), self.clock.difference());
+            self.put(address::DC_TIME, &system_time.to_le_bytes());
             self.put(address::DC_DIFFERENCE, &difference.to_le_bytes());
             if let Some(next) = self.clock.next_sync() {
                 self.put(address::DC_START, &next.to_le_bytes());

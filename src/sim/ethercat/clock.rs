@@ -92,16 +92,16 @@ impl Clock {
     }
 
     /// The segment's time, ns.
-    pub(super) fn line(&self) -> u64 {
+    pub(super) fn system_time(&self) -> u64 {
         self.own.wrapping_add(self.offset) & self.mask
     }
 
     /// The segment's time less its own.
     pub(super) fn set_offset(&mut self, offset: u64) {
         self.offset = offset;
-        let line = self.line();
+        let system_time = self.system_time();
         if let Some(sync) = &mut self.sync {
-            sync.left_ns = (sync.next.wrapping_sub(line) & self.mask).into();
+            sync.left_ns = (sync.next.wrapping_sub(system_time) & self.mask).into();
         }
     }
 
@@ -113,7 +113,7 @@ impl Clock {
     /// Compares with the time of the reference clock, of which so many bits came, and adjusts to it.
     pub(super) fn compare(&mut self, reference: u64, bits: usize) {
         let at = reference.wrapping_add(self.delay.into());
-        let ahead = self.line().wrapping_sub(at);
+        let ahead = self.system_time().wrapping_sub(at);
         let whole = self.mask == u64::MAX && bits >= 64;
         let error = if whole { ahead.cast_signed() } else { (ahead as u32).cast_signed().into() } as f64;
         let last = self.compared.replace(self.own);
@@ -145,7 +145,7 @@ impl Clock {
     /// SYNC0 begins at `start`, and repeats every `cycle_ns`, if that is not 0.
     pub(super) fn start(&mut self, start: u64, cycle_ns: u32) {
         let next = start & self.mask;
-        let left_ns = (next.wrapping_sub(self.line()) & self.mask).into();
+        let left_ns = (next.wrapping_sub(self.system_time()) & self.mask).into();
         self.sync = Some(Sync { next, left_ns, cycle_ns: cycle_ns.into() });
     }
 
@@ -248,7 +248,7 @@ mod tests {
                 now = now + cycle_ns;
                 reference.advance(now);
                 clock.advance(now + 700);
-                clock.compare(reference.line(), 64);
+                clock.compare(reference.system_time(), 64);
                 if cycle > 1_000 {
                     worst = worst.max(Difference(clock.difference()).ns().abs());
                 }
@@ -265,7 +265,7 @@ mod tests {
             let now = Time(S + n * MS);
             reference.advance(now);
             clock.advance(now);
-            clock.compare(reference.line(), 64);
+            clock.compare(reference.system_time(), 64);
             Difference(clock.difference()).ns().abs() > 1_000
         };
         let off: Vec<bool> = (1..40_000).map(off).collect();
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_set_late_moves_the_pulse_with_the_time_of_the_line() {
+    fn an_offset_set_late_moves_the_pulse_with_the_system_time() {
         let mut clock = started(true, 0, 0.0);
         clock.start(10_000, 1_000);
         clock.set_offset(4_000);

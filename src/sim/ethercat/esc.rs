@@ -113,7 +113,7 @@ impl Esc {
         // They have one time.
         let offset = self.chip.clock().own().wrapping_neg();
         self.chip.write(address::DC_OFFSET, &offset.to_le_bytes());
-        let start = self.chip.clock().line() + cycle_ns;
+        let start = self.chip.clock().system_time() + cycle_ns;
         self.chip.write(address::DC_CYCLE, &(cycle_ns as u32).to_le_bytes());
         self.chip.write(address::DC_START, &start.to_le_bytes());
         self.chip.write(address::DC_CONTROL, &SYNC0_ON);
@@ -131,9 +131,9 @@ impl Esc {
     }
 
     /// The segment's time that it has at `now`, ns.
-    pub fn line_time(&mut self, now: Time) -> u64 {
+    pub fn system_time(&mut self, now: Time) -> u64 {
         self.chip.advance(now);
-        self.chip.clock().line()
+        self.chip.clock().system_time()
     }
 
     /// The time at `now` until its next SYNC0, ns; `None`: there is none.
@@ -440,13 +440,13 @@ mod tests {
     fn a_power_cycle_loses_all_but_the_eeprom() {
         let mut bench = Bench::drives(|_| {});
         let now = bench.now;
-        bench.line.slave(0).unwrap().restart(now);
+        bench.segment.slave(0).unwrap().restart(now);
         assert_eq!(bench.scripts[0].script().restarts, 1);
         assert_eq!(bench.send(Command::Aprd(0, address::STATION), &[0; 4]), (vec![0, 0, 0x77, 0], 1));
         assert_eq!(bench.send(Command::Aprd(0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
         assert_eq!(bench.send(Command::Aprd(0, address::SYNC_MANAGER), &[0; 4]), (vec![0; 4], 1));
         assert_eq!(bench.state(1), (AlState::PreOp, None));
-        let slave = bench.line.slave(0).unwrap();
+        let slave = bench.segment.slave(0).unwrap();
         assert_eq!((slave.state(), slave.error()), (AlState::Init, None));
     }
 

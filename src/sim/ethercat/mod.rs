@@ -4,7 +4,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `line` | slaves in order, propagation delays, a cut cable; carries a frame through all of them |
+//! | `segment` | slaves in order, propagation delays, a cut cable; carries a frame through all of them |
 //! | `esc` | one slave: its controller and its firmware; the commands of a datagram |
 //! | `chip` | registers and memory: access rights, and the effects of an access |
 //! | `manager` | SyncManagers: mailboxes and process data |
@@ -47,12 +47,12 @@ pub mod coupler;
 mod drive;
 pub mod esc;
 mod firmware;
-pub mod line;
 mod mailbox;
 mod manager;
 mod mapping;
 mod motor;
 mod objects;
+pub mod segment;
 mod settings;
 pub mod sii;
 mod simulation;
@@ -65,7 +65,7 @@ use std::fmt::Debug;
 
 pub use self::coupler::Coupler;
 pub use self::esc::{Esc, Settings};
-pub use self::line::Line;
+pub use self::segment::Segment;
 pub use drive::Drive;
 pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};
 pub(super) use simulation::fit;

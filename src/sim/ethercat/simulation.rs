@@ -4,7 +4,7 @@ use std::any::Any;
 
 use super::coupler::Terminals;
 use super::sii::{Access, Contents, Mailboxes, Pdo};
-use super::{Coupler, Drive, DriveSettings, Esc, Line, SegmentSettings, Settings};
+use super::{Coupler, Drive, DriveSettings, Esc, Segment, SegmentSettings, Settings};
 use crate::axis::PlanFault;
 use crate::bus::BusPlan;
 use crate::bus::ethercat::object::Family;
@@ -15,7 +15,7 @@ use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan, is_interface,
 };
-use crate::sim::{FaultPlan, SimBus, SimLine, Simulated};
+use crate::sim::{FaultPlan, SimBus, SimSegment, Simulated};
 use crate::time::{MS, Time, US};
 
 /// The Ethertype of a frame, and the index of its first datagram.
@@ -79,7 +79,7 @@ impl SimBus for EthercatSegment {
     }
 
     fn build(&self, to: &mut Simulated) {
-        to.lines.push(Box::new(EthercatSim::new(self)));
+        to.segments.push(Box::new(EthercatSim::new(self)));
     }
 }
 
@@ -132,7 +132,7 @@ impl Coupler {
 /// A position between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
 #[derive(Debug)]
 pub struct EthercatSim {
-    line: Line,
+    segment: Segment,
     interface: String,
     settings: SegmentSettings,
 }
@@ -159,26 +159,26 @@ impl EthercatSim {
             });
             logical += u32::from(slave.outputs.length);
         }
-        EthercatSim { line: Line::new(slaves), interface: plan.interface.clone(), settings }
+        EthercatSim { segment: Segment::new(slaves), interface: plan.interface.clone(), settings }
     }
 
     /// The segment itself.
-    pub fn line(&mut self) -> &mut Line {
-        &mut self.line
+    pub fn segment(&mut self) -> &mut Segment {
+        &mut self.segment
     }
 
     /// The slave at `place`, counted from 0 at the master.
     pub fn slave(&mut self, place: usize) -> Option<&mut Esc> {
-        self.line.slave(place)
+        self.segment.slave(place)
     }
 
     /// The drive at `place`.
     pub fn drive(&mut self, place: usize) -> Option<&mut Drive> {
-        self.line.slave(place).and_then(Esc::drive)
+        self.segment.slave(place).and_then(Esc::drive)
     }
 }
 
-impl SimLine for EthercatSim {
+impl SimSegment for EthercatSim {
     fn interface(&self) -> &str {
         &self.interface
     }
@@ -196,17 +196,17 @@ impl SimLine for EthercatSim {
     }
 
     fn slaves(&self) -> usize {
-        self.line.slaves()
+        self.segment.slaves()
     }
 
     fn delay_ns(&self) -> u64 {
-        self.line.delay_ns()
+        self.segment.delay_ns()
     }
 
     /// A slave forwards EtherCAT only, as delivered.
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
-        self.line.pass(now, frame);
-        frame.get(TYPE) == Some(&ETHERTYPE.to_be_bytes()) && self.line.is_reached()
+        self.segment.pass(now, frame);
+        frame.get(TYPE) == Some(&ETHERTYPE.to_be_bytes()) && self.segment.is_reached()
     }
 
     fn mislabel(&self, frame: &mut [u8]) {
@@ -219,21 +219,21 @@ impl SimLine for EthercatSim {
     }
 
     fn live(&mut self, now: Time) {
-        self.line.live(now);
+        self.segment.live(now);
     }
 
     fn cut(&mut self, place: Option<usize>) {
-        self.line.cut(place);
+        self.segment.cut(place);
     }
 
     fn deafen(&mut self, place: usize, deaf: bool) {
-        if let Some(slave) = self.line.slave(place) {
+        if let Some(slave) = self.segment.slave(place) {
             slave.deafen(deaf);
         }
     }
 
     fn restart(&mut self, now: Time, place: usize) {
-        if let Some(slave) = self.line.slave(place) {
+        if let Some(slave) = self.segment.slave(place) {
             slave.restart(now);
         }
     }
@@ -246,24 +246,24 @@ impl SimLine for EthercatSim {
 }
 
 /// The controller of the slave at `place`.
-fn hardware(line: &SegmentSettings, place: usize, clock: bool) -> Settings {
-    let features = match (clock, line.short_clocks) {
+fn hardware(segment: &SegmentSettings, place: usize, clock: bool) -> Settings {
+    let features = match (clock, segment.short_clocks) {
         (false, _) => 0x0180,
         (true, true) => 0x0184,
         (true, false) => 0x018C,
     };
-    let drift_ppm = line.drift_ppm.get(place).or(line.drift_ppm.last()).copied().unwrap_or(0.0);
+    let drift_ppm = segment.drift_ppm.get(place).or(segment.drift_ppm.last()).copied().unwrap_or(0.0);
     let usual = Settings::default();
     Settings {
         features: Features(features),
-        fmmus: line.fmmus.get(place).or(line.fmmus.last()).copied().unwrap_or(usual.fmmus),
-        device_id: line.device_ids.then_some(place as u16),
+        fmmus: segment.fmmus.get(place).or(segment.fmmus.last()).copied().unwrap_or(usual.fmmus),
+        device_id: segment.device_ids.then_some(place as u16),
         sii_access: Access { busy_ns: SII_NS, ..Access::default() },
         clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
         drift_ppm,
-        settling: line.settling,
+        settling: segment.settling,
         reaction_ns: REACTION_NS,
-        delay_ns: line.delay_ns,
+        delay_ns: segment.delay_ns,
         ..usual
     }
 }
@@ -407,7 +407,7 @@ mod tests {
     }
 
     fn bench(segment: &EthercatSegment) -> Bench {
-        Bench::of(EthercatSim::new(segment).line)
+        Bench::of(EthercatSim::new(segment).segment)
     }
 
     /// Two words of an EEPROM.
@@ -420,7 +420,7 @@ mod tests {
     #[test]
     fn the_slaves_stand_in_their_places_and_say_who_they_are() {
         let mut bench = bench(&segment());
-        assert_eq!(bench.line.slaves(), 4);
+        assert_eq!(bench.segment.slaves(), 4);
         let identity =
             |bench: &mut Bench, n| [sii::word::VENDOR, sii::word::PRODUCT].map(|word| sii(bench, n, word));
         assert_eq!(identity(&mut bench, 0), [0x6A, 0x0300_0700], "as the plan expects it");
@@ -431,7 +431,7 @@ mod tests {
         assert_eq!(mailbox, [0x0010_1800, 0, 0x0400_1800, 0x0080_1000]);
         let features = [0, 1, 2, 3].map(|n| bench.read(n, address::FEATURES).map(u16::from_le_bytes));
         assert_eq!(features, [0x018C, 0x0180, 0x018C, 0x0180].map(Some));
-        let drives = [0, 1, 2, 3].map(|n| bench.line.slave(n).unwrap().drive().is_some());
+        let drives = [0, 1, 2, 3].map(|n| bench.segment.slave(n).unwrap().drive().is_some());
         assert_eq!(drives, [true, false, true, false]);
     }
 
@@ -446,14 +446,14 @@ mod tests {
         };
         segment.plan.devices[0].slave.sync = true;
         let mut sim = EthercatSim::new(&segment);
-        assert_eq!((SimLine::slaves(&sim), SimLine::delay_ns(&sim)), (4, 2 * 4 * 250));
-        let mut at = |place, now| sim.slave(place).unwrap().line_time(Time(now));
+        assert_eq!((SimSegment::slaves(&sim), SimSegment::delay_ns(&sim)), (4, 2 * 4 * 250));
+        let mut at = |place, now| sim.slave(place).unwrap().system_time(Time(now));
         let begin = [0, 2, 3].map(|place| at(place, S));
         assert!(begin[0] != begin[1] && begin[1] != begin[2]);
         let gone = [(0, 0), (2, 1), (3, 2)].map(|(place, n)| at(place, 2 * S) - begin[n]);
         assert_eq!(gone, [S, S + 100_000, S + 100_000], "the last one counts for all behind it");
         sim.cut(Some(2));
-        assert_eq!(SimLine::delay_ns(&sim), 2 * 2 * 250);
+        assert_eq!(SimSegment::delay_ns(&sim), 2 * 2 * 250);
     }
 
     #[test]
@@ -492,11 +492,11 @@ mod tests {
             frame[12..14].copy_from_slice(&ethertype.to_be_bytes());
             frame
         };
-        assert!(SimLine::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
-        assert!(!SimLine::pass(&mut sim, Time(S), &mut frame(0x0800)));
-        assert!(!SimLine::pass(&mut sim, Time(S), &mut [1, 2, 3]));
+        assert!(SimSegment::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
+        assert!(!SimSegment::pass(&mut sim, Time(S), &mut frame(0x0800)));
+        assert!(!SimSegment::pass(&mut sim, Time(S), &mut [1, 2, 3]));
         sim.cut(Some(0));
-        assert!(!SimLine::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
+        assert!(!SimSegment::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
         let mut wrong = frame(ETHERTYPE);
         sim.mislabel(&mut wrong);
         assert_eq!(wrong[INDEX], 0x80);
@@ -510,8 +510,8 @@ mod tests {
         use crate::sim::server::{ServerOptions, SimServer};
         let mut segment = segment();
         segment.plan.interface = format!("local:plan-{}", std::process::id());
-        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(&segment))];
-        let simulated = Simulated { lines, ..Simulated::default() };
+        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(EthercatSim::new(&segment))];
+        let simulated = Simulated { segments, ..Simulated::default() };
         let _server = SimServer::start(simulated, ServerOptions::default()).unwrap();
         let mut master = Os::default().frames(&segment.plan.interface, ETHERTYPE).unwrap();
         let mut frame = [0; 60];

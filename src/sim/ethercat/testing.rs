@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::sii::{Contents, Mailboxes};
-use super::{Application, Esc, Line, Settings};
+use super::{Application, Esc, Segment, Settings};
 use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Fmmu, SyncManager, address};
 use crate::time::{MS, S, Time};
@@ -94,7 +94,7 @@ pub(super) fn with_mailbox() -> Settings {
 
 /// A segment, and a master's time.
 pub(super) struct Bench {
-    pub(super) line: Line,
+    pub(super) segment: Segment,
     pub(super) now: Time,
     pub(super) scripts: Vec<Scripted>,
 }
@@ -102,13 +102,13 @@ pub(super) struct Bench {
 impl Bench {
     /// A segment of these, with station addresses from 0x1001 on.
     pub(super) fn with(slaves: Vec<Esc>) -> Bench {
-        Bench::of(Line::new(slaves))
+        Bench::of(Segment::new(slaves))
     }
 
     /// The same with an existing segment.
-    pub(super) fn of(line: Line) -> Bench {
-        let count = line.slaves() as u16;
-        let mut bench = Bench { line, now: Time(S), scripts: Vec::new() };
+    pub(super) fn of(segment: Segment) -> Bench {
+        let count = segment.slaves() as u16;
+        let mut bench = Bench { segment, now: Time(S), scripts: Vec::new() };
         for n in 0..count {
             let station = (0x1001 + n).to_le_bytes();
             assert_eq!(bench.send(Command::Apwr(position(n), address::STATION), &station).1, 1);
@@ -166,7 +166,7 @@ impl Bench {
         let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
         builder.push_with(command, 7, data).unwrap();
         let length = builder.finish();
-        self.line.pass(self.now, &mut frame[..length]);
+        self.segment.pass(self.now, &mut frame[..length]);
         let back = datagrams(&frame[..length]).unwrap().next().unwrap().unwrap();
         (back.data.to_vec(), back.working_counter, back.address)
     }

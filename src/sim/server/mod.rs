@@ -7,11 +7,11 @@
 //! | file | what |
 //! |---|---|
 //! | `sockets` | the sockets of a drive, and its connections |
-//! | `lines` | a segment and its socket |
+//! | `segments` | a segment and its socket |
 //! | `wires` | a serial wire and its port |
 //! | `service` | the work of the thread |
 
-mod lines;
+mod segments;
 mod service;
 mod sockets;
 #[cfg(test)]
@@ -69,7 +69,7 @@ pub struct ConnectionStats {
 
 /// Exact counts of one segment behind a real socket, or of one serial wire behind a real port.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LineStats {
+pub struct BusStats {
     /// The master's interface or port.
     pub interface: String,
     /// Frames that came to its socket, before any fault; on a serial wire, reads from the port.
@@ -85,10 +85,10 @@ pub struct LineStats {
     pub injected: Injected,
 }
 
-impl LineStats {
-    fn new(interface: &str) -> LineStats {
+impl BusStats {
+    fn new(interface: &str) -> BusStats {
         let (interface, injected) = (interface.to_owned(), Injected::default());
-        LineStats { interface, received: 0, answered: 0, lost: 0, unsent: 0, injected }
+        BusStats { interface, received: 0, answered: 0, lost: 0, unsent: 0, injected }
     }
 }
 
@@ -96,7 +96,7 @@ impl LineStats {
 #[derive(Debug)]
 pub struct SimServer {
     stats: Arc<[Mutex<DriveStats>]>,
-    lines: Arc<[Mutex<LineStats>]>,
+    buses: Arc<[Mutex<BusStats>]>,
     stop: Arc<EventFd>,
     thread: Option<JoinHandle<()>>,
     realtime: bool,
@@ -114,7 +114,7 @@ impl SimServer {
     pub fn start(simulated: impl Into<Simulated>, options: ServerOptions) -> io::Result<SimServer> {
         let stop = Arc::new(EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?);
         let mut service = Service::open(simulated.into(), &stop)?;
-        let Stats { drives: stats, lines } = service.stats();
+        let Stats { drives: stats, buses } = service.stats();
         let (granted, answer) = crossbeam_channel::bounded(1);
         let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
             // Nobody receives the answer only if the start itself was given up.
@@ -122,7 +122,7 @@ impl SimServer {
             service.run();
         })?;
         let realtime = answer.recv().unwrap_or(false);
-        Ok(SimServer { stats, lines, stop, thread: Some(thread), realtime })
+        Ok(SimServer { stats, buses, stop, thread: Some(thread), realtime })
     }
 
     /// Whether the thread runs under SCHED_FIFO on the core, as requested. Also false if no priority was requested.
@@ -136,8 +136,8 @@ impl SimServer {
     }
 
     /// The counts of each segment so far, then those of each serial wire.
-    pub fn lines(&self) -> Vec<LineStats> {
-        self.lines.iter().map(|stats| lock(stats).clone()).collect()
+    pub fn buses(&self) -> Vec<BusStats> {
+        self.buses.iter().map(|stats| lock(stats).clone()).collect()
     }
 
     /// Ends the thread, waits for it and closes the sockets. Returns the final counts of the drives.

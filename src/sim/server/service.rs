@@ -11,10 +11,10 @@ use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTime
 use nix::sys::eventfd::EventFd;
 use nix::sys::time::TimeSpec;
 
-use super::lines::Segment;
+use super::segments::Segment;
 use super::sockets::{Farewell, LISTENER, Socket, not_now, token, unbound};
 use super::wires::Wire;
-use super::{ConnectionStats, DriveStats, LineStats, lock};
+use super::{BusStats, ConnectionStats, DriveStats, lock};
 use crate::rt::MonotonicClock;
 use crate::sim::drives::Drives;
 use crate::sim::fault::{DriveFault, Injected, Parcel, Queue, Signal, wrong_port};
@@ -39,15 +39,15 @@ pub(super) struct Service {
     /// Each at the index of its station.
     sockets: Vec<Socket>,
     /// Their events follow those of the sockets.
-    lines: Vec<Box<dyn Line>>,
+    buses: Vec<Box<dyn SharedBus>>,
     queue: Queue,
     stats: Stats,
 }
 
 /// Several drives behind one descriptor of this thread: a segment or a serial wire.
-pub(super) trait Line: Send {
+pub(super) trait SharedBus: Send {
     /// No counts yet, with its name.
-    fn stats(&self) -> LineStats;
+    fn stats(&self) -> BusStats;
 
     fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()>;
 
@@ -56,17 +56,17 @@ pub(super) trait Line: Send {
 
     /// The descriptor with this number can be read: [`LISTENER`] is the one that it watches itself, and `token` is the
     /// event of one more.
-    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<LineStats>);
+    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<BusStats>);
 
     /// Everything that is due by now.
-    fn run_due(&mut self, stats: &Mutex<LineStats>);
+    fn run_due(&mut self, stats: &Mutex<BusStats>);
 }
 
-/// The counts, each at the index of its socket or line.
+/// The counts, each at the index of its socket or bus.
 #[derive(Clone)]
 pub(super) struct Stats {
     pub(super) drives: Arc<[Mutex<DriveStats>]>,
-    pub(super) lines: Arc<[Mutex<LineStats>]>,
+    pub(super) buses: Arc<[Mutex<BusStats>]>,
 }
 
 impl Service {
@@ -80,15 +80,15 @@ impl Service {
         for (index, socket) in sockets.iter().enumerate() {
             socket.watch(&epoll, token(index, LISTENER))?;
         }
-        let mut lines: Vec<Box<dyn Line>> = Vec::new();
-        for line in simulated.lines {
-            lines.push(Box::new(Segment::open(line)?));
+        let mut buses: Vec<Box<dyn SharedBus>> = Vec::new();
+        for segment in simulated.segments {
+            buses.push(Box::new(Segment::open(segment)?));
         }
         for wire in simulated.wires {
-            lines.push(Box::new(Wire::open(wire)?));
+            buses.push(Box::new(Wire::open(wire)?));
         }
-        for (index, line) in lines.iter().enumerate() {
-            line.watch(&epoll, token(sockets.len() + index, LISTENER))?;
+        for (index, bus) in buses.iter().enumerate() {
+            bus.watch(&epoll, token(sockets.len() + index, LISTENER))?;
         }
         let stats = |address| DriveStats {
             address,
@@ -100,10 +100,10 @@ impl Service {
         };
         let stats = Stats {
             drives: drives.stations.iter().map(|station| Mutex::new(stats(station.address))).collect(),
-            lines: lines.iter().map(|line| Mutex::new(line.stats())).collect(),
+            buses: buses.iter().map(|bus| Mutex::new(bus.stats())).collect(),
         };
         let queue = Queue::new(UNDER_WAY * sockets.len());
-        Ok(Service { epoll, queue, stats, drives, sockets, lines })
+        Ok(Service { epoll, queue, stats, drives, sockets, buses })
     }
 
     /// The counts.
@@ -116,7 +116,7 @@ impl Service {
         // Room for every descriptor at once, so that none, the stop's included, waits behind busier ones. A serial wire
         // has two.
         let room: usize = self.sockets.iter().map(Socket::descriptors).sum();
-        let mut events = vec![EpollEvent::empty(); room + 2 * self.lines.len() + 1];
+        let mut events = vec![EpollEvent::empty(); room + 2 * self.buses.len() + 1];
         let mut bytes = vec![0; ROOM];
         loop {
             let count = match self.wait(&mut events) {
@@ -139,8 +139,8 @@ impl Service {
 
     /// Waits for sockets, but not beyond the next due instant.
     fn wait(&self, events: &mut [EpollEvent]) -> nix::Result<usize> {
-        let lines = self.lines.iter().filter_map(|line| line.next_due());
-        let Some(due) = lines.chain(self.queue.next_due()).chain(self.drives.next_due()).min() else {
+        let buses = self.buses.iter().filter_map(|bus| bus.next_due());
+        let Some(due) = buses.chain(self.queue.next_due()).chain(self.drives.next_due()).min() else {
             return self.epoll.wait(events, EpollTimeout::NONE);
         };
         // epoll_wait counts in milliseconds; ppoll waits for the same set in nanoseconds.
@@ -162,8 +162,8 @@ impl Service {
             Some(Socket::Stream { .. }) => self.read(index, number, event.events(), &mut bytes[..CHUNK]),
             None => {
                 let (place, token) = (index - self.sockets.len(), token(index, LISTENER + 1));
-                if let Some(line) = self.lines.get_mut(place) {
-                    line.ready(number, bytes, &self.epoll, token, &self.stats.lines[place]);
+                if let Some(bus) = self.buses.get_mut(place) {
+                    bus.ready(number, bytes, &self.epoll, token, &self.stats.buses[place]);
                 }
             }
         }
@@ -256,7 +256,7 @@ impl Service {
 
     /// Everything that is due by now: requests to their drives, replies to the kernel.
     fn run_due(&mut self) {
-        self.lines.iter_mut().zip(&*self.stats.lines).for_each(|(line, stats)| line.run_due(stats));
+        self.buses.iter_mut().zip(&*self.stats.buses).for_each(|(bus, stats)| bus.run_due(stats));
         if self.queue.next_due().is_none() && self.drives.next_due().is_none() {
             return;
         }

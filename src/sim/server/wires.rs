@@ -8,9 +8,9 @@ use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 
-use super::service::Line;
+use super::service::SharedBus;
 use super::sockets::{LISTENER, not_now};
-use super::{LineStats, lock};
+use super::{BusStats, lock};
 use crate::net::link::local_address;
 use crate::net::{local, tty};
 use crate::rt::MonotonicClock;
@@ -56,9 +56,9 @@ impl Wire {
     }
 }
 
-impl Line for Wire {
-    fn stats(&self) -> LineStats {
-        LineStats::new(&self.medium.wire.port)
+impl SharedBus for Wire {
+    fn stats(&self) -> BusStats {
+        BusStats::new(&self.medium.wire.port)
     }
 
     fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
@@ -74,7 +74,7 @@ impl Line for Wire {
     }
 
     /// A master connects, or something can be read.
-    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<LineStats>) {
+    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<BusStats>) {
         let port: &mut dyn Read = match &mut self.port {
             Port::Local { listener, master } if number == LISTENER => {
                 let Ok((stream, _)) = listener.accept() else { return };
@@ -105,7 +105,7 @@ impl Line for Wire {
         }
     }
 
-    fn run_due(&mut self, stats: &Mutex<LineStats>) {
+    fn run_due(&mut self, stats: &Mutex<BusStats>) {
         if self.medium.next_due().is_none() {
             return;
         }

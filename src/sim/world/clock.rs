@@ -24,7 +24,10 @@ impl Clock for WorldClock {
         let begin = inner.now;
         let arrived = loop {
             let datagram = inner.ports.iter().any(|port| !port.inbox.is_empty());
-            if datagram || inner.links.readable() || inner.lines.readable() || inner.wires.readable(inner.now)
+            if datagram
+                || inner.links.readable()
+                || inner.segments.readable()
+                || inner.wires.readable(inner.now)
             {
                 break true;
             }

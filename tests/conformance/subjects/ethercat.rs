@@ -21,7 +21,7 @@ use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim};
-use fieldbeat::sim::{SimLine, SimPlan, Simulated};
+use fieldbeat::sim::{SimPlan, SimSegment, Simulated};
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
@@ -244,7 +244,7 @@ impl Subject for EtherCat {
         [&frame[..SENDER], &[0x20; 6], &frame[SENDER + 6..]].concat()
     }
 
-    fn provoke(&self, line: &mut dyn SimLine, place: usize) {
+    fn provoke(&self, line: &mut dyn SimSegment, place: usize) {
         let line: &mut dyn Any = line;
         let drive = line.downcast_mut::<EthercatSim>().and_then(|line| line.drive(place));
         drive.expect("a drive").provoke(Fault::FOLLOWING);

@@ -24,7 +24,7 @@ use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::SimLine;
+use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::{MS, Time, US};
 

@@ -256,7 +256,7 @@ fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
 
 /// A segment that is there already.
 pub fn left(line: EthercatSim) -> Simulated {
-    Simulated { lines: vec![Box::new(line)], ..Simulated::default() }
+    Simulated { segments: vec![Box::new(line)], ..Simulated::default() }
 }
 
 /// Another master for a line that the first one has brought up and left.

@@ -23,7 +23,7 @@ use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimLine, Simulated, Truth};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, Time};
 
@@ -219,7 +219,7 @@ impl std::fmt::Debug for TapLine {
     }
 }
 
-impl SimLine for TapLine {
+impl SimSegment for TapLine {
     crate::forward_sim_line!(line => line.0.lock().unwrap().0);
 
     fn interface(&self) -> &str {
@@ -363,7 +363,7 @@ fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn
 fn drives(taps: &[Tap], line: Option<&TapLine>) -> Simulated {
     Simulated {
         drives: taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
-        lines: line.map(|line| Box::new(line.clone()) as Box<dyn SimLine>).into_iter().collect(),
+        segments: line.map(|line| Box::new(line.clone()) as Box<dyn SimSegment>).into_iter().collect(),
         ..Simulated::default()
     }
 }

@@ -13,7 +13,7 @@ use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::rt::Regions;
 use crate::sim::ethercat::coupler::Terminals;
 use crate::sim::ethercat::sii::{Access, Contents, Mailboxes};
-use crate::sim::ethercat::{Coupler, Drive, DriveSettings, Esc, Line, Settings};
+use crate::sim::ethercat::{Coupler, Drive, DriveSettings, Esc, Segment, Settings};
 use crate::time::{MS, Time, US};
 
 const S700: Identity = Identity { vendor: 0x6A, product: 0x0300_0600, revision: 3 };
@@ -23,7 +23,7 @@ type Event = fn(&mut Wire);
 
 /// An interface with a line behind it, in virtual time.
 struct Wire {
-    line: Line,
+    line: Segment,
     now: Time,
     waiting: VecDeque<Vec<u8>>,
     /// What was sent, as it was sent.
@@ -38,7 +38,7 @@ struct Wire {
 impl Wire {
     fn new(slaves: Vec<Esc>) -> Wire {
         Wire {
-            line: Line::new(slaves),
+            line: Segment::new(slaves),
             now: Time(5),
             waiting: VecDeque::new(),
             sent: Vec::new(),

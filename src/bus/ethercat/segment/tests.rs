@@ -10,7 +10,7 @@ use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, Kollmorg
 use crate::bus::ethercat::wire::frame::{Builder, Command, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
-use crate::sim::SimLine;
+use crate::sim::SimSegment;
 use crate::sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
 use crate::time::{MS, S, US};
 
@@ -202,7 +202,7 @@ impl Rig {
     /// How far its time is from ours.
     fn time_off(&mut self, place: usize) -> i64 {
         let now = self.cycle.grid + MS / 2;
-        self.slave(place).line_time(now).wrapping_sub(now.0) as i64
+        self.slave(place).system_time(now).wrapping_sub(now.0) as i64
     }
 
     fn all_up(&mut self, most: usize) -> usize {
@@ -443,7 +443,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     // Two FMMUs, and none to spare.
     let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
     let io = Coupler::of(&plan.devices[0]).slave("I/O", Identity::default(), settings);
-    *rig.sim.line() = ethercat::Line::new(vec![io]);
+    *rig.sim.segment() = ethercat::Segment::new(vec![io]);
     let offsets = rig.line.slaves[0].offsets.clone();
     rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
     rig.all_up(4_000);

@@ -17,7 +17,7 @@ use crate::bus::ethercat::slot;
 use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
 use crate::bus::ethercat::wire::registers::{SyncManager, address};
 use crate::sim::ethercat::sii::{Contents, Mailboxes};
-use crate::sim::ethercat::{Application, Dialect, Drive, DriveSettings, Esc, Line, Settings};
+use crate::sim::ethercat::{Application, Dialect, Drive, DriveSettings, Esc, Segment, Settings};
 use crate::time::S;
 
 const STATION: u16 = 0x1001;
@@ -34,7 +34,7 @@ enum Fate {
 }
 
 struct Bench {
-    line: Line,
+    line: Segment,
     service: Service,
     acyclic: Acyclic,
     counters: Counters,
@@ -61,7 +61,7 @@ impl Bench {
         let sii = Contents { mailboxes: Some(mailboxes), ..Contents::default() }.image();
         let (acyclic, port) = both_of(16, object::commanding([]));
         let mut bench = Bench {
-            line: Line::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
+            line: Segment::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
             service: Service::new(&plan(length), Some(port), 0),
             acyclic,
             counters: Counters::default(),

@@ -83,8 +83,8 @@ impl Chip {
             let reference = self.quad(address::DC_TIME);
             self.clock.compare(reference, bits);
             // The value read there is its own time, also behind that in the same frame.
-            let line = self.clock.line();
-            self.put(address::DC_TIME, &line.to_le_bytes());
+            let system_time = self.clock.system_time();
+            self.put(address::DC_TIME, &system_time.to_le_bytes());
         }
         if hit(address::DC_OFFSET, 8) {
             let offset = self.quad(address::DC_OFFSET);

@@ -66,7 +66,7 @@ fn a_local_wire_answers_and_counts() {
     server.end();
     assert_eq!(answer(&mut *master), Err(Broken::Closed));
     assert_eq!(master.send(0, b"x"), Err(Broken::Failed(libc::EPIPE)));
-    let [stats] = &server.lines()[..] else { panic!() };
+    let [stats] = &server.buses()[..] else { panic!() };
     let counts = (stats.received, stats.answered, stats.unsent);
     assert_eq!((stats.interface.as_str(), counts), (port.as_str(), (51, 51, 0)));
     assert!(server.stats().is_empty());
@@ -135,7 +135,7 @@ fn faults_on_a_wire_are_injected_counted_and_accounted_for() {
         assert_eq!(answer[1], value);
     }
     server.end();
-    assert_eq!(server.lines()[0].injected.wrong_id, wrong);
+    assert_eq!(server.buses()[0].injected.wrong_id, wrong);
     assert!((15..50).contains(&wrong), "{wrong}");
 }
 

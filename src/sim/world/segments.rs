@@ -13,7 +13,7 @@ use crate::net::frames::{MAC, Unsent};
 use crate::rt::Regions;
 use crate::sim::fault::{Injected, Parcel, Way};
 use crate::sim::wire::Wire;
-use crate::sim::{FaultPlan, SimLine};
+use crate::sim::{FaultPlan, SimSegment};
 use crate::time::Time;
 
 /// A wire from the master to a segment, and the master's end of it.
@@ -37,17 +37,17 @@ impl Rail {
 
 /// All segments.
 #[derive(Default)]
-pub(super) struct Lines(Vec<Rail>);
+pub(super) struct Segments(Vec<Rail>);
 
-impl Lines {
+impl Segments {
     /// Wires to these segments.
-    pub(super) fn new(lines: Vec<Box<dyn SimLine>>) -> io::Result<Lines> {
-        let mut wires = Lines::default();
-        for line in lines {
-            if wires.of(line.interface()).is_some() {
-                return Err(taken(line.interface()));
+    pub(super) fn new(segments: Vec<Box<dyn SimSegment>>) -> io::Result<Segments> {
+        let mut wires = Segments::default();
+        for segment in segments {
+            if wires.of(segment.interface()).is_some() {
+                return Err(taken(segment.interface()));
             }
-            wires.0.push(Rail { wire: Wire::new(line), open: false, inbox: VecDeque::new() });
+            wires.0.push(Rail { wire: Wire::new(segment), open: false, inbox: VecDeque::new() });
         }
         Ok(wires)
     }
@@ -63,14 +63,14 @@ impl Lines {
     }
 
     fn of(&mut self, interface: &str) -> Option<&mut Wire> {
-        self.0.iter_mut().map(|rail| &mut rail.wire).find(|wire| wire.line().interface() == interface)
+        self.0.iter_mut().map(|rail| &mut rail.wire).find(|wire| wire.segment().interface() == interface)
     }
 }
 
 impl Inner {
     /// A frame that is due arrives; false: there is none.
     pub(super) fn deliver_frame(&mut self, due: Time) -> bool {
-        let rails = self.lines.0.iter_mut();
+        let rails = self.segments.0.iter_mut();
         let arrived =
             rails.filter_map(|rail| rail.wire.take(due).map(|(_, way, parcel)| (rail, way, parcel))).next();
         let Some((rail, way, mut parcel)) = arrived else { return false };
@@ -78,7 +78,7 @@ impl Inner {
         self.delivered += 1;
         match way {
             Way::Request => {
-                let back_ns = rail.wire.line().delay_ns() + self.options.latency_ns;
+                let back_ns = rail.wire.segment().delay_ns() + self.options.latency_ns;
                 rail.wire.pass(self.now, self.now + back_ns, &mut parcel.bytes);
                 rail.wire.recycle(way, parcel);
             }
@@ -92,22 +92,22 @@ impl Inner {
 impl World {
     /// Cuts the cable in front of the slave at `place`, counted from 0 at the master; `None` repairs it.
     pub fn cut(&self, interface: &str, place: Option<usize>) -> bool {
-        self.with_wire(interface, |wire, _| wire.line_mut().cut(place)).is_some()
+        self.with_wire(interface, |wire, _| wire.segment_mut().cut(place)).is_some()
     }
 
     /// The slave at `place` forwards frames without receiving them, until this is taken back.
     pub fn deafen(&self, interface: &str, place: usize, deaf: bool) -> bool {
-        self.with_wire(interface, |wire, _| wire.line_mut().deafen(place, deaf)).is_some()
+        self.with_wire(interface, |wire, _| wire.segment_mut().deafen(place, deaf)).is_some()
     }
 
     /// Switches the slave at `place` off and on again.
     pub fn restart_slave(&self, interface: &str, place: usize) -> bool {
-        self.with_wire(interface, |wire, now| wire.line_mut().restart(now, place)).is_some()
+        self.with_wire(interface, |wire, now| wire.segment_mut().restart(now, place)).is_some()
     }
 
     /// Opens the hardware enable (STO) of the drive at `place` for `ns`.
     pub fn inhibit_slave(&self, interface: &str, place: usize, ns: u64) -> bool {
-        self.with_wire(interface, |wire, now| wire.line_mut().inhibit(place, now + ns)).is_some()
+        self.with_wire(interface, |wire, now| wire.segment_mut().inhibit(place, now + ns)).is_some()
     }
 
     /// The wire to the segment has the faults of `plan` from now on; its counters restart.
@@ -126,30 +126,32 @@ impl World {
     }
 
     /// Looks at the segment itself, as it is now; nothing also if it is no `L`.
-    pub fn look<L: SimLine, R>(&self, interface: &str, look: impl FnOnce(&mut L, Time) -> R) -> Option<R> {
+    pub fn look<L: SimSegment, R>(&self, interface: &str, look: impl FnOnce(&mut L, Time) -> R) -> Option<R> {
         self.with_wire(interface, |wire, now| {
-            wire.line_mut().live(now);
-            let line: &mut dyn Any = wire.line_mut();
-            line.downcast_mut().map(|line| look(line, now))
+            wire.segment_mut().live(now);
+            let segment: &mut dyn Any = wire.segment_mut();
+            segment.downcast_mut().map(|segment| look(segment, now))
         })?
     }
 
     fn with_wire<R>(&self, interface: &str, f: impl FnOnce(&mut Wire, Time) -> R) -> Option<R> {
         let mut inner = self.lock();
         let now = inner.now;
-        inner.lines.of(interface).map(|wire| f(wire, now))
+        inner.segments.of(interface).map(|wire| f(wire, now))
     }
 
     pub(super) fn open_frames(&self, interface: &str, ethertype: u16) -> io::Result<Carriage> {
         let mut inner = self.lock();
-        let mut lines = inner.lines.0.iter().map(|rail| rail.wire.line());
-        let is_it = |line: &dyn SimLine| line.interface() == interface && line.ethertype() == ethertype;
-        let Some(index) = lines.position(is_it) else {
-            let names: Vec<&str> = inner.lines.0.iter().map(|rail| rail.wire.line().interface()).collect();
+        let mut segments = inner.segments.0.iter().map(|rail| rail.wire.segment());
+        let is_it =
+            |segment: &dyn SimSegment| segment.interface() == interface && segment.ethertype() == ethertype;
+        let Some(index) = segments.position(is_it) else {
+            let names: Vec<&str> =
+                inner.segments.0.iter().map(|rail| rail.wire.segment().interface()).collect();
             let message = format!("no segment on {interface} in this world; there are: {}", names.join(", "));
             return Err(io::Error::new(io::ErrorKind::NotFound, message));
         };
-        if std::mem::replace(&mut inner.lines.0[index].open, true) {
+        if std::mem::replace(&mut inner.segments.0[index].open, true) {
             return Err(taken(interface));
         }
         Ok(Carriage { world: self.clone(), index })
@@ -172,14 +174,14 @@ impl Frames for Carriage {
         let mut inner = self.world.lock();
         let begin = inner.read();
         let (now, due) = (inner.now, inner.now + inner.options.latency_ns);
-        inner.lines.0[self.index].wire.depart(Way::Request, now, due, frame);
+        inner.segments.0[self.index].wire.depart(Way::Request, now, due, frame);
         Ok(begin)
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         let mut inner = self.world.lock();
         let at = inner.read();
-        let rail = &mut inner.lines.0[self.index];
+        let rail = &mut inner.segments.0[self.index];
         let parcel = rail.inbox.pop_front()?;
         let length = parcel.bytes.len();
         let fits = length.min(room.len());
@@ -204,7 +206,7 @@ impl Frames for Carriage {
 impl Drop for Carriage {
     fn drop(&mut self) {
         let mut inner = self.world.lock();
-        let rail = &mut inner.lines.0[self.index];
+        let rail = &mut inner.segments.0[self.index];
         rail.open = false;
         rail.inbox.clear();
     }
@@ -223,14 +225,14 @@ mod tests {
     const NAME: &str = "eth7";
     const TYPE: u16 = Tally::TYPE;
 
-    fn lines(faults: FaultPlan) -> Simulated {
-        let line = |name| Box::new(Tally::new(name, faults.clone()));
-        Simulated { lines: vec![line("eth6"), line(NAME)], ..Simulated::default() }
+    fn segments(faults: FaultPlan) -> Simulated {
+        let segment = |name| Box::new(Tally::new(name, faults.clone()));
+        Simulated { segments: vec![segment("eth6"), segment(NAME)], ..Simulated::default() }
     }
 
     fn world(faults: FaultPlan) -> (World, Box<dyn Frames>) {
         let world =
-            World::new(lines(faults), WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
+            World::new(segments(faults), WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
         let carrier = world.frames(NAME, TYPE).unwrap();
         (world, carrier)
     }
@@ -267,8 +269,8 @@ mod tests {
         );
         assert_eq!(room, [1, 2]);
         assert_eq!(carrier.receive(&mut room), None);
-        assert_eq!(world.look(NAME, |line: &mut Tally, _| line.passed), Some(1));
-        assert_eq!(world.look("eth6", |line: &mut Tally, _| line.passed), Some(0));
+        assert_eq!(world.look(NAME, |segment: &mut Tally, _| segment.passed), Some(1));
+        assert_eq!(world.look("eth6", |segment: &mut Tally, _| segment.passed), Some(0));
     }
 
     #[test]
@@ -285,8 +287,8 @@ mod tests {
         assert!(world.frames(NAME, TYPE).is_ok());
         assert!(!world.cut("eth8", None) && !world.deafen("eth8", 0, true));
         assert_eq!(world.line_injected("eth8"), None);
-        let mut twice = lines(FaultPlan::default());
-        twice.lines.extend(lines(FaultPlan::default()).lines);
+        let mut twice = segments(FaultPlan::default());
+        twice.segments.extend(segments(FaultPlan::default()).segments);
         assert!(World::new(twice, WorldOptions::default()).is_err());
     }
 
@@ -304,7 +306,7 @@ mod tests {
         assert_eq!(exchange(4), [[4, 2, 9]]);
         assert!(world.restart_slave(NAME, 1) && world.inhibit_slave(NAME, 0, 5));
         let until = [world.now() + 5, Time::default()];
-        let look = |line: &mut Tally, now| (line.restarts, line.inhibited, line.lived == now);
+        let look = |segment: &mut Tally, now| (segment.restarts, segment.inhibited, segment.lived == now);
         world.advance(MS);
         assert_eq!(world.look(NAME, look), Some(([0, 1], until, true)));
     }
@@ -341,12 +343,12 @@ mod tests {
     fn restarts_and_open_enables_go_round_the_slaves() {
         let (world, mut carrier) = world(FaultPlan { restart: 1.0, ..FaultPlan::default() });
         (0..5).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
-        assert_eq!(world.look(NAME, |line: &mut Tally, _| line.restarts), Some([3, 2]));
+        assert_eq!(world.look(NAME, |segment: &mut Tally, _| segment.restarts), Some([3, 2]));
         let plan = FaultPlan { inhibit: 1.0, inhibit_ns: 7, ..FaultPlan::default() };
         assert!(world.set_line_faults(NAME, plan));
         let begin = world.now();
         (0..2).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
-        let inhibited = world.look(NAME, |line: &mut Tally, _| line.inhibited);
+        let inhibited = world.look(NAME, |segment: &mut Tally, _| segment.inhibited);
         assert_eq!(inhibited, Some([begin + 7, begin + MS + 7]));
     }
 

@@ -11,19 +11,19 @@ const PASSED: u8 = 1 << 1;
 
 /// A segment of slaves. The master is at the first one; the last one turns the frames.
 #[derive(Debug)]
-pub struct Line {
+pub struct Segment {
     slaves: Vec<Esc>,
     cut: Option<usize>,
     /// The offsets of the datagrams of the present frame.
     places: Vec<Place>,
 }
 
-impl Line {
+impl Segment {
     /// A segment of these, all cables intact.
-    pub fn new(slaves: Vec<Esc>) -> Line {
-        let mut line = Line { slaves, cut: None, places: Vec::with_capacity(DATAGRAMS_MAX) };
-        line.link();
-        line
+    pub fn new(slaves: Vec<Esc>) -> Segment {
+        let mut segment = Segment { slaves, cut: None, places: Vec::with_capacity(DATAGRAMS_MAX) };
+        segment.link();
+        segment
     }
 
     /// Cuts the cable in front of slave `n`, counted from 0, or repairs it. Frames turn at the slave before it; if
@@ -105,7 +105,7 @@ mod tests {
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
         let mut frame = bytes(sent);
-        bench.line.pass(bench.now, &mut frame);
+        bench.segment.pass(bench.now, &mut frame);
         frame
     }
 
@@ -241,13 +241,13 @@ mod tests {
             [0, 1, 2, 3].map(|n| links(&mut bench, n)),
             [[true; 2], [true; 2], [true; 2], [true, false]]
         );
-        bench.line.cut(Some(2));
+        bench.segment.cut(Some(2));
         assert_eq!(count(&mut bench), (vec![4, 2], 2, 2));
         assert_eq!([0, 1].map(|n| links(&mut bench, n)), [[true; 2], [true, false]]);
         assert_eq!(bench.write(2, 0x0F80, &[0]), 0);
-        bench.line.cut(Some(0));
+        bench.segment.cut(Some(0));
         assert_eq!(count(&mut bench), (vec![0, 0], 0, 0));
-        bench.line.cut(None);
+        bench.segment.cut(None);
         assert_eq!(count(&mut bench).1, 4);
         assert_eq!(links(&mut bench, 1), [true; 2]);
     }
@@ -259,19 +259,19 @@ mod tests {
             bench.write(n, address::sync_manager(2), &[0x00, 0x11, 6, 0, 0x64, 0, 1, 0]);
         }
         bench.all_to(&[AlState::SafeOp, AlState::Op]);
-        bench.line.cut(Some(1));
+        bench.segment.cut(Some(1));
         for _ in 0..200 {
             bench.wait(MS);
             assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 3);
         }
-        let states = [0, 1].map(|n| bench.line.slave(n).unwrap().state());
+        let states = [0, 1].map(|n| bench.segment.slave(n).unwrap().state());
         assert_eq!(states, [AlState::Op, AlState::SafeOp]);
         assert_eq!(
             bench.scripts[1].script().requested.last(),
             Some(&AlState::SafeOp),
             "it was reported at once"
         );
-        assert!(bench.line.slave(2).is_none());
+        assert!(bench.segment.slave(2).is_none());
     }
 
     /// A master's use of the receive times: the delay from one slave to the next.
@@ -322,7 +322,7 @@ mod tests {
             }
         }
         let now = bench.now + US;
-        let times = [0, 1, 2, 3].map(|n| bench.line.slave(n).unwrap().line_time(now));
+        let times = [0, 1, 2, 3].map(|n| bench.segment.slave(n).unwrap().system_time(now));
         assert!(times[0] > 1 << 32, "it has gone round");
         for (n, time) in times.into_iter().enumerate() {
             assert!((time as u32).wrapping_sub(times[0] as u32).cast_signed().abs() <= 3, "slave {n}");
@@ -333,7 +333,7 @@ mod tests {
         #[test]
         fn no_bytes_panic(frames: Vec<Vec<u8>>, cut in proptest::option::of(0_usize..4)) {
             let mut bench = four();
-            bench.line.cut(cut);
+            bench.segment.cut(cut);
             for (n, mut frame) in frames.into_iter().enumerate() {
                 if let Some(header) = frame.get_mut(12..16).filter(|_| n % 2 == 0) {
                     // EtherCAT; as long as it likes.
@@ -341,7 +341,7 @@ mod tests {
                     header[3] = header[3] & 0x07 & n as u8 | 0x10;
                 }
                 bench.wait(US);
-                bench.line.pass(bench.now, &mut frame);
+                bench.segment.pass(bench.now, &mut frame);
             }
         }
 

@@ -6,12 +6,12 @@ use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 
-use super::service::Line;
-use super::{LineStats, lock};
+use super::service::SharedBus;
+use super::{BusStats, lock};
 use crate::net::Frames;
 use crate::net::local::{self, Local};
 use crate::net::packet::Packet;
-use crate::sim::SimLine;
+use crate::sim::SimSegment;
 use crate::sim::fault::Way;
 use crate::sim::wire::Wire;
 use crate::time::Time;
@@ -23,14 +23,14 @@ pub(super) struct Segment {
 }
 
 impl Segment {
-    pub(super) fn open(line: Box<dyn SimLine>) -> io::Result<Segment> {
-        Ok(Segment { carrier: carrier(&*line)?, wire: Wire::new(line) })
+    pub(super) fn open(segment: Box<dyn SimSegment>) -> io::Result<Segment> {
+        Ok(Segment { carrier: carrier(&*segment)?, wire: Wire::new(segment) })
     }
 }
 
-impl Line for Segment {
-    fn stats(&self) -> LineStats {
-        LineStats::new(self.wire.line().interface())
+impl SharedBus for Segment {
+    fn stats(&self) -> BusStats {
+        BusStats::new(self.wire.segment().interface())
     }
 
     fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
@@ -45,14 +45,7 @@ impl Line for Segment {
     }
 
     /// Takes one frame and puts it under way, through the faults.
-    fn ready(
-        &mut self,
-        _number: u32,
-        room: &mut [u8],
-        _epoll: &Epoll,
-        _token: u64,
-        stats: &Mutex<LineStats>,
-    ) {
+    fn ready(&mut self, _number: u32, room: &mut [u8], _epoll: &Epoll, _token: u64, stats: &Mutex<BusStats>) {
         let Some((now, length)) = self.carrier.receive(room) else { return };
         // Longer than any frame: there is none.
         let Some(frame) = room.get(..length) else { return };
@@ -65,7 +58,7 @@ impl Line for Segment {
     /// Everything that is due by now: frames through the segment, and back to the kernel. A frame passes the
     /// segment at its arrival time, however late this thread runs: otherwise the slaves' clocks would show the
     /// delay. Its time on the segment is a part of this thread's time.
-    fn run_due(&mut self, stats: &Mutex<LineStats>) {
+    fn run_due(&mut self, stats: &Mutex<BusStats>) {
         if self.wire.next_due().is_none() {
             return;
         }
@@ -90,10 +83,10 @@ impl Line for Segment {
 }
 
 /// The socket at the segment's end of the cable.
-fn carrier(line: &dyn SimLine) -> io::Result<Box<dyn Frames>> {
-    let interface = line.interface();
+fn carrier(segment: &dyn SimSegment) -> io::Result<Box<dyn Frames>> {
+    let interface = segment.interface();
     let Some(name) = local::name(interface) else {
-        let Some(own) = line.own_interface() else {
+        let Some(own) = segment.own_interface() else {
             let message = format!(
                 "cannot simulate the segment on {interface}: name the interface at the other end of its cable, \
                  or use one like {}line",
@@ -101,7 +94,7 @@ fn carrier(line: &dyn SimLine) -> io::Result<Box<dyn Frames>> {
             );
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
         };
-        return Ok(Box::new(Packet::serve(own, line.ethertype())?));
+        return Ok(Box::new(Packet::serve(own, segment.ethertype())?));
     };
     match Local::serve(name) {
         Ok(local) => Ok(Box::new(local)),
@@ -134,8 +127,8 @@ mod tests {
     }
 
     fn start(name: &str, faults: FaultPlan) -> io::Result<SimServer> {
-        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(Tally::new(name, faults))];
-        SimServer::start(Simulated { lines, ..Simulated::default() }, ServerOptions::default())
+        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(Tally::new(name, faults))];
+        SimServer::start(Simulated { segments, ..Simulated::default() }, ServerOptions::default())
     }
 
     fn receive(carrier: &mut dyn Frames, patience: Duration) -> Option<Vec<u8>> {
@@ -166,7 +159,7 @@ mod tests {
         master.send(&[99, 0]).unwrap();
         assert_eq!(receive(&mut *master, LONG), Some(vec![99, 2]));
         server.end();
-        let [stats] = &server.lines()[..] else { panic!() };
+        let [stats] = &server.buses()[..] else { panic!() };
         assert_eq!((stats.interface.as_str(), stats.received, stats.answered), (name.as_str(), 21, 21));
         assert_eq!((stats.lost, stats.unsent, stats.injected), (0, 0, Injected::default()));
         assert!(server.stats().is_empty());
@@ -188,7 +181,7 @@ mod tests {
         let mut master = Os::default().frames(&name, Tally::TYPE).unwrap();
         let mut come = 0;
         for number in 0..200 {
-            // The line takes few frames at a time, and none while the server's thread is held up.
+            // The segment takes few frames at a time, and none while the server's thread is held up.
             let begin = Instant::now();
             while let Err(error) = master.send(&[number, 0]) {
                 assert!(error == Unsent::Full && begin.elapsed() < LONG, "{error:?}");
@@ -201,7 +194,7 @@ mod tests {
         // Until all of them are answered, however long the server's thread is held up.
         let begin = Instant::now();
         let owed = loop {
-            let stats = server.lines()[0].clone();
+            let stats = server.buses()[0].clone();
             // The master's end takes few frames, and none while this thread is held up.
             let owed = 200 + stats.injected.duplicated - stats.injected.dropped - stats.unsent;
             if (stats.received, stats.answered, come) == (200, owed, owed) {
@@ -212,7 +205,7 @@ mod tests {
         };
         assert_eq!(receive(&mut *master, SHORT), None);
         server.end();
-        let stats = &server.lines()[0];
+        let stats = &server.buses()[0];
         let i = stats.injected;
         assert!(i.dropped > 10 && i.duplicated > 10 && i.delayed > 10, "{stats:?}");
         assert_eq!((stats.received, stats.answered), (200, come));
@@ -229,10 +222,11 @@ mod tests {
             let done = std::process::Command::new("ip").args(arguments.split(' ')).status().unwrap();
             assert!(done.success(), "ip {arguments}");
         }
-        let line = Tally::new("near0", FaultPlan::default()).at("far0");
-        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(line)];
+        let segment = Tally::new("near0", FaultPlan::default()).at("far0");
+        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(segment)];
         let mut server =
-            SimServer::start(Simulated { lines, ..Simulated::default() }, ServerOptions::default()).unwrap();
+            SimServer::start(Simulated { segments, ..Simulated::default() }, ServerOptions::default())
+                .unwrap();
         let mut master = Os::default().frames("near0", Tally::TYPE).unwrap();
         let mut frame = [0xFF; 29];
         frame[12..14].copy_from_slice(&Tally::TYPE.to_be_bytes());
@@ -244,7 +238,7 @@ mod tests {
         }
         assert!(receive(&mut *master, SHORT).is_none());
         server.end();
-        assert_eq!((server.lines()[0].received, server.lines()[0].answered), (20, 20));
+        assert_eq!((server.buses()[0].received, server.buses()[0].answered), (20, 20));
     }
 
     #[test]
