@@ -7,6 +7,7 @@
 //! | `linudp`, `modbus`, `ethercat` | the drives of a protocol: its wire from the other end |
 //! | `plan` | the simulated drives of a machine as configured |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
+//! | `power` | a power drive: a motor on its setpoint generator, hardware enable, standing fault, the advance of time |
 //! | `fault` | seeded fault injection |
 //! | `keys` | how a configuration writes faults |
 //! | `wire` | a segment and the faults of its wire |
@@ -24,6 +25,7 @@ pub mod linudp;
 pub mod modbus;
 pub mod physics;
 mod plan;
+mod power;
 pub mod serial;
 pub mod server;
 #[cfg(test)]

@@ -223,9 +223,7 @@ impl Plant {
         }
     }
 
-    /// Lets `dt_ns` nanoseconds pass, at whose end the demand is the given one (m, m/s, m/s^2). Without power the
-    /// mass runs out freely and the demand does not matter.
-    ///
+    /// Lets `dt_ns` nanoseconds pass, at whose end the demand is the given one (m, m/s, m/s^2).
     /// Meant for steps of up to 10 ms; longer ones stay stable and cost no more than 64 substeps, but are coarse.
     pub fn advance(
         &mut self,
@@ -233,7 +231,6 @@ impl Plant {
         demand_velocity: f64,
         demand_acceleration: f64,
         dt_ns: u64,
-        powered: bool,
     ) {
         let count = dt_ns.div_ceil(SUBSTEP_NS).clamp(1, SUBSTEPS);
         let h = dt_ns as f64 / count as f64 / S as f64;
@@ -241,15 +238,11 @@ impl Plant {
             return;
         }
         for left in (0..count).rev() {
-            if powered {
-                // The demand at the end of this substep, calculated back from that at the end of the step.
-                let back = left as f64 * h;
-                let velocity = demand_velocity - demand_acceleration * back;
-                let position = demand_position - (demand_velocity + velocity) / 2.0 * back;
-                self.push(position, velocity, demand_acceleration, h);
-            } else {
-                self.run_out(h);
-            }
+            // The demand at the end of this substep, calculated back from that at the end of the step.
+            let back = left as f64 * h;
+            let velocity = demand_velocity - demand_acceleration * back;
+            let position = demand_position - (demand_velocity + velocity) / 2.0 * back;
+            self.push(position, velocity, demand_acceleration, h);
             self.position += self.velocity * h;
             self.stops();
         }
@@ -406,7 +399,7 @@ mod tests {
             let mut lag = 0.0f64;
             for _ in 0..4_000_000 / step_us {
                 g.advance(step_us * 1_000);
-                plant.advance(g.position(), g.velocity(), g.acceleration(), step_us * 1_000, true);
+                plant.advance(g.position(), g.velocity(), g.acceleration(), step_us * 1_000);
                 lag = lag.max((plant.position() - g.position()).abs());
             }
             prop_assert!(lag < 2e-3, "lag {lag}");
@@ -423,7 +416,10 @@ mod tests {
             let mut plant = Plant::new(PlantPlan { range: (0.2, 0.3), ..PlantPlan::default() });
             prop_assert_eq!(plant.position(), 0.2);
             for (x, v, a, dt, powered) in steps {
-                plant.advance(x, v, a, dt, powered);
+                match powered {
+                    true => plant.advance(x, v, a, dt),
+                    false => plant.advance_with_force(0.0, dt),
+                }
                 prop_assert!((0.2..=0.3).contains(&plant.position()));
                 prop_assert!(plant.velocity().is_finite() && plant.force().abs() <= 200.0);
             }
@@ -434,12 +430,12 @@ mod tests {
     fn without_power_it_runs_out() {
         let mut plant = Plant::new(PlantPlan::default());
         for k in 1..=100u32 {
-            plant.advance(1e-3 * f64::from(k) * 0.5, 0.5, 0.0, MS, true);
+            plant.advance(1e-3 * f64::from(k) * 0.5, 0.5, 0.0, MS);
         }
         assert!((plant.velocity() - 0.5).abs() < 1e-3);
         let from = plant.position();
         for _ in 0..200 {
-            plant.advance(0.0, 0.0, 0.0, MS, false);
+            plant.advance_with_force(0.0, MS);
         }
         // v^2 / (2 F / m) = 0.25 / 10
         assert!((plant.position() - from - 0.025).abs() < 1e-3, "{}", plant.position() - from);
@@ -467,10 +463,10 @@ mod tests {
     fn a_limited_force_stays_behind() {
         let mut plant = Plant::new(PlantPlan::default());
         plant.limit_force(Some(-7.0));
-        plant.advance(0.5, 0.0, 0.0, MS, true);
+        plant.advance(0.5, 0.0, 0.0, MS);
         assert_eq!(plant.force(), 7.0);
         plant.limit_force(None);
-        plant.advance(0.5, 0.0, 0.0, MS, true);
+        plant.advance(0.5, 0.0, 0.0, MS);
         assert_eq!(plant.force(), 200.0);
     }
 
@@ -479,12 +475,12 @@ mod tests {
         let mut plant = Plant::new(PlantPlan { range: (-0.1, 0.1), ..PlantPlan::default() });
         assert!(!plant.at_stop());
         for _ in 0..1_000 {
-            plant.advance(0.5, 0.0, 0.0, MS, true);
+            plant.advance(0.5, 0.0, 0.0, MS);
         }
         assert!(plant.at_stop());
         assert_eq!((plant.position(), plant.velocity(), plant.force()), (0.1, 0.0, 200.0));
         for _ in 0..1_000 {
-            plant.advance(0.0, 0.0, 0.0, MS, true);
+            plant.advance(0.0, 0.0, 0.0, MS);
         }
         assert!(!plant.at_stop() && plant.position().abs() < 1e-9);
     }

@@ -30,7 +30,6 @@ use self::motion::Track;
 use super::Application;
 use super::mailbox::Mailbox;
 use super::mapping::Mapping;
-use super::motor::{Aim, Motor, RPM};
 use super::objects::Objects;
 use super::settings::DriveSettings;
 use super::sync::{QUANTUM_NS, Sync};
@@ -43,12 +42,12 @@ use crate::bus::ethercat::object::{Family, Object};
 use crate::bus::ethercat::wire::mailbox::Emergency;
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::sim::Truth;
-use crate::time::{MS, S, Time, US};
+use crate::sim::physics::PlantPlan;
+use crate::sim::power::{Aim, PowerDrive, PowerPlan, RPM, Reset, set_bits};
+use crate::time::{MS, S, Time};
 
-/// One step of the motor ...
-const STEP_NS: u64 = 500 * US;
-/// ... and the most of them after a silence, whose steps are longer.
-const STEPS: u64 = 4_000;
+/// Bandwidth of the position controller, Hz.
+const BANDWIDTH_HZ: f64 = 60.0;
 /// The most counts of 250 us of a cycle: PTBASE (EtherCAT manual).
 const QUANTA_MAX: u64 = 127;
 /// Within this of its setpoint a speed is reached, rad/s, and a position, rad (assumed).
@@ -80,16 +79,13 @@ pub struct Drive {
     /// When it last sent an unrequested message.
     disturbed: Time,
     sync: Sync,
-    motor: Motor,
+    power: PowerDrive<Fault>,
     al: AlState,
     /// Why it left OP by itself.
     dropped: Option<AlCode>,
     state: State,
-    fault: Option<Fault>,
     /// The last control word that was followed, since OP.
     control: Option<ControlWord>,
-    inhibited_until: Time,
-    lived: Option<Time>,
     /// `None`: its objects have no valid value.
     cycle_ns: Option<u64>,
     track: Track,
@@ -99,9 +95,6 @@ pub struct Drive {
     values: Vec<(Object, i64)>,
     acknowledged: bool,
     homing: Homing,
-    homed: bool,
-    /// The position of count 0, rad.
-    zero: f64,
 }
 
 impl Drive {
@@ -113,22 +106,17 @@ impl Drive {
             mailbox: Mailbox::new(settings.dialect, settings.long_sdos.map(usize::from)),
             disturbed: Time::default(),
             sync: Sync::new(settings.interrupts_to_sync),
-            motor: Motor::new(&settings.motor),
+            power: power_drive(&settings),
             al: AlState::Init,
             dropped: None,
             state: State::SwitchOnDisabled,
-            fault: None,
             control: None,
-            inhibited_until: Time(0),
-            lived: None,
             cycle_ns: None,
             track: Track::hold(0.0),
             goal: None,
             values: Vec::new(),
             acknowledged: false,
             homing: Homing::Idle,
-            homed: false,
-            zero: -f64::from(settings.position) / f64::from(settings.increments()) * TAU,
             settings,
         };
         drive.set_up();
@@ -186,7 +174,7 @@ impl Drive {
 
     /// The present fault.
     pub fn fault(&self) -> Option<Fault> {
-        self.fault
+        self.power.fault()
     }
 
     /// It follows the cycle of the bus: warning n17 is gone.
@@ -196,28 +184,22 @@ impl Drive {
 
     /// It has its reference.
     pub fn is_homed(&self) -> bool {
-        self.homed
+        self.power.homed
     }
 
     /// Its true state; its counts are increments.
     pub fn truth(&self) -> Truth {
-        let per_turn = self.per_turn();
-        Truth {
-            powered: self.state.is_powered(),
-            homed: self.homed,
-            position: (self.motor.place() - self.zero) / TAU * per_turn,
-            velocity: self.motor.speed() / TAU * per_turn,
-        }
+        self.power.truth(self.state.is_powered(), TAU / self.per_turn())
     }
 
     /// Speed of the motor, rpm.
     pub fn rpm(&self) -> f64 {
-        self.motor.speed() / RPM
+        self.power.speed() / RPM
     }
 
     /// Its reported actual position, before it is cut to 32 bits.
     pub fn position(&self) -> i64 {
-        counts(self.motor.place() - self.zero, self.per_turn())
+        counts(self.power.position(), self.per_turn())
     }
 
     /// Raises a fault.
@@ -227,7 +209,7 @@ impl Drive {
 
     /// Opens the hardware enable (STO) until then.
     pub fn inhibit(&mut self, until: Time) {
-        self.inhibited_until = until;
+        self.power.inhibit(until);
     }
 
     fn enter(&mut self, state: AlState) {
@@ -251,11 +233,12 @@ impl Drive {
         }
     }
 
-    fn step(&mut self, at: Time, dt_ns: u64) {
+    fn step(&mut self, dt_ns: u64) {
+        let at = self.power.now();
         if self.sync.pass(at) {
             self.lose_sync();
         }
-        if !self.is_enabled(at) {
+        if !self.power.is_enabled() {
             self.state = match self.state {
                 State::FaultReactionActive => State::Fault,
                 State::SwitchedOn | State::OperationEnabled | State::QuickStopActive => {
@@ -265,9 +248,9 @@ impl Drive {
             };
         }
         let aim = self.aim(at);
-        self.motor.step(aim, dt_ns);
+        self.power.step(aim, dt_ns);
         self.watch(aim);
-        if self.motor.is_standing() {
+        if self.power.is_standing() {
             self.state = match self.state {
                 State::QuickStopActive => State::SwitchOnDisabled,
                 State::FaultReactionActive => State::Fault,
@@ -303,7 +286,7 @@ impl Drive {
     }
 
     fn limit_torque(&mut self) {
-        self.motor.limit_torque(self.torque(self.objects.get(MAXIMUM_TORQUE) as f64));
+        self.power.limit_torque(Some(self.torque(self.objects.get(MAXIMUM_TORQUE) as f64)));
     }
 
     /// N m of per mille.
@@ -321,7 +304,7 @@ impl Drive {
     fn place_of(&self, position: i64) -> f64 {
         let now = self.position();
         let way = (position as i32).wrapping_sub(now as i32);
-        self.zero + now.saturating_add(way.into()) as f64 / self.per_turn() * TAU
+        self.power.zero + now.saturating_add(way.into()) as f64 / self.per_turn() * TAU
     }
 }
 
@@ -367,7 +350,7 @@ impl Application for Drive {
     /// The next message for the master, whenever its mailbox is empty; false if there is none.
     fn message(&mut self, reply: &mut Vec<u8>) -> bool {
         reply.clear();
-        let now = self.lived.unwrap_or_default();
+        let now = self.power.now();
         let is_due = |pause: u64| now.since(self.disturbed) >= pause;
         if self.mailbox.is_empty() && self.al != AlState::Init && self.settings.unasked_ns.is_some_and(is_due)
         {
@@ -399,14 +382,9 @@ impl Application for Drive {
     /// Advances to `now`. Without cyclic interrupts it has to be called now and then: otherwise the drive does not
     /// notice that they are missing.
     fn live(&mut self, now: Time) {
-        let mut at = *self.lived.get_or_insert(now);
-        let longest = (now.since(at) / STEPS).max(STEP_NS);
-        while at < now {
-            let dt_ns = now.since(at).min(longest);
-            at = at + dt_ns;
-            self.step(at, dt_ns);
+        while let Some(dt_ns) = self.power.advance(now) {
+            self.step(dt_ns);
         }
-        self.lived = Some(at);
     }
 
     /// Why it left OP by itself, once: it is in SAFEOP now.
@@ -422,7 +400,8 @@ impl Application for Drive {
         self.mailbox.reset();
         self.sync.start(None);
         (self.al, self.dropped, self.state) = (AlState::Init, None, State::SwitchOnDisabled);
-        (self.fault, self.control, self.homed) = (None, None, false);
+        self.control = None;
+        self.power.restart();
         self.set_up();
     }
 
@@ -441,6 +420,27 @@ impl Application for Drive {
     fn drive(&mut self) -> Option<&mut Drive> {
         Some(self)
     }
+}
+
+/// The power drive of these settings, at its position.
+fn power_drive(settings: &DriveSettings) -> PowerDrive<Fault> {
+    let motor = &settings.motor;
+    let mut power = PowerDrive::new(PowerPlan {
+        plant: PlantPlan {
+            mass_kg: motor.inertia_kgm2,
+            range: (f64::NEG_INFINITY, f64::INFINITY),
+            bandwidth_hz: BANDWIDTH_HZ,
+            damping: 1.0,
+            feed_forward: 1.0,
+            peak_force_n: motor.peak_permille / 1e3 * motor.rated_nm,
+            friction_n: motor.friction_nm,
+        },
+        max_speed: motor.max_rpm * RPM,
+        hardware_enable: settings.hardware_enable,
+        scan_ns: None,
+    });
+    power.zero = -f64::from(settings.position) / f64::from(settings.increments()) * TAU;
+    power
 }
 
 /// The count of an angle.

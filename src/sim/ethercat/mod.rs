@@ -17,7 +17,6 @@
 //! | `objects`, `mapping` | its objects and which of them can be written; PDOs that the master maps |
 //! | `mailbox`, `transfer` | SDOs and emergencies; SDOs of more than four bytes |
 //! | `sync` | whether the cycle of the bus is regular enough |
-//! | `motor` | the motor and its setpoint generator |
 //! | `coupler` | an application: plain digital and analogue I/O |
 //!
 //! A slave has no thread: when a frame passes it advances by the time since the last one. Where the standard leaves
@@ -50,7 +49,6 @@ mod firmware;
 mod mailbox;
 mod manager;
 mod mapping;
-mod motor;
 mod objects;
 pub mod segment;
 mod settings;

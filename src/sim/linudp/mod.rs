@@ -61,18 +61,10 @@ use crate::bus::BusPlan;
 use crate::bus::linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
 use crate::bus::linudp::{LinUdpPlan, MASTER_PORT};
 use crate::sim::{FaultPlan, SimBus, SimDrive, Simulated, Truth};
-use crate::time::{MS, S, Time, US};
+use crate::time::{MS, Time};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
 const BOOT_NS: u64 = 100 * MS;
-
-/// One step of motor and state machine; also the drive's reaction time.
-const STEP_NS: u64 = 500 * US;
-/// After a silence the drive advances through so much of it in steps of [`STEP_NS`] ...
-const FINE_NS: u64 = S;
-/// ... and through the rest in at most so many longer ones. By then every stream has run dry and every stop has ended,
-/// and profiles do not depend on the step.
-const COARSE_STEPS: u64 = 1_000;
 
 /// Room for the longest answer and the largest padding.
 const IMAGE: usize = 64;
@@ -121,8 +113,6 @@ pub struct LinMotSim {
     /// The one master of the filter that latches.
     master: Option<Ipv4Addr>,
     machine: Machine,
-    /// The instant up to which the drive has advanced.
-    lived: Option<Time>,
     booted_at: Time,
     /// Receives nothing until then.
     deaf_until: Time,
@@ -139,7 +129,6 @@ impl LinMotSim {
         LinMotSim {
             master: None,
             machine: Machine::new(&settings),
-            lived: None,
             booted_at: Time(0),
             deaf_until: Time(0),
             channel: Channel::new(settings.config_time_ns),
@@ -167,24 +156,8 @@ impl LinMotSim {
 
     /// Its true state at `now`.
     pub fn truth(&mut self, now: Time) -> Truth {
-        self.live(now);
+        self.machine.advance(now);
         self.machine.truth()
-    }
-
-    /// Advances to `now`.
-    fn live(&mut self, now: Time) {
-        let mut at = self.lived.unwrap_or_else(|| {
-            self.machine.wake(now);
-            now
-        });
-        let fine_end = at + FINE_NS;
-        let coarse_ns = (now.since(fine_end) / COARSE_STEPS).max(STEP_NS);
-        while at < now {
-            let dt_ns = now.since(at).min(if at < fine_end { STEP_NS } else { coarse_ns });
-            at = at + dt_ns;
-            self.machine.step(at, dt_ns);
-        }
-        self.lived = Some(at);
     }
 
     fn lets_through(&mut self, master: Ipv4Addr) -> bool {
@@ -256,7 +229,7 @@ impl SimDrive for LinMotSim {
         bytes: &[u8],
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4> {
-        self.live(now);
+        self.machine.advance(now);
         if from.port() != MASTER_PORT {
             self.ignored.wrong_port += 1;
             return None;
@@ -289,8 +262,8 @@ impl SimDrive for LinMotSim {
     }
 
     fn restart(&mut self, now: Time) {
-        self.live(now);
-        self.machine.power_up(now);
+        self.machine.advance(now);
+        self.machine.power_up();
         self.booted_at = now + BOOT_NS;
         self.deaf_until = Time(0);
         self.master = None;

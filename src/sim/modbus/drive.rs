@@ -2,6 +2,8 @@
 //!
 //! Knows no bytes and no connections. Time comes in steps.
 
+use std::f64::consts::TAU;
+
 use super::database::Database;
 use super::motor::{Demand, Motor};
 use super::sequencer::{self, Sequencer};
@@ -10,6 +12,7 @@ use super::table::{self, Variable};
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::sim::Truth;
+use crate::sim::power::set_bits;
 use crate::time::{MS, Time};
 
 /// Steps in which a drive that is found running has reached its speed: 60 s.
@@ -21,26 +24,16 @@ pub(super) struct Drive {
     pub parameters: Database,
     pub sequencer: Sequencer,
     motor: Motor,
-    hardware_enable: bool,
-    /// The hardware enable (STO) is open until then, whatever happens to the drive.
-    inhibited_until: Time,
-    /// It is there now.
-    enabled: bool,
 }
 
 impl Drive {
     pub(super) fn new(settings: &UnidriveSettings) -> Drive {
-        let mut drive = Drive {
-            parameters: Database::new(settings),
-            sequencer: Sequencer::new(settings),
-            motor: Motor::new(&settings.motor),
-            hardware_enable: settings.hardware_enable,
-            inhibited_until: Time(0),
-            enabled: settings.hardware_enable,
-        };
+        let mut motor = Motor::new(settings);
+        let sequencer = Sequencer::new(settings, &mut motor.power);
+        let mut drive = Drive { parameters: Database::new(settings), sequencer, motor };
         match settings.start {
             Start::Idle => {}
-            Start::Tripped(trip) => drive.sequencer.trip(Trip(trip)),
+            Start::Tripped(trip) => drive.trip(Trip(trip)),
             Start::Running(speed) => drive.run_up(speed),
         }
         drive
@@ -56,34 +49,40 @@ impl Drive {
         self.parameters.set(table::CONTROL_WORD_ENABLE, 1);
         self.write(table::PRESET, (speed.abs() * 10.0).round() as i32);
         self.write(table::CONTROL_WORD, word.0.into());
-        (0..RUN_UP.0).for_each(|_| self.step(Time(0), RUN_UP.1));
+        (0..RUN_UP.0).for_each(|_| self.step(RUN_UP.1));
     }
 
     /// Power came back: everything volatile is lost, the motor goes on turning as it did.
     pub(super) fn restart(&mut self) {
         self.parameters.restart();
-        self.sequencer.restart();
+        self.sequencer.restart(&mut self.motor.power);
     }
 
     /// What the motor really does, in revolutions.
     pub(super) fn truth(&self) -> Truth {
-        Truth {
-            powered: self.sequencer.is_active(),
-            homed: false,
-            position: self.motor.place(),
-            velocity: self.motor.speed() / 60.0,
-        }
+        self.motor.power.truth(self.sequencer.is_active(), TAU)
+    }
+
+    /// Trips the drive.
+    pub(super) fn trip(&mut self, trip: Trip) {
+        self.sequencer.trip(&mut self.motor.power, trip);
     }
 
     /// Opens the hardware enable until then.
     pub(super) fn inhibit(&mut self, until: Time) {
-        self.inhibited_until = until;
+        self.motor.power.inhibit(until);
     }
 
-    /// Lets `dt_ns` pass, which end at `now`.
-    pub(super) fn step(&mut self, now: Time, dt_ns: u64) {
-        self.enabled = self.hardware_enable && now >= self.inhibited_until;
-        self.sequencer.step(dt_ns, &self.parameters, self.enabled, self.is_standing());
+    /// Advances to `now`, in whole scans.
+    pub(super) fn advance(&mut self, now: Time) {
+        while let Some(dt_ns) = self.motor.power.advance(now) {
+            self.step(dt_ns);
+        }
+    }
+
+    fn step(&mut self, dt_ns: u64) {
+        let standing = self.is_standing();
+        self.sequencer.step(dt_ns, &self.parameters, &mut self.motor.power, standing);
         let demand = self.sequencer.is_active().then(|| self.demand());
         self.motor.step(demand, dt_ns);
     }
@@ -132,12 +131,12 @@ impl Drive {
             table::RESET => before == 0 && value == 1,
             table::USER_TRIP => {
                 self.parameters.set(place, 0);
-                self.sequencer.user_trip(value as u16)
+                self.sequencer.user_trip(&mut self.motor.power, value as u16)
             }
             _ => false,
         };
         if resets {
-            self.sequencer.reset();
+            self.sequencer.reset(&mut self.motor.power);
             self.parameters.reset();
         }
         true
@@ -149,7 +148,11 @@ impl Drive {
             self.parameters.set(table::REMOTE, word.has(ControlWord::REMOTE).into());
         }
         self.parameters.is_on(table::CONTROL_WORD_ENABLE)
-            && self.sequencer.control(ControlWord(before as u16), ControlWord(word as u16))
+            && self.sequencer.control(
+                &mut self.motor.power,
+                ControlWord(before as u16),
+                ControlWord(word as u16),
+            )
     }
 
     fn value(&self, variable: Variable) -> i32 {
@@ -160,13 +163,13 @@ impl Drive {
             Variable::PreRamp => self.sequencer.pre_ramp(&self.parameters),
             Variable::PostRamp => tenths(motor.ramp()),
             Variable::FinalSpeed => tenths(motor.reference()),
-            Variable::Speed => tenths(motor.speed()),
-            Variable::SpeedError => tenths(motor.reference() - motor.speed()),
+            Variable::Speed => tenths(self.motor.speed()),
+            Variable::SpeedError => tenths(motor.reference() - self.motor.speed()),
             Variable::Current => (motor.current() * 1e3).round() as i32,
             Variable::Load => tenths(motor.load_percent()),
             Variable::Frequency => tenths(motor.frequency()),
             Variable::DcBus => motor.dc_bus().round() as i32,
-            Variable::HardwareEnable => self.enabled.into(),
+            Variable::HardwareEnable => self.motor.power.is_enabled().into(),
             Variable::Status => self.status().0.into(),
             Variable::StatusBit(bit) => (self.status().0 >> bit & 1).into(),
             Variable::Trip(index) => self.sequencer.logged(index).0.into(),
@@ -186,7 +189,7 @@ impl Drive {
         let minimum = (number(table::MINIMUM_REFERENCE) / 10.0).max(0.0) + number(table::ZERO_SPEED);
         let load = self.motor.load_percent();
         let bits = [
-            (self.sequencer.standing_trip().is_none(), W::HEALTHY),
+            (self.motor.power.fault().is_none(), W::HEALTHY),
             (active, W::ACTIVE),
             (self.is_standing(), W::ZERO_SPEED),
             (speed.abs() <= minimum, W::AT_MINIMUM),
@@ -199,6 +202,6 @@ impl Drive {
             (self.sequencer.is_reversed(), W::REVERSE_COMMANDED),
             (speed < 0.0 && !self.is_standing(), W::REVERSE_RUNNING),
         ];
-        StatusWord(bits.iter().filter(|(set, _)| *set).fold(0, |word, (_, bit)| word | bit))
+        StatusWord(set_bits(bits))
     }
 }

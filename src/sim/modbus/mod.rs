@@ -47,15 +47,7 @@ use crate::bus::BusPlan;
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::{ModbusPlan, UnidriveDrive};
 use crate::sim::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, Truth};
-use crate::time::{MS, S, Time};
-
-/// One step of sequencer and motor; also the drive's reaction time.
-const STEP_NS: u64 = MS;
-/// After a silence the drive advances through so much of it in steps of [`STEP_NS`] ...
-const FINE_NS: u64 = S;
-/// ... and through the rest in at most so many longer ones. By then every watchdog has run out, and ramps do not depend
-/// on the step.
-const COARSE_STEPS: u64 = 1_000;
+use crate::time::Time;
 
 /// The simulated drives of a Modbus TCP bus.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,8 +88,6 @@ pub struct UnidriveSim {
     settings: UnidriveSettings,
     drive: Drive,
     server: Server,
-    /// The instant up to which the drive has advanced.
-    lived: Option<Time>,
     /// Does not receive until then.
     booted_at: Time,
 }
@@ -109,14 +99,13 @@ impl UnidriveSim {
             drive: Drive::new(&settings),
             server: Server::new(&settings.interface),
             settings,
-            lived: None,
             booted_at: Time(0),
         }
     }
 
     /// Trips the drive, as if its hardware had.
     pub fn provoke(&mut self, trip: Trip) {
-        self.drive.sequencer.trip(trip);
+        self.drive.trip(trip);
     }
 
     /// The connections that it holds.
@@ -126,24 +115,8 @@ impl UnidriveSim {
 
     /// Its true state at `now`; its counts are revolutions. This counts as no request of a master.
     pub fn truth(&mut self, now: Time) -> Truth {
-        self.live(now);
+        self.drive.advance(now);
         self.drive.truth()
-    }
-
-    /// Advances to `now`, in whole steps.
-    fn live(&mut self, now: Time) {
-        let mut at = *self.lived.get_or_insert(now);
-        let fine_end = at + FINE_NS;
-        let coarse_ns = (now.since(fine_end) / COARSE_STEPS).max(STEP_NS);
-        loop {
-            let dt_ns = if at < fine_end { STEP_NS } else { coarse_ns };
-            if now.since(at) < dt_ns {
-                break;
-            }
-            at = at + dt_ns;
-            self.drive.step(at, dt_ns);
-        }
-        self.lived = Some(at);
     }
 }
 
@@ -167,13 +140,13 @@ impl SimDrive for UnidriveSim {
         bytes: &[u8],
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4> {
-        self.live(now);
+        self.drive.advance(now);
         self.server.take(from, bytes, &mut self.drive, reply);
         (!reply.is_empty()).then_some(from)
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
-        self.live(now);
+        self.drive.advance(now);
         now >= self.booted_at && self.server.connect(from)
     }
 
@@ -182,7 +155,7 @@ impl SimDrive for UnidriveSim {
     }
 
     fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
-        self.live(now);
+        self.drive.advance(now);
         self.server.disconnect(from);
     }
 
@@ -194,7 +167,7 @@ impl SimDrive for UnidriveSim {
     }
 
     fn restart(&mut self, now: Time) {
-        self.live(now);
+        self.drive.advance(now);
         self.drive.restart();
         self.server.disconnect_all();
         self.booted_at = now + self.settings.boot_ns;

@@ -3,14 +3,14 @@
 //! Knows no parameter and no control word: speeds are rpm, ramps are rpm/s. The speed controller is ideal: the motor
 //! follows the ramp as long as the torque limit lets it.
 
-use std::f64::consts::TAU;
+use super::settings::{MotorSettings, UnidriveSettings};
+use crate::bus::modbus::trips::Trip;
+use crate::sim::physics::PlantPlan;
+use crate::sim::power::{Aim, PowerDrive, PowerPlan, RPM};
+use crate::time::{MS, S};
 
-use super::settings::MotorSettings;
-use crate::sim::physics::{Plant, PlantPlan};
-use crate::time::S;
-
-/// rad/s of 1 rpm.
-const RPM: f64 = TAU / 60.0;
+/// One scan of sequencer and motor; also the drive's reaction time.
+const SCAN_NS: u64 = MS;
 
 /// The DC bus of a drive on 400 V mains, V.
 const DC_BUS: f64 = 565.0;
@@ -34,7 +34,7 @@ pub(super) struct Demand {
 #[derive(Debug)]
 pub(super) struct Motor {
     settings: MotorSettings,
-    plant: Plant,
+    pub(super) power: PowerDrive<Trip>,
     /// Post-ramp reference, rpm.
     ramp: f64,
     /// The same with the added offset.
@@ -47,15 +47,22 @@ pub(super) struct Motor {
 
 impl Motor {
     /// Stands still, without power.
-    pub(super) fn new(settings: &MotorSettings) -> Motor {
-        let plant = Plant::new(PlantPlan {
+    pub(super) fn new(drive: &UnidriveSettings) -> Motor {
+        let settings = drive.motor.clone();
+        let plant = PlantPlan {
             mass_kg: settings.inertia_kgm2,
             range: (f64::NEG_INFINITY, f64::INFINITY),
             peak_force_n: f64::INFINITY,
             friction_n: settings.friction_nm,
             ..PlantPlan::default()
+        };
+        let power = PowerDrive::new(PowerPlan {
+            plant,
+            max_speed: f64::INFINITY,
+            hardware_enable: drive.hardware_enable,
+            scan_ns: Some(SCAN_NS),
         });
-        Motor { settings: settings.clone(), plant, ramp: 0.0, reference: 0.0, torque: 0.0, limited: false }
+        Motor { settings, power, ramp: 0.0, reference: 0.0, torque: 0.0, limited: false }
     }
 
     /// Lets `dt_ns` pass; `None`: without power.
@@ -69,7 +76,9 @@ impl Motor {
             }
             None => (self.torque, self.limited) = (0.0, false),
         }
-        self.plant.advance_with_force(self.torque - self.load(dt), dt_ns);
+        self.power.load = self.load(dt);
+        let aim = demand.map_or(Aim::Off, |_| Aim::Torque(self.torque));
+        self.power.step(aim, dt_ns);
         if demand.is_none() {
             // A motor that is switched on while it turns is caught at its speed.
             self.ramp = self.speed();
@@ -80,8 +89,8 @@ impl Motor {
     /// The torque that brings the motor to its reference within this step, as far as the limit allows.
     fn push(&mut self, limit: f64, dt: f64) {
         let reference = self.reference * RPM;
-        let missing = reference - self.plant.velocity();
-        let turning = if self.plant.velocity() == 0.0 { missing } else { self.plant.velocity() };
+        let missing = reference - self.power.speed();
+        let turning = if self.power.speed() == 0.0 { missing } else { self.power.speed() };
         let wanted =
             missing * self.settings.inertia_kgm2 / dt + self.drag() * reference + self.friction(turning);
         let most = limit / 100.0 * self.settings.rated_nm;
@@ -91,7 +100,7 @@ impl Motor {
 
     /// The load torque at the speed that this step leads to, N m: an implicit Euler step, stable at any length.
     fn load(&self, dt: f64) -> f64 {
-        let speed = self.plant.velocity();
+        let speed = self.power.speed();
         let gain = (self.torque - self.friction(speed)) * dt / self.settings.inertia_kgm2;
         self.drag() * (speed + gain) / (1.0 + self.drag() * dt / self.settings.inertia_kgm2)
     }
@@ -106,14 +115,9 @@ impl Motor {
         if turning == 0.0 { 0.0 } else { self.settings.friction_nm.copysign(turning) }
     }
 
-    /// Where the motor is, revolutions.
-    pub(super) fn place(&self) -> f64 {
-        self.plant.position() / TAU
-    }
-
     /// Speed of the motor, rpm.
     pub(super) fn speed(&self) -> f64 {
-        self.plant.velocity() / RPM
+        self.power.speed() / RPM
     }
 
     /// Post-ramp reference, rpm.

@@ -23,6 +23,7 @@ use super::settings::{UnidriveSettings, Watchdog};
 use super::table;
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::ControlWord;
+use crate::sim::power::{PowerDrive, Reset};
 use crate::time::MS;
 
 /// Entries of the trip log: 10.020 ... 10.029.
@@ -43,6 +44,9 @@ const TERMINALS: [(usize, u16); 6] = [
     (table::NOT_STOP, ControlWord::NOT_STOP),
 ];
 
+/// The power drive that it commands.
+type Power = PowerDrive<Trip>;
+
 /// A run command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Run {
@@ -59,9 +63,6 @@ pub(super) struct Sequencer {
     overcurrent_wait_ns: u64,
     /// The trip of an interface that receives nothing any more.
     link_trip: Trip,
-    trip: Option<Trip>,
-    /// Until the trip can be reset, ns.
-    wait_ns: u64,
     /// The newest first.
     log: VecDeque<Trip>,
     /// Until the control word has to be written again, ns.
@@ -75,14 +76,12 @@ pub(super) struct Sequencer {
 }
 
 impl Sequencer {
-    pub(super) fn new(settings: &UnidriveSettings) -> Sequencer {
+    pub(super) fn new(settings: &UnidriveSettings, power: &mut Power) -> Sequencer {
         let mut sequencer = Sequencer {
             persistent: settings.persistent_trip.map(Trip),
             watchdog: settings.watchdog,
             overcurrent_wait_ns: settings.overcurrent_wait_ns,
             link_trip: slot_error(settings.interface.slot),
-            trip: None,
-            wait_ns: 0,
             log: VecDeque::with_capacity(LOG),
             served_ns: None,
             received_ns: None,
@@ -90,68 +89,64 @@ impl Sequencer {
             running: None,
             active: false,
         };
-        sequencer.restart();
+        sequencer.restart(power);
         sequencer
     }
 
     /// Power came back: the log survives it.
-    pub(super) fn restart(&mut self) {
-        (self.trip, self.wait_ns) = (None, 0);
+    pub(super) fn restart(&mut self, power: &mut Power) {
+        power.restart();
         (self.served_ns, self.received_ns) = (None, None);
         (self.latched, self.running, self.active) = (None, None, false);
         if let Some(trip) = self.persistent {
-            self.trip(trip);
+            self.trip(power, trip);
         }
     }
 
     /// Trips the drive. The first trip stays.
-    pub(super) fn trip(&mut self, trip: Trip) {
-        if self.trip.is_some() {
+    pub(super) fn trip(&mut self, power: &mut Power, trip: Trip) {
+        let wait_ns = if trip == Trip::OVER_CURRENT { self.overcurrent_wait_ns } else { 0 };
+        if !power.fail(trip, Reset::After(wait_ns)) {
             return;
         }
-        self.trip = Some(trip);
-        self.wait_ns = if trip == Trip::OVER_CURRENT { self.overcurrent_wait_ns } else { 0 };
         self.served_ns = None;
         self.log.truncate(LOG - 1);
         self.log.push_front(trip);
     }
 
     /// Resets the trip, if it can be.
-    pub(super) fn reset(&mut self) {
-        if self.wait_ns > 0 {
-            return;
-        }
-        if self.trip.take().is_some()
+    pub(super) fn reset(&mut self, power: &mut Power) {
+        if power.reset()
             && let Some(trip) = self.persistent
         {
-            self.trip(trip);
+            self.trip(power, trip);
         }
     }
 
     /// The control word was written while 06.043 is 1; whether it resets the drive.
     #[must_use]
-    pub(super) fn control(&mut self, before: ControlWord, word: ControlWord) -> bool {
+    pub(super) fn control(&mut self, power: &mut Power, before: ControlWord, word: ControlWord) -> bool {
         let rising = |bit| word.has(bit) && !before.has(bit);
         let Watchdog { time_ns, edges_only, held } = self.watchdog;
         match word.has(ControlWord::KEYPAD_WATCHDOG) {
-            true if self.trip.is_some() || edges_only && !rising(ControlWord::KEYPAD_WATCHDOG) => {}
+            true if power.fault().is_some() || edges_only && !rising(ControlWord::KEYPAD_WATCHDOG) => {}
             true => self.served_ns = Some(time_ns),
             false if edges_only || held => {}
             false => self.served_ns = None,
         }
         if rising(ControlWord::TRIP) {
-            self.trip(Trip::CONTROL_WORD);
+            self.trip(power, Trip::CONTROL_WORD);
         }
         rising(ControlWord::RESET)
     }
 
     /// 10.038 was written; whether it resets the drive.
     #[must_use]
-    pub(super) fn user_trip(&mut self, number: u16) -> bool {
+    pub(super) fn user_trip(&mut self, power: &mut Power, number: u16) -> bool {
         match number {
             0 | Trip::USER_RESET => {}
             Trip::USER_CLEAR => self.log.clear(),
-            _ => self.trip(Trip(number)),
+            _ => self.trip(power, Trip(number)),
         }
         number == Trip::USER_RESET
     }
@@ -162,18 +157,17 @@ impl Sequencer {
     }
 
     /// Lets `dt_ns` pass: watchdogs, then the commands.
-    pub(super) fn step(&mut self, dt_ns: u64, parameters: &Database, hardware: bool, standing: bool) {
-        self.wait_ns = self.wait_ns.saturating_sub(dt_ns);
+    pub(super) fn step(&mut self, dt_ns: u64, parameters: &Database, power: &mut Power, standing: bool) {
         if runs_out(&mut self.served_ns, dt_ns) {
-            self.trip(Trip::WATCHDOG);
+            self.trip(power, Trip::WATCHDOG);
         }
         if runs_out(&mut self.received_ns, dt_ns) {
-            self.trip(self.link_trip);
+            self.trip(power, self.link_trip);
         }
         let by_word = obeyed(parameters);
         let control = by_word.unwrap_or_else(|| terminals(parameters));
-        let enabled = hardware
-            && self.trip.is_none()
+        let enabled = power.is_enabled()
+            && power.fault().is_none()
             && parameters.is_on(table::DRIVE_ENABLE)
             && control.has(ControlWord::ENABLE);
         self.running = self.command(control, parameters).filter(|_| enabled);
@@ -222,11 +216,6 @@ impl Sequencer {
     /// It is commanded to run backward.
     pub(super) fn is_reversed(&self) -> bool {
         self.running.is_some_and(|run| run.reverse)
-    }
-
-    /// The present trip.
-    pub(super) fn standing_trip(&self) -> Option<Trip> {
-        self.trip
     }
 
     /// An entry of the log, 0 being the newest.

@@ -8,25 +8,25 @@ impl Drive {
         if !matches!(aim, Aim::Follow { .. } | Aim::GoTo { .. }) {
             return;
         }
-        let behind = self.motor.demand() - self.motor.place();
+        let behind = self.power.demand() - self.power.place();
         let window = self.objects.get(FOLLOWING_WINDOW);
         if window > 0 && behind.abs() / TAU * self.per_turn() > window as f64 {
             return self.fail(Fault::FOLLOWING);
         }
-        if self.homing == Homing::Moving && !self.motor.is_moving() && behind.abs() < REACHED.1 {
+        if self.homing == Homing::Moving && !self.power.is_moving() && behind.abs() < REACHED.1 {
             self.found_home();
         }
     }
 
     fn found_home(&mut self) {
         let offset = self.objects.get(HOME_OFFSET) as f64;
-        self.zero = self.motor.place() - offset / self.per_turn() * TAU;
-        (self.homing, self.homed, self.goal) = (Homing::Done, true, None);
+        self.power.zero = self.power.place() - offset / self.per_turn() * TAU;
+        (self.homing, self.power.homed, self.goal) = (Homing::Done, true, None);
     }
 
     /// Earlier setpoints no longer count: it stays where it is.
     pub(super) fn hold(&mut self) {
-        self.track = Track::hold(self.motor.place());
+        self.track = Track::hold(self.power.place());
         (self.goal, self.acknowledged, self.homing) = (None, false, Homing::Idle);
     }
 
@@ -44,7 +44,7 @@ impl Drive {
         if word.rises(before, ControlWord::START) {
             let target = self.objects.get(TARGET_POSITION);
             let place = match word.has(ControlWord::RELATIVE) {
-                true => self.motor.demand() + target as f64 / self.per_turn() * TAU,
+                true => self.power.demand() + target as f64 / self.per_turn() * TAU,
                 false => self.place_of(target),
             };
             let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
@@ -55,7 +55,7 @@ impl Drive {
 
     pub(super) fn home(&mut self, word: ControlWord, before: ControlWord) {
         if word.rises(before, ControlWord::START) {
-            self.homed = false;
+            self.power.homed = false;
             if self.objects.get(HOMING_METHOD) == HOME_HERE {
                 return self.found_home();
             }
@@ -88,7 +88,7 @@ impl Drive {
                 since: now,
                 over_ns: self.sync.cycle_ns().unwrap_or(MS),
             },
-            false => Track::hold(self.motor.place()),
+            false => Track::hold(self.power.place()),
         };
     }
 
@@ -126,7 +126,7 @@ impl Drive {
             Mode::INTERPOLATED if !word.has(ControlWord::START) => velocity(0.0),
             Mode::INTERPOLATED | Mode::TRAJECTORY | Mode::CYCLIC_POSITION => {
                 let (place, speed) = self.track.at(at);
-                Aim::Follow { place, speed }
+                Aim::Follow { place, speed, acceleration: 0.0 }
             }
             _ => self.goal.unwrap_or(velocity(0.0)),
         }
@@ -134,13 +134,13 @@ impl Drive {
 
     /// It is at its target position, or speed.
     pub(super) fn is_reached(&self) -> bool {
-        let is_there = |place: f64| (place - self.motor.place()).abs() < REACHED.1;
-        match self.aim(self.lived.unwrap_or_default()) {
+        let is_there = |place: f64| (place - self.power.place()).abs() < REACHED.1;
+        match self.aim(self.power.now()) {
             Aim::Off => false,
             Aim::Torque(_) => true,
-            Aim::Velocity { speed, .. } => (self.motor.speed() - speed).abs() < REACHED.0,
+            Aim::Velocity { speed, .. } => (self.power.speed() - speed).abs() < REACHED.0,
             Aim::Follow { place, .. } => is_there(place),
-            Aim::GoTo { place, .. } => is_there(place) && !self.motor.is_moving(),
+            Aim::GoTo { place, .. } => is_there(place) && !self.power.is_moving(),
         }
     }
 }

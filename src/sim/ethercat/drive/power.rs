@@ -14,37 +14,36 @@ impl Drive {
 
     /// A fault: the first one stays.
     pub(super) fn fail(&mut self, fault: Fault) {
-        if self.fault.is_none() {
+        let reset = if fault.clearing == Clearing::Reset { Reset::Always } else { Reset::Never };
+        if self.power.fail(fault, reset) {
             if !matches!(self.al, AlState::Init | AlState::Boot) {
                 self.mailbox.report(fault.emergency());
             }
-            self.fault = Some(fault);
             self.objects.set(ERROR_COUNT, 1);
             self.objects.set(LAST_ERROR, fault.code.into());
             // Faults that could destroy hardware switch off at once, all others stop first.
-            let stops = self.state.is_powered() && fault.clearing == Clearing::Reset;
+            let stops = self.state.is_powered() && reset == Reset::Always;
             self.state = if stops { State::FaultReactionActive } else { State::Fault };
         }
     }
 
     /// Clears a clearable fault; false: it is not, or its reaction is still under way.
     pub(super) fn clear_fault(&mut self) -> bool {
-        let clears =
-            self.state == State::Fault && self.fault.is_some_and(|fault| fault.clearing == Clearing::Reset);
+        let clears = self.state == State::Fault && self.power.reset();
         if clears {
-            (self.fault, self.state) = (None, State::SwitchOnDisabled);
+            self.state = State::SwitchOnDisabled;
             self.mailbox.report(Emergency::default());
         }
         clears
     }
 
     /// Follows the control word.
-    pub(super) fn obey(&mut self, now: Time) {
+    pub(super) fn obey(&mut self) {
         let word = ControlWord(self.objects.get(CONTROL_WORD) as u16);
         // A bit that is set already when the first word comes is not an edge.
         let before = self.control.replace(word).unwrap_or(word);
         if let Some(transition) = Transition::caused(self.state, word, before) {
-            self.change(now, transition);
+            self.change(transition);
         }
         if self.state != State::OperationEnabled {
             return;
@@ -56,11 +55,11 @@ impl Drive {
         }
     }
 
-    pub(super) fn change(&mut self, now: Time, transition: Transition) {
+    pub(super) fn change(&mut self, transition: Transition) {
         let powers = transition.to.is_powered() && !transition.from.is_powered();
         if transition.cause == Cause::FaultReset {
             self.clear_fault();
-        } else if !powers || self.is_enabled(now) {
+        } else if !powers || self.power.is_enabled() {
             self.state = transition.to;
             if self.state == State::OperationEnabled {
                 self.hold();
@@ -76,9 +75,5 @@ impl Drive {
             State::SwitchedOn | State::ReadyToSwitchOn => State::SwitchOnDisabled,
             state => state,
         };
-    }
-
-    pub(super) fn is_enabled(&self, at: Time) -> bool {
-        self.settings.hardware_enable && at >= self.inhibited_until
     }
 }

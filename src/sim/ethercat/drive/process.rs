@@ -36,7 +36,7 @@ impl Drive {
         }
         values.iter().for_each(|(object, value)| self.objects.set(*object, *value));
         if values.iter().any(|(object, _)| *object == CONTROL_WORD) {
-            self.obey(now);
+            self.obey();
         }
         if values.iter().any(|(object, _)| *object == MAXIMUM_TORQUE) {
             self.limit_torque();

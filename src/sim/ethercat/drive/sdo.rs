@@ -111,7 +111,7 @@ impl Drive {
             CYCLE_TIME => self.cycle_ns = Some(value as u64 * QUANTUM_NS),
             MAXIMUM_TORQUE => self.limit_torque(),
             MODE => self.hold(),
-            CONTROL_WORD if self.al == AlState::Op => self.obey(self.lived.unwrap_or_default()),
+            CONTROL_WORD if self.al == AlState::Op => self.obey(),
             _ => {}
         }
         Ok(())

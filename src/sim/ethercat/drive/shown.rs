@@ -1,7 +1,5 @@
 //! The drive's reports: status words and actual values.
 
-use std::ops::BitOr;
-
 use super::*;
 
 /// Bits of the manufacturer's status, 1002h (CAN manual).
@@ -39,23 +37,23 @@ impl Drive {
     fn manufacturer_status(&self) -> u32 {
         use manufacturer as M;
         set_bits([
-            (!self.motor.is_standing(), M::MOTION),
-            (self.homed, M::REFERENCE),
+            (!self.power.is_standing(), M::MOTION),
+            (self.power.homed, M::REFERENCE),
             (self.is_reached(), M::IN_POSITION),
             (self.state.is_powered(), M::POWER),
-            (self.fault.is_some(), M::ERROR),
+            (self.power.fault().is_some(), M::ERROR),
             (self.state == State::QuickStopActive, M::EMERGENCY_STOP),
         ])
     }
 
     /// Actual values. The status word is constant outside of SAFEOP and OP (EtherCAT manual).
     pub(super) fn refresh(&mut self) {
-        let angle = self.motor.place() - self.zero;
+        let angle = self.power.position();
         let increments = counts(angle, self.settings.increments().into());
-        let behind = counts(self.motor.demand() - self.motor.place(), self.per_turn());
+        let behind = counts(self.power.demand() - self.power.place(), self.per_turn());
         let rpm = self.rpm();
-        let torque = self.motor.torque() / self.settings.motor.rated_nm * 1e3;
-        let fault = self.fault;
+        let torque = self.power.torque() / self.settings.motor.rated_nm * 1e3;
+        let fault = self.power.fault();
         for (object, value) in [
             (ERROR_REGISTER, fault.map_or(0, |fault| fault.error_register().into())),
             (ERROR_CODE, fault.map_or(0, |fault| fault.code.into())),
@@ -77,9 +75,4 @@ impl Drive {
             self.objects.set(STATUS_WORD, self.status().0.into());
         }
     }
-}
-
-/// The word of those bits that are set.
-fn set_bits<T: Default + BitOr<Output = T>>(bits: impl IntoIterator<Item = (bool, T)>) -> T {
-    bits.into_iter().filter(|(set, _)| *set).fold(T::default(), |word, (_, bit)| word | bit)
 }

@@ -131,7 +131,7 @@ impl Machine {
 
     /// Runs a command in state 8, from the bus or from the command table.
     pub(super) fn execute(&mut self, command: &Command, now: Time) -> Result<(), ErrorCode> {
-        if command.moves().is_some() && !self.homed {
+        if command.moves().is_some() && !self.power.homed {
             return Err(ErrorCode::NOT_HOMED);
         }
         let effort = command.effort();
@@ -160,7 +160,7 @@ impl Machine {
             (0x00, 0x8) => self.setpoints.clear_events(),
             (0x00, 0x9) => {
                 let position = a as f64 * METRE;
-                self.reference(position, position - self.plant.position());
+                self.reference(position, self.power.place() - position);
             }
 
             (0x01, 0x7) => self.setpoints.stop(Some(a as u32)),

@@ -22,7 +22,8 @@ use super::upids;
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
 use crate::sim::Truth;
 use crate::sim::linudp::LinMotSettings;
-use crate::sim::physics::{Plant, PlantPlan};
+use crate::sim::physics::PlantPlan;
+use crate::sim::power::{Aim, PowerDrive, PowerPlan, Reset};
 use crate::time::{MS, Time};
 
 /// Hardware tests of state 5 (SG5 manual: about 300 ms).
@@ -59,10 +60,13 @@ enum Mode {
     SwitchOnDisabled,
     ReadyToSwitchOn,
     Error,
-    HwTests { until: Time },
+    HwTests {
+        until: Time,
+    },
     ReadyToOperate,
     Operating(Task),
-    QuickStop { error: bool },
+    /// To standstill, then off; to an error if one stands.
+    QuickStop,
 }
 
 /// The task of an enabled drive: states 8 and above.
@@ -87,22 +91,15 @@ pub(super) struct Machine {
     control: ControlWord,
     /// The effective control word that the last transition saw: for edges.
     seen: ControlWord,
-    error: ErrorCode,
-    homed: bool,
     /// The count of the last accepted motion command.
     count: u8,
     pub(super) setpoints: Setpoints,
-    plant: Plant,
+    power: PowerDrive<ErrorCode>,
     effort: Effort,
     /// The position in the command table, if it runs.
     sequence: Option<Sequence>,
-    /// Drive coordinates = mechanical position + offset, m. 0 once the home switch was found.
-    offset: f64,
     /// Turning points of a drive that was found running, until a master takes over.
     shuttle: Option<(f64, f64)>,
-    /// The hardware enable (STO) is open until then, whatever happens to the drive.
-    inhibited_until: Time,
-    inhibited: bool,
     /// The control words that the status word is still to report, each with its time, and the one that it reports.
     lagging: VecDeque<(Time, ControlWord)>,
     reported: ControlWord,
@@ -111,10 +108,6 @@ pub(super) struct Machine {
     settings: Settings,
     /// The motion control software does not run.
     stopped: bool,
-    /// The instant up to which it has advanced, that of the last start, and that of the first one.
-    now: Time,
-    powered_at: Time,
-    born_at: Time,
 }
 
 impl Machine {
@@ -124,44 +117,41 @@ impl Machine {
             true => (-ENDLESS, ENDLESS),
             false => (metres(plan.range.0), metres(plan.range.1)),
         };
-        let mut plant = Plant::new(PlantPlan { mass_kg: plan.mass_kg, range, ..PlantPlan::default() });
-        plant.set_position(metres(plan.start_position));
+        let mut power = PowerDrive::new(PowerPlan {
+            plant: PlantPlan { mass_kg: plan.mass_kg, range, ..PlantPlan::default() },
+            max_speed: f64::INFINITY,
+            hardware_enable: true,
+            scan_ns: None,
+        });
+        power.put(metres(plan.start_position));
         let memory = Memory::new(plan);
         let mut machine = Machine {
             settings: Settings::of(&memory.parameters),
             memory,
             stopped: false,
-            now: Time(0),
-            powered_at: Time(0),
-            born_at: Time(0),
             plan: plan.clone(),
             mode: Mode::NotReady,
             control: ControlWord(0),
             seen: ControlWord(0),
-            error: ErrorCode::NONE,
-            homed: false,
             count: 0,
             setpoints: Setpoints::at(0.0, plan),
-            plant,
+            power,
             effort: Effort::Position,
             sequence: None,
-            offset: 0.0,
             shuttle: None,
-            inhibited_until: Time(0),
-            inhibited: false,
             lagging: VecDeque::new(),
             reported: ControlWord(0),
         };
-        machine.power_up(Time(0));
+        machine.power_up();
         if plan.start_running {
             machine.control = ControlWord::ON;
             machine.seen = machine.effective();
             machine.reported = machine.seen;
             machine.mode = Mode::Operating(Task::Commands);
-            machine.homed = true;
+            machine.power.homed = true;
             machine.count = FOUND_COUNT;
-            machine.offset = 0.0;
-            machine.setpoints.stand_at(machine.plant.position());
+            machine.power.zero = 0.0;
+            machine.setpoints.stand_at(machine.power.place());
             let margin = (range.1 - range.0) * SHUTTLE_MARGIN;
             machine.shuttle = Some((range.0 + margin, range.1 - margin));
             machine.go_on();
@@ -169,22 +159,16 @@ impl Machine {
         machine
     }
 
-    /// Its first moment: the hours of operation count from here.
-    pub(super) fn wake(&mut self, now: Time) {
-        (self.now, self.powered_at, self.born_at) = (now, now, now);
-    }
-
     /// Power came back: everything volatile is lost, the motor stays where it is. The position sensor is
     /// incremental and begins at the start position, wherever the motor is.
-    pub(super) fn power_up(&mut self, now: Time) {
-        self.powered_at = now;
+    pub(super) fn power_up(&mut self) {
+        self.power.restart();
         self.memory.restart();
         self.stopped = false;
         self.control = ControlWord(0);
         self.lagging.clear();
         self.reported = self.effective();
-        self.error = ErrorCode::NONE;
-        self.offset = f64::from(self.plan.start_position) * METRE - self.plant.position();
+        self.power.zero = self.power.place() - f64::from(self.plan.start_position) * METRE;
         self.setpoints = Setpoints::at(self.actual().position, &self.plan);
         self.begin();
     }
@@ -192,9 +176,9 @@ impl Machine {
     /// The motion control software begins anew: state 0, count 0, not homed. An error stays until it is acknowledged,
     /// or until the next restart if it is fatal.
     fn begin(&mut self) {
-        self.mode = if self.error == ErrorCode::NONE { Mode::NotReady } else { Mode::Error };
+        self.mode = self.unpowered();
         self.seen = self.effective();
-        self.homed = false;
+        self.power.homed = false;
         self.count = 0;
         self.drop_tasks();
         self.memory.parameters.start();
@@ -205,8 +189,8 @@ impl Machine {
     pub(super) fn stop_software(&mut self) {
         if !self.stopped {
             self.stopped = true;
-            self.homed = false;
-            self.power_off(if self.error == ErrorCode::NONE { Mode::NotReady } else { Mode::Error });
+            self.power.homed = false;
+            self.power_off();
         }
     }
 
@@ -244,25 +228,30 @@ impl Machine {
 
     /// Raises an error: a moving motor is stopped first. The first error stays.
     pub(super) fn fail(&mut self, code: ErrorCode) {
-        if matches!(self.mode, Mode::Error | Mode::QuickStop { error: true }) {
+        if !self.power.fail(code, if code.is_fatal() { Reset::Never } else { Reset::Always }) {
             return;
         }
-        self.error = code;
-        self.memory.log.record(code, self.operating_ns());
+        self.memory.log.record(code, self.power.age_ns());
         self.drop_tasks();
         if self.powered() && self.setpoints.is_moving() {
             self.setpoints.quick_stop();
-            self.mode = Mode::QuickStop { error: true };
+            self.mode = Mode::QuickStop;
         } else {
-            self.power_off(Mode::Error);
+            self.power_off();
         }
     }
 
-    /// Lets `dt_ns` pass, which end at `now`; then one transition.
-    pub(super) fn step(&mut self, now: Time, dt_ns: u64) {
-        self.now = now;
+    /// Advances to `now`.
+    pub(super) fn advance(&mut self, now: Time) {
+        while let Some(dt_ns) = self.power.advance(now) {
+            self.step(dt_ns);
+        }
+    }
+
+    /// Lets `dt_ns` pass; then one transition.
+    fn step(&mut self, dt_ns: u64) {
+        let now = self.power.now();
         self.memory.advance(now);
-        self.inhibited = now < self.inhibited_until;
         self.report_control(now);
         let actual = self.actual();
         if self.powered()
@@ -287,25 +276,32 @@ impl Machine {
     /// The motor follows the demand or the current.
     fn move_plant(&mut self, dt_ns: u64) {
         if let (Effort::Current(force), true) = (self.effort, self.powered()) {
-            self.plant.advance_with_force(force, dt_ns);
+            self.power.step(Aim::Torque(force), dt_ns);
             let actual = self.actual();
             self.setpoints.follow(actual);
             return;
         }
-        self.plant.limit_force(match self.effort {
+        self.power.limit_torque(match self.effort {
             Effort::Pressing(force) => Some(force),
             Effort::Position | Effort::Current(_) => None,
         });
         let demand = self.setpoints.demand();
-        let position = demand.position - self.offset;
-        self.plant.advance(position, demand.velocity, demand.acceleration, dt_ns, self.powered());
+        let aim = match self.powered() {
+            true => Aim::Follow {
+                place: demand.position + self.power.zero,
+                speed: demand.velocity,
+                acceleration: demand.acceleration,
+            },
+            false => Aim::Off,
+        };
+        self.power.step(aim, dt_ns);
     }
 
     /// Range and following error.
     fn watch(&mut self) {
         let demand = counts(self.setpoints.demand().position, METRE);
         let settings = &self.settings;
-        let bounded = self.homed && !self.plan.is_endless();
+        let bounded = self.power.homed && !self.plan.is_endless();
         // A motor that presses against something is meant to lag behind.
         let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
         if bounded && demand < settings.range.0 {
@@ -329,7 +325,7 @@ impl Machine {
         let next = match task {
             Task::Homing { finished: false } if arrived => {
                 let Settings { home, slider_home, .. } = self.settings;
-                self.reference(home, home - slider_home);
+                self.reference(home, slider_home - home);
                 Task::Homing { finished: true }
             }
             Task::GoingToInitial { finished: false } if arrived => Task::GoingToInitial { finished: true },
@@ -347,10 +343,10 @@ impl Machine {
         self.mode = Mode::Operating(next);
     }
 
-    /// Homed: from now on the coordinates have this offset, and the demand is `position` in them.
-    fn reference(&mut self, position: f64, offset: f64) {
-        self.offset = offset;
-        self.homed = true;
+    /// Homed: from now on the coordinates begin at `zero` of the motor's, and the demand is `position` in them.
+    fn reference(&mut self, position: f64, zero: f64) {
+        self.power.zero = zero;
+        self.power.homed = true;
         self.setpoints.stand_at(position);
     }
 
@@ -406,20 +402,19 @@ impl Machine {
                 }
             }
             Mode::Error => {
-                if rising.has(C::ERROR_ACKNOWLEDGE) && !self.error.is_fatal() {
-                    self.error = ErrorCode::NONE;
+                if rising.has(C::ERROR_ACKNOWLEDGE) && self.power.reset() {
                     self.mode = Mode::NotReady;
                 }
             }
-            Mode::QuickStop { error } => {
+            Mode::QuickStop => {
                 if !on || !self.setpoints.is_moving() {
-                    self.power_off(if error { Mode::Error } else { Mode::NotReady });
+                    self.power_off();
                 }
             }
-            _ if !on => self.power_off(Mode::NotReady),
+            _ if !on => self.power_off(),
             _ if quick_stop => {
                 self.setpoints.quick_stop();
-                self.mode = Mode::QuickStop { error: false };
+                self.mode = Mode::QuickStop;
             }
             Mode::HwTests { until } => {
                 if now >= until {
@@ -472,11 +467,11 @@ impl Machine {
             Task::Aborting => self.setpoints.quick_stop(),
             Task::Freezing => self.setpoints.freeze(),
             Task::Homing { .. } => {
-                self.homed = false;
-                self.setpoints.go_to(slider_home + self.offset, HOMING_VELOCITY, OWN_ACCELERATION);
+                self.power.homed = false;
+                self.setpoints.go_to(slider_home - self.power.zero, HOMING_VELOCITY, OWN_ACCELERATION);
             }
             Task::GoingToInitial { .. } | Task::GoingToPosition { .. } => {
-                if self.homed {
+                if self.power.homed {
                     self.setpoints.go_to(home, GO_TO_VELOCITY, OWN_ACCELERATION);
                 } else {
                     self.fail(ErrorCode::NOT_HOMED);
@@ -493,7 +488,7 @@ impl Machine {
 
     /// Opens the hardware enable until then.
     pub(super) fn inhibit(&mut self, until: Time) {
-        self.inhibited_until = until;
+        self.power.inhibit(until);
     }
 
     /// Ends a running command table, the motion of a drive that was found running, and pressing; only the position
@@ -502,45 +497,35 @@ impl Machine {
         (self.shuttle, self.sequence, self.effort) = (None, None, Effort::Position);
     }
 
-    fn power_off(&mut self, mode: Mode) {
+    fn power_off(&mut self) {
         self.drop_tasks();
         self.setpoints.stand_at(self.actual().position);
-        self.mode = mode;
+        self.mode = self.unpowered();
+    }
+
+    /// The mode in which it begins, or ends without power.
+    fn unpowered(&self) -> Mode {
+        if self.power.fault().is_none() { Mode::NotReady } else { Mode::Error }
     }
 
     /// The control word after the forced bits and the hardware enable.
     fn effective(&self) -> ControlWord {
         let forced = if self.plan.force_enable_bits { ControlWord::ENABLES } else { 0 };
-        let taken = if self.inhibited { ControlWord::VOLTAGE_ENABLE } else { 0 };
+        let taken = if self.power.is_enabled() { 0 } else { ControlWord::VOLTAGE_ENABLE };
         ControlWord((self.control.0 | forced) & !taken)
     }
 
     fn powered(&self) -> bool {
-        matches!(self.mode, Mode::ReadyToOperate | Mode::Operating(_) | Mode::QuickStop { .. })
-    }
-
-    /// Since the first power-on.
-    fn operating_ns(&self) -> u64 {
-        self.now.since(self.born_at)
+        matches!(self.mode, Mode::ReadyToOperate | Mode::Operating(_) | Mode::QuickStop)
     }
 
     fn actual(&self) -> Demand {
-        Demand {
-            position: self.plant.position() + self.offset,
-            velocity: self.plant.velocity(),
-            acceleration: 0.0,
-        }
+        Demand { position: self.power.position(), velocity: self.power.speed(), acceleration: 0.0 }
     }
 
     /// What the motor really does, in wire counts.
     pub(super) fn truth(&self) -> Truth {
-        let Demand { position, velocity, .. } = self.actual();
-        Truth {
-            powered: self.powered(),
-            homed: self.homed,
-            position: position / METRE,
-            velocity: velocity / METRE,
-        }
+        self.power.truth(self.powered(), METRE)
     }
 
     /// Following error, m, without sign.

@@ -5,6 +5,7 @@ use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2};
 use super::super::upids::PARAMETERS;
 use super::{LAG_WARNING, Machine, Mode, NEWTON_PER_AMPERE, Task, counts};
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
+use crate::sim::power::set_bits;
 use crate::time::US;
 
 /// A value that the drive computes whenever it is read.
@@ -40,7 +41,7 @@ impl Machine {
             Mode::Error => MainState::ERROR,
             Mode::HwTests { .. } => MainState::HW_TESTS,
             Mode::ReadyToOperate => MainState::READY_TO_OPERATE,
-            Mode::QuickStop { .. } => MainState::QUICK_STOP,
+            Mode::QuickStop => MainState::QUICK_STOP,
             Mode::Operating(task) => match task {
                 Task::Commands => MainState::OPERATION_ENABLED,
                 Task::Aborting => MainState::ABORTING,
@@ -60,15 +61,15 @@ impl Machine {
             return StateVar(0);
         }
         let sub = match self.mode {
-            Mode::Error => self.error.0 as u8,
+            Mode::Error => self.error().0 as u8,
             Mode::Operating(Task::Commands) => {
                 let bits = [
                     (self.setpoints.is_armed(), StateVar::EVENT_HANDLER),
                     (self.setpoints.is_moving(), StateVar::MOTION_ACTIVE),
                     (self.in_target(), StateVar::IN_TARGET),
-                    (self.homed, StateVar::HOMED),
+                    (self.power.homed, StateVar::HOMED),
                 ];
-                self.count | bits.iter().filter(|(set, _)| *set).fold(0, |sub, (_, bit)| sub | bit)
+                self.count | set_bits(bits)
             }
             Mode::Operating(
                 Task::Homing { finished: true }
@@ -93,7 +94,7 @@ impl Machine {
             (self.main() >= MainState::OPERATION_ENABLED, W::OPERATION_ENABLED),
             (control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_ACTIVE),
             (control.has(ControlWord::ENABLE_OPERATION), W::ENABLE_OPERATION),
-            (matches!(self.mode, Mode::Error | Mode::QuickStop { error: true }), W::ERROR),
+            (self.power.fault().is_some(), W::ERROR),
             (control.has(ControlWord::VOLTAGE_ENABLE), W::VOLTAGE_ENABLE),
             (control.has(ControlWord::NO_QUICK_STOP), W::NO_QUICK_STOP),
             (self.mode == Mode::NotReady && control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_LOCKED),
@@ -101,23 +102,23 @@ impl Machine {
             (self.setpoints.is_armed(), W::EVENT_HANDLER),
             (special, W::SPECIAL_MOTION),
             (self.in_target(), W::IN_TARGET),
-            (self.homed, W::HOMED),
-            (self.error.is_fatal(), W::FATAL_ERROR),
+            (self.power.homed, W::HOMED),
+            (self.error().is_fatal(), W::FATAL_ERROR),
             (self.powered() && self.setpoints.is_moving(), W::MOTION_ACTIVE),
         ];
-        StatusWord(bits.iter().filter(|(set, _)| *set).fold(0, |word, (_, bit)| word | bit))
+        StatusWord(set_bits(bits))
     }
 
     /// The warn word.
     pub(in super::super) fn warn(&self) -> WarnWord {
         let lag = if self.powered() && self.lag() > LAG_WARNING { WarnWord::POSITION_LAG } else { 0 };
-        let homed = if self.homed { 0 } else { WarnWord::NOT_HOMED };
+        let homed = if self.power.homed { 0 } else { WarnWord::NOT_HOMED };
         WarnWord(lag | homed)
     }
 
     /// The error that stands.
     pub(in super::super) fn error(&self) -> ErrorCode {
-        self.error
+        self.power.fault().unwrap_or(ErrorCode::NONE)
     }
 
     /// Actual position, 0.1 um.
@@ -132,7 +133,7 @@ impl Machine {
 
     /// Motor current, mA.
     pub(in super::super) fn current(&self) -> i16 {
-        (self.plant.force() / NEWTON_PER_AMPERE * 1e3).round() as i16
+        (self.power.torque() / NEWTON_PER_AMPERE * 1e3).round() as i16
     }
 
     /// The value of the parameter at this index.
@@ -158,9 +159,9 @@ impl Machine {
         let whole = |value: f64, unit: f64| i64::from(counts(value, unit));
         match variable {
             Variable::Constant(value) => value,
-            Variable::OperatingMs => hours_and_ms(self.operating_ns()).1.into(),
+            Variable::OperatingMs => hours_and_ms(self.power.age_ns()).1.into(),
             // The timer is 32 bits wide and wraps.
-            Variable::TimerUs => i64::from((self.now.since(self.powered_at) / US) as u32),
+            Variable::TimerUs => i64::from((self.power.on_ns() / US) as u32),
             Variable::DemandCurrent => self.current().into(),
             Variable::Status => self.status().0.into(),
             Variable::Count => self.count.into(),

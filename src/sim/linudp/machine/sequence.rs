@@ -47,7 +47,7 @@ impl Machine {
     /// State 8 was entered.
     pub(super) fn enter_table(&mut self) {
         if self.settings.run_mode == RunMode::Table
-            && self.homed
+            && self.power.homed
             && let Err(code) = self.start_table(FIRST)
         {
             self.fail(code);
