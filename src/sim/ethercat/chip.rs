@@ -16,7 +16,7 @@ mod tests;
 use std::ops::Range;
 
 use super::clock::Clock;
-use super::esc::Settings;
+use super::hardware::Settings;
 use super::manager::Manager;
 use super::sii::Eeprom;
 use crate::bus::ethercat::wire::registers::{

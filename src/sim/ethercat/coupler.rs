@@ -9,7 +9,8 @@
 //! | after them | analogue, 16 bits each |
 
 use super::Application;
-use super::esc::{Esc, Settings};
+use super::esc::Esc;
+use super::hardware::Settings;
 use super::sii::{Contents, Pdo};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, SyncManager};
 use crate::bus::ethercat::wire::sii::{Identity, Use};

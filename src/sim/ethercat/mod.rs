@@ -5,6 +5,7 @@
 //! | file | what |
 //! |---|---|
 //! | `segment` | slaves in order, propagation delays, a cut cable; carries a frame through all of them |
+//! | `hardware` | the settings of one slave |
 //! | `esc` | one slave: its controller and its firmware; the commands of a datagram |
 //! | `chip` | registers and memory: access rights, and the effects of an access |
 //! | `manager` | SyncManagers: mailboxes and process data |
@@ -46,6 +47,7 @@ pub mod coupler;
 mod drive;
 pub mod esc;
 mod firmware;
+mod hardware;
 mod mailbox;
 mod manager;
 mod mapping;
@@ -62,7 +64,8 @@ mod transfer;
 use std::fmt::Debug;
 
 pub use self::coupler::Coupler;
-pub use self::esc::{Esc, Settings};
+pub use self::esc::Esc;
+pub use self::hardware::Settings;
 pub use self::segment::Segment;
 pub use drive::Drive;
 pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};

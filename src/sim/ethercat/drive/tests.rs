@@ -1,5 +1,8 @@
 //! The simulated drive against the sheet, cycle by cycle, in its own time.
 
+mod messages;
+mod motion;
+
 use proptest::prelude::*;
 
 use super::*;
@@ -7,6 +10,7 @@ use crate::bus::ethercat::wire::mailbox::{Counter, Message, SDO_SIZE, emit, pars
 use crate::bus::ethercat::wire::sdo::{AbortCode, Request, Response};
 use crate::sim::ethercat::objects::abort;
 use crate::sim::ethercat::{Dialect, MotorSettings};
+use crate::time::US;
 
 /// Counts a turn.
 const TURN: i32 = 1 << 20;
@@ -285,104 +289,6 @@ fn a_master_that_dies_is_noticed_without_another_cycle() {
 }
 
 #[test]
-fn pdos_are_selected_in_pre_op_only_and_in_the_order_of_the_manual() {
-    let mut bench = Bench::pre_op(|_| {});
-    assert_eq!(bench.drive.sizes(), (6, 8));
-    assert_eq!(bench.write("0x1C12:1", &[0x03, 0x17]), Err(abort::NOT_ZERO));
-    bench.write("0x1C12:0", &[0]).unwrap();
-    assert_eq!(bench.drive.sizes(), (0, 8));
-    assert_eq!(bench.enter(AlState::SafeOp), Err(AlCode::SYNC_MANAGER));
-    assert_eq!(bench.write("0x1C12:1", &[0x03, 0x1B]), Err(AbortCode::RANGE), "an input");
-    assert_eq!(bench.write("0x1C12:1", &[0x25, 0x17]), Err(AbortCode::RANGE), "an AKD's");
-    bench.write("0x1C12:1", &[0, 0]).unwrap();
-    assert_eq!(bench.write("0x1C12:0", &[1]), Err(abort::INCOMPATIBLE));
-    bench.write("0x1C12:1", &[0x03, 0x17]).unwrap();
-    bench.write("0x1C12:0", &[1]).unwrap();
-    assert_eq!(bench.drive.sizes(), (4, 8));
-    assert_eq!(bench.drive.check_sizes(4, 8), Ok(()));
-    assert_eq!(bench.drive.check_sizes(6, 8), Err(AlCode::SYNC_MANAGER));
-    bench.enter(AlState::SafeOp).unwrap();
-    assert_eq!(bench.write("0x1C12:0", &[0]), Err(AbortCode::STATE));
-}
-
-#[test]
-fn an_akd_tells_wrong_lengths_apart_and_has_mode_8() {
-    let mut bench = Bench::of(Family::Akd, |_| {});
-    bench.enter(AlState::PreOp).unwrap();
-    assert_eq!(bench.drive.check_sizes(5, 6), Err(AlCode(0x001D)));
-    assert_eq!(bench.drive.check_sizes(6, 5), Err(AlCode(0x001E)));
-    assert_eq!(bench.write("0x6060:0", &[0x85]), Err(AbortCode::RANGE));
-    bench.write("0x6060:0", &[8]).unwrap();
-    bench.select(0x1C13, 0x1B20);
-    bench.go_to_op();
-    assert_eq!(bench.inputs.len(), 32);
-    bench.enable();
-    for cycle in 1..=500 {
-        bench.put(INTERPOLATION, cycle * 1_000);
-        bench.cycle();
-    }
-    bench.cycles(50);
-    assert!((bench.got(INCREMENTS) - 500_000).abs() < 2_000, "{}", bench.got(INCREMENTS));
-    assert_eq!(bench.got(POSITION_2), bench.got(INCREMENTS));
-}
-
-#[test]
-fn modes_are_those_of_the_can_manual() {
-    let mut bench = Bench::pre_op(|_| {});
-    for mode in 0..=u8::MAX {
-        let written = bench.write("0x6060:0", &[mode]);
-        let expected = matches!(mode, 1 | 3 | 4 | 6 | 7 | 0x80..=0x88);
-        assert_eq!(written, if expected { Ok(()) } else { Err(AbortCode::RANGE) }, "{mode:#04x}");
-        if expected {
-            assert_eq!(bench.read("0x6061:0"), Ok((mode as i8).into()));
-        }
-    }
-}
-
-#[test]
-fn objects_are_refused_by_the_codes_of_the_manual() {
-    let mut bench = Bench::pre_op(|_| {});
-    assert_eq!(bench.read("0x5FFF:1"), Err(AbortCode::NO_OBJECT));
-    assert_eq!(bench.read("0x6041:7"), Err(AbortCode::NO_SUB));
-    assert_eq!(bench.write("0x6041:0", &[0, 0]), Err(AbortCode::READ_ONLY));
-    assert_eq!(bench.write("0x6040:0", &[0]), Err(AbortCode::LENGTH));
-    assert_eq!(bench.write("0x6040:0", &[6, 0]), Ok(()), "it is stored, and obeyed by nobody");
-    bench.go_to_op();
-    assert_eq!(bench.write("0x6040:0", &[6, 0]), Err(abort::MAPPED));
-    assert_eq!(bench.drive.axis_state(), State::SwitchOnDisabled);
-    let complete = Request::Upload { object: Object::new(0x1C00, 0), complete: true };
-    assert_eq!(bench.ask(&complete), Err(AbortCode::NOT_COMPLETE));
-}
-
-#[test]
-fn the_mailbox_is_off_in_init_and_speaks_both_dialects() {
-    let mut bench = Bench::new(|settings| settings.dialect = Dialect::Manual);
-    let select = [0x0A, 0, 0, 0, 0, 0x03, 0, 0x20, 0x2F, 0x12, 0x1C, 0, 0, 0, 0, 0];
-    let mut reply = Vec::new();
-    assert!(!bench.drive.mailbox(&select, &mut reply));
-    bench.enter(AlState::PreOp).unwrap();
-    assert!(bench.drive.mailbox(&select, &mut reply));
-    assert_eq!(reply, [0x0E, 0, 0, 0, 0, 0x03, 0, 0x20, 0x60, 0x12, 0x1C, 0, 0, 0, 0, 0]);
-    assert_eq!(bench.read("0x1018:1"), Ok(0x6A));
-}
-
-#[test]
-fn an_emergency_comes_in_place_of_the_answer_and_the_answer_behind_it() {
-    let mut bench = Bench::pre_op(|_| {});
-    bench.drive.provoke(Fault::MOTOR_TEMPERATURE);
-    let mut request = [0; SDO_SIZE];
-    let object = Object::new(0x1001, 0);
-    emit(&Request::Upload { object, complete: false }, bench.counter.next(), &mut request);
-    let mut reply = Vec::new();
-    assert!(bench.drive.mailbox(&request, &mut reply));
-    assert!(matches!(parse(&reply), Some(Message::Emergency(Emergency { code: 0x4310, register: 8, .. }))));
-    assert!(bench.drive.message(&mut reply));
-    let response = Response::Value { object, data: &[9] };
-    assert_eq!(parse(&reply), Some(Message::Sdo { counter: 1, response }));
-    assert!(!bench.drive.message(&mut reply));
-}
-
-#[test]
 fn the_status_words_of_the_sheet_are_those_on_the_way_up() {
     let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
     bench.control(0x00);
@@ -427,169 +333,6 @@ fn leaving_op_stops_quickly_and_switches_off() {
     bench.enter(AlState::Op).unwrap();
     bench.cycle();
     assert_eq!(bench.status().state(), State::SwitchOnDisabled, "the old word is obeyed, but is no shutdown");
-}
-
-#[test]
-fn velocity_setpoints_are_increments_per_250_us_and_ramped() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 4_096);
-    bench.cycles(50);
-    // 10 000 rpm/s.
-    let rpm = bench.drive.rpm();
-    assert!((450.0..520.0).contains(&rpm), "{rpm}");
-    assert!(!bench.status().has(StatusWord::TARGET_REACHED));
-    bench.cycles(200);
-    // 4096 * 4000 / 2^20 turns a second.
-    assert!((bench.drive.rpm() - 937.5).abs() < 1.0, "{}", bench.drive.rpm());
-    assert_eq!(bench.status(), StatusWord(0x0637));
-    let before = bench.got(POSITION);
-    bench.cycles(4);
-    let way = bench.got(POSITION) - before;
-    assert!((way - 16 * 4_096).abs() < 100, "{way}");
-    bench.control(0x0F | ControlWord::HALT);
-    bench.cycles(300);
-    assert!(bench.drive.rpm().abs() < 1.0);
-}
-
-#[test]
-fn profile_velocity_uses_60ff_by_sdo() {
-    let mut bench = Bench::enabled(Mode::PROFILE_VELOCITY, 0x1702, 0x1B03);
-    bench.write("0x60FF:0", &(-4_096_i32).to_le_bytes()).unwrap();
-    bench.cycles(300);
-    assert!((bench.drive.rpm() + 937.5).abs() < 1.0, "{}", bench.drive.rpm());
-    let shown = bench.read("0x606C:0").unwrap();
-    assert!((shown + 4_096).abs() <= 4, "{shown}");
-}
-
-#[test]
-fn current_setpoints_accelerate_by_torque_over_inertia_up_to_the_limit() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_CURRENT, 0x1703, 0x1B03);
-    // 0.5 N m less 0.1 of friction on 0.002 kg m^2: 200 rad/s^2.
-    bench.put(CURRENT_SETPOINT, 100);
-    bench.cycles(101);
-    let speed = bench.drive.rpm() * RPM;
-    assert!((speed - 20.0).abs() < 0.5, "{speed}");
-    assert_eq!(bench.got(TORQUE), 100);
-    bench.write("0x6072:0", &50_u16.to_le_bytes()).unwrap();
-    bench.cycles(2);
-    assert_eq!(bench.got(TORQUE), 50);
-}
-
-#[test]
-fn position_setpoints_are_followed_between_the_cycles() {
-    for (pdo, object) in [(0x1701, INTERPOLATION), (0x1704, TARGET_POSITION)] {
-        let mut bench = Bench::enabled(Mode::TRAJECTORY, pdo, 0x1B03);
-        for cycle in 1..=1_000_i64 {
-            bench.put(object, cycle * 2_000);
-            bench.cycle();
-        }
-        let behind = 2_000_000 - bench.got(POSITION);
-        // A cycle, in which the setpoint is only begun.
-        assert!((0..=4_000).contains(&behind), "{pdo:#06x} {behind}");
-        bench.cycles(100);
-        assert!((bench.got(POSITION) - 2_000_000).abs() < 20, "{}", bench.got(POSITION));
-        assert!(bench.status().has(StatusWord::TARGET_REACHED));
-    }
-}
-
-#[test]
-fn positions_wrap_at_32_bits() {
-    let mut bench = Bench::pre_op(|settings| settings.position = i32::MAX - 50_000);
-    bench.select(0x1C12, 0x1701);
-    bench.write("0x6060:0", &[0x85]).unwrap();
-    bench.go_to_op();
-    let start = i64::from(i32::MAX - 50_000);
-    assert_eq!(bench.got(POSITION), start);
-    bench.put(INTERPOLATION, start);
-    bench.enable();
-    for cycle in 1..=100 {
-        bench.put(INTERPOLATION, start + cycle * 1_000);
-        bench.cycle();
-    }
-    bench.cycles(100);
-    let wrapped = i64::from((start + 100_000) as i32);
-    assert!(wrapped < 0 && (bench.got(POSITION) - wrapped).abs() < 20, "{}", bench.got(POSITION));
-    assert_eq!(bench.drive.fault(), None);
-}
-
-#[test]
-fn a_jump_of_the_position_setpoint_is_a_following_error() {
-    let mut bench = Bench::enabled(Mode::TRAJECTORY, 0x1701, 0x1B03);
-    bench.put(INTERPOLATION, (100 * TURN).into());
-    bench.cycles(5);
-    assert_eq!(bench.drive.fault(), Some(Fault::FOLLOWING));
-    assert!(bench.drive.rpm().abs() <= 6_000.0);
-    bench.cycles(500);
-    assert_eq!(bench.status().state(), State::Fault);
-}
-
-#[test]
-fn interpolated_position_follows_only_with_bit_4() {
-    let mut bench = Bench::enabled(Mode::INTERPOLATED, 0x1701, 0x1B03);
-    bench.put(INTERPOLATION, 10_000);
-    bench.cycles(100);
-    assert_eq!(bench.got(POSITION), 0);
-    bench.control(0x1F);
-    bench.cycles(100);
-    assert!((bench.got(POSITION) - 10_000).abs() < 20, "{}", bench.got(POSITION));
-    assert!(bench.status().has(StatusWord::MODE_12));
-}
-
-#[test]
-fn profile_position_goes_on_an_edge_and_acknowledges_it() {
-    let mut bench = Bench::enabled(Mode::PROFILE_POSITION, 0x1704, 0x1B03);
-    bench.put(TARGET_POSITION, (3 * TURN).into());
-    bench.cycles(100);
-    assert_eq!(bench.got(POSITION), 0, "without an edge it stands");
-    bench.control(0x1F);
-    assert!(bench.status().has(StatusWord::MODE_12) && !bench.status().has(StatusWord::TARGET_REACHED));
-    bench.control(0x0F);
-    assert!(!bench.status().has(StatusWord::MODE_12));
-    bench.cycles(1_000);
-    assert!((bench.got(POSITION) - i64::from(3 * TURN)).abs() < 200, "{}", bench.got(POSITION));
-    assert!(bench.status().has(StatusWord::TARGET_REACHED));
-    // Relative, and back.
-    bench.put(TARGET_POSITION, (-TURN).into());
-    bench.control(0x5F);
-    bench.cycles(1_000);
-    assert!((bench.got(POSITION) - i64::from(2 * TURN)).abs() < 200, "{}", bench.got(POSITION));
-}
-
-#[test]
-fn homing_goes_to_the_switch_and_sets_the_offset_there() {
-    let mut bench = Bench::enabled(Mode::HOMING, 0x1702, 0x1B03);
-    bench.write("0x607C:0", &5_000_i32.to_le_bytes()).unwrap();
-    assert!(!bench.drive.is_homed());
-    bench.control(0x1F);
-    bench.cycles(50);
-    assert!(!bench.status().has(StatusWord::MODE_12) && bench.drive.rpm() > 10.0);
-    // Half a turn at 60 rpm.
-    bench.cycles(900);
-    assert!(bench.status().has(StatusWord::MODE_12 | StatusWord::TARGET_REACHED));
-    assert!(bench.drive.is_homed());
-    assert!((bench.got(POSITION) - 5_000).abs() < 500, "{}", bench.got(POSITION));
-    assert_eq!(bench.read("0x1002:0").unwrap() as u32 & 2, 2);
-}
-
-#[test]
-fn homing_without_a_switch_fails_and_without_its_start_bit_ends() {
-    let mut bench = Bench::enabled(Mode::HOMING, 0x1702, 0x1B03);
-    bench.control(0x1F);
-    bench.cycles(50);
-    bench.control(0x0F);
-    bench.cycles(50);
-    assert!(bench.drive.rpm().abs() < 1.0 && !bench.drive.is_homed());
-    bench.write("0x6098:0", &[35]).unwrap();
-    bench.control(0x1F);
-    assert!(bench.drive.is_homed());
-    assert_eq!(bench.got(POSITION), 0);
-
-    let mut bench = Bench::pre_op(|settings| settings.home_turns = None);
-    bench.write("0x6060:0", &[6]).unwrap();
-    bench.go_to_op();
-    bench.enable();
-    bench.control(0x1F);
-    assert!(bench.status().has(StatusWord::MODE_13) && !bench.status().has(StatusWord::MODE_12));
 }
 
 #[test]

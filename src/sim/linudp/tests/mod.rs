@@ -16,6 +16,7 @@ use crate::bus::linudp::wire::{
     ControlWord, MainState, MotionBlock, Refusal, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
 };
 use crate::bus::linudp::{DRIVE_PORT, StreamCommand};
+use crate::time::{S, US};
 
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 1), MASTER_PORT);
 

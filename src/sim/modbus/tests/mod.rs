@@ -15,6 +15,7 @@ use crate::bus::modbus::wire::{
     ADU_MAX, ExceptionCode, Header, REGISTERS_MAX, Registers, RegistersBuffer, Request, Response, function,
 };
 use crate::bus::modbus::words::{ControlWord as C, StatusWord as W};
+use crate::time::{MS, S};
 
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 40_000);
 const RAMP: Parameter = Parameter::new(2, 11);
