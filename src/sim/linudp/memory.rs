@@ -6,8 +6,8 @@
 use super::curves::Curves;
 use super::log::ErrorLog;
 use super::parameters::{Parameters, Part};
+use super::settings::{FlashMode, LinMotSettings};
 use super::table::Tables;
-use crate::sim::linudp::{FlashMode, LinMotSettings};
 use crate::time::Time;
 
 /// Writing one parameter takes this share of the time of a whole save. Masters in the field saw saves of 40 s and

@@ -38,6 +38,7 @@ mod blocks;
 #[cfg(feature = "config")]
 pub(super) mod config;
 mod curves;
+mod demand;
 mod log;
 mod machine;
 mod memory;

@@ -2,70 +2,17 @@
 //!
 //! Knows no telegram, no command count and no state machine. Positions are in the drive's own coordinates, SI units.
 
+use super::demand::{Demand, METRE_PER_S, METRE_PER_S2, Move, Origin, Start, Vad, When};
+use super::settings::LinMotSettings;
 use super::stream::Stream;
 use super::time_curve::TimeCurve;
 use crate::bus::linudp::StreamCommand;
 use crate::bus::linudp::wire::ErrorCode;
-use crate::sim::linudp::LinMotSettings;
 use crate::sim::physics::Generator;
 use crate::time::Time;
 
-/// One wire count of position, m.
-pub(super) const METRE: f64 = 1e-7;
-/// One wire count of velocity, m/s.
-pub(super) const METRE_PER_S: f64 = 1e-6;
-/// One wire count of acceleration, m/s2.
-pub(super) const METRE_PER_S2: f64 = 1e-5;
-
 /// The drive's quick-stop deceleration, m/s2. A parameter in the real drive, whose UPID is not known.
 const QUICK_STOP: f64 = 20.0;
-
-/// A position and how it changes: m, m/s, m/s2.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Demand {
-    pub position: f64,
-    pub velocity: f64,
-    pub acceleration: f64,
-}
-
-/// Velocity, acceleration and deceleration of a profile: 1 um/s, and twice 1e-5 m/s2.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Vad {
-    pub velocity: u32,
-    pub acceleration: u32,
-    pub deceleration: u32,
-}
-
-/// What the value of a move is counted from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Origin {
-    Zero,
-    Demand,
-    /// The last target.
-    Target,
-    Actual,
-}
-
-/// Where demand position and velocity of a move start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Start {
-    /// Demand position, demand velocity.
-    Demand,
-    /// Actual position, actual velocity.
-    Actual,
-    /// Actual position, velocity 0.
-    Standstill,
-}
-
-/// When something starts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum When {
-    Now,
-    /// After the running command.
-    AfterActual,
-    /// On an edge of the trigger input.
-    Trigger,
-}
 
 /// The setpoint generator of the drive and its inputs.
 #[derive(Debug)]
@@ -97,16 +44,6 @@ impl From<Vad> for Limits {
             f64::from(vad.deceleration) * METRE_PER_S2,
         )
     }
-}
-
-/// A move to a target, all in SI units but the limits.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Move {
-    /// A position or a distance, m.
-    pub value: f64,
-    pub origin: Origin,
-    pub start: Start,
-    pub limits: Vad,
 }
 
 /// The source of the demand instead of a profile.

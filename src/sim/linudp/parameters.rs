@@ -11,10 +11,10 @@
 //! The manuals state the first two. The third is chosen: RAM of a parameter that is not live can be written, and
 //! then it has to take effect at some time.
 
+use super::settings::LinMotSettings;
 use super::upids::{self, PARAMETERS, Parameter};
 use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::Refusal;
-use crate::sim::linudp::LinMotSettings;
 use crate::time::US;
 
 /// The values of one parameter.

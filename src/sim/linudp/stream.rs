@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use super::motion::Demand;
+use super::demand::Demand;
 use crate::bus::linudp::plan::StreamCommand;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{S, Time};

@@ -9,11 +9,13 @@
 
 use std::sync::Arc;
 
-use super::machine::CURVE_SCALE;
-use super::motion::{Demand, METRE};
+use super::demand::{Demand, METRE};
 use crate::bus::linudp::curve::Curve;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{S, US};
+
+/// 0089h: a scale of a curve that is out of its range.
+const CURVE_SCALE: ErrorCode = ErrorCode(0x0089);
 
 /// One count of a curve's time, ns.
 const TIME_NS: u64 = 10 * US;

@@ -6,8 +6,26 @@
 //! of 0082h, 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. Which parameters are live is chosen, too: those that a master
 //! sets up or changes in operation are, those that describe the machine are not.
 
-use super::machine::Variable;
 use crate::bus::linudp::upid::{Type, Usage};
+
+/// A value that the drive computes whenever it is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Variable {
+    /// A value of hardware that this drive does not have.
+    Constant(i64),
+    OperatingMs,
+    TimerUs,
+    DemandCurrent,
+    Status,
+    Count,
+    Target,
+    LimitVelocity,
+    LimitAcceleration,
+    LimitDeceleration,
+    DemandPosition,
+    DemandVelocity,
+    DemandAcceleration,
+}
 
 /// A parameter without access restrictions.
 const CONFIG: u16 = Usage::RAM_READ | Usage::RAM_WRITE | Usage::ROM_READ | Usage::ROM_WRITE;

@@ -1,8 +1,9 @@
 use super::super::testing::{Bench, with_mailbox};
 use super::*;
-use crate::sim::ethercat::sii::Access;
 use crate::bus::ethercat::wire::frame::position;
+use crate::bus::ethercat::wire::registers::Features;
 use crate::bus::ethercat::wire::sii;
+use crate::sim::ethercat::sii::Access;
 
 /// Memory that nothing guards.
 const FREE: u16 = 0x0F80;

@@ -3,42 +3,35 @@
 //! Knows no bytes and no sockets. Time comes in steps; a control word is followed by one transition a step, as in a
 //! drive whose control loop is faster than its bus.
 
+mod command;
 mod commands;
 mod report;
 mod sequence;
 mod settings;
+mod states;
+mod step;
 
-pub(super) use self::commands::{CURVE_SCALE, Taken};
-pub(super) use self::report::Variable;
+pub(super) use self::command::Taken;
 
 use std::collections::VecDeque;
 
-use self::commands::Effort;
-use self::sequence::Sequence;
-use self::settings::{RunMode, Settings};
+use self::command::{Effort, Sequence};
+use self::settings::Settings;
+use super::demand::{Demand, METRE};
 use super::memory::Memory;
-use super::motion::{Demand, METRE, Setpoints};
+use super::motion::Setpoints;
+use super::settings::LinMotSettings;
 use super::upids;
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
 use crate::sim::Truth;
-use crate::sim::linudp::LinMotSettings;
 use crate::sim::physics::PlantPlan;
-use crate::sim::power::{Aim, PowerDrive, PowerPlan, Reset};
-use crate::time::{MS, Time};
-
-/// Hardware tests of state 5 (SG5 manual: about 300 ms).
-const HW_TESTS_NS: u64 = 300 * MS;
+use crate::sim::power::{PowerDrive, PowerPlan, Reset};
+use crate::time::Time;
 
 // Values that a real drive takes from its parameters: velocities in m/s, accelerations in m/s2, lengths in m.
-const HOMING_VELOCITY: f64 = 0.1;
-const JOG_VELOCITY: f64 = 0.02;
-const GO_TO_VELOCITY: f64 = 0.1;
 const OWN_ACCELERATION: f64 = 1.0;
 const IN_POSITION: f64 = 50e-6;
 const LAG_WARNING: f64 = 1e-3;
-
-/// 000Ch: position lag at standstill.
-const LAG_STANDING: ErrorCode = ErrorCode(0x000C);
 
 /// Force constant of the motor, N/A.
 const NEWTON_PER_AMPERE: f64 = 20.0;
@@ -217,15 +210,6 @@ impl Machine {
         Ok(())
     }
 
-    /// Writes the control word.
-    pub(super) fn set_control(&mut self, word: ControlWord, now: Time) {
-        self.control = word;
-        if !self.stopped {
-            self.transition(now);
-        }
-        self.report_control(now);
-    }
-
     /// Raises an error: a moving motor is stopped first. The first error stays.
     pub(super) fn fail(&mut self, code: ErrorCode) {
         if !self.power.fail(code, if code.is_fatal() { Reset::Never } else { Reset::Always }) {
@@ -238,80 +222,6 @@ impl Machine {
             self.mode = Mode::QuickStop;
         } else {
             self.power_off();
-        }
-    }
-
-    /// Advances to `now`.
-    pub(super) fn advance(&mut self, now: Time) {
-        while let Some(dt_ns) = self.power.advance(now) {
-            self.step(dt_ns);
-        }
-    }
-
-    /// Lets `dt_ns` pass; then one transition.
-    fn step(&mut self, dt_ns: u64) {
-        let now = self.power.now();
-        self.memory.advance(now);
-        self.report_control(now);
-        let actual = self.actual();
-        if self.powered()
-            && let Err(code) = self.setpoints.advance(now, dt_ns, actual)
-        {
-            self.fail(code);
-        }
-        self.move_plant(dt_ns);
-        if self.powered() {
-            self.watch();
-        } else {
-            // A powerless controller has no demand of its own.
-            self.setpoints.stand_at(self.actual().position);
-        }
-        if !self.stopped {
-            self.transition(now);
-            self.run_table(now);
-            self.go_on();
-        }
-    }
-
-    /// The motor follows the demand or the current.
-    fn move_plant(&mut self, dt_ns: u64) {
-        if let (Effort::Current(force), true) = (self.effort, self.powered()) {
-            self.power.step(Aim::Torque(force), dt_ns);
-            let actual = self.actual();
-            self.setpoints.follow(actual);
-            return;
-        }
-        self.power.limit_torque(match self.effort {
-            Effort::Pressing(force) => Some(force),
-            Effort::Position | Effort::Current(_) => None,
-        });
-        let demand = self.setpoints.demand();
-        let aim = match self.powered() {
-            true => Aim::Follow {
-                place: demand.position + self.power.zero,
-                speed: demand.velocity,
-                acceleration: demand.acceleration,
-            },
-            false => Aim::Off,
-        };
-        self.power.step(aim, dt_ns);
-    }
-
-    /// Range and following error.
-    fn watch(&mut self) {
-        let demand = counts(self.setpoints.demand().position, METRE);
-        let settings = &self.settings;
-        let bounded = self.power.homed && !self.plan.is_endless();
-        // A motor that presses against something is meant to lag behind.
-        let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
-        if bounded && demand < settings.range.0 {
-            self.fail(ErrorCode::MIN_POSITION);
-        } else if bounded && demand > settings.range.1 {
-            self.fail(ErrorCode::MAX_POSITION);
-        } else if lag > settings.lag_moving {
-            self.fail(ErrorCode::POSITION_LAG);
-        } else if lag > settings.lag_standing && !self.setpoints.is_moving() {
-            self.fail(LAG_STANDING);
         }
     }
 
@@ -348,142 +258,6 @@ impl Machine {
         self.power.zero = zero;
         self.power.homed = true;
         self.setpoints.stand_at(position);
-    }
-
-    /// The control word that the status word reports: the effective one, or an older one.
-    fn report_control(&mut self, now: Time) {
-        let effective = self.effective();
-        if self.lagging.back().map_or(self.reported, |(_, word)| *word) != effective {
-            self.lagging.push_back((now + self.plan.status_lag_ns, effective));
-        }
-        while let Some((due, word)) = self.lagging.front().copied()
-            && due <= now
-        {
-            self.lagging.pop_front();
-            self.reported = word;
-        }
-    }
-
-    /// At most one transition of the state machine, and its consequences: internal motions end with state 8.
-    fn transition(&mut self, now: Time) {
-        let before = self.mode;
-        self.change_mode(now);
-        if self.mode != Mode::Operating(Task::Commands) {
-            self.drop_tasks();
-        } else if matches!(before, Mode::ReadyToOperate | Mode::Operating(Task::Homing { .. })) {
-            self.enter_table();
-        }
-    }
-
-    /// The state machine (SG5 manual). Precedence: bits 0-2, bit 3, then the tasks.
-    fn change_mode(&mut self, now: Time) {
-        use ControlWord as C;
-        let control = self.effective();
-        let rising = ControlWord(control.0 & !self.seen.0);
-        self.seen = control;
-        let on = control.has(C::SWITCH_ON | C::VOLTAGE_ENABLE);
-        let quick_stop = !control.has(C::NO_QUICK_STOP);
-        match self.mode {
-            Mode::NotReady => {
-                if !control.has(C::SWITCH_ON) {
-                    self.mode = Mode::SwitchOnDisabled;
-                }
-            }
-            Mode::SwitchOnDisabled => {
-                if control.0 & 0b111 == 0b110 {
-                    self.mode = Mode::ReadyToSwitchOn;
-                }
-            }
-            Mode::ReadyToSwitchOn => {
-                if !control.has(C::VOLTAGE_ENABLE | C::NO_QUICK_STOP) {
-                    self.mode = Mode::SwitchOnDisabled;
-                } else if on {
-                    self.mode = Mode::HwTests { until: now + HW_TESTS_NS };
-                }
-            }
-            Mode::Error => {
-                if rising.has(C::ERROR_ACKNOWLEDGE) && self.power.reset() {
-                    self.mode = Mode::NotReady;
-                }
-            }
-            Mode::QuickStop => {
-                if !on || !self.setpoints.is_moving() {
-                    self.power_off();
-                }
-            }
-            _ if !on => self.power_off(),
-            _ if quick_stop => {
-                self.setpoints.quick_stop();
-                self.mode = Mode::QuickStop;
-            }
-            Mode::HwTests { until } => {
-                if now >= until {
-                    self.setpoints.stand_at(self.actual().position);
-                    self.mode = Mode::ReadyToOperate;
-                }
-            }
-            Mode::ReadyToOperate => {
-                if control.has(C::ENABLE_OPERATION) {
-                    self.mode = Mode::Operating(Task::Commands);
-                }
-            }
-            Mode::Operating(_) if !control.has(C::ENABLE_OPERATION) => {
-                self.setpoints.halt();
-                self.mode = Mode::ReadyToOperate;
-            }
-            Mode::Operating(task) => self.change_task(task, control, rising),
-        }
-    }
-
-    /// Starts the task that the control word requests, if it is another one.
-    fn change_task(&mut self, task: Task, control: ControlWord, rising: ControlWord) {
-        use ControlWord as C;
-        let initial = rising.has(C::GO_TO_INITIAL)
-            || control.has(C::GO_TO_INITIAL) && matches!(task, Task::GoingToInitial { .. });
-        let wanted = if !control.has(C::NO_ABORT) {
-            Task::Aborting
-        } else if !control.has(C::NO_FREEZE) {
-            Task::Freezing
-        } else if control.has(C::HOMING) {
-            Task::Homing { finished: false }
-        } else if initial {
-            Task::GoingToInitial { finished: false }
-        } else if control.has(C::GO_TO_POSITION) {
-            Task::GoingToPosition { finished: false }
-        } else if control.has(C::JOG_PLUS) {
-            Task::JoggingPlus
-        } else if control.has(C::JOG_MINUS) {
-            Task::JoggingMinus
-        } else {
-            Task::Commands
-        };
-        if std::mem::discriminant(&wanted) == std::mem::discriminant(&task) {
-            return;
-        }
-        self.mode = Mode::Operating(wanted);
-        self.setpoints.clear_events();
-        let Settings { home, slider_home, .. } = self.settings;
-        match wanted {
-            Task::Aborting => self.setpoints.quick_stop(),
-            Task::Freezing => self.setpoints.freeze(),
-            Task::Homing { .. } => {
-                self.power.homed = false;
-                self.setpoints.go_to(slider_home - self.power.zero, HOMING_VELOCITY, OWN_ACCELERATION);
-            }
-            Task::GoingToInitial { .. } | Task::GoingToPosition { .. } => {
-                if self.power.homed {
-                    self.setpoints.go_to(home, GO_TO_VELOCITY, OWN_ACCELERATION);
-                } else {
-                    self.fail(ErrorCode::NOT_HOMED);
-                }
-            }
-            Task::JoggingPlus => self.setpoints.run(JOG_VELOCITY, OWN_ACCELERATION),
-            Task::JoggingMinus => self.setpoints.run(-JOG_VELOCITY, OWN_ACCELERATION),
-            Task::Commands => match task {
-                Task::Freezing => self.setpoints.resume(),
-                _ => self.setpoints.quick_stop(),
-            },
-        }
     }
 
     /// Opens the hardware enable until then.

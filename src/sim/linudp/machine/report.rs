@@ -1,31 +1,12 @@
 //! The drive's reports: state, status, warnings, and the variables that can be read and monitored.
 
+use super::super::demand::{METRE, METRE_PER_S, METRE_PER_S2};
 use super::super::log::hours_and_ms;
-use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2};
-use super::super::upids::PARAMETERS;
+use super::super::upids::{PARAMETERS, Variable};
 use super::{LAG_WARNING, Machine, Mode, NEWTON_PER_AMPERE, Task, counts};
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
 use crate::sim::power::set_bits;
 use crate::time::US;
-
-/// A value that the drive computes whenever it is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) enum Variable {
-    /// A value of hardware that this drive does not have.
-    Constant(i64),
-    OperatingMs,
-    TimerUs,
-    DemandCurrent,
-    Status,
-    Count,
-    Target,
-    LimitVelocity,
-    LimitAcceleration,
-    LimitDeceleration,
-    DemandPosition,
-    DemandVelocity,
-    DemandAcceleration,
-}
 
 /// A position as a count of 32 bits, which wraps around.
 fn position(metres: f64) -> i32 {

@@ -10,11 +10,11 @@
 //! - In run mode 3 it begins at entry 1 as soon as the drive is in state 8 and homed.
 //! - Inputs are low and triggers never come. Waiting times in a variable are in 100 us, like those in an entry.
 
-use super::super::motion::{METRE, METRE_PER_S};
+use super::super::demand::{METRE, METRE_PER_S};
 use super::super::parameters::allowed;
 use super::super::upids;
-use super::commands::Command;
-use super::{Machine, Mode, RunMode, Task, counts};
+use super::command::{Command, Sequence};
+use super::{Machine, Mode, Task, counts};
 use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{Time, US};
@@ -22,38 +22,10 @@ use crate::time::{Time, US};
 /// The most entries that the drive executes in one step.
 const ENTRIES: usize = 8;
 
-/// The first entry of run mode 3.
-const FIRST: u16 = 1;
-
 /// One count of a waiting time, ns.
 const WAIT_NS: u64 = 100 * US;
 
-/// The position in the table.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sequence {
-    entry: u16,
-    /// The command that waits, and until when if it waits for a time; `None`: it is still to run.
-    waiting: Option<(Command, Time)>,
-}
-
 impl Machine {
-    /// The table goes on with this entry.
-    pub(super) fn start_table(&mut self, entry: u16) -> Result<(), ErrorCode> {
-        self.memory.table.get(entry).ok_or(ErrorCode::ENTRY_MISSING)?;
-        self.sequence = Some(Sequence { entry, waiting: None });
-        Ok(())
-    }
-
-    /// State 8 was entered.
-    pub(super) fn enter_table(&mut self) {
-        if self.settings.run_mode == RunMode::Table
-            && self.power.homed
-            && let Err(code) = self.start_table(FIRST)
-        {
-            self.fail(code);
-        }
-    }
-
     /// Runs the table as far as it gets now.
     pub(super) fn run_table(&mut self, now: Time) {
         for _ in 0..ENTRIES {

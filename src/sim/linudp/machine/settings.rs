@@ -1,6 +1,6 @@
 //! The values that the software takes from the parameters: read once after each change, not in every step.
 
-use super::super::motion::{METRE, Move, Origin, Start, Vad};
+use super::super::demand::{METRE, Move, Origin, Start, Vad};
 use super::super::parameters::Parameters;
 use super::super::upids;
 use crate::time::US;

@@ -9,7 +9,7 @@ mod states;
 mod stream;
 mod telegram;
 
-use super::motion::Vad;
+use super::demand::Vad;
 use super::*;
 use crate::bus::linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Velocity};
 use crate::bus::linudp::wire::{
