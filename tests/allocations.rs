@@ -216,8 +216,8 @@ impl SimSegment for UnwatchedLine {
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
         unwatched(|| self.0.pass(now, frame))
     }
-    fn live(&mut self, now: Time) {
-        unwatched(|| self.0.live(now));
+    fn advance(&mut self, now: Time) {
+        unwatched(|| self.0.advance(now));
     }
     fn restart(&mut self, now: Time, place: usize) {
         unwatched(|| self.0.restart(now, place));
@@ -273,12 +273,12 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let mut sim = Master::from_plan(plan).simulate_with(drives, options).unwrap();
     // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
     let late = FaultPlan { delay: 1.0, delay_ns: 20_000_000, duplicate: 1.0, ..FaultPlan::default() };
-    assert!(sim.world().set_line_faults(LINE, late));
+    assert!(sim.world().set_segment_faults(LINE, late));
     for _ in 0..100 {
         sim.world().inject_frame(LINE, &[0xFF; 1_514], sim.world().now());
     }
     sim.run(100);
-    assert!(sim.world().set_line_faults(LINE, FaultPlan::default()));
+    assert!(sim.world().set_segment_faults(LINE, FaultPlan::default()));
     sim.run(100);
 
     let [read, refused] = ["0x6041:0", "0x5FFF:7"].map(|object| Objects.read(object));
@@ -325,13 +325,13 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
                 wrong_id: 0.02,
                 ..FaultPlan::default()
             };
-            unwatched(|| assert!(sim.world().set_line_faults(LINE, faults)));
+            unwatched(|| assert!(sim.world().set_segment_faults(LINE, faults)));
             // A slave takes no frame with a wrong check sequence: what is broken comes to the master only.
             for length in [20, 64, 600] {
                 sim.world().inject_frame(LINE, &broken[..length], sim.world().now());
             }
             sim.run(2_000);
-            unwatched(|| assert!(sim.world().set_line_faults(LINE, FaultPlan::default())));
+            unwatched(|| assert!(sim.world().set_segment_faults(LINE, FaultPlan::default())));
             sim.world().delay_next_wake(3_700_000);
             assert!(sim.world().restart_slave(LINE, RESTARTED));
             sim.run(100);

@@ -34,11 +34,13 @@ mod wire;
 pub mod world;
 
 use std::any::Any;
+use std::fmt::Debug;
 use std::net::SocketAddrV4;
 
-pub use plan::{SimBus, SimPlan};
+pub use plan::SimPlan;
 pub use serial::{SerialWire, SimSerial};
 
+use crate::axis::PlanFault;
 use crate::time::Time;
 
 /// The kind of transport of a simulated drive.
@@ -170,7 +172,7 @@ pub trait SimSegment: Any + Send {
     fn mislabel(&self, _frame: &mut [u8]) {}
 
     /// Time has advanced to `now`, with or without a frame.
-    fn live(&mut self, now: Time);
+    fn advance(&mut self, now: Time);
 
     /// Cuts the cable in front of the slave at `place`, counted from 0 at the master; `None` repairs it.
     fn cut(&mut self, place: Option<usize>);
@@ -185,6 +187,17 @@ pub trait SimSegment: Any + Send {
     fn inhibit(&mut self, place: usize, until: Time);
 }
 
+/// The simulated drives of one bus.
+pub trait SimBus: Debug + Send + Sync {
+    /// What contradicts itself, each with the name of its drive or device; `None`: the bus as a whole.
+    fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
+        Vec::new()
+    }
+
+    /// Builds its drives, in the order of its plan, and adds them.
+    fn build(&self, to: &mut Simulated);
+}
+
 /// The drives of a machine, simulated.
 #[derive(Default)]
 pub struct Simulated {
@@ -196,7 +209,7 @@ pub struct Simulated {
     pub wires: Vec<SerialWire>,
 }
 
-impl std::fmt::Debug for Simulated {
+impl Debug for Simulated {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Simulated")
             .field("drives", &self.drives.len())

@@ -1,23 +1,15 @@
 //! The simulated drives of a machine as configured, next to the machine's own plan, which knows nothing of them.
 
-use std::fmt::Debug;
+use std::any::Any;
 
-use super::{Simulated, ethercat, linudp, modbus};
-use crate::axis::PlanFault;
+use super::ethercat::{self, EthercatSegment};
+use super::linudp::{self, LinMots};
+use super::modbus::{self, Unidrives};
+use super::{SimBus, Simulated};
 use crate::bus::BusPlan;
+use crate::bus::ethercat::EthercatPlan;
 #[cfg(feature = "config")]
 use crate::keys::table::Table;
-
-/// The simulated drives of one bus.
-pub trait SimBus: Debug + Send + Sync {
-    /// What contradicts itself, each with the name of its drive or device; `None`: the bus as a whole.
-    fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
-        Vec::new()
-    }
-
-    /// Builds its drives, in the order of its plan, and adds them.
-    fn build(&self, to: &mut Simulated);
-}
 
 /// The simulated drives of a machine, bus by bus.
 #[derive(Debug, Default)]
@@ -32,10 +24,26 @@ type Fit = fn(&dyn BusPlan) -> Option<Box<dyn SimBus>>;
 #[cfg(feature = "config")]
 type Read = fn(&mut Table<'_>, &dyn BusPlan, u64) -> Option<Box<dyn SimBus>>;
 
-/// One line a protocol.
-const FITS: [Fit; 3] = [linudp::fit, modbus::fit, ethercat::fit];
+/// One entry a protocol.
+const FITS: [Fit; 3] = [
+    |bus| of_plan(bus, LinMots::of),
+    |bus| of_plan(bus, Unidrives::of),
+    |bus| of_plan(bus, |plan: &EthercatPlan| EthercatSegment::from(plan.clone())),
+];
 #[cfg(feature = "config")]
-const READERS: [Read; 3] = [linudp::config::read, modbus::config::read, ethercat::config::read];
+const READERS: [Read; 3] = [
+    |table, bus, period_ns| of_plan(bus, |plan| linudp::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| modbus::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| ethercat::config::read(table, plan, period_ns)),
+];
+
+/// Those of a bus, if its plan is of the type that `make` takes.
+fn of_plan<P: 'static, S: SimBus + 'static>(
+    bus: &dyn BusPlan,
+    make: impl FnOnce(&P) -> S,
+) -> Option<Box<dyn SimBus>> {
+    Some(Box::new(make((bus as &dyn Any).downcast_ref()?)))
+}
 
 impl SimPlan {
     /// Drives with default settings that fit these buses. A bus of no protocol of this library has none.

@@ -111,7 +111,7 @@ impl SimSegment for Tally {
     }
 
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
-        self.live(now);
+        self.advance(now);
         self.passed += 1;
         let reached = self.cut.unwrap_or(2);
         frame[1] += self.deaf[..reached].iter().filter(|deaf| !**deaf).count() as u8;
@@ -122,7 +122,7 @@ impl SimSegment for Tally {
         frame[0] ^= 0x80;
     }
 
-    fn live(&mut self, now: Time) {
+    fn advance(&mut self, now: Time) {
         self.lived = now;
     }
 
@@ -143,7 +143,7 @@ impl SimSegment for Tally {
     }
 }
 
-/// A drive with three sockets that speaks unasked. `O` on its connection starts a packet every millisecond, from its
+/// A drive with three sockets that speaks by itself. `O` on its connection starts a packet every millisecond, from its
 /// datagram socket to the peer's host or to a group, as long as that host feeds it; anything else stops that. At its
 /// identity socket, which has the address of its stream, it answers with what it got.
 pub struct Producer {

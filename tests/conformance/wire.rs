@@ -173,7 +173,7 @@ impl Wire {
     /// From here on the wire of drive `index`, or its line, has these faults.
     pub fn faults(&self, world: &World, index: usize, plan: FaultPlan) {
         assert!(match &self.interface {
-            Some(line) => world.set_line_faults(line, plan),
+            Some(line) => world.set_segment_faults(line, plan),
             None => world.set_faults(self.address(index), plan),
         });
     }
@@ -315,8 +315,8 @@ impl SimSegment for TappedLine {
         self.line.mislabel(frame);
     }
 
-    fn live(&mut self, now: Time) {
-        self.line.live(now);
+    fn advance(&mut self, now: Time) {
+        self.line.advance(now);
     }
 
     fn cut(&mut self, place: Option<usize>) {

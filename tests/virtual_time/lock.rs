@@ -277,7 +277,9 @@ fn a_segment_that_leads_and_one_that_follows_come_up_and_stay_in_their_windows()
 fn frames_that_are_lost_and_slots_that_are_skipped_steer_nothing() {
     let mut led = Led::new(MS, None, &[100.0]);
     led.run_until(5 * S, "locked", |led| led.reference().locked);
-    assert!(led.sim.world().set_line_faults(&interface(0), FaultPlan { drop: 0.2, ..FaultPlan::default() }));
+    assert!(
+        led.sim.world().set_segment_faults(&interface(0), FaultPlan { drop: 0.2, ..FaultPlan::default() })
+    );
     let mut random = fastrand::Rng::with_seed(1);
     for turn in 0..8_000 {
         if turn % 50 == 7 {

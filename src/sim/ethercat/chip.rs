@@ -271,7 +271,7 @@ impl Chip {
     /// Advances to `now`.
     pub(super) fn advance(&mut self, now: Time) {
         self.clock.advance(now);
-        if self.eeprom.live(now) {
+        if self.eeprom.advance(now) {
             self.show_sii();
         }
     }

@@ -1,24 +1,16 @@
 //! The keys of `simulate` of a bus with `protocol = "ethercat"`, of its drives and of its devices.
 
-use std::any::Any;
-
 use super::coupler::Terminals;
 use super::{Coupler, Dialect, DriveSettings, EthercatSegment, MotorSettings, SegmentSettings};
-use crate::bus::BusPlan;
 use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use crate::keys::bus;
 use crate::keys::table::{Table, number};
-use crate::sim::keys::faults;
 use crate::sim::{Carrier, SimBus};
+use crate::sim::keys::faults;
 use crate::time::{MS, US};
 
-/// Reads the simulated segment of a `[[bus]]` that is read otherwise, if it is one of this protocol.
-pub(in crate::sim) fn read(
-    table: &mut Table<'_>,
-    plan: &dyn BusPlan,
-    period_ns: u64,
-) -> Option<Box<dyn SimBus>> {
-    let plan: &EthercatPlan = (plan as &dyn Any).downcast_ref()?;
+/// Reads the simulated segment of a `[[bus]]` that is read otherwise.
+pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &EthercatPlan, period_ns: u64) -> EthercatSegment {
     let mut drives = bus::drive_tables(table, &["name", "position"]);
     let mut devices = table.tables("device");
     let simulated = EthercatSegment {
@@ -44,7 +36,7 @@ pub(in crate::sim) fn read(
             None => table.fault(fault.key, fault.message),
         }
     }
-    Some(Box::new(simulated))
+    simulated
 }
 
 /// The segment as a whole.

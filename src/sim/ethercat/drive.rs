@@ -313,7 +313,7 @@ impl Application for Drive {
     /// synchronous, or it refuses.
     fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
         use AlState::{Boot, Init, Op, PreOp, SafeOp};
-        self.live(now);
+        self.advance(now);
         match (self.al, state) {
             (from, to) if from == to => return Ok(()),
             (_, Init) | (Init | SafeOp | Op, PreOp) | (Op, SafeOp) => {}
@@ -352,7 +352,9 @@ impl Application for Drive {
         reply.clear();
         let now = self.power.now();
         let is_due = |pause: u64| now.since(self.disturbed) >= pause;
-        if self.mailbox.is_empty() && self.al != AlState::Init && self.settings.unasked_ns.is_some_and(is_due)
+        if self.mailbox.is_empty()
+            && self.al != AlState::Init
+            && self.settings.unrequested_ns.is_some_and(is_due)
         {
             self.disturbed = now;
             self.mailbox.disturb();
@@ -365,7 +367,7 @@ impl Application for Drive {
     /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Areas that are shorter than
     /// the PDOs are ignored.
     fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
-        self.live(now);
+        self.advance(now);
         if !self.is_cyclic() {
             return;
         }
@@ -381,7 +383,7 @@ impl Application for Drive {
 
     /// Advances to `now`. Without cyclic interrupts it has to be called now and then: otherwise the drive does not
     /// notice that they are missing.
-    fn live(&mut self, now: Time) {
+    fn advance(&mut self, now: Time) {
         while let Some(dt_ns) = self.power.advance(now) {
             self.step(dt_ns);
         }
@@ -394,7 +396,7 @@ impl Application for Drive {
 
     /// Power came back: everything volatile is lost, the motor goes on turning as it did.
     fn restart(&mut self, now: Time) {
-        self.live(now);
+        self.advance(now);
         self.objects = Objects::new(&self.settings);
         self.mapping = Mapping::new();
         self.mailbox.reset();

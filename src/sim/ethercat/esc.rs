@@ -78,7 +78,7 @@ impl Esc {
 
     /// The time at `now` until its next SYNC0, ns; `None`: there is none.
     pub fn sync0_in_ns(&mut self, now: Time) -> Option<u64> {
-        self.live(now);
+        self.advance(now);
         self.chip.clock().left_to_sync()
     }
 
@@ -101,7 +101,7 @@ impl Esc {
     }
 
     /// Advances to `now`, with or without a frame.
-    pub fn live(&mut self, now: Time) {
+    pub fn advance(&mut self, now: Time) {
         self.chip.advance(now);
         while let Some(late_ns) = self.chip.clock().take_sync() {
             self.firmware.cycle(&mut self.chip, now - late_ns);
@@ -123,7 +123,7 @@ impl Esc {
     /// Lets a frame with datagrams at these offsets pass.
     pub(super) fn pass(&mut self, passage: Passage, frame: &mut [u8], places: &[Place]) {
         let Passage { at, .. } = passage;
-        self.live(at);
+        self.advance(at);
         if self.deaf {
             return;
         }

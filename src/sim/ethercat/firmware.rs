@@ -94,7 +94,7 @@ impl Firmware {
 
     /// Does what is due by `now`.
     pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
-        self.application.live(now);
+        self.application.advance(now);
         self.stay(chip, now);
         if chip.requested().is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
             let request = chip.take_request();

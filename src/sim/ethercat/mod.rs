@@ -69,7 +69,6 @@ pub use self::hardware::Settings;
 pub use self::segment::Segment;
 pub use drive::Drive;
 pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};
-pub(super) use simulation::fit;
 pub use simulation::{EthercatSegment, EthercatSim};
 
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
@@ -109,7 +108,7 @@ pub trait Application: Debug + Send {
     }
 
     /// Time has advanced to `now`, with or without a cycle.
-    fn live(&mut self, _now: Time) {}
+    fn advance(&mut self, _now: Time) {}
 
     /// Power cycle: everything volatile is lost.
     fn restart(&mut self, _now: Time) {}

@@ -54,8 +54,8 @@ impl Segment {
     }
 
     /// Advances all slaves to `now`, without a frame.
-    pub fn live(&mut self, now: Time) {
-        self.slaves.iter_mut().for_each(|slave| slave.live(now));
+    pub fn advance(&mut self, now: Time) {
+        self.slaves.iter_mut().for_each(|slave| slave.advance(now));
     }
 
     /// Carries a frame that the master sends at `now` through all slaves that it reaches, in place. Frames that are
@@ -63,9 +63,9 @@ impl Segment {
     pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
         let reached = self.reached();
         let (near, far) = self.slaves.split_at_mut(reached);
-        far.iter_mut().for_each(|slave| slave.live(now));
+        far.iter_mut().for_each(|slave| slave.advance(now));
         let Ok(read) = datagrams(frame) else {
-            near.iter_mut().for_each(|slave| slave.live(now));
+            near.iter_mut().for_each(|slave| slave.advance(now));
             return;
         };
         self.places.clear();

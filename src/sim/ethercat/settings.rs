@@ -34,7 +34,7 @@ pub struct DriveSettings {
     pub long_sdos: Option<u16>,
     /// Interval at which it sends an unrequested mailbox message, Ethernet over EtherCAT, as a real AKD does, ns.
     /// Default: none.
-    pub unasked_ns: Option<u64>,
+    pub unrequested_ns: Option<u64>,
     /// The PDOs that can be selected.
     pub layouts: Vec<Layout>,
     /// The PDOs selected as delivered: outputs, inputs.
@@ -91,7 +91,7 @@ impl DriveSettings {
                 Family::Akd => AKD.into(),
             },
             long_sdos: (family == Family::Akd).then_some(1_024),
-            unasked_ns: None,
+            unrequested_ns: None,
             layouts: pdo::fixed(family),
             selected,
             prbase: 20,

@@ -245,11 +245,11 @@ impl Eeprom {
             1..=4 => self.job = Some(Job { done_at: now + self.access.busy_ns, command, address, word }),
             _ => self.error |= bit::REFUSED,
         }
-        self.live(now)
+        self.advance(now)
     }
 
     /// Completes a command whose time has come; whether there was one.
-    pub(super) fn live(&mut self, now: Time) -> bool {
+    pub(super) fn advance(&mut self, now: Time) -> bool {
         let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
         match job.command {
             Status::READ => self.read(job.address),
@@ -347,9 +347,9 @@ mod tests {
         assert_eq!(eeprom.status(), 0x0020);
         eeprom.command(T, Status::READ, word::VENDOR.into(), 0);
         assert_eq!((eeprom.status(), eeprom.is_busy()), (0x8120, true));
-        eeprom.live(T + 99);
+        eeprom.advance(T + 99);
         assert!(Status(eeprom.status()).busy());
-        eeprom.live(T + 100);
+        eeprom.advance(T + 100);
         assert_eq!((eeprom.status(), eeprom.data()), (0x0020, [0x6A, 0, 0, 0, 0, 0, 0, 0]));
     }
 

@@ -1,12 +1,9 @@
 //! The segment of a plan, simulated: its slaves, and the content of their EEPROMs.
 
-use std::any::Any;
-
 use super::coupler::Terminals;
 use super::sii::{Access, Contents, Mailboxes, Pdo};
 use super::{Coupler, Drive, DriveSettings, Esc, Segment, SegmentSettings, Settings};
 use crate::axis::PlanFault;
-use crate::bus::BusPlan;
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::wire::frame::ETHERTYPE;
@@ -81,12 +78,6 @@ impl SimBus for EthercatSegment {
     fn build(&self, to: &mut Simulated) {
         to.segments.push(Box::new(EthercatSim::new(self)));
     }
-}
-
-/// The simulated segment of a bus, if it is one of this protocol.
-pub(in crate::sim) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
-    let plan: &EthercatPlan = (bus as &dyn Any).downcast_ref()?;
-    Some(Box::new(EthercatSegment::from(plan.clone())))
 }
 
 impl EthercatSegment {
@@ -218,8 +209,8 @@ impl SimSegment for EthercatSim {
         }
     }
 
-    fn live(&mut self, now: Time) {
-        self.segment.live(now);
+    fn advance(&mut self, now: Time) {
+        self.segment.advance(now);
     }
 
     fn cut(&mut self, place: Option<usize>) {

@@ -1,27 +1,19 @@
 //! The keys of `simulate` of a drive with `protocol = "linudp-v2"`.
 
-use std::any::Any;
-
 use super::{FlashMode, LinMotSettings, LinMots, MasterFilter, UnknownCommands};
 use crate::axis::Units;
-use crate::bus::BusPlan;
 use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use crate::keys::bus;
 use crate::keys::table::{Table, integer};
+use crate::sim::Carrier;
 use crate::sim::keys::faults;
-use crate::sim::{Carrier, SimBus};
 use crate::time::S;
 
-/// Reads the simulated drives of a `[[bus]]` that is read otherwise, if it is one of this protocol.
-pub(in crate::sim) fn read(
-    table: &mut Table<'_>,
-    plan: &dyn BusPlan,
-    period_ns: u64,
-) -> Option<Box<dyn SimBus>> {
-    let plan: &LinUdpPlan = (plan as &dyn Any).downcast_ref()?;
-    let drives =
-        bus::simulated(table, &plan.drives, |table, drive, index| settings(table, drive, period_ns, index));
-    Some(Box::new(LinMots(drives)))
+/// Reads the simulated drives of a `[[bus]]` that is read otherwise.
+pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &LinUdpPlan, period_ns: u64) -> LinMots {
+    LinMots(bus::simulated(table, &plan.drives, |table, drive, index| {
+        settings(table, drive, period_ns, index)
+    }))
 }
 
 fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: usize) -> LinMotSettings {

@@ -51,14 +51,12 @@ mod table;
 mod time_curve;
 mod upids;
 
-use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 pub use self::settings::{FlashMode, LinMotSettings, MasterFilter, UnknownCommands};
 
 use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
-use crate::bus::BusPlan;
 use crate::bus::linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
 use crate::bus::linudp::{LinUdpPlan, MASTER_PORT};
 use crate::sim::{FaultPlan, SimBus, SimDrive, Simulated, Truth};
@@ -100,11 +98,6 @@ impl SimBus for LinMots {
         to.drives
             .extend(self.0.iter().map(|drive| Box::new(LinMotSim::new(drive.clone())) as Box<dyn SimDrive>));
     }
-}
-
-/// The simulated drives of a bus, if it is one of this protocol.
-pub(super) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
-    Some(Box::new(LinMots::of((bus as &dyn Any).downcast_ref()?)))
 }
 
 /// One simulated LinMot drive.

@@ -1,25 +1,17 @@
 //! The keys of `simulate` of a drive with `protocol = "modbus-tcp"`.
 
-use std::any::Any;
-
 use super::{Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, Unidrives};
-use crate::bus::BusPlan;
 use crate::bus::modbus::{ModbusPlan, UnidriveDrive};
 use crate::keys::bus;
 use crate::keys::table::Table;
+use crate::sim::Carrier;
 use crate::sim::keys::faults;
-use crate::sim::{Carrier, SimBus};
 
-/// Reads the simulated drives of a `[[bus]]` that is read otherwise, if it is one of this protocol.
-pub(in crate::sim) fn read(
-    table: &mut Table<'_>,
-    plan: &dyn BusPlan,
-    period_ns: u64,
-) -> Option<Box<dyn SimBus>> {
-    let plan: &ModbusPlan = (plan as &dyn Any).downcast_ref()?;
-    let drives =
-        bus::simulated(table, &plan.drives, |table, drive, index| settings(table, drive, period_ns, index));
-    Some(Box::new(Unidrives(drives)))
+/// Reads the simulated drives of a `[[bus]]` that is read otherwise.
+pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ModbusPlan, period_ns: u64) -> Unidrives {
+    Unidrives(bus::simulated(table, &plan.drives, |table, drive, index| {
+        settings(table, drive, period_ns, index)
+    }))
 }
 
 fn settings(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index: usize) -> UnidriveSettings {

@@ -36,14 +36,12 @@ mod server;
 mod settings;
 mod table;
 
-use std::any::Any;
 use std::net::SocketAddrV4;
 
 pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, Watchdog};
 
 use self::drive::Drive;
 use self::server::Server;
-use crate::bus::BusPlan;
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::{ModbusPlan, UnidriveDrive};
 use crate::sim::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, Truth};
@@ -66,11 +64,6 @@ impl SimBus for Unidrives {
             self.0.iter().map(|drive| Box::new(UnidriveSim::new(drive.clone())) as Box<dyn SimDrive>),
         );
     }
-}
-
-/// The simulated drives of a bus, if it is one of this protocol.
-pub(super) fn fit(bus: &dyn BusPlan) -> Option<Box<dyn SimBus>> {
-    Some(Box::new(Unidrives::of((bus as &dyn Any).downcast_ref()?)))
 }
 
 impl UnidriveSettings {

@@ -126,7 +126,7 @@ proptest! {
     }
 
     #[test]
-    fn the_mass_stays_finite_and_in_range_whatever_is_asked(
+    fn the_mass_stays_finite_and_in_range_whatever_is_requested(
         steps in prop::collection::vec(
             (-1e6..1e6f64, -1e6..1e6f64, -1e6..1e6f64, 0..10_000_000_000u64, any::<bool>()), 1..50),
     ) {

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 
-use super::service::SharedBus;
+use super::sockets::SharedBus;
 use super::{BusStats, lock};
 use crate::net::Frames;
 use crate::net::local::{self, Local};
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_served_already_or_has_no_other_end_is_told() {
+    fn a_segment_that_is_served_already_or_has_no_other_end_is_refused() {
         let name = name("twice");
         let first = start(&name, FaultPlan::default()).unwrap();
         let error = start(&name, FaultPlan::default()).unwrap_err();

@@ -12,7 +12,7 @@ use nix::sys::eventfd::EventFd;
 use nix::sys::time::TimeSpec;
 
 use super::segments::Segment;
-use super::sockets::{Farewell, LISTENER, Socket, not_now, token, unbound};
+use super::sockets::{Farewell, LISTENER, SharedBus, Socket, not_now, token, unbound};
 use super::wires::Wire;
 use super::{BusStats, ConnectionStats, DriveStats, lock};
 use crate::rt::MonotonicClock;
@@ -42,24 +42,6 @@ pub(super) struct Service {
     buses: Vec<Box<dyn SharedBus>>,
     queue: Queue,
     stats: Stats,
-}
-
-/// Several drives behind one descriptor of this thread: a segment or a serial wire.
-pub(super) trait SharedBus: Send {
-    /// No counts yet, with its name.
-    fn stats(&self) -> BusStats;
-
-    fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()>;
-
-    /// When the next thing happens.
-    fn next_due(&self) -> Option<Time>;
-
-    /// The descriptor with this number can be read: [`LISTENER`] is the one that it watches itself, and `token` is the
-    /// event of one more.
-    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<BusStats>);
-
-    /// Everything that is due by now.
-    fn run_due(&mut self, stats: &Mutex<BusStats>);
 }
 
 /// The counts, each at the index of its socket or bus.

@@ -2,15 +2,18 @@
 
 use std::io::{self, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 use nix::sys::socket::{setsockopt, sockopt};
 
+use super::BusStats;
 use crate::errors::no_descriptor;
 use crate::net::set_option;
 use crate::sim::Carrier;
 use crate::sim::drives::Station;
 use crate::sim::fault::wrong_port;
+use crate::time::Time;
 
 /// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
 pub(super) const UNREAD: usize = 65_536;
@@ -48,6 +51,24 @@ pub(super) struct Connection {
 
 /// The number of no connection: the source of new ones.
 pub(super) const LISTENER: u32 = 0;
+
+/// Several drives behind one descriptor of this thread: a segment or a serial wire.
+pub(super) trait SharedBus: Send {
+    /// No counts yet, with its name.
+    fn stats(&self) -> BusStats;
+
+    fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()>;
+
+    /// When the next thing happens.
+    fn next_due(&self) -> Option<Time>;
+
+    /// The descriptor with this number can be read: [`LISTENER`] is the one that it watches itself, and `token` is the
+    /// event of one more.
+    fn ready(&mut self, number: u32, room: &mut [u8], epoll: &Epoll, token: u64, stats: &Mutex<BusStats>);
+
+    /// Everything that is due by now.
+    fn run_due(&mut self, stats: &Mutex<BusStats>);
+}
 
 /// The event token of connection `number` of station `index`.
 pub(super) fn token(index: usize, number: u32) -> u64 {

@@ -25,7 +25,7 @@ fn address(x: u8, host: u8) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 72, x, host), 49360)
 }
 
-/// Answers with what it got and how often it was asked since its start.
+/// Answers with what it got and how many requests came since its start.
 struct Echo(SocketAddrV4, FaultPlan, u8);
 
 impl SimDrive for Echo {
@@ -172,7 +172,7 @@ fn a_right_that_is_missing_is_reported_and_serves_all_the_same() {
 }
 
 /// Answers each request of two bytes, a number and how long the answer is in KiB, with the number, how often it was
-/// asked since its start, and so many bytes.
+/// requested since its start, and so many bytes.
 struct Counter {
     address: SocketAddrV4,
     faults: FaultPlan,
@@ -251,7 +251,7 @@ fn connect(x: u8) -> TcpStream {
     socket
 }
 
-/// Asks with a number; the number of the answer, and how often the drive was asked.
+/// Asks with a number; the number of the answer, and how many requests the drive received.
 fn ask(socket: &mut TcpStream, number: u8) -> io::Result<[u8; 2]> {
     socket.write_all(&[number, 0])?;
     let mut answer = [0; 2];
@@ -358,7 +358,7 @@ fn faults_on_a_stream_are_injected_counted_and_accounted_for() {
             }
         }
     }
-    until("all is told", || server.stats()[0].connections.open == 1);
+    until("all is reported", || server.stats()[0].connections.open == 1);
     let stats = server.stop()[0];
     let i = stats.injected;
     assert_eq!((i.cut, i.wrong_id, stats.unsent), (cut, wrong, 0), "{stats:?}");
@@ -439,7 +439,7 @@ fn an_address_that_listens_already_is_named_with_the_remedy() {
 }
 
 #[test]
-fn a_port_without_rights_is_told_as_such() {
+fn a_port_without_rights_is_reported_as_such() {
     let text = |port, carrier| {
         let address = SocketAddrV4::new(Ipv4Addr::LOCALHOST, port);
         unbound(address, carrier, io::ErrorKind::PermissionDenied.into()).to_string()

@@ -8,8 +8,7 @@ use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 
-use super::service::SharedBus;
-use super::sockets::{LISTENER, not_now};
+use super::sockets::{LISTENER, SharedBus, not_now};
 use super::{BusStats, lock};
 use crate::net::link::local_address;
 use crate::net::{local, tty};

@@ -111,12 +111,12 @@ impl World {
     }
 
     /// The wire to the segment has the faults of `plan` from now on; its counters restart.
-    pub fn set_line_faults(&self, interface: &str, plan: FaultPlan) -> bool {
+    pub fn set_segment_faults(&self, interface: &str, plan: FaultPlan) -> bool {
         self.with_wire(interface, |wire, _| wire.change(plan)).is_some()
     }
 
     /// The faults of the wire to the segment so far.
-    pub fn line_injected(&self, interface: &str) -> Option<Injected> {
+    pub fn segment_injected(&self, interface: &str) -> Option<Injected> {
         self.with_wire(interface, |wire, _| wire.injected())
     }
 
@@ -128,7 +128,7 @@ impl World {
     /// Looks at the segment itself, as it is now; nothing also if it is no `L`.
     pub fn look<L: SimSegment, R>(&self, interface: &str, look: impl FnOnce(&mut L, Time) -> R) -> Option<R> {
         self.with_wire(interface, |wire, now| {
-            wire.segment_mut().live(now);
+            wire.segment_mut().advance(now);
             let segment: &mut dyn Any = wire.segment_mut();
             segment.downcast_mut().map(|segment| look(segment, now))
         })?
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_without_a_line_is_told_with_those_that_there_are() {
+    fn an_interface_without_a_segment_is_refused_with_those_that_there_are() {
         let (world, carrier) = world(FaultPlan::default());
         let refused = |name, kind| world.frames(name, kind).map(|_| ()).unwrap_err();
         assert_eq!(
@@ -286,7 +286,7 @@ mod tests {
         drop(carrier);
         assert!(world.frames(NAME, TYPE).is_ok());
         assert!(!world.cut("eth8", None) && !world.deafen("eth8", 0, true));
-        assert_eq!(world.line_injected("eth8"), None);
+        assert_eq!(world.segment_injected("eth8"), None);
         let mut twice = segments(FaultPlan::default());
         twice.segments.extend(segments(FaultPlan::default()).segments);
         assert!(World::new(twice, WorldOptions::default()).is_err());
@@ -317,10 +317,10 @@ mod tests {
             let (world, mut carrier) = world(FaultPlan::default());
             let mut plan = FaultPlan { delay_ns: 5 * MS, ..FaultPlan::default() };
             change(&mut plan);
-            assert!(world.set_line_faults(NAME, plan));
+            assert!(world.set_segment_faults(NAME, plan));
             let got: Vec<_> = (0..4).map(|number| exchange(&world, &mut *carrier, number)).collect();
             world.advance(20 * MS);
-            (got, take(&mut *carrier), world.line_injected(NAME).unwrap())
+            (got, take(&mut *carrier), world.segment_injected(NAME).unwrap())
         };
         let (got, _, injected) = only(|plan| plan.drop = 1.0);
         assert_eq!((got.concat().len(), injected.dropped), (0, 4));
@@ -345,7 +345,7 @@ mod tests {
         (0..5).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
         assert_eq!(world.look(NAME, |segment: &mut Tally, _| segment.restarts), Some([3, 2]));
         let plan = FaultPlan { inhibit: 1.0, inhibit_ns: 7, ..FaultPlan::default() };
-        assert!(world.set_line_faults(NAME, plan));
+        assert!(world.set_segment_faults(NAME, plan));
         let begin = world.now();
         (0..2).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
         let inhibited = world.look(NAME, |segment: &mut Tally, _| segment.inhibited);

@@ -242,11 +242,11 @@ fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
     machine.post(0, jog(10.0));
     machine.run(500);
     machine.assert_turns(0, 10.0);
-    assert!(machine.sim.world().set_line_faults(LINE, FaultPlan { drop: 1.0, ..FaultPlan::default() }));
+    assert!(machine.sim.world().set_segment_faults(LINE, FaultPlan { drop: 1.0, ..FaultPlan::default() }));
     machine.until("lost", 100, |machine| machine.feedback(0).link == Link::Lost);
     // What is asked of a lost link at once is lost too.
     machine.run(3);
-    assert!(machine.sim.world().set_line_faults(LINE, FaultPlan::default()));
+    assert!(machine.sim.world().set_segment_faults(LINE, FaultPlan::default()));
     machine.run(30);
     // 200 rev/s² for 30 ms are 360 rpm.
     let rpm = machine.drive(0, |drive| drive.rpm());

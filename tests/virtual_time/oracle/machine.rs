@@ -241,8 +241,8 @@ impl SimSegment for TapLine {
         returns
     }
 
-    fn live(&mut self, now: Time) {
-        self.with(|line| line.live(now));
+    fn advance(&mut self, now: Time) {
+        self.with(|line| line.advance(now));
     }
 
     fn restart(&mut self, now: Time, place: usize) {
@@ -437,7 +437,7 @@ impl Machine {
                 Drive::Unidrive(drive) => drive.truth(now),
             },
             None => self.at_line(|line| {
-                line.live(now);
+                line.advance(now);
                 line.drive(index).expect("there is a drive").truth()
             }),
         };

@@ -69,7 +69,7 @@ impl Wire {
         let control = AlStatus::request(state).0.to_le_bytes();
         assert_eq!(self.master(Command::Apwr(position(place), address::AL_CONTROL), &control).1, 1);
         self.now = self.now + MS;
-        self.line.live(self.now);
+        self.line.advance(self.now);
         assert_eq!(self.line.slave(place.into()).unwrap().state(), state);
     }
 

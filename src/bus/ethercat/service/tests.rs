@@ -114,7 +114,7 @@ impl Bench {
         self.service.request(self.now, &mut again);
         let of = |ask: &Ask| -> Vec<_> { ask.datagrams().map(|(c, data)| (c, data.to_vec())).collect() };
         assert_eq!(of(&ask), of(&again), "asked again, it asks the same");
-        self.line.live(self.now);
+        self.line.advance(self.now);
         if ask.is_empty() {
             return;
         }

@@ -151,7 +151,7 @@ mod tests {
 
     fn drive(family: Family) -> Drive {
         let mut drive = Drive::new(DriveSettings::new(family));
-        drive.live(Time(S));
+        drive.advance(Time(S));
         drive.may_enter(Time(S), AlState::PreOp).unwrap();
         drive
     }
@@ -237,15 +237,15 @@ mod tests {
 
     #[test]
     fn what_nobody_asked_for_comes_in_its_pauses_and_holds_up_no_answer() {
-        let settings = DriveSettings { unasked_ns: Some(10 * MS), ..DriveSettings::new(Family::Akd) };
+        let settings = DriveSettings { unrequested_ns: Some(10 * MS), ..DriveSettings::new(Family::Akd) };
         let mut drive = Drive::new(settings);
         let mut reply = Vec::new();
-        drive.live(Time(S));
+        drive.advance(Time(S));
         assert!(!drive.message(&mut reply), "not in INIT");
         drive.may_enter(Time(S), AlState::PreOp).unwrap();
         assert!(drive.message(&mut reply) && reply[5] == 2);
         assert!(!drive.message(&mut reply));
-        drive.live(Time(S + 10 * MS));
+        drive.advance(Time(S + 10 * MS));
         let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0, 0x10, 0, 0, 0, 0, 0];
         assert!(drive.mailbox(&request, &mut reply) && reply[8] == 0x43, "the answer first");
         assert!(drive.message(&mut reply) && reply[5] == 2);

@@ -282,7 +282,7 @@ fn a_master_that_dies_is_noticed_without_another_cycle() {
     bench.put(VELOCITY_SETPOINT, 1_000);
     bench.cycles(200);
     bench.now = bench.now + 10 * S;
-    bench.drive.live(bench.now);
+    bench.drive.advance(bench.now);
     assert_eq!(bench.drive.dropped(), Some(AlCode::SYNCHRONISATION));
     assert_eq!(bench.drive.axis_state(), State::Fault);
     assert!(bench.drive.rpm().abs() < 1.0);
@@ -407,7 +407,7 @@ fn a_restart_loses_what_was_written_and_goes_on_turning() {
     bench.drive.restart(bench.now);
     assert_eq!((bench.drive.al_state(), bench.drive.axis_state()), (AlState::Init, State::SwitchOnDisabled));
     assert!(bench.drive.rpm() > 100.0);
-    bench.drive.live(bench.now + 100 * S);
+    bench.drive.advance(bench.now + 100 * S);
     assert!(bench.drive.rpm().abs() < 1.0, "friction ends it");
 }
 

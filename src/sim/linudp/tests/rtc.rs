@@ -24,7 +24,7 @@ fn a_command_runs_if_its_count_is_new_and_else_its_answer_is_repeated() {
     let read = RtcBlock::call(4, RtcCommand::READ_RAM, 0x20A8, 0x7_0007);
     let answer = RtcBlock { words: [0x20A8, 0x1E0F, 0], ..RtcBlock::answer(4, RtcStatus::DONE) };
     assert_eq!(bench.configure(read), answer);
-    // The same count again, whatever it asks for; reserved bits of the first byte are no part of it.
+    // The same count again, whatever it requests; reserved bits of the first byte are no part of it.
     assert_eq!(bench.configure(RtcBlock::command(4, nothing)), answer);
     assert_eq!(bench.configure(RtcBlock { tag: 0xF4, ..RtcBlock::command(4, nothing) }), answer);
     let reserved = RtcBlock { tag: 0xA5, ..RtcBlock::command(0, nothing) };

@@ -29,7 +29,7 @@ fn what_is_no_telegram_is_not_answered() {
     let go_to = go_to(CM, VAD).block(5);
     assert_eq!(bench.raw(MASTER, &[]), None);
     assert_eq!(bench.raw(MASTER, &STATUS[..7]), None);
-    // Control word asked for and missing; motion command in front of a config block cut short.
+    // Control word announced and missing; motion command in front of a config block cut short.
     assert_eq!(bench.raw(MASTER, &[1, 0, 0, 0, 0x7F, 0, 0, 0]), None);
     let whole = Request {
         response_def: ResponseDef::CYCLIC,

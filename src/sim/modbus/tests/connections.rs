@@ -51,7 +51,7 @@ fn what_is_no_modbus_ends_its_connection_and_no_other() {
 }
 
 #[test]
-fn what_was_asked_before_the_garbage_is_answered() {
+fn what_was_requested_before_the_garbage_is_answered() {
     let mut bench = Bench::new(|_| {});
     let bytes = [0, 1, 0, 0, 0, 6, 255, 3, 0x44, 0x68, 0, 2, 0, 2, 0, 9];
     assert_eq!(bench.raw(&bytes).len(), 13);

@@ -29,7 +29,7 @@ fn master(x: u8) -> (UdpSocket, TcpStream) {
 }
 
 #[test]
-fn a_drive_speaks_unasked_as_long_as_it_is_fed_and_ends_its_connection_by_itself() {
+fn a_drive_speaks_by_itself_as_long_as_it_is_fed_and_ends_its_connection_by_itself() {
     let server = start(Producer::new(ip(20, 10)));
     let (packets, mut stream) = master(20);
     let mut byte = [0];

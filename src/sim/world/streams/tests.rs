@@ -218,7 +218,7 @@ fn a_connection_is_opened_greeted_and_handed_over_and_takes_its_latencies() {
 }
 
 #[test]
-fn who_refuses_and_who_is_not_there_is_told_apart_and_tried_again() {
+fn who_refuses_and_who_is_not_there_are_distinguished_and_tried_again() {
     let mut lines = lines(4, &FaultPlan::default());
     lines[0].most = 0;
     lines[1].carrier = Carrier::Datagrams;

@@ -97,7 +97,7 @@ fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
     let mut late = held.lock().unwrap().remove(0);
     (late[5], late[12]) = (3, 0x55);
     server.shared().messages.push_back(late);
-    bench.line.live(bench.now);
+    bench.line.advance(bench.now);
     assert_eq!(bench.call(READ, "mode", 0), Ok(7));
 
     let ticket = bench.post(READ, "mode", 0);

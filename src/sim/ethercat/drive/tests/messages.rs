@@ -24,7 +24,7 @@ fn pdos_are_selected_in_pre_op_only_and_in_the_order_of_the_manual() {
 }
 
 #[test]
-fn an_akd_tells_wrong_lengths_apart_and_has_mode_8() {
+fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
     let mut bench = Bench::of(Family::Akd, |_| {});
     bench.enter(AlState::PreOp).unwrap();
     assert_eq!(bench.drive.check_sizes(5, 6), Err(AlCode(0x001D)));
