@@ -39,7 +39,7 @@ impl Whole {
     pub fn measure(granted: &Granted, fleet: Fleet, rounds: usize, cycles: u64) -> Whole {
         let (mut simulated, theirs) = (fleet.simulate(Side::Ours), fleet.simulate(Side::Bare));
         simulated.drives.extend(theirs.drives);
-        simulated.lines.extend(theirs.lines);
+        simulated.segments.extend(theirs.segments);
         let server = rig::serve(simulated, granted);
         let mut whole = Whole::default();
         super::in_turns(rounds, 2, |who| match who {

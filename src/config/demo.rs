@@ -1,10 +1,10 @@
 //! The plan of `fieldbeat demo`.
 
+use std::iter;
 use std::path::Path;
 
 use super::cycle::period_fault;
 use super::{Configuration, parse_changed};
-use crate::bus::BusPlan;
 use crate::bus::variant::Variant;
 use crate::cycle::{Overrun, Plan};
 use crate::keys::error::ConfigErrors;
@@ -55,10 +55,10 @@ pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Configur
 
 /// What of the plan depends on its period, its place and the number of its drives.
 fn vary(plan: &mut Plan, wanted: &Variant, drives: usize) {
-    let variant = |(index, bus): (usize, &Box<dyn BusPlan>)| {
-        bus.variant(&Variant { drives: (index == 0).then_some(drives), ..*wanted })
-    };
-    plan.buses = plan.buses.iter().enumerate().filter_map(variant).collect();
+    let counts = iter::once(Some(drives)).chain(iter::repeat(None));
+    let variants =
+        plan.buses.iter().zip(counts).map(|(bus, drives)| bus.variant(&Variant { drives, ..*wanted }));
+    plan.buses = variants.flatten().collect();
     let cycle = &mut plan.cycle;
     cycle.period_ns = wanted.period_ns;
     // Stated as a time in the file.

@@ -112,7 +112,8 @@ fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> C
     }
     let readers = PROTOCOLS.map(|protocol| (protocol.name, protocol.read));
     let protocols = known_protocols();
-    let (mut buses, mut tables): (Vec<Box<dyn BusPlan>>, Vec<(String, Table<'_>)>) = Default::default();
+    let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
+    let mut tables: Vec<(String, Table<'_>)> = Vec::new();
     for mut table in root.tables("bus") {
         table.require("protocol", &protocols);
         if let Some(read) = table.word("protocol", &readers) {

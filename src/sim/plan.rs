@@ -2,9 +2,9 @@
 
 use std::any::Any;
 
-use super::ethercat::{self, EthercatSegment};
-use super::linudp::{self, LinMots};
-use super::modbus::{self, Unidrives};
+use super::ethercat::EthercatSegment;
+use super::linudp::LinMots;
+use super::modbus::Unidrives;
 use super::{SimBus, Simulated};
 use crate::bus::BusPlan;
 use crate::bus::ethercat::EthercatPlan;
@@ -32,9 +32,9 @@ const FITS: [Fit; 3] = [
 ];
 #[cfg(feature = "config")]
 const READERS: [Read; 3] = [
-    |table, bus, period_ns| of_plan(bus, |plan| linudp::config::read(table, plan, period_ns)),
-    |table, bus, period_ns| of_plan(bus, |plan| modbus::config::read(table, plan, period_ns)),
-    |table, bus, period_ns| of_plan(bus, |plan| ethercat::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| super::linudp::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| super::modbus::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| super::ethercat::config::read(table, plan, period_ns)),
 ];
 
 /// Those of a bus, if its plan is of the type that `make` takes.

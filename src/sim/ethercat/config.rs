@@ -5,8 +5,8 @@ use super::{Coupler, Dialect, DriveSettings, EthercatSegment, MotorSettings, Seg
 use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use crate::keys::bus;
 use crate::keys::table::{Table, number};
-use crate::sim::{Carrier, SimBus};
 use crate::sim::keys::faults;
+use crate::sim::{Carrier, SimBus};
 use crate::time::{MS, US};
 
 /// Reads the simulated segment of a `[[bus]]` that is read otherwise.

@@ -102,7 +102,7 @@ impl Handshake for Ask {
 /// A world with a master in it: a carrier with a connection to each of its drives.
 struct Rig {
     world: World,
-    carrier: Box<dyn Streams>,
+    carrier: Box<dyn crate::net::Streams>,
     /// The peers of each drive.
     peers: Vec<Peers>,
     /// The received bytes.
