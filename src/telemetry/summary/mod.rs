@@ -13,8 +13,10 @@ pub use self::bus::{Bus, ClockNumbers};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
 pub use self::drive::{Drive, ProtocolCounters, Variable};
 pub use self::late::{Found, Late, LateCycle};
+#[cfg(feature = "black-box")]
+pub(super) use self::numbers::plain;
 pub use self::numbers::plural;
-pub(super) use self::numbers::{decimals, plain, reported};
+pub(super) use self::numbers::{decimals, reported};
 use super::histograms::Quantiles;
 use super::monitor::Monitor;
 use super::recorder::{Failure, Measured, Run, Written};
