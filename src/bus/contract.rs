@@ -1,0 +1,349 @@
+//! An open bus on the real-time thread, and what passes between it and the loop.
+//!
+//! All of [`Bus`] runs on the real-time thread: bounded work, no allocation, no lock, no wait, and no panic on any
+//! bytes.
+
+use std::any::Any;
+use std::fmt::Debug;
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use super::counters::{BusClock, Counters, Unmatched};
+use super::desired::{Desired, Evidence, Gone};
+use super::drives::Ends;
+use crate::axis::acyclic::AcyclicEnds;
+use crate::axis::{DriveStatus, Emergency, Link, Observer};
+use crate::net::LinkNotes;
+use crate::rt::Regions;
+use crate::time::Time;
+
+/// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
+///
+/// It carries five kinds of wire. What each of them makes of the exchange of a due slot, and the clauses for it alone:
+///
+/// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, then
+///   [`Answered`](Exchange::Answered) with a round trip.
+/// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
+///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
+///   [`BusPlan::reply_within_ns`].
+/// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
+///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
+/// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
+///   round trip, and not suspect. [`BusPlan::fresh_within_ns`].
+/// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
+///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), [`BusPlan::turn_within_ns`].
+pub trait Bus: Send {
+    /// Its name in messages.
+    fn name(&self) -> &str;
+
+    /// Adds the memory that the bus touches on the real-time thread, to be locked with `memory = "own"`.
+    fn memory(&self, regions: &mut Regions);
+
+    /// The descriptor that is readable while a reply waits to be taken in; `None`: there is nothing to wait for at
+    /// present. Queried before each wait, because a connection that returns may have another one. A bus with
+    /// several sockets returns an epoll descriptor over them.
+    fn fd(&self) -> Option<RawFd>;
+
+    /// Empties the sockets of replies that came too late, if there can be any that would pass for others later. Then
+    /// hands the prepared requests of the due slots to the kernel and opens their exchanges, one each, with the stamp
+    /// of its own sending. Where replies may come cycles
+    /// later, a reply that came since the last window still closes an owed exchange here, and a due slot whose
+    /// exchange is still owed is passed over. A due slot whose drive has no connection ends as unsent.
+    ///
+    /// On a half-duplex wire a due slot is queued, or stays so if it was, and the first in the queue is sent if the
+    /// wire is free: those that are not sent in this cycle wait for the next one. A drive with its own clock is sent
+    /// its request whatever its link, and its packets are taken in whether it is due or not.
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose
+    /// window waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
+    /// [`poll_at`](Bus::poll_at). Nor is it called where a wait has found nothing to read, or while only other buses
+    /// miss a reply. What the window does not wait for, as the reply of a slow drive, is taken in by the next
+    /// `receive` or `send`.
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
+    /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
+    /// shows all that has to be waited for. Queried only of a bus that has [`BusPlan::turn_within_ns`].
+    fn poll_at(&self) -> Option<Time> {
+        None
+    }
+
+    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in
+    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is
+    /// free the next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
+    fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
+
+    /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
+    /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
+    /// and again for a later slot if the first was passed over. What was replaced before its request left is never
+    /// carried out.
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
+    /// cycle, until it is true.
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
+
+    /// Counters of what was received and belongs to no drive.
+    fn unmatched(&self) -> Unmatched;
+
+    /// The application's ends of its drives, taken once before the start; `None`: there are none.
+    fn ends(&mut self) -> Option<&mut Ends> {
+        None
+    }
+
+    /// The application's end of the native process data of drive `index`.
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        self.ends()?.native(index)
+    }
+
+    /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        None
+    }
+
+    /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
+    /// once a cycle.
+    fn helper_ended(&self) -> bool {
+        false
+    }
+
+    /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
+    /// they are sent.
+    fn is_one_frame(&self) -> bool {
+        false
+    }
+
+    /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any
+    /// other bus with a clock synchronises its clock to the grid.
+    fn lead(&mut self) {}
+
+    /// Distance of a slot of the grid from where the clock of this bus wants it, ns: positive is late. At most one
+    /// a cycle, `None` from a cycle that was not answered. Taken after the window; each value is returned once.
+    fn phase_error(&mut self) -> Option<i64> {
+        None
+    }
+
+    /// The application's end of the process data of device `index`, which is not a drive; taken once before the
+    /// start.
+    fn device(&mut self, _index: usize) -> Option<Box<dyn Any + Send>> {
+        None
+    }
+
+    /// The relation of its clock and the grid, if it has a clock. Queried now and then.
+    fn clock(&self) -> Option<BusClock> {
+        None
+    }
+
+    /// The application's end of the acyclic access to device `index`, which is not a drive, and whether it can be
+    /// reached, as the link of its feedback; taken once before the start. `None`: the device has no acyclic access.
+    fn device_acyclic(&mut self, _index: usize) -> Option<(AcyclicEnds, Observer)> {
+        None
+    }
+
+    /// The application's end of the acyclic access to drive `index`. Posted calls are carried out in slices of bounded
+    /// work, and end as done, refused by the drive, or unavailable. They add no telegram to a cycle and delay none.
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.ends()?.acyclic(index)
+    }
+}
+
+/// Why the drives of a bus cannot be reached, in words: read by normal threads. A real-time writer leaves numbers
+/// only, and the reader makes the words.
+pub trait Notes: Debug + Send + Sync {
+    /// Why drive `index` has no connection; `None`: it has one, or its first opening is under way.
+    fn get(&self, index: usize) -> Option<String>;
+
+    /// Why device `index`, which is not a drive, is not in operation; `None`: it is.
+    fn device(&self, _index: usize) -> Option<String> {
+        None
+    }
+
+    /// How many of the arrived datagrams the kernel dropped, where only a normal thread may query it.
+    fn dropped(&self) -> u64 {
+        0
+    }
+}
+
+/// Connection `index` is that of drive `index`.
+impl Notes for LinkNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        LinkNotes::get(self, index)
+    }
+}
+
+/// What a bus knows of the cycle it works in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cycle {
+    /// The slot of the grid, counted from the start. Skipped slots count.
+    pub index: u64,
+    /// The instant of this slot on the grid.
+    pub grid: Time,
+    /// The period, ns.
+    pub period_ns: u64,
+    /// Until when replies are taken in this cycle.
+    pub deadline: Time,
+}
+
+impl Cycle {
+    /// Whether what is owed by `reply_by` is owed in this window. That time was set some cycles before, and a clock
+    /// that leads the grid moves the windows slightly against it: the nearest window counts.
+    pub fn closes(&self, reply_by: Time) -> bool {
+        reply_by <= self.deadline + self.period_ns / 2
+    }
+}
+
+/// One drive between the loop and its bus.
+#[derive(Clone, Debug, Default)]
+pub struct Slot {
+    // Written by the loop.
+    /// An exchange is due at the next send.
+    pub due: bool,
+    /// The drive's power is on, or may come on by a request of the loop: a call of the application that commands the
+    /// drive is refused, and checked for the last time when the first telegram with it is built. False where the
+    /// application owns the control word (native mode).
+    pub guarded: bool,
+    /// The link as evaluated by the loop. A drive of which nothing is desired is only read, whatever its link. What is
+    /// desired goes out with every request, including the probes of a lost link, since it may be the stop.
+    pub link: Link,
+    /// What the drive shall do from its next request on.
+    pub desired: Desired,
+
+    // Written by the bus.
+    /// The exchange of this drive.
+    pub exchange: Exchange,
+    /// What the drive reported last.
+    pub status: DriveStatus,
+    /// What else is new of it.
+    pub notices: Notices,
+    /// What proves that the drive has what is desired.
+    pub evidence: Evidence,
+    /// What has left of that.
+    pub gone: Gone,
+    /// Exact counts of its exchanges.
+    pub counters: Counters,
+    /// A drive without a connection has one from now on: it is due next, whatever its link. The loop clears it.
+    pub reachable: bool,
+    /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
+    /// is no link loss, and does not stop its stop group.
+    pub expected_silence: bool,
+    /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
+    /// enable until it is over.
+    pub commanded: bool,
+}
+
+/// The state of a drive's exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Exchange {
+    /// None.
+    #[default]
+    Idle,
+    /// Due on a half-duplex wire, and not sent yet: it waits for its turn. Its request is built anew until it leaves.
+    Queued,
+    /// Sent, and owed.
+    Owed {
+        /// When it was sent.
+        sent_at: Time,
+        /// Until when the reply counts: the deadline of this cycle, or of a later one.
+        reply_by: Time,
+        /// The window in which it was sent stays open for the reply, although the reply may come later: for a drive
+        /// that usually answers inside its window. The reply of a slow drive is taken in when it comes.
+        awaited: bool,
+    },
+    /// Sent to a drive that sends by its own clock: nothing answers it. It is answered, without a round trip, if its
+    /// slot is before `fresh_until`, and else missed. The loop decides that, and counts it.
+    OwnClock {
+        /// When it was sent.
+        sent_at: Time,
+        /// Until when the newest accepted packet counts: its stamp and [`BusPlan::fresh_within_ns`]. `receive` updates
+        /// it. 0 = none was accepted yet.
+        fresh_until: Time,
+    },
+    /// Answered.
+    Answered {
+        /// When it was sent.
+        sent_at: Time,
+        /// When the reply was taken in.
+        at: Time,
+        /// The reply may be that of an earlier request; it makes no round-trip sample. Always set by a bus that cannot
+        /// measure one.
+        suspect: bool,
+    },
+    /// It was sent, and has no reply: that of all drives shows that this one did not take part in it, or it is overdue
+    /// on a half-duplex wire. The loop counts it as missed.
+    Absent {
+        /// When it was sent.
+        sent_at: Time,
+    },
+    /// `reply_by` passed. Set by the loop.
+    Missed,
+    /// The operating system refused to send.
+    Unsent,
+}
+
+impl Exchange {
+    /// Whether the window of `cycle` stays open for it.
+    pub fn is_waited_for(&self, cycle: &Cycle) -> bool {
+        match *self {
+            Exchange::Owed { sent_at, reply_by, awaited } => {
+                cycle.closes(reply_by) || (awaited && sent_at >= cycle.grid)
+            }
+            _ => false,
+        }
+    }
+
+    /// When its request was sent, as long as that is known.
+    pub fn sent_at(&self) -> Option<Time> {
+        match *self {
+            Exchange::Owed { sent_at, .. }
+            | Exchange::OwnClock { sent_at, .. }
+            | Exchange::Answered { sent_at, .. }
+            | Exchange::Absent { sent_at } => Some(sent_at),
+            Exchange::Idle | Exchange::Queued | Exchange::Missed | Exchange::Unsent => None,
+        }
+    }
+}
+
+/// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Notices {
+    /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted
+    /// packet.
+    pub fresh: bool,
+    /// The drive was found restarted.
+    pub restarted: bool,
+    /// Another master was found to command the drive, or to have frames on its segment, with or without a fresh
+    /// status; the loop stops the axis.
+    pub other_master: bool,
+    /// The monitored variables of the status came with the newest reply: not every reply carries them.
+    pub monitor_fresh: bool,
+    /// The drive refused to report a variable: its channel, and the drive's status.
+    pub monitor_refused: Option<(u8, u32)>,
+    /// The drive reported an emergency, with or without a fresh status. The loop takes one in each cycle; the next
+    /// one waits until then.
+    pub emergency: Option<Emergency>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::{MS, US};
+
+    #[test]
+    fn an_exchange_is_owed_in_the_nearest_window_wherever_the_grid_was_led_meanwhile() {
+        let window = |slots: u64, led_ns: i64| {
+            let grid = Time((100 * MS + slots * MS).saturating_add_signed(led_ns));
+            Cycle { index: slots, grid, period_ns: MS, deadline: grid + 500 * US }
+        };
+        let reply_by = window(0, 0).deadline + 20 * MS;
+        let owed = Exchange::Owed { sent_at: window(0, 0).grid, reply_by, awaited: false };
+        // Twenty steps of at most a hundredth of the period.
+        for led_ns in [-200_000, -1, 0, 1, 200_000] {
+            for (slots, closes) in [(18, false), (19, false), (20, true), (21, true)] {
+                let cycle = window(slots, led_ns);
+                assert_eq!(cycle.closes(reply_by), closes, "{slots} slots later, led by {led_ns} ns");
+                assert_eq!(owed.is_waited_for(&cycle), closes);
+            }
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! Exact counts of what a bus sent and received, and the state of its clock.
+
+/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`; what is queued is not sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Requests handed to the wire.
+    pub sent: u64,
+    /// Requests that could not be handed to the wire: the operating system refused, or there was no connection.
+    pub unsent: u64,
+    /// Exchanges answered in time.
+    pub answered: u64,
+    /// Exchanges not answered in time.
+    pub missed: u64,
+    /// Replies that came after their window.
+    pub late: u64,
+    /// Second replies to one request.
+    pub duplicate: u64,
+    /// Answered exchanges whose reply may be that of an earlier request.
+    pub suspect: u64,
+    /// Datagrams from the drive that are no reply of this protocol.
+    pub malformed: u64,
+    /// Well-formed replies to something that was not requested, or from the wrong port.
+    pub foreign: u64,
+    /// Counts that only this protocol has, as its [`BusPlan::own_counters`] name them.
+    pub own: [u64; OWN_COUNTERS],
+}
+
+/// The most counters that a protocol has of its own.
+pub const OWN_COUNTERS: usize = 13;
+
+/// A counter that only one protocol has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OwnCounter {
+    /// Its key in JSON and metrics: small letters and underscores.
+    pub key: &'static str,
+    /// What it counts, for people: one short sentence.
+    pub what: &'static str,
+}
+
+/// The relation of the clock of a bus and the grid, whichever of them leads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusClock {
+    /// Distance of the newest slot from where that clock wants it, ns: positive is late; `None`: not measured yet,
+    /// or not any more.
+    pub error_ns: Option<i64>,
+    /// The distance has been inside the window for a while.
+    pub locked: bool,
+    /// The largest distance since the first lock, ns.
+    pub error_max_ns: u64,
+    /// The distance that its drives tolerate, ns.
+    pub window_ns: u64,
+}
+
+/// Exact counts of what arrived at a bus and belongs to none of its drives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unmatched {
+    /// Datagrams from an address that is not a drive's.
+    pub datagrams: u64,
+    /// Datagrams that the kernel dropped because the socket's buffer was full, whoever sent them.
+    pub dropped: u64,
+    /// Errors of the receiving socket.
+    pub errors: u64,
+}

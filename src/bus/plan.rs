@@ -1,0 +1,193 @@
+//! A bus as configured, before any socket is open, and why it cannot be opened.
+
+use std::any::Any;
+use std::fmt::Debug;
+use std::net::SocketAddrV4;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use super::desired::Capabilities;
+use super::variant::Variant;
+use super::{Bus, OwnCounter};
+use crate::axis::acyclic::Notation;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault};
+use crate::errors::no_descriptor;
+use crate::net::Carriers;
+use crate::net::lock::Refused;
+
+/// A bus as configured and checked, before any socket is open.
+pub trait BusPlan: Any + Debug + Send + Sync {
+    /// Its name in messages.
+    fn name(&self) -> &str;
+
+    /// The protocol's name, as in the configuration.
+    fn protocol(&self) -> &'static str;
+
+    /// Its axes, in slot order.
+    fn axes(&self) -> Vec<&AxisPlan>;
+
+    /// What contradicts itself or would not work in a cycle of `period_ns`, each with the index of its axis.
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
+
+    /// How long a reply of drive `index` counts on its connection, ns; the next request waits for it. `None`: there
+    /// is no connection, and a reply comes in the cycle of its request.
+    fn reply_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
+    /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to its end,
+    /// all turns before its own included, ns. `None`: a request leaves in the slot in which it is due.
+    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
+    /// How long a packet of drive `index` counts, which sends by its own clock, ns. Requests to it are due by divisor
+    /// and phase whatever its link, since its watchdog needs them. `None`: it answers requests.
+    fn fresh_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
+    /// What `check` prints of each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
+    /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line.
+    fn describe(&self, period_ns: u64) -> Vec<String>;
+
+    /// Drive `index` stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
+    fn drive_watchdog_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
+    /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
+
+    /// Refuses a master that comes for one drive of this bus only, if that would disturb what is in use there. Only
+    /// reads, and blocks for a fraction of a second: for normal threads.
+    fn require_idle(&self, _carriers: &dyn Carriers) -> Result<(), OpenError> {
+        Ok(())
+    }
+
+    /// The variables that drive `index` reports in addition to its process data, each once.
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
+
+    /// What [`Counters::own`] counts on this bus, in order.
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &[]
+    }
+
+    /// The names of the fault codes of its drives.
+    fn fault_names(&self) -> FaultNames {
+        |_| None
+    }
+
+    /// How its drives write addresses and values for acyclic access.
+    fn notation(&self) -> Arc<dyn Notation>;
+
+    /// This bus with drive `index` only, and without anything that the drive monitors. Devices found running stay
+    /// running.
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
+
+    /// The IP addresses of its drives, in slot order; empty if they have none.
+    fn addresses(&self) -> Vec<SocketAddrV4>;
+
+    /// This bus in a machine that is otherwise like its own; `None`: it cannot be had so.
+    fn variant(&self, _wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        None
+    }
+
+    /// What drive `index` can do, in a cycle of `period_ns`.
+    fn capabilities(&self, index: usize) -> Capabilities;
+
+    /// Its drives have a common clock that can lead the grid.
+    fn has_clock(&self) -> bool {
+        false
+    }
+
+    /// The names of the devices that are not drives, in the order of [`Bus::device`].
+    fn devices(&self) -> Vec<&str> {
+        Vec::new()
+    }
+}
+
+/// Why a bus could not be opened. The message ends with the remedy.
+#[derive(Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// A socket could not be opened.
+    #[error("bus {bus}: cannot bind {address}: {source}; {remedy}")]
+    Bind {
+        /// The bus.
+        bus: String,
+        /// The address to bind.
+        address: SocketAddrV4,
+        /// The operating system's error.
+        source: std::io::Error,
+        /// The remedy.
+        remedy: &'static str,
+    },
+    /// The connections of a bus could not be set up.
+    #[error(
+        "bus {bus}: cannot set up its connections: {source}; {}",
+        no_descriptor(.source).unwrap_or("look at the limits of open files and threads (ulimit -a)")
+    )]
+    Streams {
+        /// The bus.
+        bus: String,
+        /// The operating system's error.
+        source: std::io::Error,
+    },
+    /// An interface could not be opened.
+    #[error("bus {bus}: cannot use interface {interface}: {source}; {remedy}")]
+    Interface {
+        /// The bus.
+        bus: String,
+        /// The interface.
+        interface: String,
+        /// The operating system's error.
+        source: std::io::Error,
+        /// The remedy.
+        remedy: &'static str,
+    },
+    /// Another master of this host uses the same interface or drive.
+    #[error("bus {bus}: {what} {why}")]
+    InUse {
+        /// The bus.
+        bus: String,
+        /// The interface, or the drive with its address.
+        what: String,
+        /// Who uses it, and the remedy.
+        why: Refused,
+    },
+    /// Another master already exchanges frames on the segment.
+    #[error(
+        "bus {bus}: another master ({mac}) already has frames on {interface}: end it, or look where the cable leads"
+    )]
+    OtherMaster {
+        /// The bus.
+        bus: String,
+        /// Its interface.
+        interface: String,
+        /// The Ethernet address of that master.
+        mac: String,
+    },
+    /// The segment is in use, and a master for one drive only would disturb it.
+    #[error(
+        "bus {bus}: {what}, and nothing may disturb it: go through the master that runs it; if that has died, start \
+        it again with `fieldbeat run`, or switch the slave off and on"
+    )]
+    Running {
+        /// The bus.
+        bus: String,
+        /// What is in use.
+        what: String,
+    },
+    /// The plan of a drive contradicts itself.
+    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` shows why")]
+    Plan {
+        /// The bus.
+        bus: String,
+        /// The drive.
+        drive: String,
+    },
+}
+crate::errors::debug_as_display!(OpenError);
