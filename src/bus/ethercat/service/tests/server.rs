@@ -12,7 +12,7 @@ use crate::time::Time;
 /// What is done with an answer before it is sent: any number of messages in its place.
 pub(super) type Twist = Box<dyn FnMut(Vec<u8>) -> Vec<Vec<u8>> + Send>;
 
-/// What it has and was told.
+/// What it has and was sent.
 #[derive(Default)]
 pub(super) struct Shared {
     pub objects: Vec<(Object, Vec<u8>)>,
