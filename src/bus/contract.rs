@@ -44,11 +44,11 @@ pub trait Bus: Send {
     /// several sockets returns an epoll descriptor over them.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Empties the sockets of replies that came too late, if there can be any that would pass for others later. Then
-    /// hands the prepared requests of the due slots to the kernel and opens their exchanges, one each, with the stamp
-    /// of its own sending. Where replies may come cycles
-    /// later, a reply that came since the last window still closes an owed exchange here, and a due slot whose
-    /// exchange is still owed is passed over. A due slot whose drive has no connection ends as unsent.
+    /// Empties the sockets of replies that came too late, wherever one could pass for another one later. Then hands
+    /// the prepared requests of the due slots to the kernel and opens their exchanges, one each, with the stamp of its
+    /// own sending. Where replies may come cycles later, a reply that came since the last window still closes an owed
+    /// exchange here, and a due slot whose exchange is still owed is passed over. A due slot whose drive has no
+    /// connection ends as unsent.
     ///
     /// On a half-duplex wire a due slot is queued, or stays so if it was, and the first in the queue is sent if the
     /// wire is free: those that are not sent in this cycle wait for the next one. A drive with its own clock is sent

@@ -1,7 +1,9 @@
 //! Which reply answers which request: late, doubled, foreign and broken ones are counted and never matched. What holds
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
-use fieldbeat::bus::linudp::wire::{Request, Response, ResponseDef};
+use fastrand::Rng;
+use fieldbeat::bus::linudp::upid::call;
+use fieldbeat::bus::linudp::wire::{Request, Response, ResponseDef, RtcCommand, StatusWord};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::bus::{Counters, Unmatched};
 use fieldbeat::cycle::status::Numbers;
@@ -140,6 +142,55 @@ fn with_a_tag_feedback_is_exact_in_any_weather() {
         // In such weather four exchanges in a row are missed now and then.
         assert!(c.suspect <= if tag == ReplyTag::Count { 0 } else { 200 }, "seed {seed}: {c:?}");
     }
+}
+
+#[test]
+fn a_copy_that_comes_between_two_windows_is_never_the_newest_reply() {
+    use ReplyTag::{Count, Definition, Off};
+    let modes = [(Definition, MonitorPlan::Off), (Definition, MonitorPlan::AsSet)];
+    let modes = modes.into_iter().chain([(Count, MonitorPlan::Off), (Off, MonitorPlan::Off)]);
+    for (seed, (reply_tag, monitor)) in (0..).zip(modes.cycle().take(12)) {
+        let mut random = Rng::with_seed(seed);
+        let mut b =
+            moving(Rig::new(1).each(|_, drive| (drive.reply_tag, drive.monitor) = (reply_tag, monitor)));
+        let mut copies = 0;
+        for turn in 0..1_000 {
+            // A request of the parameter channel has no count by which its reply is known.
+            if turn % 20 == 0 {
+                drop(b.call(0, call(RtcCommand::READ_RAM, 0x1E72, 0)));
+            }
+            // A network without a fault most of the time: nothing warns of what comes.
+            for _ in 0..if random.u8(..20) == 0 { random.usize(1..6) } else { 0 } {
+                let before = random.usize(1..40);
+                let copied = b.tape(0).received.iter().rev().nth(before).and_then(|received| received.reply);
+                let (mut bytes, at) = ([0; 64], b.grid() + random.u64(600..990) * US);
+                let size = copied.expect("it has answered each request").emit(&mut bytes);
+                b.world().inject(MASTER, address(0), &bytes[..size], at);
+                copies += 1;
+            }
+            b.step();
+            b.assert_honest(0);
+        }
+        let c = counters(b);
+        assert_eq!((c.missed, c.suspect, c.duplicate), (0, 0, copies), "seed {seed}: {c:?}");
+    }
+}
+
+#[test]
+fn what_waits_in_the_socket_before_the_first_request_is_no_reply() {
+    let mut b = Rig::new(1).start();
+    // The reply to a request of the master before.
+    let response_def = ResponseDef::CYCLIC;
+    let old =
+        Response { response_def, status: Some(StatusWord(0x0037)), actual: Some(77), ..Response::default() };
+    let mut bytes = [0; 64];
+    let size = old.emit(&mut bytes);
+    b.world().inject(MASTER, address(0), &bytes[..size], b.world().now());
+    for _ in 0..20 {
+        b.step();
+        assert_ne!(b.feedback(0).status.position, 77.0 / PER_MM);
+    }
+    assert_eq!(counters(b).foreign, 1);
 }
 
 #[test]

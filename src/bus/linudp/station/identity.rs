@@ -7,8 +7,9 @@
 //! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
 //! count in every request and its echo names the request.
 //!
-//! An answered exchange whose reply comes once more, four exchanges late, passes for the newest. So no single reply
-//! proves that a command is done ([`profile`](super::super::profile)).
+//! What comes between two windows answers nothing: the bus takes it in before the next request leaves. What is left is
+//! an answered exchange whose reply comes once more, four exchanges late, between a request and the reply to it: it
+//! passes for the newest. So no single reply proves that a command is done ([`profile`](super::super::profile)).
 
 use crate::bus::linudp::plan::ReplyTag;
 use crate::bus::linudp::wire::{RequestDef, ResponseDef, ResponseView};
@@ -115,13 +116,6 @@ impl Identity {
         // After a suspect reply the definition differs from the earlier ones, so that the echo distinguishes its reply
         // from all late ones: if they were always one cycle behind, each would pass for the newest for ever.
         if self.suspect { ResponseDef(usual.0 ^ self.odd.0) } else { usual }
-    }
-
-    /// A datagram may wait in the socket that looks like the reply to the next request.
-    #[inline]
-    pub(super) fn is_in_doubt(&self) -> bool {
-        let distinguished = self.turns > 1 << (IN_TURN.len() - 1) || self.requested.tag.is_some();
-        self.open || self.suspect || self.under_way > 0 || !distinguished
     }
 
     /// The prepared request has gone out.

@@ -174,13 +174,6 @@ impl Station {
         request.emit(out)
     }
 
-    /// What is in the socket has to be taken in before the next request leaves: in its window it might pass for the
-    /// reply to it.
-    #[inline]
-    pub fn is_in_doubt(&self) -> bool {
-        self.identity.is_in_doubt()
-    }
-
     /// The request was handed to the wire.
     #[inline]
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {

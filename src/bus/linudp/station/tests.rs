@@ -101,32 +101,6 @@ fn a_reply_that_is_up_to_three_exchanges_late_is_never_the_newest() {
 }
 
 #[test]
-fn only_what_may_pass_for_the_next_reply_is_in_doubt() {
-    let quiet = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
-    for (reply_tag, monitor, settles) in [
-        (ReplyTag::Definition, MonitorPlan::Off, true),
-        (ReplyTag::Count, MonitorPlan::Off, true),
-        // Two definitions only, or one: a copy of an answered reply may look like the next one.
-        (ReplyTag::Definition, MonitorPlan::AsSet, false),
-        (ReplyTag::Off, MonitorPlan::Off, false),
-    ] {
-        let mut b = Bench::new(&LinUdpDrive { monitor, reply_tag, ..quiet.clone() });
-        for _ in 0..3 {
-            let request = b.send();
-            assert!(b.station.is_in_doubt(), "it is owed");
-            b.reply(&request, 1);
-            assert_eq!(b.station.is_in_doubt(), !settles, "{reply_tag:?} {monitor:?}");
-        }
-        let missed = b.send();
-        let request = b.send();
-        b.reply(&request, 1);
-        assert!(b.station.is_in_doubt(), "the missed one may still come");
-        b.reply(&missed, 1);
-        assert_eq!(b.station.is_in_doubt(), !settles, "{reply_tag:?} {monitor:?}");
-    }
-}
-
-#[test]
 fn a_stop_is_done_by_two_replies_with_its_own_count_and_by_no_others() {
     let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
     // In motion, by a command whose count is 5.
