@@ -12,11 +12,10 @@ mod support;
 use std::fs::File;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::cycle::record::{CycleRecord, Record, SkippedRecord};
-use fieldbeat::cycle::{CyclePlan, Guard};
-use fieldbeat::net::Os;
-use fieldbeat::rt::Granted;
+use fieldbeat::internals::cycle::record::{CycleRecord, Record, SkippedRecord};
+use fieldbeat::internals::net::Os;
 use fieldbeat::time::{MS, Ns, S, US};
+use fieldbeat::{CyclePlan, Granted, Guard};
 use serde_json::json;
 use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Sample};

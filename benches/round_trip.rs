@@ -24,12 +24,11 @@ mod support;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::bus::{ethercat, modbus};
-use fieldbeat::cycle::Wait;
-use fieldbeat::net::Os;
-use fieldbeat::rt::Granted;
+use fieldbeat::internals::bus::{ethercat, modbus};
+use fieldbeat::internals::net::Os;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{MS, S, Time};
+use fieldbeat::{Granted, Wait};
 use serde_json::{Value, json};
 use support::bare::{Duel, Rival};
 use support::fleet::{self, Fleet, Side};

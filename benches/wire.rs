@@ -25,24 +25,25 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
+use fieldbeat::Cycle;
 use fieldbeat::axis::{Command, Link, State};
-use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::native::Native;
-use fieldbeat::bus::linudp::station::Station;
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
-    StateVar, StatusWord, WarnWord,
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, StateVar, StatusWord, WarnWord};
+use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
+use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
+use fieldbeat::internals::bus::linudp::station::Station;
+use fieldbeat::internals::bus::linudp::wire::{
+    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
 };
-use fieldbeat::bus::modbus::wire::{
+use fieldbeat::internals::bus::modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
 };
-use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
-use fieldbeat::bus::modbus::{self, Finding, Found};
-use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Slot};
-use fieldbeat::bus::{ethercat, linudp};
-use fieldbeat::drive::machine::Machine;
-use fieldbeat::net::Frames;
+use fieldbeat::internals::bus::modbus::{Finding, Found};
+use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, linudp, modbus};
+use fieldbeat::internals::drive::machine::Machine;
+use fieldbeat::internals::net::Frames;
+use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
 use support::count::{self, Ran, Scenario, paused};

@@ -11,19 +11,19 @@
 //! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and hands out its [`Axis`] handles.
 //! - [`Axis`] is the application's end of one drive: commands ([`Command`]) that each end in Done, Failed or Aborted,
 //!   streamed rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
-//! - [`Axis::parameter`] reads and writes the drive's parameters outside the cycle ([`axis::acyclic`]); the other
-//!   services of a LinMot drive, such as curves and command tables, are in [`bus::linudp::service`].
+//! - [`Axis::parameter`] reads and writes the drive's parameters outside the cycle ([`axis::Parameters`]); the
+//!   other services of a LinMot drive, such as curves and command tables, are in [`bus::linudp::service`].
 //! - [`Group`] takes several axes: commands and rows of all of them take effect in the same cycle's send, all or
 //!   none.
 //! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and its
 //!   commands leave in cycle k + 1.
 //! - [`Monitor`] reads a running machine from any thread: its numbers, histograms, and why cycles were late
-//!   ([`telemetry`]); [`telemetry::metrics`] serves them to Prometheus, [`control`] to other processes of the same
-//!   user, and [`telemetry::report`] writes the results of a run.
+//!   ([`telemetry`]); [`telemetry::metrics`] serves them to Prometheus, and [`telemetry::report`] writes the results
+//!   of a run.
 //! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass
 //!   in seconds, and the same seed gives the same bytes.
 //! - [`doctor`] reports how fit a host is for real time, and how to fix what is not.
-//! - [`bus`] holds the contract between loop and protocol, and a folder for each protocol.
+//! - [`bus`] has a folder for each protocol: the plan of its buses, its native process data, its services.
 //!
 //! # A complete program
 //!
@@ -64,8 +64,8 @@
 //! # Features
 //!
 //! The default is the whole program. With `default-features = false` there is the runtime for a program of your own, in
-//! at most 25 crates: [`axis`], [`bus`], [`cycle`], [`net`], [`rt`], [`master`], [`simulation`], [`sim`] and the
-//! histograms of [`telemetry`], for a [`Plan`] that is built in code.
+//! at most 25 crates: [`Master`], [`axis`], [`bus`], [`Simulation`], [`sim`] and the histograms of [`telemetry`], for a
+//! [`Plan`] that is built in code.
 //!
 //! | feature | what it adds |
 //! |---|---|
@@ -74,34 +74,37 @@
 //! | `report` | [`telemetry::report`]: a directory with the summary, `.hgrm` histograms and plots; brings `summary` |
 //! | `metrics` | [`telemetry::metrics`]: a page for Prometheus; brings `summary` |
 //! | `black-box` | [`telemetry::blackbox`]: the last cycles in a file when something fails; brings `summary` |
-//! | `control` | [`control`]: the socket by which other processes reach a running master; brings `summary` |
+//! | `control` | the program's socket by which other processes reach a running master; brings `summary` |
 //! | `doctor` | [`doctor`]: what this host is worth; brings `summary` |
 //! | `cli` | the program, with all of them; the default |
 //!
 //! # Architecture
 //!
-//! Arrows point down only: `cli` -> [`control`], [`doctor`], [`config`], [`master`] -> [`telemetry`] -> [`cycle`] ->
-//! [`axis`], [`rt`], [`bus`] (the trait); `bus/x` -> [`axis`], [`net`]; a `wire` module depends on nothing.
+//! Arrows point down only: `cli` -> `control`, [`doctor`], [`config`], `master` -> [`telemetry`] -> `cycle` -> `drive`,
+//! `bus` (the contract) -> [`axis`], `net`, `rt`; `bus/x` -> [`axis`], `net`; a `wire` module depends on nothing. Loop,
+//! drive machine, wires and sockets are not public: what is listed here is kept, and the rest changes freely.
 
 pub mod axis;
 pub mod bus;
 #[cfg(feature = "config")]
 pub mod config;
 #[cfg(feature = "control")]
-pub mod control;
-pub mod cycle;
+mod control;
+mod cycle;
 #[cfg(feature = "doctor")]
 pub mod doctor;
-pub mod drive;
+mod drive;
 mod errors;
+#[doc(hidden)]
+pub mod internals;
 #[cfg(feature = "config")]
 mod keys;
-pub mod master;
+mod master;
 mod named;
-pub mod net;
-pub mod rt;
+mod net;
+mod rt;
 pub mod sim;
-pub mod simulation;
+mod simulation;
 #[cfg(feature = "summary")]
 mod style;
 mod sync;
@@ -109,10 +112,15 @@ pub mod telemetry;
 pub mod time;
 
 pub use axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, Row};
-pub use cycle::Plan;
-pub use master::{Master, Setup};
-pub use simulation::Simulation;
-pub use telemetry::Monitor;
+pub use bus::OpenError;
+pub use bus::contract::Cycle;
+pub use cycle::engine::Flow;
+pub use cycle::task::Axes;
+pub use cycle::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait};
+pub use master::{Master, MasterError, Setup, StartError, StopHandle};
+pub use rt::{Granted, Memory, Realtime, RealtimeError};
+pub use simulation::{SimulateError, Simulation};
+pub use telemetry::{Monitor, Run};
 pub use time::Time;
 
 /// The programs of README.md and docs/ compile, or the doctests fail.

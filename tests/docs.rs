@@ -21,7 +21,7 @@ use std::process::{self, Child, Output, Stdio};
 use fieldbeat::axis::{Command, Link, Outcome};
 use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
 use fieldbeat::config::{self, Configuration};
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::{Master, Simulation};
 
 /// The program as a user has it.

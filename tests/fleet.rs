@@ -13,16 +13,12 @@ use fieldbeat::axis::{
     Command, Event, EventKind, Feedback, FoundRunning, Jog, Limits, Link, Move, Outcome, Profile, Row,
     StopCause, StopHow, StopPlan, StopThen, Target, Underrun,
 };
-use fieldbeat::bus::Counters;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::status::{Numbers, Status};
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::{FaultPlan, WorldOptions};
+use fieldbeat::telemetry::{Counters, Numbers, Status};
 use fieldbeat::time::{MS, S, US};
-use fieldbeat::{Master, Simulation};
+use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
 use nix::time::{ClockId, clock_gettime};
 
 /// 256 LinUDP drives on one socket need a few milliseconds (a send on loopback takes 3.5 to 5 us).

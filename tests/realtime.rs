@@ -9,10 +9,9 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::Duration;
 
-use fieldbeat::master::Master;
-use fieldbeat::rt::thread::{helper_thread, spare_core};
-use fieldbeat::rt::{Memory, Realtime};
+use fieldbeat::internals::rt::thread::{helper_thread, spare_core};
 use fieldbeat::sim::server::ServerOptions;
+use fieldbeat::{Master, Memory, Realtime};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
 use support::controller::{self, RAMP, TARGET, Way};
 use support::counting::{Counting, count, watch};

@@ -8,18 +8,20 @@ use std::os::fd::{AsFd, BorrowedFd, RawFd};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
-use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
-use fieldbeat::bus::modbus::wire::{ADU_MAX, HEADER, Response};
-use fieldbeat::bus::modbus::words::{ControlWord as UnidriveControl, StatusWord};
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::cycle::Wait;
-use fieldbeat::cycle::record::{DriveRecord, Record};
-use fieldbeat::cycle::status::Numbers;
-use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{Carriers, Datagrams, Frames, HandshakeState, Os, StreamPeer, Streams, UdpOptions};
-use fieldbeat::rt::{Clock, Granted, MonotonicClock, Regions};
+use fieldbeat::bus::linudp::ControlWord;
+use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, ModbusPlan, StatusWord, UnidriveDrive};
+use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
+use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
+use fieldbeat::internals::bus::modbus::wire::{ADU_MAX, HEADER, Response};
+use fieldbeat::internals::cycle::record::{DriveRecord, Record};
+use fieldbeat::internals::net::frames::Unsent;
+use fieldbeat::internals::net::{
+    Carriers, Datagrams, Frames, HandshakeState, Os, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
+use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::{S, Time};
+use fieldbeat::{Granted, Wait};
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 

@@ -5,12 +5,12 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::atomic::Ordering;
 
-use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{
+use fieldbeat::internals::net::frames::Unsent;
+use fieldbeat::internals::net::{
     Broken, Carriers, Datagrams, Frames, LinkNotes, Os, Outbox, Received, Sent, StreamPeer, Streams,
     UdpOptions,
 };
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::time::Time;
 
 use super::count::paused;
@@ -26,7 +26,7 @@ pub struct CountedNet<N = Os> {
 impl CountedNet {
     /// Those of the operating system. Counts in `calls`.
     pub fn new(calls: &Calls) -> CountedNet {
-        CountedNet::over(Os::beside(fieldbeat::rt::thread::default_core()), calls)
+        CountedNet::over(Os::beside(fieldbeat::internals::rt::thread::default_core()), calls)
     }
 }
 

@@ -5,8 +5,8 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
-use fieldbeat::bus::modbus::parameter::DRIVE_UNIT;
-use fieldbeat::rt::Granted;
+use fieldbeat::Granted;
+use fieldbeat::internals::bus::modbus::parameter::DRIVE_UNIT;
 use fieldbeat::time::Time;
 
 use super::bare::greeted;

@@ -33,7 +33,7 @@ use std::fmt::Display;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use fieldbeat::rt::host;
+use fieldbeat::internals::rt::host;
 use serde_json::{Map, Value, json};
 
 use budgets::Budgets;

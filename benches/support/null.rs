@@ -4,15 +4,15 @@ use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, StateVar,
-    StatusWord,
+use fieldbeat::bus::linudp::{ControlWord, MainState, StateVar, StatusWord};
+use fieldbeat::internals::bus::linudp::wire::{
+    RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
 };
-use fieldbeat::net::{
+use fieldbeat::internals::net::{
     Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
     UdpOptions,
 };
-use fieldbeat::rt::{MonotonicClock, Regions};
+use fieldbeat::internals::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;

@@ -4,21 +4,19 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use fieldbeat::axis::acyclic::Acyclic;
-use fieldbeat::axis::{Command, Jog};
+use fieldbeat::axis::{Acyclic, Command, Jog};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::cycle::engine::Control;
-use fieldbeat::cycle::record::{Record, Reply};
-use fieldbeat::cycle::status::{Numbers, Status};
-use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
-use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::net::Carriers;
-use fieldbeat::rt::{
-    self, Clock, Granted, Memory, MonotonicClock, PollSet, Realtime, RealtimeError, RealtimePlan, Regions,
-};
+use fieldbeat::internals::cycle::engine::Control;
+use fieldbeat::internals::cycle::record::{Record, Reply};
+use fieldbeat::internals::master::{Assembly, assemble};
+use fieldbeat::internals::net::Carriers;
+use fieldbeat::internals::rt;
+use fieldbeat::internals::rt::{Clock, MonotonicClock, PollSet, RealtimePlan, Regions};
 use fieldbeat::sim::Simulated;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::{S, Time};
+use fieldbeat::{CyclePlan, Granted, Guard, Memory, Overrun, Plan, Realtime, RealtimeError, Wait};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
@@ -38,7 +36,7 @@ pub fn give_up(why: impl Display) -> ! {
     std::process::exit(1)
 }
 
-/// Runs `body` on a thread that became the loop's, as [`Master`](fieldbeat::master::Master) makes it.
+/// Runs `body` on a thread that became the loop's, as [`Master`](fieldbeat::Master) makes it.
 pub fn on_loop_thread<T: Send>(body: impl FnOnce(&Granted) -> T + Send) -> Result<T, RealtimeError> {
     rt::memory::prepare_heap();
     let plan = RealtimePlan {

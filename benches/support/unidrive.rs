@@ -4,12 +4,12 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 
 use fieldbeat::axis::Limits;
-use fieldbeat::bus::modbus::mapping::{Mapping, Role};
-use fieldbeat::bus::modbus::parameter::{DRIVE_UNIT, Parameter};
-pub use fieldbeat::bus::modbus::wire::ADU_MAX;
-use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
-use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
-use fieldbeat::bus::modbus::{UnidriveDrive, Via, Watchdog};
+use fieldbeat::bus::modbus::{
+    ControlWord, Mapping, Parameter, Role, StatusWord, UnidriveDrive, Via, Watchdog,
+};
+use fieldbeat::internals::bus::modbus::parameter::DRIVE_UNIT;
+pub use fieldbeat::internals::bus::modbus::wire::ADU_MAX;
+use fieldbeat::internals::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
 

@@ -7,10 +7,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::time::Duration;
 
-use fieldbeat::cycle::{Plan, Wait};
-use fieldbeat::master::Master;
-use fieldbeat::rt::{Granted, Realtime};
 use fieldbeat::time::MS;
+use fieldbeat::{Granted, Master, Plan, Realtime, Wait};
 
 use super::bare;
 use super::fleet::{Fleet, Side};

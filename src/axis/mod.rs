@@ -19,36 +19,41 @@
 //!
 //! Nothing here knows a protocol, a socket or the loop.
 
-pub mod acyclic;
-pub mod cell;
-pub mod command;
-pub mod doorbell;
-pub mod event;
-pub mod feedback;
-pub mod group;
-pub mod handle;
-pub mod limits;
-pub mod newest;
+pub(crate) mod acyclic;
+pub(crate) mod cell;
+pub(crate) mod command;
+pub(crate) mod doorbell;
+pub(crate) mod event;
+pub(crate) mod feedback;
+pub(crate) mod group;
+pub(crate) mod handle;
+pub(crate) mod limits;
+pub(crate) mod newest;
 pub(crate) mod packed;
-pub mod plan;
+pub(crate) mod plan;
 mod pulse;
 mod streams;
-pub mod units;
+pub(crate) mod units;
 
+pub use acyclic::{
+    Acyclic, Answer, Call, CallError, CallTicket, Listed, NotationError, ParameterError, ParameterTicket,
+    Parameters, PostError, Request, Scalar, Series,
+};
 pub use command::{
-    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,
-    Row, Setpoint, StreamRow, Target,
+    Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, Row, Target,
 };
+pub(crate) use command::{GroupCall, QueuedCommand, Setpoint, StreamRow};
 pub use event::{Emergency, Event, EventKind};
-pub use feedback::{
-    DriveStatus, Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause,
-};
+pub use feedback::{DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
+pub(crate) use feedback::{FaultNames, MONITOR_CHANNELS};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
-pub use handle::{Axis, AxisEnds, AxisError, Observer, Samples};
+pub(crate) use handle::AxisEnds;
+pub use handle::{Axis, AxisError, Observer, Samples};
 pub use limits::{Cannot, Lacks};
+pub(crate) use plan::is_plain_name;
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
-    StopThen, StopTimeout, Underrun, is_plain_name,
+    StopThen, StopTimeout, Underrun,
 };
 pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

@@ -25,13 +25,13 @@ use crate::time::Time;
 ///   [`Answered`](Exchange::Answered) with a round trip.
 /// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
 ///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
-///   [`BusPlan::reply_within_ns`].
+///   `BusPlan::reply_within_ns`.
 /// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
 ///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
 /// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
-///   round trip, and not suspect. [`BusPlan::fresh_within_ns`].
+///   round trip, and not suspect. `BusPlan::fresh_within_ns`.
 /// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
-///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), [`BusPlan::turn_within_ns`].
+///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `BusPlan::turn_within_ns`.
 pub trait Bus: Send {
     /// Its name in messages.
     fn name(&self) -> &str;
@@ -64,7 +64,7 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried only of a bus that has [`BusPlan::turn_within_ns`].
+    /// shows all that has to be waited for. Queried only of a bus that has `BusPlan::turn_within_ns`.
     fn poll_at(&self) -> Option<Time> {
         None
     }
@@ -255,7 +255,7 @@ pub enum Exchange {
     OwnClock {
         /// When it was sent.
         sent_at: Time,
-        /// Until when the newest accepted packet counts: its stamp and [`BusPlan::fresh_within_ns`]. `receive` updates
+        /// Until when the newest accepted packet counts: its stamp and `BusPlan::fresh_within_ns`. `receive` updates
         /// it. 0 = none was accepted yet.
         fresh_until: Time,
     },

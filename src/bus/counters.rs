@@ -21,7 +21,7 @@ pub struct Counters {
     pub malformed: u64,
     /// Well-formed replies to something that was not requested, or from the wrong port.
     pub foreign: u64,
-    /// Counts that only this protocol has, as its [`BusPlan::own_counters`] name them.
+    /// Counts that only this protocol has, as its `BusPlan::own_counters` name them.
     pub own: [u64; OWN_COUNTERS],
 }
 

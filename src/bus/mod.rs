@@ -22,26 +22,27 @@
 //!
 //! `tests/conformance` tests the contract clause by clause, for every protocol.
 
-pub mod contract;
-pub mod counters;
-pub mod desired;
-mod drives;
+pub(crate) mod contract;
+pub(crate) mod counters;
+pub(crate) mod desired;
+pub(crate) mod drives;
 pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
 mod plan;
 #[cfg(feature = "cli")]
-pub mod tools;
-pub mod variant;
+pub(crate) mod tools;
+pub(crate) mod variant;
 
-pub use self::contract::{Bus, Cycle, Exchange, Notes, Notices, Slot};
-pub use self::counters::{BusClock, Counters, OWN_COUNTERS, OwnCounter, Unmatched};
-pub use self::drives::Ends;
+pub(crate) use self::contract::{Bus, Cycle, Exchange, Notes, Slot};
+pub(crate) use self::counters::{BusClock, Counters, OwnCounter, Unmatched};
+pub(crate) use self::drives::Ends;
 pub use self::plan::{BusPlan, OpenError};
 #[cfg(feature = "config")]
 use crate::keys::{machine::Machine, table::Table};
 
 /// A protocol, as the rest of the program finds it: what it is called, and what it adds.
+#[doc(hidden)]
 #[derive(Debug)]
 pub struct Protocol {
     /// Its name in configurations.
@@ -57,4 +58,5 @@ pub struct Protocol {
 }
 
 /// All protocols; the next one is a folder, and one line more.
+#[doc(hidden)]
 pub const PROTOCOLS: [Protocol; 3] = [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED];

@@ -17,7 +17,7 @@ use crate::errors::no_descriptor;
 use crate::net::Carriers;
 use crate::net::lock::Refused;
 
-/// A bus as configured and checked, before any socket is open.
+/// A bus as configured and checked, before any socket is open. The plans of the protocols of this library implement it.
 pub trait BusPlan: Any + Debug + Send + Sync {
     /// Its name in messages.
     fn name(&self) -> &str;
@@ -59,10 +59,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     }
 
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
+    #[doc(hidden)]
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
 
     /// Refuses a master that comes for one drive of this bus only, if that would disturb what is in use there. Only
     /// reads, and blocks for a fraction of a second: for normal threads.
+    #[doc(hidden)]
     fn require_idle(&self, _carriers: &dyn Carriers) -> Result<(), OpenError> {
         Ok(())
     }
@@ -70,17 +72,20 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     /// The variables that drive `index` reports in addition to its process data, each once.
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
 
-    /// What [`Counters::own`] counts on this bus, in order.
+    /// What `Counters::own` counts on this bus, in order.
+    #[doc(hidden)]
     fn own_counters(&self) -> &'static [OwnCounter] {
         &[]
     }
 
     /// The names of the fault codes of its drives.
+    #[doc(hidden)]
     fn fault_names(&self) -> FaultNames {
         |_| None
     }
 
     /// How its drives write addresses and values for acyclic access.
+    #[doc(hidden)]
     fn notation(&self) -> Arc<dyn Notation>;
 
     /// This bus with drive `index` only, and without anything that the drive monitors. Devices found running stay
@@ -91,11 +96,13 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     fn addresses(&self) -> Vec<SocketAddrV4>;
 
     /// This bus in a machine that is otherwise like its own; `None`: it cannot be had so.
+    #[doc(hidden)]
     fn variant(&self, _wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         None
     }
 
     /// What drive `index` can do, in a cycle of `period_ns`.
+    #[doc(hidden)]
     fn capabilities(&self, index: usize) -> Capabilities;
 
     /// Its drives have a common clock that can lead the grid.

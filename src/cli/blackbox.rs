@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use fieldbeat::telemetry::blackbox::list::Listing;
-use fieldbeat::telemetry::blackbox::{default_directory, events, file};
+use fieldbeat::internals::telemetry::blackbox::list::Listing;
+use fieldbeat::internals::telemetry::blackbox::{events, file};
+use fieldbeat::telemetry::blackbox::default_directory;
 use serde_json::json;
 
 use super::{Stop, print, show};

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use fieldbeat::config::{self, ConfigError};
-use fieldbeat::rt::host::rt_throttling;
+use fieldbeat::internals;
+use fieldbeat::internals::rt::host::rt_throttling;
 use serde_json::json;
 
 use super::{Stop, print};
@@ -38,14 +39,15 @@ impl Check {
         };
         // What cannot work on this host is refused here too, with the plan above it.
         let throttling = rt_throttling();
-        let starving = throttling.and_then(|throttling| config::starvation(&plan.cycle, &throttling));
+        let starving =
+            throttling.and_then(|throttling| internals::cycle::starvation(&plan.cycle, &throttling));
         if self.json {
             let file = self.config.display().to_string();
             let of_host = |message| ConfigError::of_file(file, message);
             let errors: Vec<ConfigError> = starving.clone().map(of_host).into_iter().collect();
-            print(config::json(&plan, &errors))?;
+            print(internals::config::json(&plan, &errors))?;
         } else {
-            for line in config::describe(&plan) {
+            for line in internals::config::describe(&plan) {
                 print(line)?;
             }
         }

@@ -13,12 +13,12 @@ use clap::Args;
 use fieldbeat::axis::{
     Abort, Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit,
 };
-use fieldbeat::config::{Configuration, DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
-use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::config::Configuration;
 use fieldbeat::doctor::{Glance, glance};
-use fieldbeat::master::{Master, MasterError};
+use fieldbeat::internals::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{MS, Ns, S, nanos};
+use fieldbeat::{CyclePlan, Master, MasterError, Plan};
 
 use super::handler::Handler;
 use super::interrupt::Interrupt;

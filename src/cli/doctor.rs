@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use fieldbeat::cycle::CyclePlan;
+use fieldbeat::CyclePlan;
 use fieldbeat::doctor::{Effort, Measured, Progress, Report, Subject, examine, measure};
 use fieldbeat::time::{S, US, nanos};
 

@@ -5,10 +5,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::{Axis, Fault, FaultNames, Link, StopCause};
-use fieldbeat::control::{Answering, Server, Session, place};
-use fieldbeat::master::Master;
-use fieldbeat::rt::thread::helper_thread;
+use fieldbeat::Master;
+use fieldbeat::axis::{Axis, Fault, Link, StopCause};
+use fieldbeat::internals::axis::feedback::FaultNames;
+use fieldbeat::internals::control::{Answering, Server, Session, place};
+use fieldbeat::internals::rt::thread::helper_thread;
 use fieldbeat::telemetry::blackbox::Written;
 use fieldbeat::telemetry::{DriveEmergency, Failure, Monitor};
 use serde_json::{Value, json};

@@ -3,9 +3,8 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use fieldbeat::cycle::status::ReferenceStatus;
-use fieldbeat::master::Master;
-use fieldbeat::telemetry::Quantiles;
+use fieldbeat::Master;
+use fieldbeat::telemetry::{Quantiles, ReferenceStatus};
 use fieldbeat::time::US;
 
 /// Which drives the line counts.

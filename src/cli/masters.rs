@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use fieldbeat::config::{DEMO_FILE, is_demo};
-use fieldbeat::control::{AskError, ask, place};
+use fieldbeat::internals::config::{DEMO_FILE, is_demo};
+use fieldbeat::internals::control::{AskError, ask, place};
 use serde_json::{Value, json};
 
 use super::Stop;

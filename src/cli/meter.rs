@@ -4,7 +4,7 @@ use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::acyclic::Progress;
+use fieldbeat::internals::axis::acyclic::Progress;
 
 use super::complain;
 use super::interrupt::Interrupt;

@@ -29,7 +29,7 @@ use std::time::Duration;
 use anstyle::AnsiColor;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
-use fieldbeat::bus::tools::Stop;
+use fieldbeat::internals::bus::tools::Stop;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 /// A hard-real-time cyclic master for servo drives.
@@ -167,7 +167,7 @@ fn configuration(path: &std::path::Path) -> Result<fieldbeat::config::Configurat
 }
 
 /// The machine of a configuration file.
-fn load(path: &std::path::Path) -> Result<fieldbeat::cycle::Plan, Stop> {
+fn load(path: &std::path::Path) -> Result<fieldbeat::Plan, Stop> {
     configuration(path).map(|read| read.plan)
 }
 

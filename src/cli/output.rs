@@ -6,12 +6,11 @@ use std::time::Duration;
 
 use clap::Args;
 use fieldbeat::axis::{HeldBy, Load};
-use fieldbeat::cycle::Plan;
-use fieldbeat::master::{Master, Setup};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::telemetry::metrics::{self, Endpoint, MetricsError, Server};
 use fieldbeat::telemetry::report::Report;
+use fieldbeat::{Master, Plan, Setup};
 
 use super::{Stop, complain, print, show};
 

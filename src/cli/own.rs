@@ -3,9 +3,9 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use fieldbeat::Master;
 use fieldbeat::axis::{Axis, Link};
-use fieldbeat::bus::tools::{Drive, OwnMaster, Task};
-use fieldbeat::master::Master;
+use fieldbeat::internals::bus::tools::{Drive, OwnMaster, Task};
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Wanted;

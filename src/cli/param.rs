@@ -3,8 +3,9 @@
 mod list;
 
 use clap::{Args, Subcommand};
-use fieldbeat::axis::acyclic::{CallError, Notation, NotationError, ParameterError, Request};
-use fieldbeat::bus::tools::Drive;
+use fieldbeat::axis::{CallError, NotationError, ParameterError, Request};
+use fieldbeat::internals::axis::acyclic::Notation;
+use fieldbeat::internals::bus::tools::Drive;
 use serde_json::json;
 
 use super::interrupt::Interrupt;

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::acyclic::{Access, Acyclic, Carrier, Notation};
-use fieldbeat::bus::tools::Drive;
-use fieldbeat::control::{AskError, Remote};
-use fieldbeat::cycle::Plan;
-use fieldbeat::master::{Master, StartError};
-use fieldbeat::net::Os;
+use fieldbeat::axis::Acyclic;
+use fieldbeat::internals::axis::acyclic::{Access, Carrier, Notation};
+use fieldbeat::internals::bus::tools::Drive;
+use fieldbeat::internals::control::{AskError, Remote};
+use fieldbeat::internals::net::Os;
+use fieldbeat::{Master, Plan, StartError};
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::{Wanted, others};

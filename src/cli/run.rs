@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::master::{Master, Setup};
-use fieldbeat::rt::thread::helper_thread;
+use fieldbeat::internals::rt::thread::helper_thread;
 use fieldbeat::telemetry::summary::{Drive, Summary};
 use fieldbeat::time::MS;
+use fieldbeat::{Master, Setup};
 
 use super::handler::Handler;
 use super::interrupt::{Interrupt, LOOK_EVERY};

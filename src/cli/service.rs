@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use fieldbeat::master::Master;
+use fieldbeat::Master;
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 
 /// What systemd is notified of (sd_notify(3)). Elsewhere nobody listens, and that is all.

@@ -5,12 +5,11 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use fieldbeat::config::Configuration;
-use fieldbeat::cycle::Plan;
-use fieldbeat::rt::Realtime;
-use fieldbeat::rt::host;
-use fieldbeat::rt::thread::{default_core, spare_core};
+use fieldbeat::internals::rt::host;
+use fieldbeat::internals::rt::thread::{default_core, spare_core};
+use fieldbeat::internals::telemetry::summary::plural;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::telemetry::summary::plural;
+use fieldbeat::{Plan, Realtime};
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::{Stop, configuration, print, span};

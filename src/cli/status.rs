@@ -6,7 +6,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::control::AskError;
+use fieldbeat::internals::control::AskError;
 use serde_json::Value;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};

@@ -7,10 +7,10 @@ use std::path::Path;
 
 use clap::error::ErrorKind;
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand};
-use fieldbeat::axis::acyclic::{Access, Progress};
-use fieldbeat::bus::PROTOCOLS;
-use fieldbeat::bus::tools::{Drive, OwnMaster, Program, Reached, Stop, Tool};
-use fieldbeat::telemetry::file::save;
+use fieldbeat::internals::axis::acyclic::{Access, Progress};
+use fieldbeat::internals::bus::PROTOCOLS;
+use fieldbeat::internals::bus::tools::{Drive, OwnMaster, Program, Reached, Stop, Tool};
+use fieldbeat::internals::telemetry::file::save;
 
 use super::interrupt::Interrupt;
 use super::meter::Meter;

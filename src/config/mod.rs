@@ -14,18 +14,13 @@
 #![doc = include_str!("../../docs/src/configuration.md")]
 
 mod cycle;
-mod demo;
-mod describe;
-mod json;
+pub(crate) mod demo;
+pub(crate) mod describe;
+pub(crate) mod json;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub use demo::{DEMO_FILE, DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, is_demo};
-pub use describe::describe;
-pub use json::json;
-
-pub use crate::cycle::starvation;
 pub use crate::keys::error::{ConfigError, ConfigErrors};
 
 use crate::bus::{BusPlan, PROTOCOLS};

@@ -10,7 +10,7 @@
 //! | `protocol` | one line each way, within a time that the other side cannot extend |
 
 mod client;
-pub mod place;
+pub(crate) mod place;
 mod protocol;
 mod remote;
 mod server;

@@ -33,7 +33,7 @@ mod nic;
 mod power;
 mod report;
 mod rights;
-pub mod stats;
+pub(crate) mod stats;
 
 use std::path::PathBuf;
 

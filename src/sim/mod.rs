@@ -18,20 +18,20 @@
 
 mod drives;
 pub mod ethercat;
-pub mod fault;
+pub(crate) mod fault;
 #[cfg(feature = "config")]
 pub(crate) mod keys;
 pub mod linudp;
 pub mod modbus;
-pub mod physics;
+pub(crate) mod physics;
 mod plan;
 mod power;
-pub mod serial;
+pub(crate) mod serial;
 pub mod server;
 #[cfg(test)]
 mod testing;
 mod wire;
-pub mod world;
+pub(crate) mod world;
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -39,6 +39,7 @@ use std::net::SocketAddrV4;
 
 pub use plan::SimPlan;
 pub use serial::{SerialWire, SimSerial};
+pub use world::{World, WorldOptions};
 
 use crate::axis::PlanFault;
 use crate::time::Time;

@@ -165,6 +165,7 @@ struct Late {
 
 impl Causes {
     /// For the loop of this plan, with an in-loop task or none.
+    #[doc(hidden)]
     pub fn new(cycle: &CyclePlan, task: bool) -> Causes {
         Causes {
             late_ns: cycle.late_ns(),
@@ -189,6 +190,7 @@ impl Causes {
     }
 
     /// Looks at one record.
+    #[doc(hidden)]
     pub fn record(&mut self, record: &Record) {
         match record {
             Record::Drive(DriveRecord { index, axis, reply: Reply::Missed, was_online: true, .. }) => {
@@ -289,6 +291,7 @@ impl Causes {
     }
 
     /// Takes a sample in, after all records from before it, and finds the causes that it shows.
+    #[doc(hidden)]
     pub fn sample(&mut self, sample: ThreadSample) {
         if let Some(before) = self.newest.replace(sample) {
             let ran_ns = sample.run_ns.saturating_sub(before.run_ns);
@@ -332,6 +335,7 @@ impl Causes {
 
     /// Judges what still waits by what is known now. `late` is the loop's own count: what got lost on the way is
     /// unknown.
+    #[doc(hidden)]
     pub fn finish(&mut self, late: u64) {
         for late in std::mem::take(&mut self.pending) {
             self.settle(&late);

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::histograms::{Quantity, is_cut_off};
+use super::histograms::Quantity;
 use crate::cycle::status::Peak;
 use crate::time::US;
 
@@ -19,10 +19,10 @@ pub fn distribution(histogram: &Quantity, peak: Peak) -> String {
     let mut text =
         format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     let mut total = 0;
-    for step in histogram.iter_quantiles(TICKS_PER_HALF_DISTANCE) {
+    for step in histogram.bins().iter_quantiles(TICKS_PER_HALF_DISTANCE) {
         total += step.count_since_last_iteration();
         let quantile = step.quantile_iterated_to();
-        if quantile < 1.0 && is_cut_off(histogram, step.value_iterated_to()) {
+        if quantile < 1.0 && histogram.is_cut_off(step.value_iterated_to()) {
             continue;
         }
         // Writing into a string cannot fail.
@@ -33,15 +33,15 @@ pub fn distribution(histogram: &Quantity, peak: Peak) -> String {
             writeln!(text, "{:12.3} {quantile:.12} {total:10}", us(peak.ns as f64))
         };
     }
-    let (mean, deviation) = (us(histogram.mean()), us(histogram.stdev()));
-    let sub_buckets = (2 * 10_u32.pow(u32::from(histogram.sigfig()))).next_power_of_two();
+    let (mean, deviation) = (us(histogram.bins().mean()), us(histogram.bins().stdev()));
+    let sub_buckets = (2 * 10_u32.pow(u32::from(histogram.bins().sigfig()))).next_power_of_two();
     let _ = write!(
         text,
         "#[Mean    = {mean:12.3}, StdDeviation   = {deviation:12.3}]\n\
          #[Max     = {:12.3}, Total count    = {total:12}]\n\
          #[Buckets = {:12}, SubBuckets     = {sub_buckets:12}]\n",
         us(peak.ns as f64),
-        histogram.buckets(),
+        histogram.bins().buckets(),
     );
     text
 }

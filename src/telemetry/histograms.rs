@@ -19,8 +19,64 @@ const DRIVE_DIGITS: u8 = 2;
 /// A quantile needs so many samples beyond it: with fewer it would be the rank of a few outliers.
 pub const SAMPLES_BEYOND: f64 = 10.0;
 
-/// One quantity. 32 bits a bin would be full after 50 days at 1 kHz, and quantiles wrong from then on.
-pub type Quantity = Histogram<u64>;
+/// The values of one quantity, ns, in bins of equal relative width.
+///
+/// 32 bits a bin would be full after 50 days at 1 kHz, and quantiles wrong from then on.
+#[derive(Clone, Debug)]
+pub struct Quantity(Histogram<u64>);
+
+impl Quantity {
+    fn new(digits: u8) -> Quantity {
+        Quantity(Histogram::new_with_bounds(1, HIGHEST_NS, digits).expect("constant bounds are valid"))
+    }
+
+    fn enter(&mut self, ns: u64) {
+        self.0.saturating_record(ns.max(1));
+    }
+
+    /// The number of values.
+    pub fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    /// Nothing was measured.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The upper end of the highest bin with a value, ns.
+    pub fn max(&self) -> u64 {
+        self.0.max()
+    }
+
+    /// The upper end of the bin in which this quantile (0 ..= 1) lies, ns. `None`: the sample is too small for it, or
+    /// it lies beyond the histogram, at 60 ms.
+    pub fn quantile(&self, quantile: f64) -> Option<u64> {
+        let value = self.0.value_at_quantile(quantile);
+        (supports(self.len(), quantile) && !self.is_cut_off(value)).then_some(value)
+    }
+
+    /// The number of values from `low` to `high`, ns, as exactly as the bins are.
+    pub fn count_between(&self, low: u64, high: u64) -> u64 {
+        if self.is_empty() { 0 } else { self.0.count_between(low, high) }
+    }
+
+    /// Whether `value` stands for all that are longer than the histogram reaches.
+    pub(crate) fn is_cut_off(&self, value: u64) -> bool {
+        self.0.equivalent(value, HIGHEST_NS)
+    }
+
+    /// The bins.
+    #[cfg(any(test, feature = "metrics", feature = "report"))]
+    pub(crate) fn bins(&self) -> &Histogram<u64> {
+        &self.0
+    }
+
+    #[cfg(test)]
+    pub(crate) fn bins_mut(&mut self) -> &mut Histogram<u64> {
+        &mut self.0
+    }
+}
 
 /// What a run measured, ns.
 #[derive(Clone, Debug)]
@@ -49,30 +105,18 @@ pub struct DriveHistograms {
     pub age: Quantity,
 }
 
-fn empty(digits: u8) -> Quantity {
-    Histogram::new_with_bounds(1, HIGHEST_NS, digits).expect("constant bounds are valid")
-}
-
-fn enter(histogram: &mut Quantity, ns: u64) {
-    histogram.saturating_record(ns.max(1));
-}
-
-/// Whether `value` stands for all that are longer than the histogram reaches.
-pub fn is_cut_off(histogram: &Quantity, value: u64) -> bool {
-    histogram.equivalent(value, HIGHEST_NS)
-}
-
 impl DriveHistograms {
     fn new() -> DriveHistograms {
-        let empty = || empty(DRIVE_DIGITS);
+        let empty = || Quantity::new(DRIVE_DIGITS);
         DriveHistograms { rtt: empty(), send_jitter: empty(), age: empty() }
     }
 }
 
 impl Histograms {
     /// Empty histograms for so many axes.
+    #[doc(hidden)]
     pub fn new(axes: usize) -> Histograms {
-        let empty = || empty(LOOP_DIGITS);
+        let empty = || Quantity::new(LOOP_DIGITS);
         Histograms {
             wake: empty(),
             jitter: empty(),
@@ -88,6 +132,7 @@ impl Histograms {
     }
 
     /// Enters one record.
+    #[doc(hidden)]
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
             Record::Drive(DriveRecord { axis, rtt_ns, jitter_ns, age_ns, .. }) => {
@@ -96,21 +141,21 @@ impl Histograms {
                     [(&mut drive.rtt, rtt_ns), (&mut drive.send_jitter, jitter_ns), (&mut drive.age, age_ns)];
                 for (histogram, ns) in measured {
                     if let Some(ns) = ns {
-                        enter(histogram, ns.get().into());
+                        histogram.enter(ns.get().into());
                     }
                 }
             }
             Record::Monitor(_) => {}
             Record::Reference(ReferenceRecord { error_ns, counts, .. }) => {
                 if let Some(error_ns) = error_ns.filter(|_| *counts) {
-                    enter(&mut self.reference, error_ns.unsigned_abs().into());
+                    self.reference.enter(error_ns.unsigned_abs().into());
                 }
             }
             Record::Cycle(CycleRecord { wake_ns, jitter_ns, stages_ns, .. }) => {
-                enter(&mut self.wake, (*wake_ns).into());
-                enter(&mut self.jitter, (*jitter_ns).into());
+                self.wake.enter((*wake_ns).into());
+                self.jitter.enter((*jitter_ns).into());
                 for (histogram, ns) in self.stages.iter_mut().zip(stages_ns) {
-                    enter(histogram, (*ns).into());
+                    histogram.enter((*ns).into());
                 }
             }
             Record::Skipped(record) => self.enter_skipped(record, period_ns),
@@ -127,7 +172,7 @@ impl Histograms {
                 None => 1,
             };
             // Within the bounds, so that it cannot fail.
-            let _ = self.wake.record_n(late.clamp(1, HIGHEST_NS), alike);
+            let _ = self.wake.0.record_n(late.clamp(1, HIGHEST_NS), alike);
             slot += alike;
         }
     }
@@ -167,11 +212,7 @@ impl Quantiles {
     /// that lies where the histogram ends is not known.
     pub fn of(histogram: &Quantity, peak: Peak) -> Quantiles {
         let count = histogram.len();
-        let at = |quantile: f64| {
-            let value = histogram.value_at_quantile(quantile);
-            let is_known = supports(count, quantile) && !is_cut_off(histogram, value);
-            is_known.then(|| value.min(peak.ns.max(1)))
-        };
+        let at = |quantile: f64| Some(histogram.quantile(quantile)?.min(peak.ns.max(1)));
         let any = peak != Peak::default() || count > 0;
         Quantiles {
             count,
@@ -209,8 +250,8 @@ mod tests {
     fn weeks_at_one_value_leave_the_quantiles_right() {
         let mut histograms = Histograms::new(1);
         let rtt = &mut histograms.drives[0].rtt;
-        rtt.record_n(1_000_000, 5 * (1 << 32)).unwrap();
-        rtt.record_n(2_000_000, 1 << 32).unwrap();
+        rtt.0.record_n(1_000_000, 5 * (1 << 32)).unwrap();
+        rtt.0.record_n(2_000_000, 1 << 32).unwrap();
         let quantiles = Quantiles::of(rtt, Peak { ns: 2_000_000, index: 1 });
         assert_eq!(
             (quantiles.p50, quantiles.p90, quantiles.p99_99),
@@ -240,7 +281,7 @@ mod tests {
         let skipped = SkippedRecord { first: 5, count: 3, late_ns: 3_500_000, ..SkippedRecord::default() };
         histograms.enter(&Record::Skipped(skipped), MS);
         let values: Vec<u64> =
-            histograms.wake.iter_recorded().map(|v| v.value_iterated_to() / 100_000).collect();
+            histograms.wake.bins().iter_recorded().map(|v| v.value_iterated_to() / 100_000).collect();
         assert_eq!(histograms.wake.len(), 3);
         assert_eq!(values, [15, 25, 35]);
     }
@@ -263,7 +304,7 @@ mod tests {
             histograms.enter(&Record::Reference(record), MS);
         }
         let reference = &histograms.reference;
-        assert_eq!((reference.len(), reference.min(), reference.max()), (2, 300, 700));
+        assert_eq!((reference.len(), reference.bins().min(), reference.max()), (2, 300, 700));
     }
 
     #[test]

@@ -21,28 +21,36 @@
 
 #[cfg(feature = "black-box")]
 pub mod blackbox;
-pub mod causes;
+pub(crate) mod causes;
 #[cfg(any(feature = "black-box", feature = "report"))]
-pub mod file;
+pub(crate) mod file;
 #[cfg(feature = "report")]
-pub mod hgrm;
-pub mod histograms;
+pub(crate) mod hgrm;
+pub(crate) mod histograms;
 #[cfg(feature = "metrics")]
 pub mod metrics;
 mod monitor;
 #[cfg(feature = "report")]
-pub mod plots;
-mod recorder;
+pub(crate) mod plots;
+pub(crate) mod recorder;
 #[cfg(feature = "report")]
 pub mod report;
 #[cfg(feature = "summary")]
 pub mod summary;
 #[cfg(feature = "summary")]
 mod table;
-pub mod timeline;
+pub(crate) mod timeline;
 
-pub use histograms::{Histograms, Quantiles};
-pub use monitor::Monitor;
-pub use recorder::{DriveEmergency, Failure, Keep, Measured, Recorder, Recording, Run, Written};
+pub use self::causes::{Cause, Causes, Judged, Tally};
+pub use self::histograms::{DriveHistograms, Histograms, Quantiles, Quantity};
+pub use self::monitor::Monitor;
+pub use self::recorder::{DriveEmergency, Failure, Measured, Run, Written};
+pub(crate) use self::recorder::{Keep, Recorder, Recording};
 #[cfg(feature = "summary")]
-pub use summary::Summary;
+pub use self::summary::Summary;
+pub use self::timeline::{Stretch, Timeline};
+pub use crate::bus::counters::{BusClock, Counters, Unmatched};
+pub use crate::cycle::engine::LoopPanic;
+pub use crate::cycle::record::Stage;
+pub use crate::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
+pub use crate::drive::numbers::{Extent, Peak, Peaks};

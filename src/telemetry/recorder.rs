@@ -90,6 +90,7 @@ pub struct DriveEmergency {
 
 impl Measured {
     /// Nothing yet, of so many axes in this cycle, with an in-loop task or none.
+    #[doc(hidden)]
     pub fn new(axes: usize, cycle: &CyclePlan, task: bool) -> Measured {
         Measured {
             histograms: Histograms::new(axes),
@@ -104,6 +105,7 @@ impl Measured {
     }
 
     /// Enters one record.
+    #[doc(hidden)]
     pub fn enter(&mut self, record: &Record) {
         self.histograms.enter(record, self.period_ns);
         self.timeline.enter(record);

@@ -56,6 +56,7 @@ impl Timeline {
     }
 
     /// Enters one record.
+    #[doc(hidden)]
     pub fn enter(&mut self, record: &Record) {
         match record {
             Record::Drive(DriveRecord { index, rtt_ns, reply, .. }) => {

@@ -1,9 +1,10 @@
 //! What only an EtherCAT line has: places, PDOs, clocks, slaves that are no drives.
 
+use fieldbeat::Plan;
 use fieldbeat::axis::{HeldBy, Load, Unit};
-use fieldbeat::bus::ethercat::cia402::Mode;
-use fieldbeat::config::{Configuration, describe};
-use fieldbeat::cycle::Plan;
+use fieldbeat::config::Configuration;
+use fieldbeat::internals::bus::ethercat::cia402::Mode;
+use fieldbeat::internals::config::describe;
 use fieldbeat::time::US;
 
 use super::{keys, mistakes, read, read_all, tells_the_truth};
@@ -397,8 +398,7 @@ fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
 #[test]
 fn a_line_built_in_code_is_checked_by_the_same_rules() {
     use fieldbeat::bus::BusPlan;
-    use fieldbeat::bus::ethercat::object::Family;
-    use fieldbeat::bus::ethercat::{Device, EthercatPlan, KollmorgenDrive, SlavePlan};
+    use fieldbeat::bus::ethercat::{Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan};
     let drive = |place| KollmorgenDrive::new(format!("k{place}"), place, Family::S700);
     let mut plan = EthercatPlan::new("local:line", vec![drive(0), drive(1)]);
     assert_eq!(BusPlan::faults(&plan, 1_000 * US), []);

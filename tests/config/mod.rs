@@ -9,16 +9,14 @@ use std::time::Duration;
 
 use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
-use fieldbeat::bus::linudp::upid::Upid;
-use fieldbeat::config::{
-    Configuration, DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, load, parse,
-    starvation,
-};
-use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
-use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
-use fieldbeat::rt::Realtime;
-use fieldbeat::rt::host::Throttling;
+use fieldbeat::config::{Configuration, load, parse};
+use fieldbeat::internals::bus::linudp::upid::Upid;
+use fieldbeat::internals::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json};
+use fieldbeat::internals::cycle::bound::{stop_bound, stop_bound_cycles};
+use fieldbeat::internals::cycle::starvation;
+use fieldbeat::internals::rt::host::Throttling;
 use fieldbeat::time::{MS, S, US};
+use fieldbeat::{CyclePlan, Guard, Overrun, Plan, Realtime, Wait};
 use proptest::prelude::*;
 
 /// One drive with a fragment in one of its sections. The fragment begins in line 2, 6 or 10.
@@ -885,8 +883,7 @@ stop.group = "own"
 
 #[test]
 fn values_of_a_unidrive_arrive_where_they_belong() {
-    use fieldbeat::bus::modbus::parameter::Parameter;
-    use fieldbeat::bus::modbus::{Mapped, UnidriveDrive};
+    use fieldbeat::bus::modbus::{Mapped, Parameter, UnidriveDrive};
     use fieldbeat::sim::modbus::UnidriveSettings;
     let usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
     let mut settings = UnidriveSettings::of(&usual);
@@ -1015,7 +1012,7 @@ fn who_holds_the_load_and_who_watches_the_application_is_said() {
 fn a_plan_built_in_code_is_checked_by_the_same_rules() {
     use fieldbeat::axis::{HeldBy, Load, StopHow};
     use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-    use fieldbeat::cycle::{GroupPlan, Plan};
+    use fieldbeat::{GroupPlan, Plan};
     let mut drive = LinUdpDrive::new("x", [127, 0, 0, 11].into());
     drive.axis.load = Load::Vertical(HeldBy::Brake);
     drive.axis.stop.how = StopHow::Coast;

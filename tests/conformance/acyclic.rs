@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::Link;
-use fieldbeat::axis::acyclic::{Answer, Call, CallError, CallTicket, PostError};
+use fieldbeat::axis::{Answer, Call, CallError, CallTicket, Link, PostError};
 
 use crate::conformance::machine::Machine;
 use crate::conformance::subject::Subject;

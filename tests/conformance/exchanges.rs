@@ -1,9 +1,10 @@
 //! When something is sent, what is owed for it, and how long a window stays open.
 
 use fieldbeat::axis::Command;
-use fieldbeat::bus::{Counters, Exchange};
-use fieldbeat::rt::Clock;
+use fieldbeat::internals::bus::Exchange;
+use fieldbeat::internals::rt::Clock;
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
@@ -397,7 +398,7 @@ pub fn the_end_comes_and_leaves_nothing_owed(subject: &'static dyn Subject) {
             assert!(turns < 1_000, "no end within 1000 cycles");
             line.turn();
         }
-        let owed = |slot: &fieldbeat::bus::Slot| matches!(slot.exchange, Exchange::Owed { .. });
+        let owed = |slot: &fieldbeat::internals::bus::Slot| matches!(slot.exchange, Exchange::Owed { .. });
         assert!(!line.slots.iter().any(owed), "{:?}", line.slots);
         let sends = line.wire.log().sends;
         line.world.advance(100 * PERIOD);

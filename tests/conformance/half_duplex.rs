@@ -1,7 +1,7 @@
 //! A wire for one request at a time: what is due waits for its turn.
 
 use fieldbeat::axis::Command;
-use fieldbeat::bus::Exchange;
+use fieldbeat::internals::bus::Exchange;
 use fieldbeat::time::US;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD};

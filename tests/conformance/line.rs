@@ -4,13 +4,15 @@ use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::net::SocketAddrV4;
 
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, Failure, Jog, Link, Move, Profile, Row, State, Target};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot, Unmatched};
-use fieldbeat::drive::machine::{Machine, NumberedRow};
-use fieldbeat::rt::{Clock, PollSet};
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
+use fieldbeat::Cycle;
+use fieldbeat::axis::{Command, Failure, Jog, Link, Move, NativeOwner, Profile, Row, State, Target};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::internals::bus::{Bus, Exchange, Slot};
+use fieldbeat::internals::drive::machine::{Machine, NumberedRow};
+use fieldbeat::internals::rt::{Clock, PollSet};
+use fieldbeat::internals::sim::world::WorldClock;
+use fieldbeat::sim::{FaultPlan, World, WorldOptions};
+use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{MS, Time, US};
 
 use crate::conformance::rules::{self, Around};

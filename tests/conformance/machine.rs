@@ -3,17 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::MutexGuard;
 
-use fieldbeat::Master;
 use fieldbeat::axis::{
     Command, CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause,
 };
 use fieldbeat::bus::BusPlan;
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::time::{Time, US};
+use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 
 use crate::conformance::line::{self, PERIOD};
 use crate::conformance::subject::{Can, Drive, Subject};
@@ -250,7 +246,7 @@ impl Machine {
     pub fn stop_bound(&self, index: usize) -> u64 {
         let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(self.wire.clone())];
         let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
-        fieldbeat::cycle::bound::stop_bound(&plan, index)
+        fieldbeat::internals::cycle::bound::stop_bound(&plan, index)
     }
 
     /// Turns until the loop has ended.

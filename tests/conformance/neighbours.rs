@@ -1,8 +1,9 @@
 //! One drive never hurts another: whatever befalls the first of three, the others do not notice.
 
 use fieldbeat::axis::Command;
-use fieldbeat::bus::{Counters, Exchange, Slot};
+use fieldbeat::internals::bus::{Exchange, Slot};
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
 
 use crate::conformance::line::{Line, PERIOD};

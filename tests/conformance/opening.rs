@@ -1,7 +1,7 @@
 //! The plan, and the bus before its first cycle.
 
 use fieldbeat::bus::BusPlan;
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::Simulated;
 use fieldbeat::time::S;
 

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, Failure, Jog, Move, Profile, State, Target};
+use fieldbeat::axis::{Command, Failure, Jog, Move, NativeOwner, Profile, State, Target};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{S, US};
 

@@ -1,7 +1,9 @@
 //! Drives that send by their own clocks: no packet answers a request, and requests go whatever comes.
 
 use fieldbeat::axis::Link;
-use fieldbeat::bus::{BusPlan, Counters, Exchange};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::internals::bus::Exchange;
+use fieldbeat::telemetry::Counters;
 
 use crate::conformance::line::{LATENCY, Line};
 use crate::conformance::machine::Machine;

@@ -3,8 +3,9 @@
 use std::net::SocketAddrV4;
 
 use fieldbeat::axis::Link;
-use fieldbeat::bus::{Counters, Exchange, OWN_COUNTERS};
+use fieldbeat::internals::bus::{Exchange, OWN_COUNTERS};
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD, Seen, WINDOW};

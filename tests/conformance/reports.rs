@@ -1,8 +1,7 @@
 //! What a drive says, in user units: only what it said, only when it said it.
 
-use fieldbeat::axis::DriveStatus;
-use fieldbeat::axis::{Command, Units};
-use fieldbeat::bus::Slot;
+use fieldbeat::axis::{Command, DriveStatus, Units};
+use fieldbeat::internals::bus::Slot;
 
 use crate::conformance::line::Line;
 use crate::conformance::rules::{is_as_told, near};

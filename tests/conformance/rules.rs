@@ -1,7 +1,9 @@
 //! What holds after every call, whatever a clause is about: the referee of a line.
 
+use fieldbeat::Cycle;
 use fieldbeat::axis::{DriveStatus, Units};
-use fieldbeat::bus::{Counters, Cycle, Exchange, Notices, Slot};
+use fieldbeat::internals::bus::{Exchange, Notices, Slot};
+use fieldbeat::telemetry::Counters;
 use fieldbeat::time::Time;
 
 use crate::conformance::subject::{Can, Drive, Said};

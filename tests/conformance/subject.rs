@@ -3,8 +3,7 @@
 use std::io::Write;
 
 use fieldbeat::Time;
-use fieldbeat::axis::AxisPlan;
-use fieldbeat::axis::acyclic::Call;
+use fieldbeat::axis::{AxisPlan, Call};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{SimSegment, Simulated};
 

@@ -2,12 +2,11 @@
 
 use std::time::Duration;
 
+use fieldbeat::CyclePlan;
 use fieldbeat::axis::{
     Abort, Command, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen,
 };
-use fieldbeat::cycle::CyclePlan;
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, US};
 
 use crate::conformance::line::PERIOD;

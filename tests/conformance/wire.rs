@@ -6,15 +6,15 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::Time;
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
-use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{
+use fieldbeat::bus::BusPlan;
+use fieldbeat::internals::bus::Bus;
+use fieldbeat::internals::net::frames::Unsent;
+use fieldbeat::internals::net::{
     Broken, Carriers, Datagrams, Frames, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::rt::Regions;
-use fieldbeat::sim::world::World;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated};
+use fieldbeat::internals::rt::Regions;
+use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated, World};
+use fieldbeat::{OpenError, Time};
 
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 

@@ -6,10 +6,11 @@ use std::net::TcpStream;
 use std::process::{Command, Stdio};
 
 use crate::support::{LONG, Machine, Program, checkout, simulated, until};
-use fieldbeat::cycle::status::Peak;
+use fieldbeat::internals::cycle::record::{CycleRecord, DriveRecord, Record, measured};
+use fieldbeat::internals::telemetry::hgrm::distribution;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::telemetry::hgrm::distribution;
-use hdrhistogram::Histogram;
+use fieldbeat::telemetry::{Histograms, Peak, Quantity};
+use fieldbeat::time::MS;
 use libc::SIGINT;
 
 /// What `command` prints about `input`.
@@ -30,12 +31,18 @@ fn samples() -> Vec<u64> {
     (1..10_007).map(|_| tail(&mut random) + random.u64(..5_000)).chain([(1 << 24) - 1]).collect()
 }
 
-/// Our distribution of the samples, and that of the other implementation.
-fn distributions(digits: u8) -> (String, String) {
+/// Our distribution of the samples, as latencies of the loop or as round trips of a drive, and that of the other
+/// implementation with so many digits.
+fn distributions(digits: u8, quantity: impl Fn(&Histograms) -> &Quantity) -> (String, String) {
     let samples = samples();
-    let mut histogram = Histogram::<u64>::new_with_bounds(1, 60_000_000, digits).unwrap();
-    samples.iter().for_each(|ns| histogram.record(*ns).unwrap());
-    let ours = distribution(&histogram, Peak { ns: *samples.last().unwrap(), index: 10_006 });
+    let mut histograms = Histograms::new(1);
+    for ns in &samples {
+        let cycle = CycleRecord { wake_ns: u32::try_from(*ns).unwrap(), ..CycleRecord::default() };
+        let drive = DriveRecord { rtt_ns: measured(*ns), ..DriveRecord::default() };
+        histograms.enter(&Record::Cycle(cycle), MS);
+        histograms.enter(&Record::Drive(drive), MS);
+    }
+    let ours = distribution(quantity(&histograms), Peak { ns: *samples.last().unwrap(), index: 10_006 });
     let script = format!(
         "const h = require('hdr-histogram-js').build({{ lowestDiscernibleValue: 1, \
          highestTrackableValue: 60000000, numberOfSignificantValueDigits: {digits}, bitBucketSize: 64 }}); \
@@ -52,7 +59,7 @@ fn distributions(digits: u8) -> (String, String) {
 #[test]
 #[ignore = "needs node and hdr-histogram-js"]
 fn distributions_of_the_loop_are_those_of_another_implementation() {
-    let (ours, theirs) = distributions(3);
+    let (ours, theirs) = distributions(3, |histograms| &histograms.wake);
     assert_eq!(ours, theirs);
 }
 
@@ -66,7 +73,7 @@ fn distributions_of_drives_are_those_of_another_implementation() {
         };
         text.lines().map(numbers).collect()
     };
-    let (ours, theirs) = distributions(2);
+    let (ours, theirs) = distributions(2, |histograms| &histograms.drives[0].rtt);
     let (ours, theirs) = (numbers(&ours), numbers(&theirs));
     assert_eq!(ours.len(), theirs.len());
     for (ours, theirs) in ours.iter().zip(&theirs) {

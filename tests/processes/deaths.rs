@@ -4,8 +4,8 @@
 use std::path::Path;
 use std::thread::sleep;
 
+use fieldbeat::Master;
 use fieldbeat::axis::{AxisError, Failure, Link, Outcome, StopCause};
-use fieldbeat::master::Master;
 use libc::{SIGCONT, SIGINT, SIGTERM};
 
 use super::support::controller::{self, LEASH, RAMP, TARGET, VELOCITY, Way, config, set_out, summary};

@@ -1,7 +1,6 @@
 //! `fieldbeat ethercat scan`: of a line on this host, without any right, and of what is none.
 
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, KollmorgenDrive, SlavePlan};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan};
 use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{FaultPlan, SimPlan};

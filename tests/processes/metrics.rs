@@ -5,19 +5,17 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::Duration;
 
-use fieldbeat::Master;
 use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-use fieldbeat::bus::modbus::counters::OWN;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::cycle::status::Status;
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::rt::Realtime;
+use fieldbeat::internals::bus::modbus::counters::OWN;
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::telemetry::Status;
 use fieldbeat::telemetry::metrics::Endpoint;
+use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
 use libc::SIGINT;
 
 use super::support::{LONG, Machine, Program, assert_sums, carried, patient, until};

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::process::{Command, Stdio};
 
+use fieldbeat::Master;
 use fieldbeat::axis::Link;
-use fieldbeat::master::Master;
 use fieldbeat::time::Ns;
 use libc::SIGTERM;
 use serde_json::Value;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process;
 use std::thread::sleep;
 
+use fieldbeat::Master;
 use fieldbeat::axis::{Command, Profile, StopCause};
-use fieldbeat::master::Master;
 use libc::{SIGCONT, SIGHUP, SIGINT, SIGTERM, SIGTSTP, SIGTTIN, SIGTTOU};
 use serde_json::Value;
 

@@ -10,12 +10,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use fieldbeat::Master;
 use fieldbeat::axis::{AxisError, StopCause};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-use fieldbeat::control::Server;
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::rt::Realtime;
+use fieldbeat::internals::control::Server;
+use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
 

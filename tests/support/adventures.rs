@@ -14,10 +14,12 @@ use std::sync::OnceLock;
 use std::thread::sleep;
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::{Acyclic, CallError, CallTicket};
-use fieldbeat::axis::{Axis, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target};
-use fieldbeat::bus::linudp::upid;
-use fieldbeat::bus::linudp::wire::RtcCommand;
+use fieldbeat::axis::{
+    Acyclic, Axis, CallError, CallTicket, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row,
+    Target,
+};
+use fieldbeat::internals::bus::linudp::upid;
+use fieldbeat::internals::bus::linudp::wire::RtcCommand;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::{LONG, Machine, simulated, until};

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
+use fieldbeat::Master;
 use fieldbeat::axis::{Axis, AxisError, Command, Move, Profile, Target};
-use fieldbeat::master::Master;
 use serde_json::Value;
 
 use super::{Ended, LONG, Machine, Program, again, until};

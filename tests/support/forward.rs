@@ -53,19 +53,19 @@ macro_rules! forward_bus_plan {
             self.$field.reaching(index)
         }
 
-        fn notation(&self) -> std::sync::Arc<dyn fieldbeat::axis::acyclic::Notation> {
+        fn notation(&self) -> std::sync::Arc<dyn fieldbeat::internals::axis::acyclic::Notation> {
             self.$field.notation()
         }
 
-        fn own_counters(&self) -> &'static [fieldbeat::bus::OwnCounter] {
+        fn own_counters(&self) -> &'static [fieldbeat::internals::bus::OwnCounter] {
             self.$field.own_counters()
         }
 
-        fn capabilities(&self, index: usize) -> fieldbeat::bus::desired::Capabilities {
+        fn capabilities(&self, index: usize) -> fieldbeat::internals::bus::desired::Capabilities {
             self.$field.capabilities(index)
         }
 
-        fn fault_names(&self) -> fieldbeat::axis::FaultNames {
+        fn fault_names(&self) -> fieldbeat::internals::axis::feedback::FaultNames {
             self.$field.fault_names()
         }
 

@@ -4,11 +4,14 @@ use std::any::Any;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::acyclic::AcyclicEnds;
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched};
-use fieldbeat::net::Carriers;
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::axis::acyclic::AcyclicEnds;
+use fieldbeat::internals::bus::{Bus, Slot};
+use fieldbeat::internals::net::Carriers;
+use fieldbeat::internals::rt::Regions;
+use fieldbeat::telemetry::Unmatched;
+use fieldbeat::{Cycle, OpenError};
 
 /// The call of a bus that panics.
 #[derive(Clone, Copy, Debug, PartialEq)]

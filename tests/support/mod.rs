@@ -21,11 +21,10 @@ use std::time::{Duration, Instant};
 
 use fieldbeat::axis::Health;
 use fieldbeat::config::Configuration;
-use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::doctor::glance;
-use fieldbeat::rt::Realtime;
 use fieldbeat::sim::Simulated;
 use fieldbeat::time::{MS, S};
+use fieldbeat::{CyclePlan, Plan, Realtime};
 
 /// Nothing takes this long, however busy the machine; whatever does is killed, and its test fails.
 pub const LONG: Duration = Duration::from_secs(60);

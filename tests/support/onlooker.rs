@@ -3,8 +3,8 @@
 use std::net::{SocketAddrV4, UdpSocket};
 use std::time::Duration;
 
-use fieldbeat::bus::linudp::MASTER_PORT;
-use fieldbeat::bus::linudp::wire::{MainState, REQUEST_MAX, Request, Response, ResponseDef};
+use fieldbeat::bus::linudp::{MASTER_PORT, MainState};
+use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, Response, ResponseDef};
 
 use super::{LONG, Machine, until};
 

@@ -2,13 +2,10 @@
 
 use std::collections::HashMap;
 
-use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, EventKind, Health, Link};
-use fieldbeat::bus::linudp::native::{Native, NativeOutput};
-use fieldbeat::bus::linudp::upid::{Upid, call};
-use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
-use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
+use fieldbeat::axis::{Call, CallError, CallTicket, Command, EventKind, Health, Link, NativeOwner};
+use fieldbeat::bus::linudp::{MonitorPlan, Native, NativeOutput, ReplyTag};
+use fieldbeat::internals::bus::linudp::upid::{Upid, call};
+use fieldbeat::internals::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::MS;
 

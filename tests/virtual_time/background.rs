@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{Abort, AxisError, Command, Link, Move, Outcome, Profile, StopCause, Target};
-use fieldbeat::config;
-use fieldbeat::master::Master;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::WorldOptions;
+use fieldbeat::{Master, config};
 
-fn demo(speed: f64) -> (Master, fieldbeat::sim::world::World) {
-    let config::Configuration { plan, simulation } = config::demo_plan(2, 1_000_000, 0).unwrap();
+fn demo(speed: f64) -> (Master, fieldbeat::sim::World) {
+    let config::Configuration { plan, simulation } =
+        fieldbeat::internals::config::demo_plan(2, 1_000_000, 0).unwrap();
     let machine =
         Master::from_plan(plan).with_simulation(simulation).simulate(WorldOptions::default()).unwrap();
     let world = machine.world().clone();

@@ -1,9 +1,8 @@
 //! From silence to online: reads before it writes, whatever is found.
 
-use fieldbeat::axis::Failure;
-use fieldbeat::axis::{Command, Link, Outcome, State, StopCause, StopThen};
-use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
-use fieldbeat::cycle::Overrun;
+use fieldbeat::Overrun;
+use fieldbeat::axis::{Command, Failure, Link, Outcome, State, StopCause, StopThen};
+use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;

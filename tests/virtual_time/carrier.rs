@@ -4,7 +4,8 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Carrier, Condition, Series};
+use fieldbeat::axis::{Acyclic, Answer, Call, CallError, CallTicket, Series};
+use fieldbeat::internals::axis::acyclic::{Carrier, Condition};
 
 use crate::virtual_time::support::Bench;
 

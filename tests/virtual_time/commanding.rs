@@ -6,13 +6,15 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::{Acyclic, Call, CallError, CallTicket, ParameterError, PostError};
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, CommandId, EventKind, Failure, Link, Outcome};
-use fieldbeat::bus::ethercat::cia402::Mode;
-use fieldbeat::bus::linudp::wire::{MainState, RtcBlock, RtcCommand};
+use fieldbeat::Simulation;
+use fieldbeat::axis::{
+    Acyclic, Call, CallError, CallTicket, Command, CommandId, EventKind, Failure, Link, NativeOwner, Outcome,
+    ParameterError, PostError,
+};
+use fieldbeat::bus::linudp::MainState;
+use fieldbeat::internals::bus::ethercat::cia402::Mode;
+use fieldbeat::internals::bus::linudp::wire::{RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, S};
 
 use crate::virtual_time::carrier::LIMIT;

@@ -1,14 +1,12 @@
 //! What an application asks for, and how it ends.
 
-use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Link, Outcome, State, StopCause, StopHow, StopThen, Target,
+    Abort, Command, EventKind, Failure, Link, NativeOwner, Outcome, State, StopCause, StopHow, StopThen,
+    Target,
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::native::{Native, NativeOutput};
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, Request, ResponseDef, ResponseView, RtcBlock, RtcCommand, StatusWord,
-};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, NativeOutput, StatusWord};
+use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, ResponseView, RtcBlock, RtcCommand};
 use fieldbeat::time::{Time, US};
 
 use crate::virtual_time::support::*;

@@ -2,8 +2,8 @@
 //! that comes once more, many cycles late and without a missed exchange, may look like the newest one in every way.
 
 use fieldbeat::axis::{Command, EventKind, Failure, Outcome};
-use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Response};
-use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MonitorPlan, ReplyTag};
+use fieldbeat::internals::bus::linudp::wire::Response;
 use fieldbeat::time::{MS, US};
 
 use crate::virtual_time::support::*;

@@ -4,9 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, State, StopCause, StopThen};
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, Request, Response, ResponseDef, StatusWord,
-};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, StatusWord};
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat::time::Time;
 
 use crate::virtual_time::support::*;
@@ -205,7 +204,7 @@ fn a_task_that_panics_stops_every_axis_and_the_loop_goes_on() {
 #[test]
 fn a_task_over_its_budget_stops_every_axis() {
     for (work_ns, stopped) in [(90_000, None), (110_000, Some(StopCause::Task))] {
-        let world = Arc::new(std::sync::Mutex::new(None::<fieldbeat::sim::world::World>));
+        let world = Arc::new(std::sync::Mutex::new(None::<fieldbeat::sim::World>));
         let inside = Arc::clone(&world);
         let mut b = Rig::new(2)
             .cycle(|cycle| cycle.task_budget_ns = Some(100_000))

@@ -3,10 +3,9 @@
 use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::{Command, Outcome, Row, StopCause};
-use fieldbeat::bus::Cycle;
 use fieldbeat::bus::linudp::StreamCommand;
-use fieldbeat::cycle::{Guard, Overrun, Wait};
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat::{Cycle, Guard, Overrun, Wait};
 
 use crate::virtual_time::support::*;
 
@@ -57,7 +56,7 @@ fn a_late_wake_up_skips_slots_and_keeps_the_grid() {
 fn own_work_that_takes_too_long_is_an_overrun() {
     // The task of cycle 50 takes so long; slots up to its end are gone, and none is made up for.
     for (work_ns, skipped) in [(900 * US, 0), (1_000 * US, 1), (4_200 * US, 4)] {
-        let world = Arc::new(Mutex::new(None::<fieldbeat::sim::world::World>));
+        let world = Arc::new(Mutex::new(None::<fieldbeat::sim::World>));
         let seen = Arc::new(Mutex::new(Vec::new()));
         let (inside, log) = (Arc::clone(&world), Arc::clone(&seen));
         let mut b = Rig::new(1)

@@ -1,14 +1,12 @@
 //! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
 
-use fieldbeat::Master;
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Underrun,
 };
-use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
-use fieldbeat::cycle::Overrun;
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
+use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::Time;
+use fieldbeat::{Master, Overrun};
 
 use crate::virtual_time::support::*;
 

@@ -1,11 +1,9 @@
 //! Drives that another master has left in OP, and this one joins as they are, or does not.
 
 use fieldbeat::axis::{Command, FoundRunning, Link, Outcome, StopCause};
-use fieldbeat::bus::ethercat::cia402::Mode;
-use fieldbeat::bus::ethercat::object::pdo::Layout;
-use fieldbeat::bus::ethercat::object::{Family, Object};
-use fieldbeat::bus::ethercat::wire::registers::AlState;
-use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive, Mapping};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object};
+use fieldbeat::internals::bus::ethercat::cia402::Mode;
+use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 
 use super::kollmorgen::drives::take_over;
 use super::kollmorgen::{LINE, Machine, drive, jog};

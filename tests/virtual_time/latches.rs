@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
+use fieldbeat::Flow;
 use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
+use fieldbeat::bus::linudp::ErrorCode;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
-use fieldbeat::cycle::engine::Flow;
+use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::time::MS;
 
 use crate::virtual_time::faults::inject;

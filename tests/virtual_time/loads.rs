@@ -5,7 +5,7 @@ use std::time::Duration;
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout,
 };
-use fieldbeat::bus::linudp::wire::ControlWord;
+use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;

@@ -1,6 +1,6 @@
 //! What the oracle has found, as sequences of their own: each broke the rule that its name says.
 
-use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::NativeOwner;
 
 use super::oracle::holds;
 use super::oracle::machine::{Kind, Shape};

@@ -2,12 +2,12 @@
 //! taken for one. Those of Unidrives are in `unidrive::others`.
 
 use fieldbeat::axis::{FoundRunning, Link, StopCause};
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
-use fieldbeat::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat::bus::ethercat::Family;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::wire::Request;
-use fieldbeat::net::frames::MAC;
+use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
+use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat::internals::bus::linudp::wire::Request;
+use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::time::{MS, Time};

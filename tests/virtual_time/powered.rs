@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use fieldbeat::Overrun;
 use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
-use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, StateVar};
-use fieldbeat::cycle::Overrun;
+use fieldbeat::bus::linudp::{ControlWord, StateVar};
+use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request};
 use fieldbeat::time::MS;
 
 use super::support::*;

@@ -2,12 +2,11 @@
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
 use fastrand::Rng;
-use fieldbeat::bus::linudp::upid::call;
-use fieldbeat::bus::linudp::wire::{Request, Response, ResponseDef, RtcCommand, StatusWord};
-use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
-use fieldbeat::bus::{Counters, Unmatched};
-use fieldbeat::cycle::status::Numbers;
+use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
+use fieldbeat::internals::bus::linudp::upid::call;
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef, RtcCommand};
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
 use fieldbeat::time::{MS, US};
 
 use crate::virtual_time::support::*;

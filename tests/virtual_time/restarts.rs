@@ -3,13 +3,12 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::Flow;
 use fieldbeat::axis::{
-    Abort, Command, CommandId, EventKind, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow,
-    StopThen, Target, Underrun,
+    Abort, Command, CommandId, EventKind, Failure, FoundRunning, Link, NativeOwner, Outcome, State,
+    StopCause, StopHow, StopThen, Target, Underrun,
 };
-use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState};
-use fieldbeat::cycle::engine::Flow;
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState};
 use fieldbeat::sim::FaultPlan;
 
 use crate::virtual_time::support::*;

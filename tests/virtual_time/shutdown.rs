@@ -5,13 +5,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use fieldbeat::axis::{Abort, Command, Link, StopCause, StopHow, StopThen, Target};
-use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::net::SendMode;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpPlan, MainState, StatusWord};
+use fieldbeat::internals::net::SendMode;
+use fieldbeat::sim::WorldOptions;
+use fieldbeat::{CyclePlan, Flow, Master, Plan};
 
 use super::fuse::Fused;
 use crate::virtual_time::support::*;

@@ -13,25 +13,21 @@ use fieldbeat::axis::{
     GroupCommand, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen,
     StopTimeout, Target, Units,
 };
-use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{
-    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
+    DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
-use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::status::{Numbers, Status};
-use fieldbeat::cycle::task::Axes;
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::net::{
+use fieldbeat::internals::bus::Bus;
+use fieldbeat::internals::bus::linudp::wire::{Request, Response};
+use fieldbeat::internals::net::{
     Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim, LinMots};
-use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{FaultPlan, SimDrive};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{FaultPlan, SimDrive, World, WorldOptions};
+use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::Time;
+use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Master, OpenError, Plan, Simulation};
 
 pub const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), MASTER_PORT);
 

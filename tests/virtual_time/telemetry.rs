@@ -1,20 +1,17 @@
 //! What the loop counts stays true whatever becomes of its records.
 
-use fieldbeat::axis::MONITOR_CHANNELS;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::bus::linudp::{LinUdpPlan, MonitorPlan};
-use fieldbeat::cycle::engine::Control;
-use fieldbeat::cycle::record::{Record, Reply, Stage};
-use fieldbeat::cycle::status::{Extent, Numbers};
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::{Assembly, assemble};
+use fieldbeat::internals::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat::internals::bus::linudp::upid::Upid;
+use fieldbeat::internals::cycle::engine::Control;
+use fieldbeat::internals::cycle::record::{Record, Reply};
+use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
-use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{FaultPlan, SimPlan, Simulated};
-use fieldbeat::telemetry::causes::Cause;
-use fieldbeat::telemetry::{Measured, Quantiles};
+use fieldbeat::sim::{FaultPlan, SimPlan, Simulated, World, WorldOptions};
+use fieldbeat::telemetry::{Cause, Extent, Measured, Numbers, Quantiles, Stage};
 use fieldbeat::time::{MS, US};
+use fieldbeat::{CyclePlan, Plan};
 use rtrb::Consumer;
 
 use super::support::{Rig, drive, simulated};

@@ -7,9 +7,8 @@ use std::time::Duration;
 use fieldbeat::axis::{Command, EventKind, Failure, Group, Outcome, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::WorldOptions;
+use fieldbeat::{CyclePlan, Master, Plan};
 
 use super::kollmorgen::drives::{press, torque};
 use super::kollmorgen::{LINE, Machine, jog, plan};

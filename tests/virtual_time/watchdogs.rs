@@ -3,7 +3,7 @@
 
 use fieldbeat::axis::{Abort, Axis, Command, Failure, NativeOwner, Outcome, StopCause};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::native::{Native, NativeOutput};
+use fieldbeat::bus::linudp::{Native, NativeOutput};
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;

@@ -24,17 +24,17 @@
 //! What follows is the reference of docs/ for its configuration.
 #![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-ethercat.md"))]
 
-pub mod cia402;
-pub mod counters;
-pub mod faults;
-pub mod object;
-pub mod scan;
-pub mod wire;
+pub(crate) mod cia402;
+pub(crate) mod counters;
+pub(crate) mod faults;
+pub(crate) mod object;
+pub(crate) mod scan;
+pub(crate) mod wire;
 
-mod bus;
+pub(crate) mod bus;
 #[cfg(feature = "config")]
 mod config;
-mod image;
+pub(crate) mod image;
 mod native;
 mod other;
 mod plan;
@@ -49,9 +49,6 @@ mod station;
 mod tools;
 
 use super::Protocol;
-pub use bus::EthercatBus;
-#[doc(hidden)]
-pub use image::{Returned, returned};
 pub use native::{
     Native, NativeInputs, NativeOutput, PDO_MAX, TERMINAL_MAX, TerminalError, TerminalInputs, Terminals,
 };
@@ -60,6 +57,11 @@ pub use plan::{
     Area, Device, EthercatPlan, Expected, KOLLMORGEN, KollmorgenDrive, Mapping, Owner, Scaling, Setpoint,
     SlavePlan, Start,
 };
+
+pub use object::pdo::{Entry, Layout};
+pub use object::{Family, Type};
+pub use wire::sdo::Object;
+pub use wire::sii::Identity;
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "ethercat";

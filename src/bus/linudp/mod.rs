@@ -24,32 +24,34 @@
 //! What follows is the reference of docs/ for its configuration.
 #![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-linudp.md"))]
 
-pub mod bus;
+pub(crate) mod bus;
 mod channel;
 #[cfg(feature = "config")]
 mod config;
 pub mod curve;
 pub mod motion;
-pub mod native;
-pub mod notation;
+pub(crate) mod native;
+pub(crate) mod notation;
 mod other;
-pub mod plan;
+pub(crate) mod plan;
 mod profile;
-mod rtc;
+pub(crate) mod rtc;
 pub mod service;
-pub mod station;
+pub(crate) mod station;
 pub mod table;
 #[cfg(feature = "cli")]
 mod tools;
-pub mod upid;
-pub mod wire;
+pub(crate) mod upid;
+pub(crate) mod wire;
 
 use super::Protocol;
-pub use rtc::UNACKNOWLEDGED;
+pub(crate) use rtc::UNACKNOWLEDGED;
 
+pub use native::{Native, NativeInputs, NativeOutput};
 pub use plan::{
     COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
+pub use wire::{ControlWord, ErrorCode, MainState, MotionBlock, StateVar, StatusWord, WarnWord};
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "linudp-v2";

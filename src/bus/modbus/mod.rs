@@ -19,22 +19,22 @@
 //! What follows is the reference of docs/ for its configuration.
 #![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-modbus.md"))]
 
-pub mod counters;
-pub mod mapping;
-pub mod native;
-pub mod notation;
-pub mod parameter;
-pub mod trips;
-pub mod wire;
-pub mod words;
+pub(crate) mod counters;
+pub(crate) mod mapping;
+pub(crate) mod native;
+pub(crate) mod notation;
+pub(crate) mod parameter;
+pub(crate) mod trips;
+pub(crate) mod wire;
+pub(crate) mod words;
 
-mod bus;
+pub(crate) mod bus;
 mod calls;
 mod check;
 #[cfg(feature = "config")]
 mod config;
 mod echo;
-mod handshake;
+pub(crate) mod handshake;
 mod identity;
 mod other;
 mod pace;
@@ -42,14 +42,15 @@ mod plan;
 mod profile;
 mod read_write;
 mod setup;
-mod station;
+pub(crate) mod station;
 
 use super::Protocol;
-pub use bus::ModbusBus;
-pub use handshake::{Finding, Found};
+pub use mapping::{Block, Mapping, Role};
 pub use native::{Native, NativeInputs, NativeOutput};
+pub use parameter::{Addressing, Parameter, ParseError, Width};
 pub use plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
-pub use station::{Station, Why};
+pub use trips::Trip;
+pub use words::{ControlWord, StatusWord};
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "modbus-tcp";

@@ -1,7 +1,8 @@
 //! `fieldbeat param list`: the parameters that a drive has, as far as its protocol can list them.
 
 use clap::Args;
-use fieldbeat::axis::acyclic::{ListError, Listed, Listing, Wanted};
+use fieldbeat::axis::Listed;
+use fieldbeat::internals::axis::acyclic::{ListError, Listing, Wanted};
 use serde_json::{Value, json};
 
 use super::super::interrupt::Interrupt;

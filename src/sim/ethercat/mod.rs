@@ -43,18 +43,18 @@ mod chip;
 mod clock;
 #[cfg(feature = "config")]
 pub(super) mod config;
-pub mod coupler;
-mod drive;
-pub mod esc;
+pub(crate) mod coupler;
+pub(crate) mod drive;
+pub(crate) mod esc;
 mod firmware;
-mod hardware;
+pub(crate) mod hardware;
 mod mailbox;
 mod manager;
 mod mapping;
 mod objects;
-pub mod segment;
+pub(crate) mod segment;
 mod settings;
-pub mod sii;
+pub(crate) mod sii;
 mod simulation;
 mod sync;
 #[cfg(test)]
@@ -64,10 +64,10 @@ mod transfer;
 use std::fmt::Debug;
 
 pub use self::coupler::Coupler;
-pub use self::esc::Esc;
-pub use self::hardware::Settings;
-pub use self::segment::Segment;
-pub use drive::Drive;
+pub(crate) use self::esc::Esc;
+pub(crate) use self::hardware::Settings;
+pub(crate) use self::segment::Segment;
+pub(crate) use drive::Drive;
 pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};
 pub use simulation::{EthercatSegment, EthercatSim};
 

@@ -10,9 +10,9 @@
 //! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
 //! slow disk holds up nobody.
 
-pub mod events;
-pub mod file;
-pub mod list;
+pub(crate) mod events;
+pub(crate) mod file;
+pub(crate) mod list;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};

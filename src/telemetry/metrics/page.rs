@@ -226,7 +226,7 @@ impl Sheet<'_> {
         samples: impl IntoIterator<Item = (Labels<'a, N>, &'a Quantity)>,
     ) -> fmt::Result {
         self.family((name, help), Some(Unit::Seconds), MetricType::Histogram, samples, |to, histogram| {
-            let sum = histogram.mean() * histogram.len() as f64 / S as f64;
+            let sum = histogram.bins().mean() * histogram.len() as f64 / S as f64;
             to.encode_histogram::<NoLabelSet>(sum, histogram.len(), &buckets(histogram), None)
         })
     }
@@ -359,9 +359,9 @@ fn buckets(histogram: &Quantity) -> Vec<(f64, u64)> {
     let ends = BUCKETS_US.map(|us| us * US);
     let mut buckets: Vec<(f64, u64)> = ends.iter().map(|end| (seconds(*end), 0)).collect();
     buckets.push((f64::INFINITY, 0));
-    for step in histogram.iter_recorded() {
+    for step in histogram.bins().iter_recorded() {
         // The middle of its bin stands for a sample, as it does in the sum.
-        let value = histogram.median_equivalent(step.value_iterated_to());
+        let value = histogram.bins().median_equivalent(step.value_iterated_to());
         let place = ends.partition_point(|end| *end < value);
         buckets[place].1 += step.count_since_last_iteration();
     }
@@ -376,7 +376,7 @@ mod tests {
     fn every_sample_is_in_a_bucket() {
         let mut histograms = Histograms::new(1);
         for ns in [1, 1_000, 1_001, 45_000, 50_000_000, 60_000_000] {
-            histograms.wake.record(ns).unwrap();
+            histograms.wake.bins_mut().record(ns).unwrap();
         }
         let buckets = buckets(&histograms.wake);
         let filled: Vec<(f64, u64)> = buckets.iter().copied().filter(|(_, count)| *count > 0).collect();

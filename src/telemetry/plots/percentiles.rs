@@ -8,7 +8,7 @@ use super::PlotError;
 use super::sheet::{Area, Axis, GREY, PALETTE, Sheet, anchored, chart, label_us, text, within};
 use crate::cycle::status::Peak;
 use crate::telemetry::Quantiles;
-use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off, supports};
+use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, supports};
 use crate::telemetry::summary::Drive;
 use crate::telemetry::{Run, Summary};
 use crate::time::Ns;
@@ -41,8 +41,8 @@ impl Curve {
         let steps = (0..=steps as u32).map(|step| MEDIAN + f64::from(step) / POINTS_PER_NINE);
         let nines = steps.chain([end]).filter(|nines| (MEDIAN..=end).contains(nines));
         let points = nines.filter_map(|nines| {
-            let value = histogram.value_at_quantile(1.0 - 10_f64.powf(-nines));
-            (!is_cut_off(histogram, value)).then_some((nines, value.min(peak.ns).max(1) as f64))
+            let value = histogram.bins().value_at_quantile(1.0 - 10_f64.powf(-nines));
+            (!histogram.is_cut_off(value)).then_some((nines, value.min(peak.ns).max(1) as f64))
         });
         let points = points.collect();
         Curve { color, width, points, max: (peak != Peak::default()).then_some(peak.ns) }
@@ -206,7 +206,7 @@ mod tests {
         let peak = Peak { ns: 70_000, index: 1 };
         assert_eq!(Curve::of(&histogram, Peak::default(), BLACK, 1).max, None);
         for count in 1..=10_000_u64 {
-            assert!(histogram.record(7 * count).is_ok());
+            assert!(histogram.bins_mut().record(7 * count).is_ok());
             let curve = Curve::of(&histogram, peak, BLACK, 1);
             match count {
                 19 => assert_eq!(curve.points, []),
@@ -242,7 +242,7 @@ mod tests {
         for (name, count, usual, longer) in cases {
             let mut histogram = Histograms::new(1).drives.remove(0).rtt;
             for index in 0..count {
-                histogram.record(us(if index % 20 == 0 { longer } else { usual })).unwrap();
+                histogram.bins_mut().record(us(if index % 20 == 0 { longer } else { usual })).unwrap();
             }
             let peak = Peak { ns: us(longer), index: u64::from(count > 0) };
             drives.push(Drive {

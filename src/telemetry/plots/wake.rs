@@ -8,7 +8,7 @@ use super::PlotError;
 use super::sheet::{
     ALARM, Area, Axis, GREY, PALETTE, Sheet, anchored, chart, label_count, label_us, numbers, text, within,
 };
-use crate::telemetry::histograms::{HIGHEST_NS, Quantity, is_cut_off};
+use crate::telemetry::histograms::{HIGHEST_NS, Quantity};
 use crate::telemetry::{Run, Summary};
 use crate::time::Ns;
 
@@ -92,13 +92,13 @@ fn from(bin: i32) -> f64 {
 fn bins(histogram: &Quantity) -> (Vec<(i32, u64)>, u64) {
     let mut bins: Vec<(i32, u64)> = Vec::new();
     let mut beyond = 0;
-    for step in histogram.iter_recorded() {
+    for step in histogram.bins().iter_recorded() {
         let (value, count) = (step.value_iterated_to(), step.count_at_value());
-        if is_cut_off(histogram, value) {
+        if histogram.is_cut_off(value) {
             beyond += count;
         }
         // The middle of its own bin stands for a sample: the upper end may be in the next one here.
-        let bin = (histogram.median_equivalent(value).max(1) as f64).log10() * BINS;
+        let bin = (histogram.bins().median_equivalent(value).max(1) as f64).log10() * BINS;
         match bins.last_mut() {
             Some((last, counted)) if *last == bin.floor() as i32 => *counted += count,
             _ => bins.push((bin.floor() as i32, count)),

@@ -4,7 +4,7 @@ mod bus;
 mod cycle;
 mod drive;
 mod late;
-mod numbers;
+pub(crate) mod numbers;
 mod text;
 
 use serde::Serialize;
@@ -15,7 +15,7 @@ pub use self::drive::{Drive, ProtocolCounters, Variable};
 pub use self::late::{Found, Late, LateCycle};
 #[cfg(feature = "black-box")]
 pub(super) use self::numbers::plain;
-pub use self::numbers::plural;
+pub(crate) use self::numbers::plural;
 pub(super) use self::numbers::{decimals, reported};
 use super::histograms::Quantiles;
 use super::monitor::Monitor;

@@ -203,8 +203,7 @@ pub(super) fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
     let mut bars = Vec::new();
     let (mut low, mut high) = (0, US / 4);
     while low <= wake.max() && low < S {
-        let count = if wake.is_empty() { 0 } else { wake.count_between(low, high - 1) };
-        bars.push((high, count));
+        bars.push((high, wake.count_between(low, high - 1)));
         (low, high) = (high, high * 2);
     }
     while bars.first().is_some_and(|(_, count)| *count == 0) {

@@ -5,11 +5,13 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::axis::{AxisPlan, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::motion::MotionCommand;
-use fieldbeat::bus::linudp::upid;
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand,
+use fieldbeat::bus::linudp::{
+    COUNTS_PER_MM, ControlWord, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MainState, ReplyTag,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::internals::bus::linudp::upid;
+use fieldbeat::internals::bus::linudp::wire::{
+    Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand,
+};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{SimPlan, Simulated};
 

@@ -5,19 +5,22 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 
-use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
-use fieldbeat::bus::modbus::notation::Target;
-use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
-use fieldbeat::bus::modbus::wire::{self, ExceptionCode, Header, Registers, Request, Response};
-use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
-use fieldbeat::bus::modbus::{ModbusPlan, PORT, UnidriveDrive, Via, Watchdog};
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
-use fieldbeat::net::{self, Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
-use fieldbeat::rt::Regions;
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::modbus::{
+    Addressing, ControlWord, ModbusPlan, PORT, Parameter, StatusWord, UnidriveDrive, Via, Watchdog, Width,
+};
+use fieldbeat::internals::bus::Bus;
+use fieldbeat::internals::bus::modbus::notation::Target;
+use fieldbeat::internals::bus::modbus::wire;
+use fieldbeat::internals::bus::modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
+use fieldbeat::internals::net;
+use fieldbeat::internals::net::{Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
+use fieldbeat::{OpenError, Time};
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
 

@@ -11,18 +11,24 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use fieldbeat::axis::acyclic::{self, AcyclicEnds, Call, CallError, Commanding, Notation, Port};
-use fieldbeat::axis::{AxisPlan, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units};
-use fieldbeat::bus::desired::{
+use fieldbeat::axis::{
+    AxisPlan, Call, CallError, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units,
+};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::internals::axis::acyclic;
+use fieldbeat::internals::axis::acyclic::{AcyclicEnds, Commanding, Notation, Port};
+use fieldbeat::internals::bus::desired::{
     Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
 };
-use fieldbeat::bus::linudp::notation::Upids;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
-use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
-use fieldbeat::rt::Regions;
-use fieldbeat::sim::physics::Generator;
+use fieldbeat::internals::bus::linudp::notation::Upids;
+use fieldbeat::internals::bus::{Bus, Exchange, Slot};
+use fieldbeat::internals::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
+use fieldbeat::internals::rt::Regions;
+use fieldbeat::internals::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive, Simulated};
+use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{Time, US};
+use fieldbeat::{Cycle, OpenError};
 
 use crate::conformance::line::{PERIOD, WINDOW};
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};

@@ -10,19 +10,20 @@ use std::net::SocketAddrV4;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::{Answer, Call, CallError, CallTicket, Carrier, PostError};
-use fieldbeat::axis::{AxisPlan, Command, Health, Link, NativeOwner, Units};
-use fieldbeat::bus::linudp::native::{Native, NativeOutput};
-use fieldbeat::bus::linudp::upid::{Upid, call};
-use fieldbeat::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, UNACKNOWLEDGED};
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::master::Master;
+use fieldbeat::axis::{
+    Answer, AxisPlan, Call, CallError, CallTicket, Command, Health, Link, NativeOwner, PostError, Units,
+};
+use fieldbeat::bus::linudp::{
+    COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, NativeOutput, ReplyTag,
+};
+use fieldbeat::internals::axis::acyclic::Carrier;
+use fieldbeat::internals::bus::linudp::rtc::UNACKNOWLEDGED;
+use fieldbeat::internals::bus::linudp::upid::{Upid, call};
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat::sim::linudp::{FlashMode, LinMotSettings};
-use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{FaultPlan, SimDrive, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat::{CyclePlan, Master, Overrun, Plan, Simulation};
 
 use super::input::Input;
 use super::machine::hostile::HostileBus;

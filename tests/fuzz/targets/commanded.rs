@@ -8,9 +8,10 @@ use std::fmt::Debug;
 use std::mem::{discriminant, replace};
 
 use fieldbeat::axis::{Command, Failure, Row};
-use fieldbeat::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
-use fieldbeat::bus::{BusPlan, Slot};
-use fieldbeat::drive::machine::{Machine, NumberedRow};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::internals::bus::Slot;
+use fieldbeat::internals::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
+use fieldbeat::internals::drive::machine::{Machine, NumberedRow};
 use fieldbeat::time::Time;
 
 pub struct Commanded {

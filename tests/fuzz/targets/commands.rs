@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::{Command, Jog, Move, NativeOwner, Profile, Row, Target};
 use fieldbeat::bus::linudp::motion::MotionCommand;
-use fieldbeat::bus::linudp::native::NativeOutput;
-use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock, RtcCommand};
+use fieldbeat::bus::linudp::{ControlWord, NativeOutput};
+use fieldbeat::internals::bus::linudp::wire::{RtcBlock, RtcCommand};
 
 use super::input::Input;
 

@@ -3,13 +3,12 @@
 use std::fmt::Write;
 
 use fieldbeat::axis::{Command, Move, Row, Target};
-use fieldbeat::config::{ConfigErrors, Configuration, demo_plan, describe, duration, parse};
-use fieldbeat::cycle::Wait;
-use fieldbeat::cycle::bound::stop_bound_cycles;
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::master::Master;
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::config::{ConfigErrors, Configuration, duration, parse};
+use fieldbeat::internals::config::{demo_plan, describe};
+use fieldbeat::internals::cycle::bound::stop_bound_cycles;
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::US;
+use fieldbeat::{Flow, Master, Wait};
 
 use super::input::Input;
 

@@ -6,11 +6,12 @@ use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::bus::linudp::motion::CATALOGUE;
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, MotionBlock, REQUEST_MAX, Request, RequestDef, Response, ResponseDef,
-    RtcBlock, RtcCommand, RtcStatus, StatusWord,
+use fieldbeat::bus::linudp::{
+    ControlWord, DRIVE_PORT, ErrorCode, MASTER_PORT, MainState, MotionBlock, StatusWord,
 };
-use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT};
+use fieldbeat::internals::bus::linudp::wire::{
+    REQUEST_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
+};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{FlashMode, LinMotSettings, LinMotSim, UnknownCommands};
 use fieldbeat::time::{MS, S, Time};

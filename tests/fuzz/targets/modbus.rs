@@ -11,19 +11,19 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::axis::Link;
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::bus::desired::{Desired, Motion, Power};
-use fieldbeat::bus::modbus::counters::Own;
-use fieldbeat::bus::modbus::wire::function::READ_WRITE;
-use fieldbeat::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
-use fieldbeat::bus::modbus::words::ControlWord;
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
-use fieldbeat::net::{
+use fieldbeat::Cycle;
+use fieldbeat::axis::{Link, NativeOwner};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::modbus::{ControlWord, ModbusPlan, UnidriveDrive, Via};
+use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
+use fieldbeat::internals::bus::modbus::counters::Own;
+use fieldbeat::internals::bus::modbus::wire::function::READ_WRITE;
+use fieldbeat::internals::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
+use fieldbeat::internals::bus::{Bus, Exchange, Slot};
+use fieldbeat::internals::net::{
     Broken, Carriers, Datagrams, HandshakeState, LinkNotes, StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::time::{MS, Time, US};

@@ -2,10 +2,10 @@
 //! found, and what it has understood it says again in the same bytes. Read as text, the same bytes are an address and a
 //! value of a parameter.
 
-use fieldbeat::axis::acyclic::Notation;
-use fieldbeat::bus::modbus::notation::{Parameters, Target};
-use fieldbeat::bus::modbus::parameter::{Addressing, Parameter};
-use fieldbeat::bus::modbus::wire::{
+use fieldbeat::bus::modbus::{Addressing, Parameter};
+use fieldbeat::internals::axis::acyclic::Notation;
+use fieldbeat::internals::bus::modbus::notation::{Parameters, Target};
+use fieldbeat::internals::bus::modbus::wire::{
     ADU_MAX, FrameError, HEADER, Header, Registers, Request, RequestFault, Response, ResponseError, frame,
 };
 

@@ -6,18 +6,19 @@
 
 use std::net::Ipv4Addr;
 
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, DriveStatus, Limits, Link, State, Units};
-use fieldbeat::bus::desired::{Desired, Motion, Power};
+use fieldbeat::Cycle;
+use fieldbeat::axis::{Command, DriveStatus, Limits, Link, NativeOwner, State, Units};
 use fieldbeat::bus::linudp::motion::CommandInfo;
-use fieldbeat::bus::linudp::native::Native;
-use fieldbeat::bus::linudp::station::Station;
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
-    StateVar, StatusWord, WarnWord,
+use fieldbeat::bus::linudp::{
+    COUNTS_PER_MM, ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, ReplyTag, StateVar,
+    StatusWord, StreamCommand, WarnWord,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
-use fieldbeat::bus::{Cycle, Exchange, Slot};
+use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
+use fieldbeat::internals::bus::linudp::station::Station;
+use fieldbeat::internals::bus::linudp::wire::{
+    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
+};
+use fieldbeat::internals::bus::{Exchange, Slot};
 use fieldbeat::time::{MS, Time};
 
 use super::commanded::Commanded;
@@ -291,7 +292,7 @@ impl Rig {
         self.station.take(self.now, bytes, in_window, &mut self.slot);
 
         let (c, b) = (self.slot.counters, before.counters);
-        let seen = |c: &fieldbeat::bus::Counters| {
+        let seen = |c: &fieldbeat::telemetry::Counters| {
             [c.answered, c.late, c.duplicate, c.malformed, c.foreign].iter().sum::<u64>()
         };
         assert_eq!(seen(&c), seen(&b) + 1, "a datagram is counted once: {b:?}, {c:?}");
@@ -450,7 +451,7 @@ impl Rig {
         assert_eq!(c.sent, self.before.counters.sent, "{c:?}");
         assert!(c.suspect <= c.answered && c.late <= c.missed + c.suspect, "{c:?}");
         let b = self.before.counters;
-        let fields = |c: &fieldbeat::bus::Counters| {
+        let fields = |c: &fieldbeat::telemetry::Counters| {
             [c.unsent, c.answered, c.missed, c.late, c.duplicate, c.suspect, c.malformed, c.foreign]
         };
         assert!(fields(&c).iter().zip(fields(&b)).all(|(now, before)| *now >= before), "{b:?}, {c:?}");

@@ -3,10 +3,10 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use fieldbeat::bus::linudp::wire::{
-    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock, StateVar, WarnWord,
+use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT, StateVar, WarnWord};
+use fieldbeat::internals::bus::linudp::wire::{
+    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock,
 };
-use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;

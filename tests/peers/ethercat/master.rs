@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::bus::ethercat::Family;
 
 use super::dissector::{ABORT, Address, FRMW, LRW, Message, dissect, exchanges};
 use super::{WIRE, cable, capture, segment, serve};

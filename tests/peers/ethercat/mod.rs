@@ -17,9 +17,8 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan};
-use fieldbeat::net::{Carriers, Frames, Os};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, SlavePlan};
+use fieldbeat::internals::net::{Carriers, Frames, Os};
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};

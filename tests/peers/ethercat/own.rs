@@ -6,13 +6,10 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::ParameterError;
-use fieldbeat::bus::ethercat::EthercatPlan;
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::rt::Memory;
+use fieldbeat::axis::ParameterError;
+use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::time::MS;
+use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
 
 use super::dissector::{
     ABORT, APRD, APWR, Address, BRD, BWR, DOWNLOAD, DOWNLOADED, Datagram, FPRD, FPWR, FRMW, Frame, LRW,

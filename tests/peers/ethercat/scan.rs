@@ -4,9 +4,8 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::net::{Carriers, Os};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::internals::net::{Carriers, Os};
 use fieldbeat::sim::ethercat::EthercatSegment;
 
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};

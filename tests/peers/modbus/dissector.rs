@@ -2,14 +2,12 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 
-use fieldbeat::axis::Command;
-use fieldbeat::axis::command::Jog;
+use fieldbeat::axis::{Command, Jog};
 use fieldbeat::bus::modbus::{ModbusPlan, Via};
-use fieldbeat::cycle::Plan;
-use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::{Master, Plan};
 
 use super::{PORT, drive, plan};
 use crate::capture::{Capture, dissect};

@@ -6,9 +6,9 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::time::Duration;
 
+use fieldbeat::Master;
 use fieldbeat::axis::Health;
 use fieldbeat::bus::modbus::UnidriveDrive;
-use fieldbeat::master::Master;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};

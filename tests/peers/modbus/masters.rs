@@ -3,14 +3,11 @@
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::ParameterError;
-use fieldbeat::axis::command::Jog;
-use fieldbeat::axis::{Axis, Command, State};
-use fieldbeat::bus::Counters;
-use fieldbeat::bus::modbus::counters::Own;
-use fieldbeat::bus::modbus::parameter::{Parameter, Width};
-use fieldbeat::bus::modbus::{Mapped, Native, UnidriveDrive};
-use fieldbeat::master::Master;
+use fieldbeat::Master;
+use fieldbeat::axis::{Axis, Command, Jog, ParameterError, State};
+use fieldbeat::bus::modbus::{Mapped, Native, Parameter, UnidriveDrive, Width};
+use fieldbeat::internals::bus::modbus::counters::Own;
+use fieldbeat::telemetry::Counters;
 
 use super::Library::{Libmodbus, Pymodbus};
 use super::{Library, PORT, Peer, drive, long, plan};
@@ -108,10 +105,7 @@ fn reads(peer: &mut Peer, axis: &Axis, native: &Native) {
     await_feedback(axis, "state", |feedback| feedback.status.state == State::ReadyToSwitchOn);
     assert!(until(LONG, || (native.also(0), native.also(1)) == (Some(-70_000), Some(i32::MAX))));
     let status = native.inputs().status().unwrap();
-    assert_eq!(
-        (status.0, native.inputs().get(fieldbeat::bus::modbus::mapping::Role::Speed)),
-        (5, Some(-1500))
-    );
+    assert_eq!((status.0, native.inputs().get(fieldbeat::bus::modbus::Role::Speed)), (5, Some(-1500)));
 }
 
 /// What the master writes arrives in the server.

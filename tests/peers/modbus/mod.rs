@@ -24,9 +24,8 @@ use std::process::{Child, Command, Stdio};
 
 use crossbeam_channel::{Receiver, unbounded};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::rt::Realtime;
 use fieldbeat::time::{MS, S};
+use fieldbeat::{CyclePlan, Overrun, Plan, Realtime};
 
 use crate::support::{LONG, Machine, checkout, command};
 

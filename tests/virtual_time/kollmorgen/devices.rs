@@ -2,18 +2,16 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::CallError;
-use fieldbeat::axis::{Emergency, FoundRunning, Link};
+use fieldbeat::axis::{CallError, Emergency, FoundRunning, Link};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::faults::Fault;
-use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Target, Type};
 use fieldbeat::bus::ethercat::{
-    Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan, Start, Terminals,
+    Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::MasterError;
+use fieldbeat::internals::bus::ethercat::faults::Fault;
+use fieldbeat::internals::bus::ethercat::object::{Objects, Target};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
-use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::{CyclePlan, MasterError, Plan};
 
 use super::drives::{answer, left};
 use super::{LINE, Machine, drive};
@@ -100,7 +98,7 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     let mut machine = Machine::on(Box::new(plan), left(world), cycle, options);
     let acyclic = machine.sim.acyclics()[1].clone();
     assert_eq!(acyclic.axis(), "io");
-    let notation: &dyn fieldbeat::axis::acyclic::Notation = &Objects;
+    let notation: &dyn fieldbeat::internals::axis::acyclic::Notation = &Objects;
     let limit = Duration::from_secs(1);
     let vendor = notation.read("0x1018:1").unwrap();
     let ticket = acyclic.post(vendor, limit).unwrap();

@@ -2,24 +2,21 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
-use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::CyclePlan;
 use fieldbeat::axis::{
-    Abort, Command, Emergency, Event, EventKind, Failure, FoundRunning, Link, Move, Outcome, Profile, Row,
-    State, StopCause, Target,
+    Abort, Call, CallError, CallTicket, Command, Emergency, Event, EventKind, Failure, FoundRunning, Link,
+    Move, NativeOwner, Outcome, Profile, Row, State, StopCause, Target,
 };
-use fieldbeat::bus::ethercat::counters::Own;
-use fieldbeat::bus::ethercat::faults::Fault;
-use fieldbeat::bus::ethercat::object::pdo::Layout;
-use fieldbeat::bus::ethercat::object::{self, Family, Object, Type};
-use fieldbeat::bus::ethercat::wire::registers::AlState;
 use fieldbeat::bus::ethercat::{
-    Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Native, SlavePlan, Terminals,
+    Area, Device, EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Native, Object, SlavePlan,
+    Terminals, Type,
 };
-use fieldbeat::cycle::CyclePlan;
+use fieldbeat::internals::bus::ethercat::counters::Own;
+use fieldbeat::internals::bus::ethercat::faults::Fault;
+use fieldbeat::internals::bus::ethercat::object;
+use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
-use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, Simulated};
+use fieldbeat::sim::{FaultPlan, Simulated, WorldOptions};
 use fieldbeat::time::MS;
 
 use super::{LINE, Machine, STOP, drive, jog, plan, with};
@@ -367,7 +364,7 @@ fn native_process_data_are_the_applications() {
 fn terminals_between_drives_exchange_in_the_same_cycle() {
     let area = |start, length| Area { start, length };
     let slave = SlavePlan { outputs: area(0x1000, 4), inputs: area(0x1100, 4), ..SlavePlan::new(1) };
-    let terminals = fieldbeat::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
+    let terminals = fieldbeat::internals::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
     let coupler = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
     let io = Device { name: "io".into(), slave };
     let drives = vec![drive(0, Family::S700), drive(2, Family::S700)];

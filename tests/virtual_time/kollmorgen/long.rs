@@ -1,9 +1,8 @@
 //! Long lines: all slaves come up by the one slot of the first frame, a step of one of them at a time.
 
 use fieldbeat::axis::{Command, Link};
-use fieldbeat::bus::ethercat::EthercatPlan;
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::wire::registers::AlState;
+use fieldbeat::bus::ethercat::{EthercatPlan, Family};
+use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 
 use super::{LINE, Machine, jog, plan, with};
 

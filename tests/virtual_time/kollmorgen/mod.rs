@@ -17,16 +17,14 @@ mod slaves;
 use std::time::Duration;
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
-use fieldbeat::bus::ethercat::object::{Family, pdo};
-use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::bus::{BusPlan, Counters};
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::sim::ethercat::{Drive, EthercatSegment, EthercatSim};
-use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{SimPlan, Simulated};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::internals::bus::ethercat::object::pdo;
+use fieldbeat::internals::sim::ethercat::Drive;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::sim::{SimPlan, Simulated, WorldOptions};
+use fieldbeat::telemetry::Counters;
+use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 
 /// The interface of the line.
 pub const LINE: &str = "local:line";

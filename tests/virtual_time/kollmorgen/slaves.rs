@@ -2,10 +2,10 @@
 //! real ones.
 
 use fieldbeat::axis::{Command, Link};
-use fieldbeat::bus::ethercat::counters::Own;
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan, Terminals};
+use fieldbeat::internals::bus::ethercat::counters::Own;
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
-use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::MS;
 
 use super::drives::left;

@@ -5,27 +5,21 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use fieldbeat::axis::acyclic::CallTicket;
 use fieldbeat::axis::{
-    AxisPlan, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
+    AxisPlan, CallTicket, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
 };
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::object::Family;
-use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, ReplyTag};
-use fieldbeat::bus::modbus::trips::Trip;
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::net::SendMode;
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::bus::linudp::{ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
+use fieldbeat::internals::bus::linudp::wire::Request;
+use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
 use fieldbeat::time::{MS, Time};
+use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::support::{self, MASTER};
@@ -481,7 +475,7 @@ impl Machine {
                 Drive::Unidrive(drive) => drive.provoke(Trip(40)),
             },
             None => {
-                let fault = fieldbeat::bus::ethercat::faults::Fault::FOLLOWING;
+                let fault = fieldbeat::internals::bus::ethercat::faults::Fault::FOLLOWING;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
         }

@@ -3,8 +3,7 @@
 use std::fmt::Write as _;
 
 use fieldbeat::axis::{AxisError, Command, Outcome, Row};
-use fieldbeat::bus::ethercat::Native;
-use fieldbeat::bus::ethercat::object::Object;
+use fieldbeat::bus::ethercat::{Native, Object};
 use fieldbeat::time::MS;
 
 use super::judge::{Breach, GRACE, Slots, Watch};

@@ -1,8 +1,7 @@
 //! Sequences: what an application, a wire, a drive and a host do to the axes of a machine.
 
 use fastrand::Rng;
-use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Command, Jog, Move, Profile, Target};
+use fieldbeat::axis::{Command, Jog, Move, NativeOwner, Profile, Target};
 
 use super::machine::{Kind, Scale, Shape};
 

@@ -9,16 +9,12 @@ use fieldbeat::axis::{
     AxisPlan, Command, DriveStatus, EventKind, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan,
     StopThen, Target,
 };
-use fieldbeat::bus::Cycle;
-use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
-use fieldbeat::bus::linudp::{ReplyTag, StreamCommand};
-use fieldbeat::cycle::Overrun;
-use fieldbeat::cycle::bound::stop_bound_cycles;
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::task::Axes;
-use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::world::{World, WorldOptions};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, ReplyTag, StreamCommand};
+use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef};
+use fieldbeat::internals::cycle::bound::stop_bound_cycles;
+use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::time::{MS, US};
+use fieldbeat::{Axes, Cycle, Flow, Overrun};
 
 use super::Fault::{self, *};
 use super::watch::{Stopped, Stream, Watch, says};

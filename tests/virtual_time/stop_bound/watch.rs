@@ -1,8 +1,8 @@
 //! What one drive is told: from its latch until it is enabled again nothing but to stop.
 
 use fieldbeat::axis::StopCause;
-use fieldbeat::bus::linudp::StreamCommand;
-use fieldbeat::bus::linudp::wire::{ControlWord, Request};
+use fieldbeat::bus::linudp::{ControlWord, StreamCommand};
+use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::time::Time;
 
 /// What a request asks of a drive.

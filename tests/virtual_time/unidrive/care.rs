@@ -1,9 +1,8 @@
 //! What must not move, or stop otherwise than it was told, whatever state a drive is found or left in.
 
-use fieldbeat::axis::State;
-use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::Flow;
+use fieldbeat::axis::{NativeOwner, State};
 use fieldbeat::bus::modbus::{Native, NativeOutput};
-use fieldbeat::cycle::engine::Flow;
 
 use super::*;
 

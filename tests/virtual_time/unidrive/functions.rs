@@ -119,7 +119,7 @@ pub(super) fn reference(request: &[u8]) -> Option<i32> {
 
 #[test]
 fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
-    use fieldbeat::axis::command::NativeOwner;
+    use fieldbeat::axis::NativeOwner;
     use fieldbeat::bus::modbus::{Native, NativeOutput};
     for via in VIAS {
         let mut b = bench(via, ReadWrite::Served);

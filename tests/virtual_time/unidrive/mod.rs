@@ -13,23 +13,20 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Unit, Units};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::modbus::counters::{OWN, Own};
-use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
-use fieldbeat::bus::modbus::trips::Trip;
-use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
-use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
-use fieldbeat::bus::modbus::{Functions, ModbusPlan, UnidriveDrive, Via, Watchdog};
-use fieldbeat::bus::{BusPlan, Counters};
-use fieldbeat::cycle::status::Numbers;
-use fieldbeat::cycle::{CyclePlan, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::net::SendMode;
+use fieldbeat::bus::modbus::{
+    Addressing, ControlWord, Functions, ModbusPlan, Parameter, StatusWord, Trip, UnidriveDrive, Via,
+    Watchdog, Width,
+};
+use fieldbeat::internals::bus::modbus::counters::{OWN, Own};
+use fieldbeat::internals::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
+use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan};
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, WorldOptions};
+use fieldbeat::telemetry::{Counters, Numbers};
 use fieldbeat::time::{MS, S, Time, US};
+use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 
 use super::support::Paired;
 
@@ -330,12 +327,13 @@ fn spoil_reference(request: &mut Vec<u8>) {
     let mut out = vec![0; 260];
     let Ok((header, parsed)) = Request::parse(request) else { return };
     let mut data = RegistersBuffer::new();
-    let spoilt =
-        |from: fieldbeat::bus::modbus::wire::Registers<'_>, data: &mut RegistersBuffer, place: usize| {
-            for index in 0..from.len() / 2 {
-                data.push_long(if index == place { i32::MAX } else { from.long(index).unwrap() });
-            }
-        };
+    let spoilt = |from: fieldbeat::internals::bus::modbus::wire::Registers<'_>,
+                  data: &mut RegistersBuffer,
+                  place: usize| {
+        for index in 0..from.len() / 2 {
+            data.push_long(if index == place { i32::MAX } else { from.long(index).unwrap() });
+        }
+    };
     let preset = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
     let shown = Parameter::new(0, 11).address(Addressing::Standard, Width::Long).unwrap();
     let changed = match parsed {

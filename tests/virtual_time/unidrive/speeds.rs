@@ -2,11 +2,11 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use fieldbeat::Granted;
 use fieldbeat::axis::{EventKind, Group, Move, Target};
-use fieldbeat::cycle::engine::Control;
-use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::rt::Granted;
-use fieldbeat::sim::world::World;
+use fieldbeat::internals::cycle::engine::Control;
+use fieldbeat::internals::master::{Assembly, assemble};
+use fieldbeat::sim::World;
 use fieldbeat::telemetry::{Measured, Summary};
 use serde_json::{Value, json};
 

@@ -105,7 +105,7 @@ pub fn frame(bytes: &[u8]) -> Result<Option<usize>, FrameError> {
 pub struct Header {
     /// Chosen by the client, echoed by the server.
     pub transaction: u16,
-    /// Which part of the drive: see [`parameter`](super::parameter).
+    /// Which part of the drive: see `parameter`.
     pub unit: u8,
 }
 

@@ -1,8 +1,9 @@
 //! The toy on a half-duplex wire, as PROFIBUS is one: the next request leaves when the one before it was answered, or
 //! its reply is overdue.
 
-use fieldbeat::bus::{Cycle, Exchange, Slot};
-use fieldbeat::net::Sent;
+use fieldbeat::Cycle;
+use fieldbeat::internals::bus::{Exchange, Slot};
+use fieldbeat::internals::net::Sent;
 use fieldbeat::time::{Time, US};
 
 use super::{Defect, ToyBus};

@@ -4,7 +4,7 @@
 //! A simulated drive speaks here only when it is sent something, so that several packets between two requests are the
 //! suite's to inject.
 
-use fieldbeat::bus::{Exchange, Notices, Slot};
+use fieldbeat::internals::bus::{Exchange, Notices, Slot};
 use fieldbeat::time::Time;
 
 use super::{Answer, Defect, Station};

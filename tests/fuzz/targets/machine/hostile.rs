@@ -6,13 +6,15 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::linudp::wire::{
-    ErrorCode, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, StateVar, StatusWord, WarnWord,
+use fieldbeat::OpenError;
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::{ErrorCode, LinUdpPlan, StateVar, StatusWord, WarnWord};
+use fieldbeat::internals::bus::Bus;
+use fieldbeat::internals::bus::linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
+use fieldbeat::internals::net::{
+    Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::bus::{Bus, BusPlan, OpenError};
-use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
-use fieldbeat::rt::Regions;
+use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;

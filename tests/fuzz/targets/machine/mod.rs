@@ -13,19 +13,14 @@ use fieldbeat::axis::{
     AxisPlan, Command, FoundRunning, Health, Limits, Profile, Row, StopHow, StopPlan, StopThen, StopTimeout,
     Underrun, Units,
 };
-use fieldbeat::bus::linudp::native::Native;
-use fieldbeat::bus::linudp::wire::ErrorCode;
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand,
+    COUNTS_PER_MM, DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, ReplyTag,
+    StreamCommand,
 };
-use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
-use fieldbeat::master::Master;
-use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::linudp::LinMotSettings;
-use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::simulation::Simulation;
+use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, US};
+use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
 
 use self::hostile::{HostileBus, Script, Wire};
 use self::watch::Watch;

@@ -8,11 +8,10 @@ use std::collections::BTreeMap;
 use fieldbeat::axis::{
     Abort, Command, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause,
 };
-use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::bus::linudp::motion::CommandInfo;
-use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock, Request, Response, RtcBlock, StatusWord};
-use fieldbeat::bus::linudp::{LinUdpDrive, ReplyTag};
-use fieldbeat::cycle::status::DriveEnd;
+use fieldbeat::bus::linudp::{ControlWord, LinUdpDrive, MotionBlock, ReplyTag, StatusWord, StreamCommand};
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, RtcBlock};
+use fieldbeat::telemetry::DriveEnd;
 use fieldbeat::time::Time;
 
 use super::hostile::{Came, Requested};
