@@ -34,7 +34,7 @@ use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 /// ```
 /// use fieldbeat::{Master, Plan};
 /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-/// # use fieldbeat::sim::world::WorldOptions;
+/// # use fieldbeat::sim::WorldOptions;
 /// # let drive = LinUdpDrive::new("x", [10, 0, 0, 10].into());
 /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
 /// # let plan = Plan { buses: vec![Box::new(bus)], ..Plan::default() };
@@ -69,7 +69,7 @@ impl std::fmt::Debug for Setup {
 /// # use fieldbeat::{Master, Plan};
 /// # use std::time::Duration;
 /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-/// # use fieldbeat::sim::world::WorldOptions;
+/// # use fieldbeat::sim::WorldOptions;
 /// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
 /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
 /// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });

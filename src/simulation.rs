@@ -8,8 +8,8 @@
 //! ```
 //! use fieldbeat::axis::{Link, Outcome, Command};
 //! use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-//! use fieldbeat::cycle::{CyclePlan, Plan};
-//! use fieldbeat::sim::world::WorldOptions;
+//! use fieldbeat::{CyclePlan, Plan};
+//! use fieldbeat::sim::WorldOptions;
 //! use fieldbeat::Master;
 //!
 //! // A plan built in code: one drive on one bus, 1 kHz.
@@ -131,8 +131,8 @@ impl Simulation {
     /// use std::time::Duration;
     ///
     /// use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-    /// use fieldbeat::cycle::{CyclePlan, Plan};
-    /// use fieldbeat::sim::world::WorldOptions;
+    /// use fieldbeat::{CyclePlan, Plan};
+    /// use fieldbeat::sim::WorldOptions;
     /// use fieldbeat::Master;
     ///
     /// // It may get the master of `start`, too.

@@ -22,7 +22,7 @@ use super::plan::AxisPlan;
 /// # use fieldbeat::{Group, Master, Plan};
 /// # use std::time::Duration;
 /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-/// # use fieldbeat::sim::world::WorldOptions;
+/// # use fieldbeat::sim::WorldOptions;
 /// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| {
 /// #     let mut drive = LinUdpDrive::new(name, [10, 0, 0, host].into());
 /// #     drive.axis.stop.group = Some(1);

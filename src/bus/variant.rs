@@ -1,4 +1,5 @@
-//! A machine like another one on the same computer: its drives more or fewer, its period another, its addresses its own.
+//! A machine like another one on the same computer: its drives more or fewer, its period another, its addresses its
+//! own.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -49,8 +50,8 @@ impl Variant {
         axis.divisor = short(divisor);
     }
 
-    /// The drives of the bus: its own, or so many like the first of them. `move_behind` gives one the name and the place
-    /// of the drive so many places behind.
+    /// The drives of the bus: its own, or so many like the first of them. `move_behind` gives one the name and the
+    /// place of the drive so many places behind.
     pub(crate) fn repeated<D: Clone>(&self, drives: &[D], move_behind: impl Fn(&mut D, usize)) -> Vec<D> {
         let (Some(count), Some(first)) = (self.drives, drives.first()) else { return drives.to_vec() };
         let behind = |ahead| {

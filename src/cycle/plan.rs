@@ -17,7 +17,7 @@ use crate::time::{MS, Ns, S, US};
 /// ```
 /// use fieldbeat::Plan;
 /// use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-/// use fieldbeat::cycle::CyclePlan;
+/// use fieldbeat::CyclePlan;
 ///
 /// let mut drive = UnidriveDrive::new("winder", [192, 168, 1, 20].into());
 /// drive.axis.limits.velocity = Some(25.0);

@@ -71,8 +71,8 @@ pub struct ReferenceStatus {
 
 parts! {
     Status {
-        planned, executed, skipped, overruns, longest_skip, late, operational, online, missed, lost_records, lost_events,
-        cut_off, wake_max, jitter_max, stage_max, reference
+        planned, executed, skipped, overruns, longest_skip, late, operational, online, missed, lost_records,
+        lost_events, cut_off, wake_max, jitter_max, stage_max, reference
     }
     ReferenceStatus { locked, losses, samples, silent, error_ns, error_max, step_ns, step_max }
     BusClock { error_ns, locked, error_max_ns, window_ns }

@@ -1,5 +1,5 @@
-//! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop takes
-//! their bells; and of an application that posts, cancels and polls calls while the loop takes and ends them.
+//! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop
+//! takes their bells; and of an application that posts, cancels and polls calls while the loop takes and ends them.
 
 use std::time::Duration;
 

@@ -117,7 +117,7 @@ macro_rules! forward_sim_drive {
     };
 }
 
-/// All of `SimSegment` but its names, `slaves`, `pass`, `live` and `restart`, by the segment that is reached from `this`.
+/// All of `SimSegment` but its names, `slaves`, `pass`, `advance` and `restart`, by the segment reached from `this`.
 #[macro_export]
 macro_rules! forward_sim_line {
     ($this:ident => $line:expr) => {

@@ -243,7 +243,7 @@ impl Scalar for () {
 /// # use fieldbeat::{Master, Plan};
 /// # use std::time::Duration;
 /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-/// # use fieldbeat::sim::world::WorldOptions;
+/// # use fieldbeat::sim::WorldOptions;
 /// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
 /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
 /// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });

@@ -51,7 +51,7 @@ impl Parameter {
     }
 
     /// A parameter that takes effect at once.
-    const fn advance(upid: u16, kind: Type, limits: (i64, i64), default: i64) -> Parameter {
+    const fn live(upid: u16, kind: Type, limits: (i64, i64), default: i64) -> Parameter {
         let usage = Usage(CONFIG | Usage::LIVE);
         Parameter { usage, ..Parameter::config(upid, kind, limits, default) }
     }
@@ -137,36 +137,36 @@ pub(super) const PARAMETERS: &[Parameter] = {
         P::config(0x1070, U8, (0, 63), 0), // output function 1
         P::config(0x1071, U8, (0, 63), 0), // output function 2
         P::config(0x1072, U8, (0, 63), 0), // output function 3
-        P::advance(CONTROLLER_SET, U16, (0, 1), 0), // active position controller set (0 = A, 1 = B)
-        P::advance(0x13A0, U16, WORD, 0), // set A: acceleration feed forward
-        P::advance(0x13A2, U16, WORD, 150), // set A: P gain
-        P::advance(0x13A6, U16, WORD, 15_000), // set A: maximum current (mA)
-        P::advance(0x13A8, U16, WORD, 200), // set A: D gain
-        P::advance(0x13B4, U16, WORD, 0), // set B: acceleration feed forward
-        P::advance(0x13BA, U16, WORD, 15_000), // set B: maximum current (mA)
+        P::live(CONTROLLER_SET, U16, (0, 1), 0), // active position controller set (0 = A, 1 = B)
+        P::live(0x13A0, U16, WORD, 0), // set A: acceleration feed forward
+        P::live(0x13A2, U16, WORD, 150), // set A: P gain
+        P::live(0x13A6, U16, WORD, 15_000), // set A: maximum current (mA)
+        P::live(0x13A8, U16, WORD, 200), // set A: D gain
+        P::live(0x13B4, U16, WORD, 0), // set B: acceleration feed forward
+        P::live(0x13BA, U16, WORD, 15_000), // set B: maximum current (mA)
         P::config(HOME_POSITION, S32, POSITION, 0), // home position (0.1 um)
         P::config(SLIDER_HOME_POSITION, S32, POSITION, 0), // slider home position (0.1 um)
-        P::advance(RUN_MODE, U16, (1, 0x10), 1), // run mode
-        P::advance(SCALE_POSITION, U32, (1, 65_536), 1_000), // position of the 16-bit commands (0.1 um a step)
-        P::advance(SCALE_VELOCITY, U32, (1, 65_536), 1_000), // velocity of the 16-bit commands (um/s a step)
-        P::advance(SCALE_ACCELERATION, U32, (1, 65_536), 10_000), // acceleration of the 16-bit commands (1e-5 m/s2 a step)
-        P::advance(SCALE_DECELERATION, U32, (1, 65_536), 10_000), // deceleration of the 16-bit commands (1e-5 m/s2 a step)
-        P::advance(RISE_POSITION, S32, POSITION, 0), // trigger rise: position (0.1 um)
-        P::advance(0x145B, U32, RATE, 1_000_000), // trigger rise: velocity (um/s)
-        P::advance(0x145C, U32, RATE, 1_000_000), // trigger rise: acceleration (1e-5 m/s2)
-        P::advance(0x145D, U32, RATE, 1_000_000), // trigger rise: deceleration (1e-5 m/s2)
-        P::advance(FALL_POSITION, S32, POSITION, 0), // trigger fall: position (0.1 um)
-        P::advance(0x1460, U32, RATE, 1_000_000), // trigger fall: velocity (um/s)
-        P::advance(0x1461, U32, RATE, 1_000_000), // trigger fall: acceleration (1e-5 m/s2)
-        P::advance(0x1462, U32, RATE, 1_000_000), // trigger fall: deceleration (1e-5 m/s2)
-        P::advance(MINIMUM_POSITION, S32, POSITION, -10_000_000), // minimum position (0.1 um)
-        P::advance(MAXIMUM_POSITION, S32, POSITION, 10_000_000), // maximum position (0.1 um)
-        P::advance(LAG_MOVING, U32, LAG, 50_000), // position lag limit, always (0.1 um)
-        P::advance(LAG_STANDING, U32, LAG, 50_000), // position lag limit, standing (0.1 um)
-        P::advance(PREDEFINED_VELOCITY, U32, RATE, 1_000_000), // predefined VAI: velocity (um/s)
-        P::advance(0x14BF, U32, RATE, 1_000_000), // predefined VAI: acceleration (1e-5 m/s2)
-        P::advance(0x14C0, U32, RATE, 1_000_000), // predefined VAI: deceleration (1e-5 m/s2)
-        P::advance(STREAM_PERIOD, U32, (100, 1_000_000), 1_000), // streaming period (us)
+        P::live(RUN_MODE, U16, (1, 0x10), 1), // run mode
+        P::live(SCALE_POSITION, U32, (1, 65_536), 1_000), // position of the 16-bit commands (0.1 um a step)
+        P::live(SCALE_VELOCITY, U32, (1, 65_536), 1_000), // velocity of the 16-bit commands (um/s a step)
+        P::live(SCALE_ACCELERATION, U32, (1, 65_536), 10_000), // acceleration of the 16-bit commands (1e-5 m/s2 a step)
+        P::live(SCALE_DECELERATION, U32, (1, 65_536), 10_000), // deceleration of the 16-bit commands (1e-5 m/s2 a step)
+        P::live(RISE_POSITION, S32, POSITION, 0), // trigger rise: position (0.1 um)
+        P::live(0x145B, U32, RATE, 1_000_000), // trigger rise: velocity (um/s)
+        P::live(0x145C, U32, RATE, 1_000_000), // trigger rise: acceleration (1e-5 m/s2)
+        P::live(0x145D, U32, RATE, 1_000_000), // trigger rise: deceleration (1e-5 m/s2)
+        P::live(FALL_POSITION, S32, POSITION, 0), // trigger fall: position (0.1 um)
+        P::live(0x1460, U32, RATE, 1_000_000), // trigger fall: velocity (um/s)
+        P::live(0x1461, U32, RATE, 1_000_000), // trigger fall: acceleration (1e-5 m/s2)
+        P::live(0x1462, U32, RATE, 1_000_000), // trigger fall: deceleration (1e-5 m/s2)
+        P::live(MINIMUM_POSITION, S32, POSITION, -10_000_000), // minimum position (0.1 um)
+        P::live(MAXIMUM_POSITION, S32, POSITION, 10_000_000), // maximum position (0.1 um)
+        P::live(LAG_MOVING, U32, LAG, 50_000), // position lag limit, always (0.1 um)
+        P::live(LAG_STANDING, U32, LAG, 50_000), // position lag limit, standing (0.1 um)
+        P::live(PREDEFINED_VELOCITY, U32, RATE, 1_000_000), // predefined VAI: velocity (um/s)
+        P::live(0x14BF, U32, RATE, 1_000_000), // predefined VAI: acceleration (1e-5 m/s2)
+        P::live(0x14C0, U32, RATE, 1_000_000), // predefined VAI: deceleration (1e-5 m/s2)
+        P::live(STREAM_PERIOD, U32, (100, 1_000_000), 1_000), // streaming period (us)
         P::config(0x1527, U16, (0, 3), 0), // cam mode
         P::config(0x1528, U16, (0, 1), 0), // cam start enable
         P::config(0x154A, U8, (0, 100), 0), // triggered cam 1: id
@@ -196,10 +196,10 @@ pub(super) const PARAMETERS: &[Parameter] = {
         P::variable(0x1E62, S32, V::Constant(0)), // captured position (0.1 um)
         P::scratch(VARIABLE_1, S32), // command table variable 1
         P::scratch(VARIABLE_2, S32), // command table variable 2
-        P::advance(MONITOR_SOURCE, U16, WORD, 0x1E0F), // monitoring channel 1: UPID
-        P::advance(0x20A9, U16, WORD, 0x1E10), // monitoring channel 2: UPID
-        P::advance(0x20AA, U16, WORD, 0x1BCD), // monitoring channel 3: UPID
-        P::advance(0x20AB, U16, WORD, 0x1D51), // monitoring channel 4: UPID
+        P::live(MONITOR_SOURCE, U16, WORD, 0x1E0F), // monitoring channel 1: UPID
+        P::live(0x20A9, U16, WORD, 0x1E10), // monitoring channel 2: UPID
+        P::live(0x20AA, U16, WORD, 0x1BCD), // monitoring channel 3: UPID
+        P::live(0x20AB, U16, WORD, 0x1D51), // monitoring channel 4: UPID
         P::config(0x30D4, Bool, (0, 1), 0), // Easy Steps: enable
         P::config(0x30D5, Bool, (0, 1), 0), // Easy Steps: auto start
         P::config(0x3100, S32, POSITION, 0), // Easy Steps: first position (0.1 um)

@@ -7,7 +7,8 @@
 //! | 14-15 | length, type | bits 0-10 bytes of all datagrams, bits 12-15 = 1 |
 //! | 16- | datagrams | ten bytes of header, data, working counter; then padding to 60 bytes |
 //!
-//! `read` has the received ones. The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
+//! `read` has the received ones. The reply is the same frame: only data, positions, interrupts, working counters and
+//! the source have changed.
 
 mod read;
 
