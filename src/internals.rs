@@ -32,6 +32,9 @@ pub mod axis {
     pub mod newest {
         pub use crate::axis::newest::*;
     }
+    pub mod observer {
+        pub use crate::axis::observer::*;
+    }
     pub mod plan {
         pub use crate::axis::plan::*;
     }

@@ -13,7 +13,8 @@ use thiserror::Error;
 use super::command::{Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, StreamRow, Target};
 use super::event::Event;
 use super::feedback::Feedback;
-use super::handle::{Axis, AxisError, GRACE, longest};
+use super::handle::{Axis, AxisError, longest};
+use super::observer::GRACE;
 use super::plan::AxisPlan;
 
 /// Axes that act together: commands and rows of all of them take effect in the same cycle's send, all or none.

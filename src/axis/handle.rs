@@ -22,12 +22,10 @@ use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
 use super::newest::NewestIn;
+use super::observer::{GRACE, LOOK_EVERY, Observer};
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
 use super::streams::Streams;
-
-/// How often the blocking calls look for events.
-pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 
 /// Places for commands that only a stop, quick stop or power off takes.
 pub(crate) const URGENT_ROOM: usize = 4;
@@ -640,24 +638,10 @@ fn ended(event: &Event, id: CommandId) -> Option<Outcome> {
     }
 }
 
-/// The application waits this much longer than the loop's own time-out, so that the loop's result comes first.
-pub(super) const GRACE: Duration = Duration::from_millis(500);
-
 /// Twice the time that a move should take, for the wait only.
 pub(super) fn longest(distance: f64, profile: &Profile) -> Duration {
     let seconds = distance / profile.velocity
         + profile.velocity / profile.acceleration
         + profile.velocity / profile.deceleration;
     Duration::try_from_secs_f64(2.0 * seconds).unwrap_or(Duration::MAX / 4).saturating_add(GRACE)
-}
-
-/// A reader of one axis' newest feedback.
-#[derive(Clone, Debug)]
-pub struct Observer(pub(crate) Reader<Feedback>);
-
-impl Observer {
-    /// The newest feedback.
-    pub fn feedback(&self) -> Feedback {
-        self.0.read()
-    }
 }

@@ -14,6 +14,7 @@
 //! | `streams` | which stream a row belongs to |
 //! | `acyclic` | calls outside the cycle: parameters, and other services of a protocol |
 //! | `pulse` | the application's sign of life |
+//! | `observer` | a reader of the newest feedback |
 //! | `handle` | `Axis`: the application's end of one axis, with the blocking calls |
 //! | `group` | `Group`: several axes with one queue, synchronised |
 //!
@@ -29,6 +30,7 @@ pub(crate) mod group;
 pub(crate) mod handle;
 pub(crate) mod limits;
 pub(crate) mod newest;
+pub(crate) mod observer;
 pub(crate) mod packed;
 pub(crate) mod plan;
 mod pulse;
@@ -48,8 +50,9 @@ pub use feedback::{DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
 pub(crate) use feedback::{FaultNames, MONITOR_CHANNELS};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub(crate) use handle::AxisEnds;
-pub use handle::{Axis, AxisError, Observer, Samples};
+pub use handle::{Axis, AxisError, Samples};
 pub use limits::{Cannot, Lacks};
+pub use observer::Observer;
 pub(crate) use plan::is_plain_name;
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,

@@ -5,7 +5,7 @@
 //! | `contract` | [`Bus`]: an open bus on the real-time thread, and what passes between it and the loop |
 //! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
-//! | `plan` | [`BusPlan`]: a bus as configured, before any socket is open |
+//! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `drives` | what the buses of all protocols do with their drives |
 //! | `variant` | a bus in a machine that is otherwise like its own |
 //! | `tools` | the commands that a protocol adds to the program |
@@ -26,6 +26,7 @@ pub(crate) mod contract;
 pub(crate) mod counters;
 pub(crate) mod desired;
 pub(crate) mod drives;
+mod error;
 pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
@@ -37,7 +38,8 @@ pub(crate) mod variant;
 pub(crate) use self::contract::{Bus, Cycle, Exchange, Notes, Slot};
 pub(crate) use self::counters::{BusClock, Counters, OwnCounter, Unmatched};
 pub(crate) use self::drives::Ends;
-pub use self::plan::{BusPlan, OpenError};
+pub use self::error::OpenError;
+pub use self::plan::BusPlan;
 #[cfg(feature = "config")]
 use crate::keys::{machine::Machine, table::Table};
 

@@ -64,6 +64,11 @@ pub struct Finding {
 }
 
 impl Finding {
+    /// One about the network of a bus.
+    pub(super) fn network(bus: &str, name: &str, wanted: &str, why: &str) -> Finding {
+        Finding::about(Area::Network, format!("{bus}: {name}"), wanted, why)
+    }
+
     /// A finding that still has to be judged.
     pub(super) fn about(
         area: Area,

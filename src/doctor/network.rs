@@ -7,7 +7,7 @@ use std::net::SocketAddrV4;
 
 use super::Subject;
 use super::facts::{Facts, Line, Root, Wire};
-use super::finding::{Area, Finding, lines};
+use super::finding::{Finding, lines};
 use super::nic;
 
 /// All of them, for each bus.
@@ -22,7 +22,9 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
     let found = facts.probes.interface(local);
     let mut findings = vec![interface(root, wire, found)];
     if local.is_loopback() {
-        findings.push(about(&wire.bus, "drives", "", "").good("on this computer: loopback, nothing to tune"));
+        findings.push(
+            Finding::network(&wire.bus, "drives", "", "").good("on this computer: loopback, nothing to tune"),
+        );
     } else if let Some(name) = found {
         findings.extend(nic::check(facts, &wire.bus, name, subject));
         findings.extend(nic::check_ip(facts, &wire.bus, name));
@@ -36,15 +38,15 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
     findings
 }
 
-/// A finding about a bus.
-pub(super) fn about(bus: &str, name: &str, wanted: &str, why: &str) -> Finding {
-    Finding::about(Area::Network, format!("{bus}: {name}"), wanted, why)
-}
-
 fn line(facts: &Facts, line: &Line, subject: &Subject) -> Vec<Finding> {
     let (root, name) = (&facts.root, line.interface.as_str());
     let wanted = format!("{name}, with the segment plugged in");
-    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and return through it");
+    let finding = Finding::network(
+        &line.bus,
+        "interface",
+        &wanted,
+        "the frames of the bus leave and return through it",
+    );
     // The kernel's own names have no colon.
     if name.contains(':') {
         return vec![finding.good("on this computer: simulated, nothing to tune")];
@@ -62,7 +64,7 @@ fn line(facts: &Facts, line: &Line, subject: &Subject) -> Vec<Finding> {
 /// Nothing but the bus uses its interface.
 fn alone(facts: &Facts, line: &Line) -> Finding {
     let name = &line.interface;
-    let finding = about(
+    let finding = Finding::network(
         &line.bus,
         "IP addresses",
         &format!("none on {name}"),
@@ -82,7 +84,7 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
 fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
     let local = wire.local.ip();
     let wanted = format!("{local} on an interface of this computer, with its cable plugged in");
-    let finding = about(
+    let finding = Finding::network(
         &wire.bus,
         "interface",
         &wanted,
@@ -129,7 +131,7 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
 const PERMANENT: &str = "0x6";
 
 fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
-    let mut finding = about(
+    let mut finding = Finding::network(
         &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
@@ -172,7 +174,7 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
 }
 
 fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, wanted: usize) -> Finding {
-    let mut finding = about(
+    let mut finding = Finding::network(
         &wire.bus,
         name,
         &format!("{wanted} bytes or more (net.core.{limit})"),
@@ -189,7 +191,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, wanted: usize) -> F
 }
 
 fn tracking(root: &Root, wire: &Wire) -> Finding {
-    let mut finding = about(
+    let mut finding = Finding::network(
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",

@@ -9,7 +9,6 @@ use super::core::others;
 use super::ethtool::{Coalescing, Nic};
 use super::facts::{Facts, Root, Thread};
 use super::finding::{Finding, lines, list, write};
-use super::network::about;
 use crate::cycle::Wait;
 use crate::rt::host::cores_of;
 
@@ -58,7 +57,7 @@ fn interrupts(root: &Root, name: &str) -> Vec<u32> {
 
 fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
     let core = subject.core;
-    let finding = about(
+    let finding = Finding::network(
         bus,
         "interrupts",
         &format!("on other cores than {core}"),
@@ -106,7 +105,7 @@ const USUAL_PRIORITY: u8 = 50;
 /// On PREEMPT_RT, and with threadirqs, interrupts are handled by threads.
 fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
     let (core, priority) = (subject.core, subject.cycle.priority);
-    let finding = about(
+    let finding = Finding::network(
         bus,
         "interrupt threads",
         &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
@@ -150,7 +149,7 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
 
 /// Packets may be left in the card's ring on purpose, for a timer to fetch them.
 fn deferral(root: &Root, bus: &str, name: &str) -> Finding {
-    let finding = about(
+    let finding = Finding::network(
         bus,
         "deferred interrupts",
         "0 (gro_flush_timeout, napi_defer_hard_irqs)",
@@ -178,7 +177,7 @@ fn deferral(root: &Root, bus: &str, name: &str) -> Finding {
 const COALESCING_US: u32 = 10;
 
 fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
-    let finding = about(
+    let finding = Finding::network(
         bus,
         "coalescing",
         &format!("rx and tx {COALESCING_US} us at most, not adaptive"),
@@ -209,7 +208,7 @@ fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
 }
 
 fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
-    let finding = about(
+    let finding = Finding::network(
         bus,
         "offloads",
         "gro and lro off",

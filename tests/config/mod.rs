@@ -1,5 +1,6 @@
 //! The configuration as a user meets it: every mistake on a line of its own, the samples, and the defaults.
 
+mod errors;
 mod ethercat;
 
 use std::net::Ipv4Addr;

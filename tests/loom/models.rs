@@ -20,7 +20,7 @@ pub mod axis {
 
     pub use feedback::Feedback;
 
-    pub mod handle {
+    pub mod observer {
         //! What the queue needs of an axis.
 
         use std::time::Duration;

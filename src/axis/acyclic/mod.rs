@@ -5,12 +5,12 @@
 //! | `mod` | a call, its answer, why it has none |
 //! | `port` | the executor's end: the loop, one slice per cycle, or a thread outside the loop |
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
-//! | `list` | lists of parameters |
+//! | `notation` | what a protocol adds: how its drives write addresses and values, and lists of their parameters |
 //! | `parameter` | typed values at addresses in the drive's own notation |
 //!
 //! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
-mod list;
+mod notation;
 mod parameter;
 mod port;
 mod queue;
@@ -20,15 +20,16 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-pub(crate) use list::go_on;
-pub use list::{ListError, Listed, Listing, Progress, ReadList, Wanted, Watcher};
-pub use parameter::{
-    Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Request, Scalar,
+pub(crate) use notation::go_on;
+pub use notation::{
+    Access, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList, Request,
+    Wanted, Watcher,
 };
+pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
 #[cfg(test)]
 pub(crate) use queue::tests::{both, both_of};
-pub use queue::{Acyclic, AcyclicEnds, CallTicket, PostError, queue};
+pub use queue::{Acyclic, AcyclicEnds, CallTicket, queue};
 
 use super::feedback::{Link, State};
 
@@ -109,6 +110,45 @@ pub enum CallError {
     Lost,
 }
 crate::errors::debug_as_display!(CallError);
+
+/// Why a call was not accepted.
+#[derive(Clone, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum PostError {
+    /// Its queue has no room.
+    #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]
+    Full {
+        /// The axis.
+        axis: String,
+        /// Room of the queue.
+        capacity: usize,
+    },
+    /// The master has ended.
+    #[error("axis {axis}: the master has ended: start it again")]
+    Gone {
+        /// The axis.
+        axis: String,
+    },
+    /// It must not be carried out at present.
+    #[error("axis {axis}: {why}")]
+    Refused {
+        /// The axis.
+        axis: String,
+        /// The reason.
+        why: CallError,
+    },
+}
+crate::errors::debug_as_display!(PostError);
+
+impl From<PostError> for CallError {
+    fn from(error: PostError) -> CallError {
+        match error {
+            PostError::Full { .. } => CallError::Full,
+            PostError::Gone { .. } => CallError::Gone,
+            PostError::Refused { why, .. } => why,
+        }
+    }
+}
 
 /// The result of a series of calls: the answers up to the first failure.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

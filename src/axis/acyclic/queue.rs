@@ -10,11 +10,9 @@ use std::task::Waker;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use thiserror::Error;
-
 use super::port::{Cancelled, Commanding, Ended, Guard, Port, Posted};
-use super::{Answer, Call, CallError, Carrier, Condition, Notation, Parameters, Series};
-use crate::axis::handle::{GRACE, LOOK_EVERY, Observer};
+use super::{Answer, Call, CallError, Carrier, Condition, Notation, PostError, Series};
+use crate::axis::observer::{GRACE, LOOK_EVERY, Observer};
 use crate::axis::pulse::Pulse;
 use crate::rt::{self, Regions};
 use crate::sync::{AtomicBool, Consumer, Mutex, MutexGuard, Producer};
@@ -102,45 +100,6 @@ struct Ends {
     forgotten: Vec<u64>,
 }
 
-/// Why a call was not accepted.
-#[derive(Clone, PartialEq, Eq, Error)]
-#[non_exhaustive]
-pub enum PostError {
-    /// Its queue has no room.
-    #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]
-    Full {
-        /// The axis.
-        axis: String,
-        /// Room of the queue.
-        capacity: usize,
-    },
-    /// The master has ended.
-    #[error("axis {axis}: the master has ended: start it again")]
-    Gone {
-        /// The axis.
-        axis: String,
-    },
-    /// It must not be carried out at present.
-    #[error("axis {axis}: {why}")]
-    Refused {
-        /// The axis.
-        axis: String,
-        /// The reason.
-        why: CallError,
-    },
-}
-crate::errors::debug_as_display!(PostError);
-
-impl From<PostError> for CallError {
-    fn from(error: PostError) -> CallError {
-        match error {
-            PostError::Full { .. } => CallError::Full,
-            PostError::Gone { .. } => CallError::Gone,
-            PostError::Refused { why, .. } => why,
-        }
-    }
-}
-
 impl Acyclic {
     /// The acyclic access of axis `axis`, whose drive is exchanged with every `period`.
     pub(crate) fn new(
@@ -183,11 +142,6 @@ impl Acyclic {
     /// The notation of its drive for addresses and values.
     pub fn notation(&self) -> &Arc<dyn Notation> {
         &self.shared.notation
-    }
-
-    /// Its parameters.
-    pub fn parameters(&self) -> Parameters {
-        Parameters::new(self.clone())
     }
 
     /// Posts a call and returns at once.

@@ -5,7 +5,8 @@
 
 use std::thread;
 
-use super::slice::{Setting, wake_ups};
+use super::setting::Setting;
+use super::slice::wake_ups;
 use crate::cycle::CyclePlan;
 use crate::doctor::facts::on_a_thread;
 use crate::rt::thread::{default_core, fifo, spare_core};

@@ -6,7 +6,7 @@
 //! | `mod` | what is compared |
 //! | `results` | what was measured |
 //! | `findings` | what follows from it |
-//! | `slice` | one slice: a thread set up in one way |
+//! | `setting`, `slice` | one slice: a thread set up in one way |
 //! | `glance` | what this host carries, in half a second |
 //!
 //! It measures wake-ups, the part of a cycle that the host decides; the loop's own work comes on top.
@@ -14,6 +14,7 @@
 mod findings;
 mod glance;
 mod results;
+mod setting;
 mod slice;
 
 pub use glance::{Glance, MOST_DISTURBED, glance};
@@ -28,7 +29,7 @@ use crate::cycle::Guard;
 use crate::rt::thread::{fifo, permitted_cores};
 use crate::rt::{GuardTuner, Realtime, RealtimeError, host, memory};
 use crate::time::{MS, S, US};
-use slice::Setting;
+use setting::Setting;
 
 /// How thoroughly.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::slice::Setting;
+use super::setting::Setting;
 use crate::doctor::stats::{Interval, over_rounds};
 
 /// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample
