@@ -46,7 +46,8 @@ use fieldbeat::internals::net::Frames;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
-use support::count::{self, Ran, Scenario, paused};
+use support::callgrind::{counted as collected, paused};
+use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::line::{self, NullLine, NullLines, Settled};
 use support::rig::Calls;
@@ -408,7 +409,7 @@ const COUNTED: u64 = 128;
 fn counted(scenario: Scenario) -> Ran {
     let count = |turn: &mut dyn FnMut()| {
         count::instrument();
-        count::run(COUNTED, || count::counted(&mut *turn))
+        count::run(COUNTED, || collected(&mut *turn))
     };
     match scenario.protocol {
         linudp::PROTOCOL => {

@@ -9,15 +9,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
-use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, ModbusPlan, StatusWord, UnidriveDrive};
+use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, StatusWord, UnidriveDrive};
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
 use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
 use fieldbeat::internals::bus::modbus::wire::{ADU_MAX, HEADER, Response};
 use fieldbeat::internals::cycle::record::{DriveRecord, Record};
 use fieldbeat::internals::net::frames::Unsent;
-use fieldbeat::internals::net::{
-    Carriers, Datagrams, Frames, HandshakeState, Os, StreamPeer, Streams, UdpOptions,
-};
+use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, UdpOptions};
 use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::{S, Time};
@@ -26,6 +24,7 @@ use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 
 use super::fleet::{self, Fleet, Side};
+use super::handshake;
 use super::libmodbus::{Client, Libmodbus};
 use super::rig::{self, Calls, Pace, Rig, give_up, thread_cpu_ns};
 use super::unidrive;
@@ -261,7 +260,7 @@ impl BareLoop {
             socket.set_nonblocking(true)?;
         }
         let plan = fleet.modbus(Side::Bare);
-        let streams = greeted(&plan)?;
+        let streams = handshake::connect(&plan)?;
         for stream in &streams {
             stream.set_nonblocking(true)?;
         }
@@ -585,50 +584,6 @@ fn unless_blocked<T>(result: io::Result<T>) -> io::Result<Option<T>> {
     match result {
         Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
         other => other.map(Some),
-    }
-}
-
-/// A connection to each drive of `plan`, greeted as the master does: the drive is set up as ours is.
-pub fn greeted(plan: &ModbusPlan) -> io::Result<Vec<TcpStream>> {
-    let peers = Peers::default();
-    // It opens nothing: the peers are what was wanted.
-    let _ = plan.open(S, &peers);
-    peers.0.into_inner().into_iter().map(greet).collect()
-}
-
-fn greet(mut peer: StreamPeer) -> io::Result<TcpStream> {
-    let mut stream = TcpStream::connect(peer.address)?;
-    stream.set_nodelay(true)?;
-    let (mut out, mut bytes) = (Vec::new(), [0; 2 * ADU_MAX]);
-    let mut said = peer.handshake.begin(MonotonicClock::read(), &mut out);
-    loop {
-        stream.write_all(&out)?;
-        out.clear();
-        match said {
-            HandshakeState::Done | HandshakeState::Kept => return Ok(stream),
-            HandshakeState::Failed(why) => return Err(io::Error::other(why)),
-            HandshakeState::More => {}
-        }
-        let count = stream.read(&mut bytes)?;
-        if count == 0 {
-            return Err(ErrorKind::UnexpectedEof.into());
-        }
-        said = peer.handshake.take(MonotonicClock::read(), &bytes[..count], &mut out);
-    }
-}
-
-/// Opens nothing, and keeps what was to be opened.
-#[derive(Default)]
-struct Peers(RefCell<Vec<StreamPeer>>);
-
-impl Carriers for Peers {
-    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        Err(ErrorKind::Unsupported.into())
-    }
-
-    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
-        self.0.replace(peers);
-        Err(ErrorKind::Unsupported.into())
     }
 }
 

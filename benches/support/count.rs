@@ -1,8 +1,6 @@
 //! Instructions of one scenario, counted by callgrind (Debian: valgrind).
 //!
-//! A bench that counts starts itself once for each scenario under callgrind. Callgrind collects only inside of
-//! [`counted`], and not inside of [`paused`], which is where the carriers in memory and the simulated drives are. So
-//! neither the drives nor the way into operation is counted, and nothing has to be subtracted.
+//! A bench that counts starts itself once for each scenario under callgrind, which collects only what `callgrind` marks.
 //!
 //! The count is the same in each run on each host: the child's clock is virtual, it makes no thread and needs no right,
 //! its environment is empty, and glibc is set to use the string functions of the plain architecture instead of those
@@ -12,12 +10,11 @@
 //! and count whole benchmark functions; what is left of them here is one command and one line of its output.
 
 use std::collections::BTreeMap;
-use std::hint::black_box;
 use std::io;
 use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use serde_json::json;
 
@@ -74,62 +71,6 @@ struct Counts {
     calls: Option<f64>,
     /// First level for data, and second level.
     misses: Option<[f64; 2]>,
-}
-
-/// What callgrind does now: it toggles, so that to pause what it does not collect would begin it.
-static STATE: AtomicU8 = AtomicU8::new(OFF);
-const OFF: u8 = 0;
-const COUNTS: u8 = 1;
-const PAUSES: u8 = 2;
-
-/// Runs what is counted.
-pub fn counted<R>(body: impl FnOnce() -> R) -> R {
-    STATE.store(COUNTS, Ordering::Relaxed);
-    let result = callgrind_counts(body);
-    STATE.store(OFF, Ordering::Relaxed);
-    result
-}
-
-/// Runs what is not: a carrier in memory, a simulated drive.
-#[inline]
-pub fn paused<R>(body: impl FnOnce() -> R) -> R {
-    if STATE.load(Ordering::Relaxed) != COUNTS {
-        return body();
-    }
-    STATE.store(PAUSES, Ordering::Relaxed);
-    let result = callgrind_pauses(body);
-    STATE.store(COUNTS, Ordering::Relaxed);
-    result
-}
-
-/// Runs what is counted although a carrier that is not calls it.
-#[inline]
-pub fn resumed<R>(body: impl FnOnce() -> R) -> R {
-    if STATE.load(Ordering::Relaxed) != PAUSES {
-        return body();
-    }
-    STATE.store(COUNTS, Ordering::Relaxed);
-    let result = callgrind_counts_again(body);
-    STATE.store(PAUSES, Ordering::Relaxed);
-    result
-}
-
-// Callgrind toggles where these begin and end. It knows them by their names, so they are never inlined. The last one is
-// there because it does not toggle where a function calls itself.
-
-#[inline(never)]
-fn callgrind_counts<R>(body: impl FnOnce() -> R) -> R {
-    black_box(body())
-}
-
-#[inline(never)]
-fn callgrind_pauses<R>(body: impl FnOnce() -> R) -> R {
-    black_box(body())
-}
-
-#[inline(never)]
-fn callgrind_counts_again<R>(body: impl FnOnce() -> R) -> R {
-    black_box(body())
 }
 
 /// The child: runs the scenario that its environment names, if it does. Returns whether it did.

@@ -13,7 +13,7 @@ use fieldbeat::internals::net::{
 use fieldbeat::internals::rt::Regions;
 use fieldbeat::time::Time;
 
-use super::count::paused;
+use super::callgrind::paused;
 use super::rig::{self, Calls};
 
 /// Carriers, counting what they call.

@@ -9,8 +9,8 @@ use fieldbeat::Granted;
 use fieldbeat::internals::bus::modbus::parameter::DRIVE_UNIT;
 use fieldbeat::time::Time;
 
-use super::bare::greeted;
 use super::fleet::{Fleet, Side};
+use super::handshake;
 use super::{rig, unidrive};
 
 /// The compiled client.
@@ -48,7 +48,7 @@ impl Libmodbus {
     pub fn start(&self, granted: &Granted) -> Result<Client, String> {
         let plan = Fleet::unidrives(1).modbus(Side::Libmodbus);
         // The drive is set up as ours is; it stays so when the connection ends.
-        drop(greeted(&plan).map_err(|error| error.to_string())?);
+        drop(handshake::connect(&plan).map_err(|error| error.to_string())?);
         let drive = &plan.drives[0];
         let mapping = unidrive::mapping(drive);
         let (write, read) = (&mapping.writes()[0], &mapping.reads()[0]);

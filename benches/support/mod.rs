@@ -18,9 +18,11 @@
 
 pub mod bare;
 pub mod budgets;
+pub mod callgrind;
 pub mod count;
 pub mod counted;
 pub mod fleet;
+pub mod handshake;
 pub mod libmodbus;
 pub mod line;
 pub mod null;

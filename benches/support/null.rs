@@ -17,7 +17,7 @@ use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;
 
-use super::count::resumed;
+use super::callgrind::resumed;
 use super::rig;
 use super::unidrive::{self, Canned};
 

@@ -20,7 +20,7 @@ use fieldbeat::{CyclePlan, Granted, Guard, Memory, Overrun, Plan, Realtime, Real
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
-use super::count::counted;
+use super::callgrind::counted;
 
 /// The loop's priority; cyclictest gets the same.
 pub const PRIORITY: u8 = 80;
