@@ -1,31 +1,18 @@
-//! `fieldbeat demo`: master and simulated drives in one process. The axes that take positions are homed, follow a
-//! travelling wave as streamed setpoints and make one profile move each, the others turn there and back meanwhile; then
-//! all of them stop and are powered off.
+//! What the demo's axes do: those that take positions are homed, follow a travelling wave as streamed setpoints and make
+//! one profile move each, the others turn there and back meanwhile; then all of them stop and are powered off.
 
 use std::f64::consts::TAU;
-use std::io::ErrorKind;
 use std::ops::Range;
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixListener};
 use std::time::{Duration, Instant};
 
-use clap::Args;
 use fieldbeat::axis::{
     Abort, Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit,
 };
-use fieldbeat::config::Configuration;
-use fieldbeat::doctor::{Glance, glance};
-use fieldbeat::internals::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
-use fieldbeat::sim::server::SimServer;
-use fieldbeat::time::{MS, Ns, S, nanos};
-use fieldbeat::{CyclePlan, Master, MasterError, Plan};
+use fieldbeat::internals::config::DEMO_STREAMS_UP_TO_NS;
+use fieldbeat::time::S;
+use fieldbeat::{Master, MasterError};
 
-use super::handler::Handler;
-use super::interrupt::Interrupt;
-use super::output::{Output, both};
-use super::run::{not_whole, start};
-use super::sim::serving;
-use super::{Stop, complain, span};
+use crate::cli::handler::Handler;
 
 /// Time of one swing, s.
 const SWING_S: f64 = 2.0;
@@ -45,179 +32,19 @@ const CLOSING: Duration = Duration::from_secs(2);
 /// Whatever goes on then is stopped so long before the end: all axes ramp down and are powered off.
 const RAMP: Duration = Duration::from_millis(250);
 
-/// Without `--for`: the drives are waited for so long, on a very busy computer, and the show takes so long.
-const PATIENCE: Duration = Duration::from_secs(60);
-const SHOW: Duration = Duration::from_secs(10);
-
-/// Periods to choose from. In the last one LinMots take no streams.
-const PERIODS_NS: [u64; 5] = [MS, 2 * MS, 4 * MS, 8 * MS, 16 * MS];
-
-/// Arguments of `demo`.
-#[derive(Debug, Args)]
-pub struct Demo {
-    /// Length of the whole demo, the wait for the drives included; without it, 10 s from then on.
-    #[arg(long = "for", value_name = "TIME", value_parser = span)]
-    duration: Option<Duration>,
-    /// How many LinMot drives, next to two Unidrives and two Kollmorgens.
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
-    drives: u16,
-    /// The period of the cycle; without it, the shortest of 1, 2, 4, 8 and 16 ms that this host carries now.
-    #[arg(long, value_name = "TIME", value_parser = span)]
-    period: Option<Duration>,
-    #[command(flatten)]
-    output: Output,
-}
-
 /// The master, its axes and what is shown of them meanwhile.
-struct Show {
-    master: Master,
-    axes: Vec<Axis>,
+pub struct Show {
+    pub master: Master,
+    pub axes: Vec<Axis>,
     /// So many of them, the first ones, take positions; the others velocities only.
-    movers: usize,
+    pub movers: usize,
     /// All that is shown has ended by then.
-    end: Instant,
-    handler: Handler,
-}
-
-impl Demo {
-    /// Runs it.
-    pub fn run(self) -> Result<(), Stop> {
-        let begun = Instant::now();
-        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let output = self.output.prepare()?;
-        let period_ns = period_ns(self.period)?;
-        let Served { plan, server, claim: _claim } = serve(usize::from(self.drives), period_ns)?;
-        // The bus whose clock leads takes few periods.
-        if plan.cycle.reference.is_none() {
-            let period = Ns(period_ns);
-            complain(&format!(
-                "without the Kollmorgens: they take a --period of whole multiples of 250us below 3ms, of 1ms above, \
-                 not {period}"
-            ));
-        }
-        let master = start(output.setup(plan), &interrupt)?;
-        let output = output.serve(&master)?;
-
-        let (movers, turners) = names(master.plan());
-        let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
-        let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
-        let handler = Handler::new(&master, &interrupt);
-        let end = begun + self.duration.unwrap_or(PATIENCE);
-        let mut show = Show { master, axes, movers: movers.len(), end, handler };
-        let result = show.wait_online().and_then(|()| {
-            if self.duration.is_none() {
-                show.end = Instant::now() + SHOW;
-            }
-            show.play()
-        });
-        show.handler.end(&show.master);
-        let (summary, printed) = output.finish(show.master);
-        server.stop();
-        let verdict = match result {
-            _ if summary.has_failed() => Err(not_whole(&summary)),
-            Ok(()) | Err(Error::Over) if interrupt.is_set() || summary.is_whole() => Ok(()),
-            Ok(()) | Err(Error::Over) => Err(not_whole(&summary)),
-            Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
-            Err(error) => Err(Stop::failed(error)),
-        };
-        both(printed, verdict)
-    }
-}
-
-/// The requested period, or the shortest that this host carries; one line says why.
-fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
-    if let Some(period) = requested {
-        // A period that cannot be is refused before anything is measured.
-        demo_plan(1, nanos(period), 0).map_err(Stop::usage)?;
-    }
-    let seen = glance(&CyclePlan::default()).map_err(Stop::usage)?;
-    let carried = seen.shortest(&PERIODS_NS);
-    let Some(period) = requested else {
-        complain(&chosen(&seen, carried));
-        return Ok(carried);
-    };
-    let period_ns = nanos(period);
-    if period_ns < carried {
-        complain(&format!(
-            "--period {}: expect about {} of the cycles to be late, with drives that miss them; this host {}, and \
-             carries {}",
-            Ns(period_ns),
-            percent(seen.disturbed(period_ns)),
-            holds_up(&seen),
-            Ns(carried),
-        ));
-    }
-    Ok(period_ns)
-}
-
-/// The simulated drives, at the first addresses that no other demo has.
-fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
-    let mut in_use = None;
-    for place in 0..DEMO_PLACES {
-        let Configuration { plan, simulation } = demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
-        let name = format!("fieldbeat-demo/{place}");
-        let claim = SocketAddr::from_abstract_name(name).and_then(|name| UnixListener::bind_addr(&name));
-        let served = claim.and_then(|claim| {
-            let server = SimServer::start(simulation.build(), serving(&plan, None))?;
-            Ok((claim, server))
-        });
-        match served {
-            Ok((claim, server)) => return Ok(Served { plan, server, claim }),
-            Err(error) if error.kind() == ErrorKind::AddrInUse => in_use = Some(error),
-            Err(error) => return Err(Stop::usage(format!("cannot simulate the drives: {error}"))),
-        }
-    }
-    let why = in_use.map_or(String::new(), |error| format!(": {error}"));
-    Err(Stop::usage(format!("{DEMO_PLACES} demos run already, or others have their addresses{why}; end one")))
-}
-
-/// The drives of a demo, with addresses that are its own for as long as this lives.
-struct Served {
-    plan: Plan,
-    server: SimServer,
-    /// An abstract address of the network namespace: it needs no rights, and the kernel takes it back on death.
-    claim: UnixListener,
-}
-
-/// Why this period, and not a shorter one.
-fn chosen(seen: &Glance, period_ns: u64) -> String {
-    let Some(shorter) = PERIODS_NS.iter().rev().find(|shorter| **shorter < period_ns) else {
-        return format!("cycle of {}: this host carries it", Ns(period_ns));
-    };
-    let streams = if period_ns > DEMO_STREAMS_UP_TO_NS { "; LinMots take no streams so slowly" } else { "" };
-    format!(
-        "cycle of {}: at {} this host, which {}, would disturb {} of the cycles{streams}; `fieldbeat doctor` says \
-         more",
-        Ns(period_ns),
-        Ns(*shorter),
-        holds_up(seen),
-        percent(seen.disturbed(*shorter)),
-    )
-}
-
-fn holds_up(seen: &Glance) -> String {
-    format!("holds threads up for as long as {:.1} ms", seen.longest_ns() as f64 / MS as f64)
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.0} %", share * 100.0)
-}
-
-/// The names of the axes that take positions, and of those that take velocities only.
-fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
-    let of = |moves: bool| {
-        let buses = plan.buses.iter();
-        let axes = buses.flat_map(|bus| {
-            let axes = bus.axes().into_iter().enumerate();
-            axes.filter(move |(index, _)| bus.capabilities(*index).lacks.moves.is_none() == moves)
-        });
-        axes.map(|(_, axis)| axis.name.clone()).collect()
-    };
-    (of(true), of(false))
+    pub end: Instant,
+    pub handler: Handler,
 }
 
 /// Whether the command ended because the end was requested.
-fn was_stopped(error: &Error) -> bool {
+pub fn was_stopped(error: &Error) -> bool {
     match error {
         Error::Axis(AxisError::Ended {
             outcome: Outcome::Aborted(Abort::Stopped(StopCause::Shutdown)),
@@ -233,7 +60,7 @@ fn was_stopped(error: &Error) -> bool {
 
 /// What can go wrong in the show.
 #[derive(Debug, thiserror::Error)]
-enum Error {
+pub enum Error {
     #[error(transparent)]
     Axis(#[from] AxisError),
     #[error(transparent)]
@@ -246,7 +73,7 @@ enum Error {
 }
 
 impl Show {
-    fn play(&mut self) -> Result<(), Error> {
+    pub fn play(&mut self) -> Result<(), Error> {
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
         self.together("enable", &all, |_| Command::Enable)?;
         self.together("home", &movers, |_| Command::Home)?;
@@ -269,7 +96,7 @@ impl Show {
     }
 
     /// Waits for the drives, and shows meanwhile how they come up.
-    fn wait_online(&mut self) -> Result<(), Error> {
+    pub fn wait_online(&mut self) -> Result<(), Error> {
         let begun = Instant::now();
         loop {
             match self.master.wait_online(Duration::from_millis(50)) {
