@@ -7,9 +7,9 @@
 //! its station, if it is found so.
 //!
 //! A drive that cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as
-//! `on_found_running` says. While one that is left alone runs on a time other than the segment's, the segment's
-//! time goes to no slave. The first one gives the segment its time. Anything else that is found in OP is set up from
-//! INIT.
+//! `on_found_running` says. While one that is left alone runs on a time other than the segment's, or one that cannot
+//! be used at all runs, the segment's time goes to no slave. The first one gives the segment its time. Anything else
+//! that is found in OP is set up from INIT.
 
 use super::setup::WATCHDOG_DIVIDER;
 use super::{Context, List, Mapped, Note, Slave, Step, Way};
@@ -85,12 +85,7 @@ impl Slave {
 
     /// The time that it runs on, read before anything else; returned, if it is to become the segment's. SYNC0 has to
     /// come where all others have theirs.
-    pub(super) fn found_clock(
-        &mut self,
-        context: &Context<'_>,
-        answers: &Answers<'_>,
-        note: Option<Note>,
-    ) -> Option<Running> {
+    pub(super) fn found_clock(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Option<Running> {
         let (now, sent_at, clock) = (context.cycle.grid, context.sent_at, &context.clock);
         let running = Running::receive(answers)?;
         let is_same = clock.is_time_of(context.cycle, sent_at, running.time);
@@ -99,10 +94,7 @@ impl Slave {
         let phase_ns = running.phase_ns(clock, context.cycle, sent_at);
         let is_in_phase = phase_ns.is_some_and(|phase| !context.has_time || context.is_phase(phase));
         self.clock_fits = !self.other_time && if self.plan.sync { is_in_phase } else { !running.is_cyclic() };
-        match note {
-            Some(note) => self.refuse(now, note),
-            None => self.enter(now, Step::sii()),
-        }
+        self.enter(now, Step::sii());
         (running.is_cyclic() && !context.has_time).then_some(running)
     }
 

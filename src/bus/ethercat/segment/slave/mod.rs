@@ -110,8 +110,8 @@ enum Step {
     /// Nothing until then.
     Rest(Time),
     Look,
-    /// In OP already: the time that it runs on is read. Then it is refused, or its identity is read.
-    FoundClock(Option<Note>),
+    /// In OP already: the time that it runs on is read.
+    FoundClock,
     SiiOwner,
     Sii(Reader<Managers>),
     /// A drive in OP: its SyncManagers and watchdog, its FMMUs, its station address, ...
@@ -433,7 +433,7 @@ impl Slave {
             _ if self.way.joined && self.way.mapped == Mapped::Inputs => true,
             Step::Rest(_)
             | Step::Look
-            | Step::FoundClock(_)
+            | Step::FoundClock
             | Step::SiiOwner
             | Step::Sii(_)
             | Step::Found

@@ -22,7 +22,7 @@ impl Slave {
         let happened = self.take_answers(context, answers);
         let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
         let running = match step {
-            Step::FoundClock(note) if is_received => self.found_clock(context, answers, note),
+            Step::FoundClock if is_received => self.found_clock(context, answers),
             _ => None,
         };
         (happened, running)
@@ -98,7 +98,7 @@ impl Slave {
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
             Step::Code => return self.receive_code(now, first.data),
-            Step::Rest(_) | Step::FoundClock(_) => {}
+            Step::Rest(_) | Step::FoundClock => {}
             Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
@@ -144,10 +144,7 @@ impl Slave {
         let has_time = runs && self.features.has_clock();
         (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
         if let Some(note) = self.unusable(station) {
-            match has_time {
-                true => self.enter(now, Step::FoundClock(Some(note))),
-                false => self.refuse(now, note),
-            }
+            self.refuse(now, note);
             return Happened::Nothing;
         }
         let restarted = self.known && (station != self.station() || self.way.al == Some(AlState::Init));
@@ -160,7 +157,7 @@ impl Slave {
             self.enter(
                 now,
                 match runs {
-                    _ if has_time => Step::FoundClock(None),
+                    _ if has_time => Step::FoundClock,
                     true => Step::sii(),
                     false => Step::SiiOwner,
                 },

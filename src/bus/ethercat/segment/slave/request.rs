@@ -47,7 +47,7 @@ impl Slave {
                 ask.read(self.reads(address::AL_STATUS), AL_LOOK);
                 ask.read(self.reads(address::TYPE), LOOK);
             }
-            Step::FoundClock(_) => self.request_running(ask),
+            Step::FoundClock => self.request_running(ask),
             Step::SiiOwner => {
                 ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
                 ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
