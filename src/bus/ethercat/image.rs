@@ -45,7 +45,7 @@ pub struct Offsets {
     /// The index of the frame.
     pub frame: usize,
     /// Its outputs.
-    pub outputs: Range<usize>,
+    pub outputs: Range<u16>,
     /// Its AL status.
     pub al: usize,
     /// Its inputs.
@@ -264,7 +264,7 @@ impl Frame {
             input += AL_SIZE + deep;
             Offsets {
                 frame,
-                outputs: begin..begin + wide,
+                outputs: begin as u16..(begin + wide) as u16,
                 al,
                 inputs: al + AL_SIZE..al + AL_SIZE + deep,
                 logical,
@@ -278,15 +278,15 @@ impl Frame {
         &self.bytes[..self.length]
     }
 
-    /// The next outputs of the slave at these offsets: they stay until others are written there.
+    /// The next outputs in this range, which is that of a slave: they stay until others are written there.
     #[inline]
-    pub fn outputs(&mut self, offsets: &Offsets) -> &mut [u8] {
-        self.next.get_mut(offsets.outputs.clone()).unwrap_or_default()
+    pub fn outputs(&mut self, range: &Range<u16>) -> Option<&mut [u8]> {
+        self.next.get_mut(range.start.into()..range.end.into())
     }
 
-    /// Its next outputs are the previous ones.
-    pub fn keep_outputs(&mut self, offsets: &Offsets) {
-        let range = offsets.outputs.clone();
+    /// The next outputs there are the previous ones.
+    pub fn keep_outputs(&mut self, range: &Range<u16>) {
+        let range = usize::from(range.start)..usize::from(range.end);
         if let (Some(next), Some(sent)) = (self.next.get_mut(range.clone()), self.bytes.get(range)) {
             next.copy_from_slice(sent);
         }

@@ -122,6 +122,7 @@ fn value(layout: &Layout, object: Object, bytes: &[u8]) -> Option<i64> {
 
 /// The station's end.
 #[derive(Debug)]
+#[repr(C)] // Its writer is used with each report.
 pub(super) struct NativePort {
     inputs: Writer<Image<{ FRONT + PDO_MAX / WORD }>>,
     outputs: Consumer<NativeOutput>,
@@ -362,6 +363,10 @@ impl<const N: usize> Image<N> {
 fn pack(at: Time, flag: bool, bytes: &[u8], mut push: impl FnMut(u64)) {
     push(at.0);
     push(u64::from(flag) << 63 | bytes.len() as u64);
+    if let Ok(word) = bytes.try_into() {
+        // The PDO that most drives have.
+        return push(u64::from_le_bytes(word));
+    }
     let (words, rest) = bytes.as_chunks();
     for word in words {
         push(u64::from_le_bytes(*word));

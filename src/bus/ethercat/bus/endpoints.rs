@@ -1,5 +1,7 @@
 //! The drives and devices behind the slaves of a segment: the stations of drives, and the ports of devices.
 
+use std::ops::Range;
+
 use crate::axis::acyclic::AcyclicEnds;
 use crate::axis::cell::Writer;
 use crate::axis::{Emergency, Feedback, Link, Observer};
@@ -18,11 +20,18 @@ use crate::time::Time;
 /// The master's side of a drive.
 pub(super) struct DriveEnd {
     pub(super) station: Station,
-    /// Outputs are built that have not been sent.
-    pub(super) built: bool,
-    pub(super) offsets: Offsets,
     /// Its slave.
     pub(super) slave: usize,
+}
+
+/// The outputs of a drive: apart from its station, since those of some drives share a cache line.
+#[derive(Clone, Debug)]
+pub(super) struct Outgoing {
+    /// The index of the frame, and the range in it.
+    pub(super) frame: u16,
+    pub(super) range: Range<u16>,
+    /// Outputs are built that have not been sent.
+    pub(super) built: bool,
 }
 
 /// The master's side of a device.
@@ -162,7 +171,7 @@ impl Handler for Endpoints<'_> {
         }
     }
 
-    #[inline(always)] // Of each drive and cycle: a call would cost a sixth of it.
+    #[inline(always)] // As `Station::take`.
     fn take(&mut self, owner: Owner, Taken { at, al, inputs, in_window }: Taken<'_>) {
         match self.of(owner) {
             Some(End::Drive(station, slot)) if in_window => station.take(at, inputs, al, slot),

@@ -124,8 +124,8 @@ impl EthercatBus {
 
     /// Counts something of each drive in a frame; of all drives, if the frame is unknown.
     fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
-        for (slot, drive) in slots.iter_mut().zip(&self.drives) {
-            if frame.is_none_or(|frame| frame == drive.offsets.frame)
+        for ((slot, drive), out) in slots.iter_mut().zip(&self.drives).zip(&self.outgoing) {
+            if frame.is_none_or(|frame| frame == usize::from(out.frame))
                 && self.segment.is_operational(drive.slave)
             {
                 count(&mut slot.counters);
@@ -135,8 +135,8 @@ impl EthercatBus {
 
     /// Counts frame `number`, which came after its window, as late for the drives of its exchanges.
     fn count_late(&self, number: usize, sent: &Sent, slots: &mut [Slot]) {
-        for (slot, drive) in slots.iter_mut().zip(&self.drives) {
-            let was_sent = drive.offsets.frame == number && drive.station.sent_grid == sent.cycle.grid;
+        for ((slot, drive), out) in slots.iter_mut().zip(&self.drives).zip(&self.outgoing) {
+            let was_sent = usize::from(out.frame) == number && drive.station.sent_grid == sent.cycle.grid;
             if was_sent && self.segment.is_operational(drive.slave) {
                 slot.counters.late += 1;
             }
@@ -163,18 +163,25 @@ impl EthercatBus {
         cycle: &Cycle,
         slots: &mut [Slot],
     ) {
-        let settled = self.segment.is_settled();
-        for (DriveEnd { station, built, offsets, slave, .. }, slot) in self.drives.iter_mut().zip(slots) {
-            if !slot.due || offsets.frame != number {
-                continue;
+        let drives = self.drives.iter_mut().zip(&mut self.outgoing).zip(slots);
+        let drives = drives.filter(|((_, out), slot)| slot.due && usize::from(out.frame) == number);
+        // The frame is sent in each cycle with the last outputs: so the counting of sent outputs advances in each.
+        if let Some(sent_at) = sent_at.filter(|_| self.segment.is_settled()) {
+            for ((drive, out), slot) in drives {
+                out.built = false;
+                if slot.link == Link::Lost {
+                    slot.reachable = true;
+                }
+                drive.station.sent(sent_at, cycle.deadline, slot);
             }
-            *built = sent_at.is_none();
-            let is_requested = settled || self.segment.is_operational(*slave);
-            // The frame is sent in each cycle with the last outputs: so the counting of sent outputs advances in
-            // each.
+            return;
+        }
+        for ((DriveEnd { station, slave }, out), slot) in drives {
+            out.built = sent_at.is_none();
+            let is_requested = self.segment.is_operational(*slave);
             slot.reachable |= is_requested && slot.link == Link::Lost;
             match sent_at.filter(|_| is_requested) {
-                Some(sent_at) if settled || self.segment.outputs_count(*slave) => {
+                Some(sent_at) if self.segment.outputs_count(*slave) => {
                     station.sent(sent_at, cycle.deadline, slot);
                 }
                 Some(sent_at) => station.open(sent_at, cycle.deadline, slot),

@@ -18,7 +18,7 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use self::endpoints::{DeviceEnd, DriveEnd, Endpoints};
+use self::endpoints::{DeviceEnd, DriveEnd, Endpoints, Outgoing};
 use self::frames::{Flight, KNOWN, Known};
 use self::notes::{NOTHING_BACK, OTHER_MASTER, SlaveNotes};
 use self::plan::open;
@@ -58,6 +58,8 @@ pub struct EthercatBus {
     segment: Segment,
     drives: Vec<DriveEnd>,
     devices: Vec<DeviceEnd>,
+    /// The outputs of each drive.
+    outgoing: Box<[Outgoing]>,
     ends: Ends,
     /// Identifies this master in its frames, and counts them.
     mark: Mark,
@@ -116,7 +118,7 @@ impl EthercatBus {
             (slave, offsets.get(slave).cloned().unwrap_or_default())
         };
         let turn_ns = period_ns.saturating_mul(slaves.len() as u64);
-        let mut ends = Ends::default();
+        let (mut ends, mut outgoing) = (Ends::default(), Vec::with_capacity(plan.drives.len()));
         let drives: Vec<_> = plan
             .drives
             .iter()
@@ -126,7 +128,8 @@ impl EthercatBus {
                 let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns);
                 let (slave, offsets) = offsets_of(Owner::Drive(index));
                 ends.push(native, acyclic);
-                DriveEnd { station, built: false, offsets, slave }
+                outgoing.push(Outgoing { frame: offsets.frame as u16, range: offsets.outputs, built: false });
+                DriveEnd { station, slave }
             })
             .collect();
         let devices = plan.devices.iter().enumerate().map(|(index, Device { slave, .. })| {
@@ -150,6 +153,7 @@ impl EthercatBus {
             flights: vec![Flight::default(); image.frames().len()].into(),
             image,
             drives,
+            outgoing: outgoing.into(),
             devices: devices.collect(),
             ends,
             segment: Segment::new(&plan, offsets, period_ns),
@@ -184,6 +188,7 @@ impl Bus for EthercatBus {
         regions.add(&*self.room);
         regions.add(&*self.drives);
         regions.add(&*self.devices);
+        regions.add(&*self.outgoing);
         for drive in &self.drives {
             drive.station.memory(regions);
         }
@@ -232,19 +237,23 @@ impl Bus for EthercatBus {
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         let frames = self.image.frames_mut();
-        for (DriveEnd { station, built, offsets, .. }, slot) in self.drives.iter_mut().zip(&mut *slots) {
+        let drives = self.drives.iter_mut().zip(&mut self.outgoing);
+        for ((DriveEnd { station, .. }, Outgoing { frame, range, built }), slot) in drives.zip(&mut *slots) {
+            let frame = &mut frames[usize::from(*frame)];
             if slot.due {
-                station.encode(cycle.grid, slot, frames[offsets.frame].outputs(offsets));
+                if let Some(outputs) = frame.outputs(range) {
+                    station.encode(cycle.grid, slot, outputs);
+                }
             } else if *built {
                 // Its send was passed over.
-                frames[offsets.frame].keep_outputs(offsets);
+                frame.keep_outputs(range);
                 station.profile.outputs_replaced();
             }
             *built = slot.due;
         }
         for device in &mut self.devices {
-            let place = frames[device.offsets.frame].outputs(&device.offsets);
-            place.iter_mut().zip(device.port.outputs()).for_each(|(place, output)| *place = *output);
+            let place = frames[device.offsets.frame].outputs(&device.offsets.outputs).into_iter().flatten();
+            place.zip(device.port.outputs()).for_each(|(place, output)| *place = *output);
         }
         if self.is_back() {
             self.finish(cycle, slots);

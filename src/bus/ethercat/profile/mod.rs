@@ -17,12 +17,12 @@ mod offsets;
 pub(super) use self::capabilities::capabilities;
 use self::capabilities::quantity;
 use self::offsets::Offsets;
-pub(super) use self::offsets::{Counts, tells_position};
+pub(super) use self::offsets::tells_position;
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::KollmorgenDrive;
+use crate::axis::State;
 use crate::axis::command::NativeOwner;
-use crate::axis::{State, Units};
 use crate::bus::desired::{
     self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable,
 };
@@ -107,13 +107,33 @@ impl Carried {
 
 /// The profile of one drive.
 #[derive(Debug)]
+#[repr(C)] // What an exchange touches in any case comes first, and is dense.
 pub(super) struct Profile {
-    offsets: Offsets,
-    native: NativePort,
-    units: Units,
-    quantity: Quantity,
-    /// Raw setpoint of one user unit/s, or of one per cent of the rated torque; negative if the axis is inverted.
+    /// The slot of the grid that the prepared exchange is built for, and the serials and the row desired in it.
+    pub grid: Time,
+    serials: (u64, u64, u64),
+    wanted_row: u64,
+    row: Carried,
+    /// The exchanges that were answered.
+    answers: u64,
+    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
+    /// axis is inverted. `origin`: the position that is 0 there.
     scale: f64,
+    origin: f64,
+    quantity: Quantity,
+    /// What is neither control word nor setpoint is in the outputs.
+    is_filled: bool,
+    /// Who owns the control word in native mode; `None`: that does not run.
+    native_owner: Option<NativeOwner>,
+    /// The next native output of the application went out.
+    is_sent: bool,
+    control: ControlWord,
+    setpoint: i32,
+    sent: Sent,
+    pub offsets: Offsets,
+    native: NativePort,
+    /// What is desired in the prepared exchange.
+    wanted: Desired,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
     /// Its watchdog is to be set.
@@ -121,24 +141,12 @@ pub(super) struct Profile {
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
     mode_refused: bool,
-    /// The slot of the grid that the prepared exchange is built for, and what is desired in it.
-    pub grid: Time,
-    wanted: Desired,
-    control: ControlWord,
-    setpoint: i32,
-    /// What is neither control word nor setpoint is in the outputs.
-    is_filled: bool,
     /// It homes, or has not left the mode of that.
     homes: bool,
-    /// The next native output of the application; `is_sent`: it went out.
+    /// The next native output of the application.
     output: Option<NativeOutput>,
-    is_sent: bool,
-    sent: Sent,
-    /// The exchanges that were answered.
-    answers: u64,
     power: Carried,
     motion: Carried,
-    row: Carried,
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
@@ -173,14 +181,17 @@ impl Profile {
         Profile {
             offsets: Offsets::new(drive),
             native,
-            units: drive.axis.units,
             quantity,
             scale,
+            origin: drive.axis.units.offset,
             mode_bits: if mode == Some(Mode::INTERPOLATED) { ControlWord::START } else { 0 },
             watched: drive.slave.watchdog_ns.is_some(),
             found_otherwise: false,
             mode_refused: false,
+            native_owner: None,
             grid: Time(0),
+            serials: (0, 0, 0),
+            wanted_row: 0,
             wanted: Desired::default(),
             control: ControlWord(0),
             setpoint: 0,
@@ -211,27 +222,26 @@ impl Profile {
     pub(super) fn encode(&mut self, grid: Time, desired: &Desired, outputs: &mut [u8]) -> bool {
         self.grid = grid;
         let Desired { power, mode, motion, setpoint } = desired;
-        let Desired { power: last_power, mode: last_mode, motion: last_motion, .. } = &self.wanted;
-        let is_new = (power.serial, mode.serial, motion.serial)
-            != (last_power.serial, last_mode.serial, last_motion.serial);
+        let serials = (power.serial, mode.serial, motion.serial);
+        let is_new = serials != self.serials;
         if is_new {
+            self.serials = serials;
             self.change(desired);
         }
-        self.wanted.setpoint.row = setpoint.row;
-        self.setpoint = match self.quantity {
-            Quantity::Position => {
-                // The lowest 32 bits of a count: the drive's own count wraps context as well.
-                rounded((setpoint.position - self.units.offset) * self.units.counts_per_unit) as i64 as i32
-            }
-            Quantity::Velocity => rounded(setpoint.velocity * self.scale) as i32,
-            Quantity::Torque => rounded(setpoint.torque * self.scale) as i32,
-            Quantity::Unknown => 0,
+        self.wanted_row = setpoint.row;
+        self.setpoint = if self.quantity == Quantity::Position {
+            // The lowest 32 bits of a count: the drive's own count wraps as well.
+            rounded((setpoint.position - self.origin) * self.scale) as i64 as i32
+        } else {
+            let is_velocity = self.quantity == Quantity::Velocity;
+            // Without a setpoint its scale is 0.
+            rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
         };
         if !std::mem::replace(&mut self.is_filled, true) {
             self.offsets.fill(outputs);
         }
         self.offsets.write(self.control.0, self.setpoint, outputs);
-        if let Some(owner) = self.native_owner() {
+        if let Some(owner) = self.native_owner {
             self.encode_native(owner, outputs);
         }
         is_new
@@ -265,12 +275,6 @@ impl Profile {
         self.native.publish(at, is_native, inputs);
     }
 
-    /// Reads the input PDO; `None`: it has no status word.
-    #[inline]
-    pub(super) fn read(&self, inputs: &[u8]) -> Option<Counts> {
-        self.offsets.read(inputs)
-    }
-
     /// Something else is desired.
     #[cold]
     fn change(&mut self, desired: &Desired) {
@@ -280,6 +284,7 @@ impl Profile {
             self.native.flush();
         }
         self.wanted = *desired;
+        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
         self.homes |= motion.value == Motion::Home;
         let word = match power.value {
             Power::Untouched | Power::Off => ControlWord(0),
@@ -300,16 +305,10 @@ impl Profile {
         self.control = word.with(bits | halt);
     }
 
-    /// Who owns the control word in native mode; `None`: it does not run.
-    #[inline]
-    fn native_owner(&self) -> Option<NativeOwner> {
-        if let Motion::Native(owner) = self.wanted.motion.value { Some(owner) } else { None }
-    }
-
     /// Native mode runs.
     #[inline]
     pub(super) fn is_native(&self) -> bool {
-        self.native_owner().is_some()
+        self.native_owner.is_some()
     }
 
     /// Something is desired of it: the drive is commanded from now on. Before, it is only read, and a drive found in
@@ -332,7 +331,7 @@ impl Profile {
     /// changed but the setpoint and its row.
     #[inline]
     pub(super) fn sent(&mut self, is_steady: bool) {
-        self.row.sent(self.wanted.setpoint.row, self.answers);
+        self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
         self.is_sent = true;
         if !is_steady {
@@ -340,6 +339,7 @@ impl Profile {
         }
     }
 
+    #[inline(never)]
     fn sent_anew(&mut self) {
         let Desired { power, motion, .. } = &self.wanted;
         self.power.sent(power.serial, self.answers);
@@ -433,7 +433,7 @@ impl Profile {
             if self.homes && mode == ModeIs::Own {
                 self.homes = false;
                 // The bits of its mode are back.
-                self.wanted.mode.serial = 0;
+                self.serials = (0, 0, 0);
             }
         }
         let accepted = &mut evidence.accepted;

@@ -24,28 +24,19 @@ const NOWHERE: u16 = PDO_MAX as u16;
 
 /// The offsets of the values in the outputs and inputs.
 #[derive(Clone, Debug)]
-pub(super) struct Offsets {
-    /// The outputs without control word and setpoint.
-    rest: Box<[u8]>,
+#[repr(C)] // Dense, before what is rarely used.
+pub(in crate::bus::ethercat) struct Offsets {
     control: u16,
     setpoint: u16,
-    /// The setpoint has 16 bits.
-    is_short: bool,
     status: u16,
     position: u16,
     velocity: u16,
     torque: u16,
     fault: u16,
-}
-
-/// The drive's report, as counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::bus::ethercat) struct Counts {
-    pub status: u16,
-    pub position: Option<i32>,
-    pub velocity: Option<i32>,
-    pub torque: Option<i16>,
-    pub fault: Option<u16>,
+    /// The setpoint has 16 bits.
+    is_short: bool,
+    /// The outputs without control word and setpoint.
+    rest: Box<[u8]>,
 }
 
 impl Offsets {
@@ -106,16 +97,33 @@ impl Offsets {
         put(outputs, self.control, control.to_le_bytes());
     }
 
-    /// Reads the input PDO; `None`: it has no status word.
+    /// The status word of the input PDO, if it has one.
     #[inline]
-    pub(super) fn read(&self, inputs: &[u8]) -> Option<Counts> {
-        Some(Counts {
-            status: u16::from_le_bytes(get(inputs, self.status)?),
-            position: get(inputs, self.position).map(i32::from_le_bytes),
-            velocity: get(inputs, self.velocity).map(i32::from_le_bytes),
-            torque: get(inputs, self.torque).map(i16::from_le_bytes),
-            fault: get(inputs, self.fault).map(u16::from_le_bytes),
-        })
+    pub(in crate::bus::ethercat) fn status(&self, inputs: &[u8]) -> Option<u16> {
+        get(inputs, self.status).map(u16::from_le_bytes)
+    }
+
+    /// Its actual position.
+    #[inline]
+    pub(in crate::bus::ethercat) fn position(&self, inputs: &[u8]) -> Option<i32> {
+        get(inputs, self.position).map(i32::from_le_bytes)
+    }
+
+    /// Its actual velocity.
+    #[inline]
+    pub(in crate::bus::ethercat) fn velocity(&self, inputs: &[u8]) -> Option<i32> {
+        get(inputs, self.velocity).map(i32::from_le_bytes)
+    }
+
+    /// Its actual torque.
+    #[inline]
+    pub(in crate::bus::ethercat) fn torque(&self, inputs: &[u8]) -> Option<i16> {
+        get(inputs, self.torque).map(i16::from_le_bytes)
+    }
+
+    /// The code of its fault.
+    pub(in crate::bus::ethercat) fn fault(&self, inputs: &[u8]) -> Option<u16> {
+        get(inputs, self.fault).map(u16::from_le_bytes)
     }
 }
 
@@ -176,9 +184,10 @@ mod tests {
         offsets.fill(&mut outputs);
         offsets.write(0x0F, 100_000, &mut outputs);
         assert_eq!(outputs, [0xA0, 0x86, 0x01, 0, 0x0F, 0]);
-        let said = offsets.read(&[0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06]).unwrap();
-        assert_eq!((said.status, said.position, said.torque), (0x0637, Some(123_456), Some(-250)));
-        assert_eq!((said.velocity, said.fault), (None, None));
+        let inputs = [0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06];
+        assert_eq!((offsets.status(&inputs), offsets.fault(&inputs)), (Some(0x0637), None));
+        assert_eq!((offsets.position(&inputs), offsets.velocity(&inputs)), (Some(123_456), None));
+        assert_eq!(offsets.torque(&inputs), Some(-250));
     }
 
     #[test]
@@ -205,6 +214,7 @@ mod tests {
             offsets.fill(&mut outputs);
             offsets.write(0x0F, -1, &mut outputs);
         }
-        assert!((0..8).all(|length| offsets.read(&vec![0; length]).is_none()));
+        assert!((0..8).all(|length| offsets.status(&vec![0; length]).is_none()));
+        assert_eq!((offsets.position(&[0; 3]), offsets.torque(&[0; 5])), (None, None));
     }
 }

@@ -95,12 +95,13 @@ impl Slaves {
     #[inline]
     fn in_operation(&self, range: Range<usize>, received: &[u8]) -> Option<&[View]> {
         let views = self.views.get(range)?;
-        let shown = |view: &View| {
+        let mut differs = 0;
+        for view in views {
             let al = usize::from(view.al);
-            let bytes = received.get(al..al + AL_SIZE).and_then(|bytes| bytes.try_into().ok());
-            bytes.is_some_and(|bytes| u16::from_le_bytes(bytes) & AlStatus::SHOWN == OPERATIONAL.0)
-        };
-        views.iter().all(shown).then_some(views)
+            let bytes = received.get(al..al + AL_SIZE)?.try_into().ok()?;
+            differs |= (u16::from_le_bytes(bytes) ^ OPERATIONAL.0) & AlStatus::SHOWN;
+        }
+        (differs == 0).then_some(views)
     }
 }
 

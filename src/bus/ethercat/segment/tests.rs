@@ -319,7 +319,7 @@ fn a_coupler_takes_part_with_its_bytes() {
     rig.receive(10);
     assert_eq!(rig.reported.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
     let offsets = rig.line.slaves[1].offsets.clone();
-    rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
+    rig.image.frames_mut()[0].outputs(&offsets.outputs).unwrap().copy_from_slice(&[0xA5]);
     rig.run(2);
     assert_eq!((rig.wrong_counts(), rig.al(1)), (0, AlState::Op));
 }
@@ -445,7 +445,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     let io = Coupler::of(&plan.devices[0]).slave("I/O", Identity::default(), settings);
     *rig.sim.segment() = ethercat::Segment::new(vec![io]);
     let offsets = rig.line.slaves[0].offsets.clone();
-    rig.image.frames_mut()[0].outputs(&offsets).copy_from_slice(&[0xA5]);
+    rig.image.frames_mut()[0].outputs(&offsets.outputs).unwrap().copy_from_slice(&[0xA5]);
     rig.all_up(4_000);
     assert!(!rig.line.slaves[0].has_al);
     rig.run(200);

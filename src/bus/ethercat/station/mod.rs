@@ -20,7 +20,7 @@ use super::faults::Clearing;
 use super::native::{Native, native};
 use super::object::commanding;
 use super::plan::{KollmorgenDrive, Setpoint};
-use super::profile::{Counts, Inputs, Profile, tells_position};
+use super::profile::{Inputs, Profile, tells_position};
 use super::service::Service;
 use super::wire::mailbox::Emergency;
 use super::wire::registers::AlState;
@@ -39,55 +39,60 @@ const ANY_ERROR: u16 = 0x1000;
 
 /// What was read of a drive since it was switched on.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)] // What a report changes in any case comes last, and is dense: more of that follows in the station.
 struct Seen {
-    inputs: Inputs,
-    actual: Unwrap,
-    demand: Unwrap,
-    /// The last position, and its slot of the grid.
-    last: Option<(i64, Time)>,
     /// The newest emergency that is no warning; code 0: none.
     emergency: Emergency,
     emergency_at: Time,
     faulted_at: Option<Time>,
     warning: u16,
+    demand: Unwrap,
+    actual: Unwrap,
+    /// The last position, and its slot of the grid; 0: there is none.
+    last: i64,
+    last_grid: Time,
+    inputs: Inputs,
 }
 
 /// One drive as the master sees it.
 #[derive(Debug)]
+#[repr(C)] // What an exchange touches in any case is dense: from the end of `seen` to the begin of `profile`.
 pub struct Station {
-    units: Units,
-    unit_per_count: f64,
-    /// User units/s per count of 606Ch; A per per mille.
-    velocity_per_count: f64,
-    current_per_permille: f64,
-    standstill: f64,
-    /// A faster motion while it homes is not a valid velocity.
-    most_velocity: f64,
-    /// User units/s of one count in a usual interval.
-    rate: f64,
-    interval_ns: u64,
-    /// Its setpoint is a position, and it reports its own.
-    has_place: bool,
-    pub(super) profile: Profile,
     /// What was read of it.
     seen: Seen,
-    pub(super) requests: Requests,
-    pub(super) service: Service,
-    /// The slave's state; `None`: below SAFEOP, or not there.
-    al: Option<AlState>,
-    pub(super) sent_grid: Time,
+    /// User units per count; user units/s of one count in a usual interval.
+    unit_per_count: f64,
+    rate: f64,
+    interval_ns: u64,
+    standstill: f64,
+    /// A per per mille; user units/s per count of 606Ch.
+    current_per_permille: f64,
+    velocity_per_count: f64,
+    units: Units,
+    /// It reports its position.
+    tells_position: bool,
     /// The setpoints of the outputs are its demand, and reach it.
     led: bool,
     /// The outputs of the last exchange reach the drive.
     reached: bool,
+    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
+    /// the values of its process data count then. That holds for exchanges before this slot; 0: for none.
+    steady_until: Time,
+    pub(super) sent_grid: Time,
+    pub(super) profile: Profile,
+    /// A faster motion while it homes is not a valid velocity.
+    most_velocity: f64,
+    /// Its setpoint is a position, and it reports its own.
+    has_place: bool,
+    pub(super) requests: Requests,
+    pub(super) service: Service,
+    /// The slave's state; `None`: below SAFEOP, or not there.
+    al: Option<AlState>,
     named_within_ns: u64,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
     /// The application writes a parameter that may command the drive.
     commanded: bool,
-    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
-    /// the values of its process data count then.
-    is_steady: bool,
 }
 
 impl Station {
@@ -112,6 +117,7 @@ impl Station {
                 * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
             rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
             interval_ns,
+            tells_position: tells_position(drive),
             has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && tells_position(drive),
             profile,
             seen: Seen::default(),
@@ -124,7 +130,7 @@ impl Station {
             named_within_ns: NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns),
             was_restarted: false,
             commanded: false,
-            is_steady: false,
+            steady_until: Time(0),
         };
         (station, application, ends)
     }
@@ -137,13 +143,15 @@ impl Station {
 
     /// What changed is taken into account with the next report.
     pub fn unsettle(&mut self) {
-        self.is_steady = false;
+        self.steady_until = Time(0);
     }
 
     /// Writes the outputs of the exchange in slot `grid`.
     #[inline]
     pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
-        self.is_steady &= !self.profile.encode(grid, &slot.desired, outputs);
+        if self.profile.encode(grid, &slot.desired, outputs) {
+            self.unsettle();
+        }
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -180,15 +188,16 @@ impl Station {
     }
 
     /// The frame with the prepared outputs went out.
-    #[inline]
+    #[inline(always)] // As `take`.
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.owe(sent_at, reply_by, slot);
         self.reached = true;
-        self.is_steady &= self.profile.grid < self.requests.next_show();
-        if !self.is_steady {
+        let is_steady = self.profile.grid < self.steady_until;
+        if !is_steady {
+            self.unsettle();
             self.request();
         }
-        self.profile.sent(self.is_steady);
+        self.profile.sent(is_steady);
         slot.gone.grid = Some(self.profile.grid);
     }
 
@@ -208,6 +217,7 @@ impl Station {
     }
 
     /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
+    #[inline(never)]
     fn request(&mut self) {
         if self.al.is_none() {
             return;
@@ -232,31 +242,28 @@ impl Station {
     }
 
     /// The inputs that answer the open exchange, of a slave in this state.
-    #[inline]
+    #[inline(always)] // Of each drive and cycle: a call would cost a sixth of it.
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
-        let counts = self.profile.read(inputs);
-        match counts {
-            Some(counts)
-                if self.is_steady && al == AlState::Op && counts.status == self.seen.inputs.status.0 =>
-            {
-                slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
-                slot.counters.answered += 1;
-                self.profile.answered();
-                self.profile.publish(at, false, inputs);
-                self.take_values(counts);
-                self.profile.prove_values(&self.seen.inputs, &mut slot.evidence);
-                self.report_values(at, counts, slot);
-            }
-            counts => self.take_anew(at, inputs, counts, al, slot),
+        let is_same = self.profile.offsets.status(inputs) == Some(self.seen.inputs.status.0);
+        if !is_same || self.steady_until == Time(0) || al != AlState::Op {
+            return self.take_anew(at, inputs, al, slot);
         }
+        slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
+        slot.counters.answered += 1;
+        self.profile.answered();
+        self.take_values(inputs);
+        self.profile.prove_values(&self.seen.inputs, &mut slot.evidence);
+        self.report_values(at, inputs, slot);
+        self.profile.publish(at, false, inputs);
     }
 
     /// The same where more may have changed than the values.
     #[inline(never)]
-    fn take_anew(&mut self, at: Time, inputs: &[u8], counts: Option<Counts>, al: AlState, slot: &mut Slot) {
+    fn take_anew(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
-        if counts.is_some_and(|counts| counts.status == 0) && inputs.iter().all(|byte| *byte == 0) {
+        let status = self.profile.offsets.status(inputs);
+        if status == Some(0) && inputs.iter().all(|byte| *byte == 0) {
             // As the master has sent them: the slave has counted for its AL status alone.
             Own::PassedBy.count(&mut slot.counters);
             slot.exchange = Exchange::Absent { sent_at };
@@ -276,15 +283,18 @@ impl Station {
         self.led = operational && self.reached && self.profile.writes();
         self.seen.inputs.operational = operational;
         self.profile.publish(at, self.profile.is_native(), inputs);
-        self.is_steady = false;
-        if let Some(counts) = counts {
-            self.read(at, counts, slot);
-            self.is_steady = self.reached
+        self.unsettle();
+        if let Some(status) = status {
+            self.read(at, StatusWord(status), inputs, slot);
+            let is_steady = self.reached
                 && operational
                 && !self.commanded
                 && (self.seen.emergency.code, self.seen.faulted_at) == (0, None)
                 && self.requests.are_idle(self.profile.mode_wanted())
                 && self.profile.is_steady(&self.seen.inputs);
+            if is_steady {
+                self.steady_until = self.requests.next_show();
+            }
         }
     }
 
@@ -304,8 +314,8 @@ impl Station {
     }
 
     /// The drive's report, in user units.
-    fn read(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
-        let (status, before) = (StatusWord(counts.status), self.seen.inputs.status);
+    fn read(&mut self, at: Time, status: StatusWord, received: &[u8], slot: &mut Slot) {
+        let before = self.seen.inputs.status;
         (self.seen.inputs.state, self.seen.inputs.status) = (status.state(), status);
         let homing = self.profile.is_homing();
         if homing {
@@ -317,15 +327,15 @@ impl Station {
             }
         }
         let velocity = self.seen.inputs.velocity;
-        self.take_values(counts);
-        if homing && counts.velocity.is_none() {
-            let attained = counts.status & !before.0 & StatusWord::MODE_12 != 0;
+        self.take_values(received);
+        if homing && self.profile.offsets.velocity(received).is_none() {
+            let attained = status.0 & !before.0 & StatusWord::MODE_12 != 0;
             if attained || self.seen.inputs.velocity.abs() > self.most_velocity {
                 // That was no motion.
                 self.seen.inputs.velocity = velocity;
             }
         }
-        self.take_fault(at, counts);
+        self.take_fault(at, received);
         let Slot { status: report, notices, evidence, .. } = slot;
         report.suspect = false;
         notices.restarted |= std::mem::take(&mut self.was_restarted);
@@ -353,54 +363,55 @@ impl Station {
             }
         }
         self.led &= self.has_place && !homing && !self.profile.is_native();
-        self.report_values(at, counts, slot);
+        self.report_values(at, received, slot);
     }
 
     /// The actual position, not folded, and the velocity.
     #[inline(always)] // As `report_values`.
-    fn take_values(&mut self, counts: Counts) {
-        let count = counts.position.map(|raw| self.seen.actual.next(raw));
-        if let Some(velocity) = counts.velocity {
-            self.seen.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
-        } else if let Some(count) = count {
-            self.differ(count);
+    fn take_values(&mut self, inputs: &[u8]) {
+        let velocity = self.profile.offsets.velocity(inputs);
+        if let Some(raw) = self.profile.offsets.position(inputs) {
+            let count = self.seen.actual.next(raw);
+            if velocity.is_none() {
+                self.differ(count);
+            }
+            (self.seen.last, self.seen.last_grid) = (count, self.sent_grid);
+            self.seen.inputs.position = count as f64 * self.unit_per_count + self.units.offset;
         }
-        self.seen.last = count.map(|count| (count, self.sent_grid));
-        self.seen.inputs.position =
-            count.map_or(0.0, |count| count as f64 * self.unit_per_count + self.units.offset);
+        if let Some(velocity) = velocity {
+            self.seen.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
+        }
     }
 
     /// What changes from report to report.
     #[inline(always)] // It has two callers, and is most of what the usual one does.
-    fn report_values(&mut self, at: Time, counts: Counts, slot: &mut Slot) {
+    fn report_values(&mut self, at: Time, received: &[u8], slot: &mut Slot) {
         let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.seen.inputs, &self.units);
         notices.fresh = true;
         report.at = at;
         let is_led_on = self.profile.is_moving();
         report.moving = inputs.is_powered && (is_led_on || inputs.velocity.abs() > self.standstill);
         report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
-        report.position = counts.position.map_or(f64::NAN, |_| units.folded(inputs.position));
+        report.position = if self.tells_position { units.folded(inputs.position) } else { f64::NAN };
         report.demand = report.position;
         if self.led {
             let count = self.seen.demand.next(self.profile.setpoint_sent());
             report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
         }
         report.velocity = inputs.velocity;
-        report.current =
-            counts.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
+        let torque = self.profile.offsets.torque(received);
+        report.current = torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
     }
 
     /// The velocity of a drive that reports none: the distance since the last exchange.
     #[inline]
     fn differ(&mut self, count: i64) {
-        let Some((last, grid)) = self.seen.last else {
-            self.seen.inputs.velocity = 0.0;
-            return;
-        };
-        let passed_ns = self.sent_grid.since(grid);
-        let way = (count - last) as f64;
+        let passed_ns = self.sent_grid.since(self.seen.last_grid);
+        let way = (count - self.seen.last) as f64;
         if passed_ns == self.interval_ns {
             self.seen.inputs.velocity = way * self.rate;
+        } else if self.seen.last_grid == Time(0) {
+            self.seen.inputs.velocity = 0.0;
         } else if passed_ns > 0 {
             self.seen.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
         }
@@ -408,7 +419,7 @@ impl Station {
 
     /// Takes what is known of the fault in the status.
     #[inline]
-    fn take_fault(&mut self, at: Time, counts: Counts) {
+    fn take_fault(&mut self, at: Time, received: &[u8]) {
         let inputs = &mut self.seen.inputs;
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
             // An emergency that no fault has followed by then names no later one.
@@ -421,7 +432,12 @@ impl Station {
             return;
         }
         let since = *self.seen.faulted_at.get_or_insert(at);
-        let reported = counts.fault.filter(|code| *code != 0).unwrap_or(self.seen.emergency.code);
+        let reported = self
+            .profile
+            .offsets
+            .fault(received)
+            .filter(|code| *code != 0)
+            .unwrap_or(self.seen.emergency.code);
         let waited = at.since(since) > self.named_within_ns;
         inputs.fault = if reported == 0 && waited { ANY_ERROR } else { reported };
         inputs.named = inputs.fault != 0;
