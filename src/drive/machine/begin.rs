@@ -217,6 +217,11 @@ impl State {
         }
     }
 
+    /// Rows lead it: its course is not theirs, and does not show how they move.
+    fn has_rows(&self) -> bool {
+        matches!(self.step, Step::Following | Step::FollowEnding { .. })
+    }
+
     pub(super) fn begin_follow(&mut self, view: &View) -> End {
         self.end_halt(view);
         self.begin_step(view.now, Step::FollowWaiting);
@@ -253,7 +258,7 @@ impl State {
             }
         } else if self.is_free(view) && (view.status.moving || !self.course.stands()) {
             self.halt(view);
-        } else if self.course.leads() && !self.course.stands() {
+        } else if self.course.leads() && (self.has_rows() || !self.course.stands()) {
             self.brake(deceleration, view);
         }
     }

@@ -242,6 +242,66 @@ fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
     }
 }
 
+/// A stream at 50 units/s, from its begin on to 20 units further.
+fn streaming(rig: &mut Rig) -> u64 {
+    rig.start(Command::Follow);
+    for number in 1..=400 {
+        rig.row(number, 10.0 + 0.05 * number as f64, false);
+        rig.propose();
+        rig.turn();
+        assert_eq!(rig.end(), None);
+    }
+    400
+}
+
+#[test]
+fn a_row_whose_send_was_passed_over_goes_out_no_more_once_the_drive_is_stopped() {
+    for can in movers() {
+        for stop in [STOP, Command::QuickStop, Command::Disable] {
+            let mut rig = Rig::enabled(can);
+            let number = streaming(&mut rig);
+            let last = rig.gone.last().unwrap().setpoint;
+            rig.row(number + 1, 31.0, false);
+            rig.propose();
+            assert!(rig.slot.desired.setpoint.row > last.row && rig.motion() == Motion::Follow, "{can:?}");
+            // Its slot is passed over, and that is why the drive is stopped.
+            rig.now = rig.now + T;
+            rig.start(stop);
+            let sent = rig.gone.len();
+            rig.turns(300);
+            let gone = &rig.gone[sent..];
+            assert!(gone.iter().all(|gone| gone.motion.value != Motion::Follow), "{stop:?} {can:?}");
+            let furthest = gone.iter().map(|gone| gone.setpoint.position).fold(0.0, f64::max);
+            // Along its ramp.
+            let most = last.position + 50.0 * 50.0 / 2_000.0 + 0.2;
+            assert!(quantity(&can).is_none() || furthest < most, "{stop:?} {can:?}: {furthest}");
+            assert!(!rig.drive.is_moving(), "{stop:?} {can:?}");
+        }
+    }
+}
+
+#[test]
+fn a_command_that_is_refused_brakes_a_stream_from_its_last_row() {
+    for can in movers() {
+        let mut rig = Rig::within(can, 0.0, 60.0);
+        streaming(&mut rig);
+        rig.start(by(100.0));
+        assert!(matches!(rig.end(), Some(Err(Failure::Limit { .. }))), "{can:?}");
+        let mut before = rig.gone.last().unwrap().setpoint;
+        for _ in 0..200 {
+            rig.turn();
+            let setpoint = rig.gone.last().unwrap().setpoint;
+            let step = setpoint.position - before.position;
+            assert!(
+                quantity(&can).is_none() || (-1e-9..0.06).contains(&step),
+                "{can:?}: {before:?} {setpoint:?}"
+            );
+            before = setpoint;
+        }
+        assert!(!rig.drive.is_moving(), "{can:?}");
+    }
+}
+
 #[test]
 fn a_row_that_is_no_number_or_does_not_fit_ends_the_stream_at_standstill() {
     let ranges = Ranges { position: (-100.0, 100.0), ..Ranges::UNLIMITED };
