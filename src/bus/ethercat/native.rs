@@ -297,12 +297,12 @@ impl TerminalPort {
     }
 
     /// The application has room for an emergency.
-    pub fn may_tell(&self) -> bool {
+    pub fn may_report(&self) -> bool {
         !self.emergencies.is_full()
     }
 
     /// Queues an emergency that it reported; dropped if there is no room.
-    pub fn tell(&mut self, emergency: Emergency) {
+    pub fn report(&mut self, emergency: Emergency) {
         let _ = self.emergencies.push(emergency);
     }
 
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_drive_said_is_told_by_object() {
+    fn what_the_drive_reported_is_found_by_object() {
         let (native, mut port) = native(&layout(0x1702), &layout(0x1B03));
         assert_eq!(native.inputs().get(Object::new(0x6041, 0)), None, "nothing yet");
         // The inputs of the sheet's example.

@@ -74,10 +74,10 @@ impl Endpoints<'_> {
 impl DeviceEnd {
     /// Its mailbox was read: reports the next emergency to the application, if there is room for it.
     fn mailbox_received(&mut self) {
-        if self.port.may_tell()
+        if self.port.may_report()
             && let Some(emergency) = self.service.take_emergency()
         {
-            self.port.tell(Emergency { code: emergency.code, register: emergency.register });
+            self.port.report(Emergency { code: emergency.code, register: emergency.register });
         }
     }
 

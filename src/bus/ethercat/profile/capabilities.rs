@@ -1,6 +1,6 @@
 //! What a drive can do, by its plan.
 
-use super::{SETTLED, tells_position};
+use super::{SETTLED, reports_position};
 use crate::axis::Lacks;
 use crate::bus::desired::{Capabilities, Generator, Quantity};
 use crate::bus::ethercat::object::number::CONTROL_WORD;
@@ -34,7 +34,7 @@ pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
 pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive) -> Capabilities {
     let (quantity, _) = quantity(drive);
     let is_controlled = drive.outputs.entries.iter().any(|entry| entry.object == CONTROL_WORD);
-    let is_blind = quantity == Quantity::Position && !tells_position(drive);
+    let is_blind = quantity == Quantity::Position && !reports_position(drive);
     // A position is held, even if the master dies.
     let unwatched =
         quantity != Quantity::Position && !drive.accept_no_watchdog && drive.slave.watchdog_ns.is_none();

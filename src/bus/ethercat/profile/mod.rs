@@ -17,7 +17,7 @@ mod offsets;
 pub(super) use self::capabilities::capabilities;
 use self::capabilities::quantity;
 use self::offsets::Offsets;
-pub(super) use self::offsets::tells_position;
+pub(super) use self::offsets::reports_position;
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::KollmorgenDrive;

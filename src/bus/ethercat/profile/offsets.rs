@@ -9,7 +9,7 @@ use crate::bus::ethercat::plan::KollmorgenDrive;
 use crate::rt::Regions;
 
 /// Its inputs have an actual position.
-pub(in crate::bus::ethercat) fn tells_position(drive: &KollmorgenDrive) -> bool {
+pub(in crate::bus::ethercat) fn reports_position(drive: &KollmorgenDrive) -> bool {
     let is_one =
         |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
     is_one(POSITION) || is_one(INCREMENTS)

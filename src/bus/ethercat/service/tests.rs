@@ -332,7 +332,7 @@ fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
 }
 
 #[test]
-fn all_memory_is_told() {
+fn all_memory_is_reported() {
     let service = Service::new(&plan(1_024), None, 0);
     let mut regions = Regions::new();
     service.memory(&mut regions);

@@ -20,7 +20,7 @@ use super::faults::Clearing;
 use super::native::{Native, native};
 use super::object::commanding;
 use super::plan::{KollmorgenDrive, Setpoint};
-use super::profile::{Inputs, Profile, tells_position};
+use super::profile::{Inputs, Profile, reports_position};
 use super::service::Service;
 use super::wire::mailbox::Emergency;
 use super::wire::registers::AlState;
@@ -70,7 +70,7 @@ pub struct Station {
     velocity_per_count: f64,
     units: Units,
     /// It reports its position.
-    tells_position: bool,
+    reports_position: bool,
     /// The setpoints of the outputs are its demand, and reach it.
     led: bool,
     /// The outputs of the last exchange reach the drive.
@@ -117,8 +117,8 @@ impl Station {
                 * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
             rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
             interval_ns,
-            tells_position: tells_position(drive),
-            has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && tells_position(drive),
+            reports_position: reports_position(drive),
+            has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && reports_position(drive),
             profile,
             seen: Seen::default(),
             requests: Requests::new(drive),
@@ -392,7 +392,7 @@ impl Station {
         let is_led_on = self.profile.is_moving();
         report.moving = inputs.is_powered && (is_led_on || inputs.velocity.abs() > self.standstill);
         report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
-        report.position = if self.tells_position { units.folded(inputs.position) } else { f64::NAN };
+        report.position = if self.reports_position { units.folded(inputs.position) } else { f64::NAN };
         report.demand = report.position;
         if self.led {
             let count = self.seen.demand.next(self.profile.setpoint_sent());

@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_frame_is_told_and_ends_there() {
+    fn a_broken_frame_is_reported_and_ends_there() {
         let whole = bytes(RETURNED);
         let changed = |at: usize, byte: u8| {
             let mut frame = whole.clone();

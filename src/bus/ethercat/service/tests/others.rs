@@ -123,8 +123,8 @@ fn what_cannot_be_used_ends_a_call_by_its_name() {
         server.shared().twist = Some(Box::new(move |answer| vec![change(answer)]));
         assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(status)), "{number}");
         bench.steps(5);
-        let is_told = server.shared().requests.iter().any(|request| request[8] == 0x80);
-        assert_eq!(is_told, matches!(status, object::TOGGLE | object::ENDLESS), "{number}");
+        let is_aborted = server.shared().requests.iter().any(|request| request[8] == 0x80);
+        assert_eq!(is_aborted, matches!(status, object::TOGGLE | object::ENDLESS), "{number}");
         server.shared().twist = None;
         assert_eq!(bench.call(READ, "device-name", 0), Ok(long::raw(b"abcdefgh")), "{number}");
     }
@@ -134,7 +134,7 @@ fn what_cannot_be_used_ends_a_call_by_its_name() {
 fn an_object_without_end_is_given_up() {
     let (mut bench, server) = Bench::server(1_024, &[(NAME, &[b'x'; 100_000])]);
     assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(object::ENDLESS)));
-    // One that does not tell its size, either.
+    // One that does not report its size, either.
     server.shared().twist = Some(Box::new(|mut answer| {
         if answer[8] == 0x41 {
             answer[8] = 0x40;
