@@ -5,8 +5,10 @@
 //! | `mod` | the station, and the life of its connection |
 //! | `request` | the next request |
 //! | `receive` | received bytes |
+//! | `report` | the values of a reply: what they confirm, and the drive's report |
 
 mod receive;
+mod report;
 mod request;
 
 use std::sync::Arc;
@@ -42,95 +44,100 @@ const MOST_REFUSALS: u32 = 3;
 /// ... and so it is after the drive was busy for so many reply times.
 const BUSY_WITHIN: u64 = 4;
 
-/// One drive as the master sees it.
+/// One drive as the master sees it. What each exchange touches comes first: it lies on a few lines of the cache.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub struct Station {
-    /// The monitored channels, and the counts in one unit of each.
-    shown: Box<[(usize, f64)]>,
-    /// User units/s of one count of the speed feedback.
-    velocity_per_count: f64,
+    conn: Connection,
+    /// Its ids go on with the next connection.
+    identity: Identity,
+    grid: Time,
+    connected: bool,
+    /// An exchange was owed as this cycle's send began: none is due.
+    pub(super) passed: bool,
     /// It reports the numbers of its trips.
     reports_trips: bool,
-    /// The blocks at their own addresses, and those of menu 0.
-    direct: Mapping,
-    menu_0: Option<Mapping>,
-    found: Arc<Found>,
-    functions: ReadWrite,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
-    /// The settings that make the drive follow the control word and watch it: written with the first command that
-    /// needs them.
-    settings: Box<[Setting]>,
     end: End,
+    pace: Pace,
     reply_within_ns: u64,
     /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
-    pace: Pace,
-    profile: Profile,
-    calls: Calls,
-    native: NativePort,
-    connected: bool,
-    opened_before: bool,
-    /// An exchange was owed as this cycle's send began: none is due.
-    pub(super) passed: bool,
-    /// Its ids go on with the next connection.
-    identity: Identity,
-    grid: Time,
-    out: [u8; ADU_MAX],
-    inbox: Vec<u8>,
-    conn: Connection,
-    /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
-    control_taken: Option<ControlWord>,
+    functions: ReadWrite,
+    /// The control word sent last, on whatever connection.
     control_sent: Option<ControlWord>,
+    /// User units/s of one count of the speed feedback.
+    velocity_per_count: f64,
+    /// The monitored channels, and the counts in one unit of each.
+    shown: Box<[(usize, f64)]>,
+    /// The settings that make the drive follow the control word and watch it: written with the first command that
+    /// needs them.
+    settings: Box<[Setting]>,
+    inbox: Vec<u8>,
+    profile: Profile,
+    native: NativePort,
+    calls: Calls,
+    /// The requests that write, calls and settings; and those that only read.
+    rooms: [[u8; ADU_MAX]; 2],
+    /// The blocks at their own addresses, and those of menu 0.
+    direct: Mapping,
+    menu_0: Option<Mapping>,
+    found: Arc<Found>,
+    opened_before: bool,
+    /// The control word that the drive accepted last, or had at first, on whatever connection.
+    control_taken: Option<ControlWord>,
 }
 
 /// What begins anew with each connection: the drive's values are not known until they are read back, nor its state
-/// until it reports again.
+/// until it reports again. What each exchange touches comes first.
 #[derive(Debug, Default)]
+#[repr(C)]
 struct Connection {
-    finding: Finding,
-    /// So many of the settings stand, and whether the others can be written.
-    set: usize,
-    settable: bool,
-    /// The open request, when it was sent, and its unit id.
-    requested: What,
-    requested_at: Time,
-    requested_unit: u8,
-    /// The values that it writes.
-    written: Outputs,
-    prepared: What,
-    /// The values that the prepared request writes.
-    outputs: Outputs,
-    /// The last read was to check whether a value was accepted.
-    confirmed: bool,
-    /// Another reply that reads back what it wrote, with the same status, reports nothing new but speeds.
-    steady: bool,
-    /// The constant parts of the request in its room, if it is cyclic.
-    template: Option<Template>,
-    /// The reply to the open request, if only one is right.
-    expected: Expected,
-    /// Length of the prepared request; 0: there is none.
+    /// Length of the prepared request, 0: there is none; and its room.
     length: usize,
+    room: usize,
     /// Length of the open one, and how much of it the wire has taken. The next one is built over it once all is
     /// taken.
     open: usize,
     gone: usize,
     /// Received bytes that are not a whole message yet.
     filled: usize,
+    /// The open request, when it was sent, and its unit id.
+    requested: What,
+    requested_unit: u8,
+    requested_at: Time,
+    /// The values that it writes.
+    written: Outputs,
+    prepared: What,
+    /// The values that the prepared request writes.
+    outputs: Outputs,
+    /// The reply to the open request, if only one is right.
+    expected: Expected,
+    /// Writes, and reads, that were refused in a row; and since when the drive is busy.
+    refused: (u32, u32),
+    busy_since: Option<Time>,
+    inputs: Inputs,
+    /// Another reply that reads back what it wrote, with the same status, reports nothing new but speeds.
+    steady: bool,
+    /// So many of the settings stand, and whether the others can be written.
+    settable: bool,
+    set: usize,
+    finding: Finding,
+    control: Echo,
+    reference: Echo,
+    other: OtherMaster,
+    /// The constant parts of the requests in their rooms, if they are cyclic.
+    templates: [Option<Template>; 2],
+    image: Image,
+    /// The last read was to check whether a value was accepted.
+    confirmed: bool,
     /// Exchanges that read, and that wrote; those that wrote only, in a row.
     reads: u32,
     writes: u32,
     written_in_a_row: u8,
-    /// Writes, and reads, that were refused in a row; and since when the drive is busy.
-    refused: (u32, u32),
-    busy_since: Option<Time>,
-    image: Image,
-    inputs: Inputs,
-    control: Echo,
-    reference: Echo,
-    other: OtherMaster,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
     /// status.
     trip_read: bool,
@@ -232,7 +239,7 @@ impl Station {
             passed: false,
             identity: Identity::default(),
             grid: Time(0),
-            out: [0; ADU_MAX],
+            rooms: [[0; ADU_MAX]; 2],
             inbox: vec![0; ROOM],
             conn: Connection::default(),
             control_taken: None,

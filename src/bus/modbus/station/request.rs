@@ -1,7 +1,7 @@
 //! The request of the next send: its choice, its bytes, and what changes once they are sent.
 //!
 //! In most cycles the request to a drive is the same but for its id and its values: it is built once, and these are
-//! written over it.
+//! written over it. The one that only reads has a room of its own, since it comes now and then between the others.
 
 use super::receive::Expected;
 use super::{Blocks, End, Station, What, used};
@@ -20,12 +20,10 @@ pub(super) type Place = (u8, Width);
 /// A cyclic request in its room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Template {
-    /// The blocks that it writes and reads.
-    pub blocks: (Option<u8>, Option<u8>),
+    /// What it writes and reads.
+    pub blocks: Blocks,
     /// The drive has no other blocks.
     pub only: bool,
-    /// The registers of both together.
-    pub registers: u16,
     /// The length of the whole message.
     pub length: usize,
     /// The offsets of control word and reference, if it writes them.
@@ -79,14 +77,15 @@ impl Station {
         let outputs = if self.conn.finding.obeys || self.conn.settable { outputs } else { None };
         self.conn.outputs = outputs.unwrap_or_default();
         let sets = self.end != End::NotYet || self.conn.set < self.settings.len();
-        if let Some(template) = &self.conn.template
+        if let Some(template) = &self.conn.templates[0]
             && template.only
             && outputs.is_some()
             && !(calls || sets || self.conn.other.is_check_due())
         {
-            // There is nothing to choose, and `prepared` is this request already.
-            template.refill(&mut self.out, self.identity.next(), self.conn.outputs);
-            self.conn.length = template.length;
+            // There is nothing to choose.
+            template.refill(&mut self.rooms[0], self.identity.next(), self.conn.outputs);
+            (self.conn.room, self.conn.length) = (0, template.length);
+            self.conn.prepared = What::Cyclic(template.blocks);
             return;
         }
         self.conn.length = self.prepare_next(outputs, calls);
@@ -96,7 +95,7 @@ impl Station {
     #[cold]
     fn look_for_silence(&mut self) {
         if self.reads_and_writes() && self.rest().is_empty() && self.functions.ignored() {
-            self.conn.template = None;
+            self.conn.templates = [None; 2];
             self.identity.give_up();
             self.pace.unanswered();
         }
@@ -215,25 +214,27 @@ impl Station {
         block.unwrap_or_else(|| self.conn.writes as usize % writes.len().max(1))
     }
 
-    /// Writes the next request into its room: over the last one, if that had the same blocks.
+    /// Writes the next request into its room: over the last one there, if that had the same blocks.
     fn emit(&mut self, next: What) -> usize {
         self.conn.prepared = next;
         let What::Cyclic(blocks) = next else { return self.emit_other(next) };
-        let wanted = (blocks.write, blocks.read);
-        if self.conn.template.as_ref().is_none_or(|template| template.blocks != wanted) {
-            self.conn.template = self.build(blocks);
+        let room = usize::from(blocks.write.is_none());
+        let is_built = |template: &Template| {
+            (template.blocks.write, template.blocks.read) == (blocks.write, blocks.read)
+        };
+        if !self.conn.templates[room].as_ref().is_some_and(is_built) {
+            self.conn.templates[room] = self.build(blocks, room);
         }
-        let Some(template) = &self.conn.template else { return 0 };
-        template.refill(&mut self.out, self.identity.next(), self.conn.outputs);
-        let (control, reference) = (template.control.is_some(), template.reference.is_some());
-        self.conn.prepared =
-            What::Cyclic(Blocks { control, reference, registers: template.registers, ..blocks });
+        let Some(template) = &self.conn.templates[room] else { return 0 };
+        template.refill(&mut self.rooms[room], self.identity.next(), self.conn.outputs);
+        self.conn.room = room;
+        self.conn.prepared = What::Cyclic(Blocks { confirms: blocks.confirms, ..template.blocks });
         template.length
     }
 
     /// Writes a call or a setting into the room.
     fn emit_other(&mut self, next: What) -> usize {
-        self.conn.template = None;
+        (self.conn.room, self.conn.templates[0]) = (0, None);
         let (mut data, drive) = (RegistersBuffer::new(), self.conn.finding.unit);
         let request = match next {
             What::Set { index, value } => self
@@ -243,11 +244,11 @@ impl Station {
             What::Call | What::Cyclic(_) => self.calls.request(drive, &mut data),
         };
         let Some((unit, request)) = request else { return 0 };
-        request.emit(Header { transaction: self.identity.next(), unit }, &mut self.out)
+        request.emit(Header { transaction: self.identity.next(), unit }, &mut self.rooms[0])
     }
 
-    /// Builds a cyclic request in its room, all but its id and its values.
-    fn build(&mut self, blocks: Blocks) -> Option<Template> {
+    /// Builds a cyclic request in this room, all but its id and its values.
+    fn build(&mut self, blocks: Blocks, room: usize) -> Option<Template> {
         let mapping = used(&self.direct, &self.menu_0, self.conn.finding.menu_0);
         let block =
             |blocks, index: Option<u8>| index.and_then(|index| <[Block]>::get(blocks, usize::from(index)));
@@ -263,7 +264,7 @@ impl Station {
             (None, None) => return None,
         };
         let unit = self.conn.finding.unit;
-        let length = request.emit(Header { transaction: 0, unit }, &mut self.out);
+        let length = request.emit(Header { transaction: 0, unit }, &mut self.rooms[room]);
         // The values are the end of the message. At most two are written: they are in its first 30 bytes.
         let begin = length.checked_sub(data.bytes().len())?;
         let place = |role: Role| {
@@ -277,17 +278,23 @@ impl Station {
             (None, Some(read)) => Expected::new(read, unit, function::READ),
             (_, None) => Expected::default(),
         };
-        let blocks = (blocks.write, blocks.read);
-        let only = mapping.writes().len() == 1 && mapping.reads().len() == 1 && blocks == (Some(0), Some(0));
-        let registers = count(write) + count(read);
+        let only = mapping.writes().len() == 1
+            && mapping.reads().len() == 1
+            && (blocks.write, blocks.read) == (Some(0), Some(0));
         let (control, reference) = (place(Role::Control), place(Role::Reference));
-        (length > 0).then_some(Template { blocks, only, registers, length, control, reference, expected })
+        let blocks = Blocks {
+            control: control.is_some(),
+            reference: reference.is_some(),
+            registers: count(write) + count(read),
+            ..blocks
+        };
+        (length > 0).then_some(Template { blocks, only, length, control, reference, expected })
     }
 
     /// The bytes for the wire for a slot that is due; empty: nothing can be sent.
     pub fn to_send(&self) -> &[u8] {
         match self.connected && !self.identity.is_open() {
-            true => self.out.get(..self.conn.length).unwrap_or_default(),
+            true => self.rooms[self.conn.room].get(..self.conn.length).unwrap_or_default(),
             false => &[],
         }
     }
@@ -295,7 +302,7 @@ impl Station {
     /// The bytes of the open request that the wire has not taken yet.
     pub(in crate::bus::modbus) fn rest(&self) -> &[u8] {
         match self.connected && self.identity.is_open() {
-            true => self.out.get(self.conn.gone..self.conn.open).unwrap_or_default(),
+            true => self.rooms[self.conn.room].get(self.conn.gone..self.conn.open).unwrap_or_default(),
             false => &[],
         }
     }
@@ -311,8 +318,9 @@ impl Station {
         if count < self.conn.length {
             Own::Pieces.count(&mut slot.counters);
         }
-        (self.conn.open, self.conn.gone, self.conn.requested_unit) = (self.conn.length, count, self.out[6]);
-        let expected = self.conn.template.as_ref().map(|template| template.expected.to(self.identity.next()));
+        let (out, template) = (&self.rooms[self.conn.room], &self.conn.templates[self.conn.room]);
+        (self.conn.open, self.conn.gone, self.conn.requested_unit) = (self.conn.length, count, out[6]);
+        let expected = template.as_ref().map(|template| template.expected.to(self.identity.next()));
         self.conn.expected = expected.unwrap_or_default();
         self.identity.sent();
         (self.conn.requested, self.conn.requested_at, self.conn.written) =
@@ -339,7 +347,7 @@ impl Station {
     #[inline]
     fn blocks_sent(&mut self, blocks: Blocks, slot: &mut Slot) {
         // Where there is nothing to choose, turns have no effect.
-        if self.conn.template.as_ref().is_none_or(|template| !template.only) {
+        if self.conn.templates[self.conn.room].as_ref().is_none_or(|template| !template.only) {
             self.conn.confirmed = blocks.confirms;
             self.conn.reads =
                 self.conn.reads.wrapping_add(u32::from(blocks.read.is_some() && !blocks.confirms));

@@ -1,5 +1,6 @@
 //! Requests written over others, and replies recognised at once.
 
+use super::Blocks;
 use super::receive::Expected;
 use super::request::{Template, put};
 use crate::bus::modbus::mapping::{Block, Places};
@@ -26,9 +27,8 @@ fn a_refilled_request_is_the_one_that_would_be_built() {
     let (mut refilled, mut built) = ([0; ADU_MAX], [0; ADU_MAX]);
     let length = request(&[1, -2], HEADER, &mut refilled);
     let template = Template {
-        blocks: (Some(0), Some(0)),
+        blocks: Blocks::default(),
         only: true,
-        registers: 16,
         length,
         control: Some((length as u8 - 8, Width::Long)),
         reference: Some((length as u8 - 4, Width::Long)),
