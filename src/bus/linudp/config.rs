@@ -4,9 +4,8 @@ use std::net::SocketAddrV4;
 use std::time::Duration;
 
 use super::PROTOCOL;
-use super::plan::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
-};
+use super::motion::StreamCommand;
+use super::plan::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag};
 use super::upid::{KNOWN, Upid};
 use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;

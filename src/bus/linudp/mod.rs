@@ -47,10 +47,9 @@ pub(crate) mod wire;
 use super::Protocol;
 pub(crate) use rtc::UNACKNOWLEDGED;
 
+pub use motion::stream::StreamCommand;
 pub use native::{Native, NativeInputs, NativeOutput};
-pub use plan::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
-};
+pub use plan::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag};
 pub use wire::{ControlWord, ErrorCode, MainState, MotionBlock, StateVar, StatusWord, WarnWord};
 
 /// The protocol's name in configurations.

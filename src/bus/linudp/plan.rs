@@ -3,11 +3,12 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 
+use super::motion::StreamCommand;
 use super::upid::Upid;
 use crate::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
 use crate::bus::variant::{self, Variant};
 use crate::net::SendMode;
-use crate::time::{MS, Ns, US, nanos};
+use crate::time::{Ns, nanos};
 
 /// The master's port, source and destination of everything (manual, 4.3).
 pub const MASTER_PORT: u16 = 41136;
@@ -158,63 +159,6 @@ impl MonitorPlan {
             }),
             MonitorPlan::Sources(sources) => sources.map(|source| source.map(of)),
         }
-    }
-}
-
-/// The streaming commands of the motion command interface (SG5 manual, 030x ... 035x).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StreamCommand {
-    /// 030x: position; the drive's receive time is the time base. 2 ... 5 ms.
-    P = 0x030,
-    /// 031x: position, velocity; receive time. 2 ... 5 ms.
-    Pv = 0x031,
-    /// 032x: position; the period configured in the drive (UPID 14E6h). 2 ... 5 ms.
-    PConfigured = 0x032,
-    /// 033x: position, velocity; configured period. 0.4 ... 10 ms.
-    PvConfigured = 0x033,
-    /// 034x: position, velocity, acceleration; receive time. 0.4 ... 10 ms.
-    Pva = 0x034,
-    /// 035x: position, velocity, acceleration; configured period. 0.4 ... 10 ms.
-    PvaConfigured = 0x035,
-}
-
-impl StreamCommand {
-    /// All of them, in the order of their headers.
-    pub const ALL: [StreamCommand; 6] = [
-        StreamCommand::P,
-        StreamCommand::Pv,
-        StreamCommand::PConfigured,
-        StreamCommand::PvConfigured,
-        StreamCommand::Pva,
-        StreamCommand::PvaConfigured,
-    ];
-
-    /// Its word in the configuration.
-    pub const fn name(self) -> &'static str {
-        match self {
-            StreamCommand::P => "p",
-            StreamCommand::Pv => "pv",
-            StreamCommand::PConfigured => "p-configured",
-            StreamCommand::PvConfigured => "pv-configured",
-            StreamCommand::Pva => "pva",
-            StreamCommand::PvaConfigured => "pva-configured",
-        }
-    }
-
-    /// The shortest and the longest time between two setpoints that the drive takes, ns (SG5 manual, 030x ... 035x).
-    pub const fn period_range_ns(self) -> (u64, u64) {
-        match self {
-            StreamCommand::P | StreamCommand::Pv | StreamCommand::PConfigured => (2 * MS, 5 * MS),
-            StreamCommand::PvConfigured | StreamCommand::Pva | StreamCommand::PvaConfigured => {
-                (400 * US, 10 * MS)
-            }
-        }
-    }
-
-    /// Whether the drive takes a setpoint every `period_ns`.
-    pub fn takes(self, period_ns: u64) -> bool {
-        let (shortest, longest) = self.period_range_ns();
-        (shortest..=longest).contains(&period_ns)
     }
 }
 

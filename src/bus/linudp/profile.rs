@@ -6,9 +6,11 @@
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
 use super::channel::MotionChannel;
-use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, Velocity};
+use super::motion::{
+    Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, StreamCommand, Velocity,
+};
 use super::native::{NativeOutput, NativePort};
-use super::plan::{LinUdpDrive, StreamCommand};
+use super::plan::LinUdpDrive;
 use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
 use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;

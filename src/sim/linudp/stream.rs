@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 
 use super::demand::Demand;
-use crate::bus::linudp::plan::StreamCommand;
+use crate::bus::linudp::motion::StreamCommand;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{S, Time};
 

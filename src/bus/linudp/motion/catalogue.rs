@@ -1,12 +1,12 @@
 //! What is known of each motion command, as data: its name, where it may be used, and the fields after its header.
 //!
-//! Knows the layout of the catalogue, not its contents: those are in `commands`.
+//! Knows the layout of the catalogue, not its contents: those are in `commands`, with what looks them up.
 //!
 //! The fields of a command follow each other without a gap, the first one after the header, so that their order is
 //! their layout. No command has more than [`FIELDS`].
 
+use super::command::MotionCommand;
 use super::values::Kind;
-use super::{CATALOGUE, MotionCommand};
 use crate::axis::RangeError;
 
 /// The most fields that a command has.
@@ -53,17 +53,6 @@ pub struct Field {
 }
 
 impl CommandInfo {
-    /// The command of this id, 12 bits.
-    pub fn of(id: u16) -> Option<&'static CommandInfo> {
-        let index = CATALOGUE.binary_search_by_key(&id, |info| info.id).ok()?;
-        CATALOGUE.get(index)
-    }
-
-    /// The command of this name.
-    pub fn named(name: &str) -> Option<&'static CommandInfo> {
-        CATALOGUE.iter().find(|info| info.name == name)
-    }
-
     /// It has this mark.
     pub fn is(&self, mark: Mark) -> bool {
         self.marks.contains(&mark)
@@ -141,7 +130,7 @@ pub(super) const fn kebab<const N: usize>(name: &str) -> [u8; N] {
     kebab
 }
 
-/// [`CommandInfo::of`] looks an id up by binary search.
+/// An id is looked up by binary search.
 pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
     let mut index = 1;
     while index < catalogue.len() {

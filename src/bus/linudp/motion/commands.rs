@@ -1,4 +1,4 @@
-//! A motion command, and every one of the manual: id, name, marks, fields in their order on the wire.
+//! Every motion command of the manual: id, name, marks, fields in their order on the wire.
 //!
 //! The constructors of [`MotionCommand`] and the [`CATALOGUE`] are made from one list, and with that the names, layouts
 //! and ranges of the command-table files. The names are those of the files and stay as they are. Where the sources give
@@ -8,73 +8,20 @@
 //! number of the section (027x, 02Dx, 07Fx, 09Fx, 25Ex, 266x), the section is right.
 
 use super::catalogue::{CommandInfo, Mark, kebab, lay_out, rises};
+use super::command::MotionCommand;
 use super::values::*;
 use super::values::{ScaledAcceleration as A16, ScaledPosition as P16, ScaledVelocity as V16};
-use crate::bus::linudp::plan::StreamCommand;
-use crate::bus::linudp::wire::MotionBlock;
 
-/// A motion command without its count: 12 bits of master and sub id, and the parameters. A constructor each for all
-/// that are in the [`CATALOGUE`]; what is newer than that is written as it stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MotionCommand {
-    /// Master id (bits 11-4) and sub id (3-0): `0x010` is "VAI go to position".
-    pub id: u16,
-    /// The parameters, little-endian, unused bytes 0.
-    pub parameters: [u8; 30],
-}
-
-impl MotionCommand {
-    /// The command `id`, all parameters 0.
-    pub const fn new(id: u16) -> MotionCommand {
-        MotionCommand { id, parameters: [0; 30] }
+impl CommandInfo {
+    /// The command of this id, 12 bits.
+    pub fn of(id: u16) -> Option<&'static CommandInfo> {
+        let index = CATALOGUE.binary_search_by_key(&id, |info| info.id).ok()?;
+        CATALOGUE.get(index)
     }
 
-    /// It is "VAI stop", whatever its deceleration.
-    #[inline]
-    pub const fn is_stop(&self) -> bool {
-        self.id == MotionCommand::vai_stop(Acceleration(0)).id
-    }
-
-    /// The header word with this command count, 0 ... 15.
-    #[inline]
-    pub const fn header(&self, count: u8) -> u16 {
-        self.id << 4 | (count & 0xF) as u16
-    }
-
-    /// The block to send with this command count, 0 ... 15.
-    #[inline]
-    pub const fn block(&self, count: u8) -> MotionBlock {
-        MotionBlock { header: self.header(count), parameters: self.parameters }
-    }
-
-    /// 030x ... 035x: one streamed setpoint. What `command` does not carry is left out.
-    #[inline]
-    pub const fn stream(
-        command: StreamCommand,
-        position: Position,
-        velocity: SignedVelocity,
-        acceleration: SignedAcceleration,
-    ) -> MotionCommand {
-        let mut row = MotionCommand::new(command.id()).with(0, position.0 as u32, size_of::<Position>());
-        if command.has_velocity() {
-            row = row.with(4, velocity.0 as u32, size_of::<SignedVelocity>());
-        }
-        if command.has_acceleration() {
-            row = row.with(8, acceleration.0 as u32, size_of::<SignedAcceleration>());
-        }
-        row
-    }
-
-    /// With a field of `size` bytes at `at`.
-    #[inline]
-    const fn with(mut self, at: usize, wire: u32, size: usize) -> MotionCommand {
-        let bytes = wire.to_le_bytes();
-        let mut index = 0;
-        while index < size {
-            self.parameters[at + index] = bytes[index];
-            index += 1;
-        }
-        self
+    /// The command of this name.
+    pub fn named(name: &str) -> Option<&'static CommandInfo> {
+        CATALOGUE.iter().find(|info| info.name == name)
     }
 }
 

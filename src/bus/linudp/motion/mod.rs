@@ -5,7 +5,9 @@
 //! | file | what |
 //! |---|---|
 //! | `values` | positions, velocities, ids ...: a type each, over its wire integer; units and ranges |
-//! | `commands` | a command, and the list of all of them, from which constructors and catalogue are made |
+//! | `command` | a command: its id, its parameters, its block |
+//! | `commands` | the list of all of them, from which constructors and catalogue are made |
+//! | `stream` | which streaming commands there are, and the periods that each takes |
 //! | `catalogue` | what is known of a command, as data: name, marks, layout |
 //!
 //! A command is a header word, `id << 4 | count`, and up to 30 parameter bytes, unused ones 0. The drive runs a command
@@ -24,44 +26,16 @@
 //! ```
 
 mod catalogue;
+mod command;
 mod commands;
+pub(crate) mod stream;
 mod values;
 
 pub use catalogue::{CommandInfo, FIELDS, Field, Mark};
-pub use commands::{CATALOGUE, MotionCommand};
+pub use command::MotionCommand;
+pub use commands::CATALOGUE;
+pub(crate) use stream::StreamCommand;
 pub use values::*;
-
-use super::plan::StreamCommand;
-
-impl StreamCommand {
-    /// Master and sub id.
-    pub const fn id(self) -> u16 {
-        self as u16
-    }
-
-    /// The command of this id.
-    pub fn from_id(id: u16) -> Option<StreamCommand> {
-        StreamCommand::ALL.into_iter().find(|command| command.id() == id)
-    }
-
-    /// Setpoints carry a velocity.
-    pub const fn has_velocity(self) -> bool {
-        !matches!(self, StreamCommand::P | StreamCommand::PConfigured)
-    }
-
-    /// Setpoints carry an acceleration.
-    pub const fn has_acceleration(self) -> bool {
-        matches!(self, StreamCommand::Pva | StreamCommand::PvaConfigured)
-    }
-
-    /// The time base is the period configured in the drive (UPID 14E6h), not the instant at which it receives.
-    pub const fn has_configured_period(self) -> bool {
-        matches!(
-            self,
-            StreamCommand::PConfigured | StreamCommand::PvConfigured | StreamCommand::PvaConfigured
-        )
-    }
-}
 
 #[cfg(test)]
 mod golden;
