@@ -26,7 +26,7 @@ pub struct CountedNet<N = Os> {
 impl CountedNet {
     /// Those of the operating system. Counts in `calls`.
     pub fn new(calls: &Calls) -> CountedNet {
-        CountedNet::over(Os::beside(fieldbeat::internals::rt::thread::default_core()), calls)
+        CountedNet::over(Os::off_core(fieldbeat::internals::rt::thread::default_core()), calls)
     }
 }
 

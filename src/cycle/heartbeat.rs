@@ -12,14 +12,14 @@ pub struct Heartbeat {
     most: Option<u64>,
     beats: u64,
     /// The slot in which the last beat was seen.
-    heard_at: u64,
+    beaten_at: u64,
 }
 
 impl Heartbeat {
     /// A watch over `pulse` that allows `limit_ns` without a beat.
     pub fn new(pulse: Pulse, limit_ns: Option<u64>, period_ns: u64) -> Heartbeat {
         let most = limit_ns.map(|limit| limit.div_ceil(period_ns.max(1)));
-        Heartbeat { beats: pulse.count(), pulse, most, heard_at: 0 }
+        Heartbeat { beats: pulse.count(), pulse, most, beaten_at: 0 }
     }
 
     /// The memory that it touches besides itself.
@@ -32,9 +32,9 @@ impl Heartbeat {
         let Some(most) = self.most else { return false };
         let beats = self.pulse.count();
         if beats != self.beats {
-            (self.beats, self.heard_at) = (beats, cycle.index);
+            (self.beats, self.beaten_at) = (beats, cycle.index);
         }
-        cycle.index - self.heard_at > most
+        cycle.index - self.beaten_at > most
     }
 }
 

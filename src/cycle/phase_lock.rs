@@ -52,7 +52,7 @@ mod tests {
 
     /// A clock that runs next to a grid, as its bus sees it.
     #[derive(Clone, Copy)]
-    struct Beside {
+    struct Drifting {
         period_ns: u64,
         /// How much quicker it is than ours.
         ppm: f64,
@@ -60,7 +60,7 @@ mod tests {
         phase_ns: u64,
     }
 
-    impl Beside {
+    impl Drifting {
         /// The error of a slot at `grid`, between half a period early and half a period late.
         fn error(self, grid: i64) -> i64 {
             let shown = grid as f64 * (1.0 + self.ppm * 1e-6) + self.phase_ns as f64;
@@ -95,9 +95,9 @@ mod tests {
         for period_ns in PERIODS {
             for ppm in [-1_000.0, -100.0, -0.3, 0.0, 0.3, 100.0, 1_000.0] {
                 for part in 0..20 {
-                    let beside = Beside { period_ns, ppm, phase_ns: part * period_ns / 20 };
+                    let drifting = Drifting { period_ns, ppm, phase_ns: part * period_ns / 20 };
                     let locked = 2 * S / period_ns;
-                    let run = beside.run(2 * locked, |_| false);
+                    let run = drifting.run(2 * locked, |_| false);
                     assert!(run.iter().flatten().all(|(_, step)| step.unsigned_abs() <= period_ns / 100));
                     let off = worst(&run[locked as usize..]);
                     assert!(off < 1_000, "{period_ns} ns, {ppm} ppm, {part}/20: {off} ns");
@@ -110,7 +110,7 @@ mod tests {
     fn a_drift_of_less_than_a_nanosecond_a_slot_is_followed_without_an_error() {
         // 0.3 ppm of 250 us are 0.075 ns.
         for (period_ns, ppm) in [(250 * US, 0.3), (MS, 0.1), (MS, -0.77)] {
-            let run = Beside { period_ns, ppm, phase_ns: 0 }.run(40_000, |_| false);
+            let run = Drifting { period_ns, ppm, phase_ns: 0 }.run(40_000, |_| false);
             assert!(worst(&run) <= 40, "{}", worst(&run));
             let tail = &run[20_000..];
             assert!(worst(tail) <= 2, "{}", worst(tail));
@@ -124,9 +124,9 @@ mod tests {
     fn slots_without_a_sample_steer_nothing_and_the_rest_still_locks() {
         for period_ns in PERIODS {
             for every in [2, 3, 17] {
-                let beside = Beside { period_ns, ppm: 100.0, phase_ns: period_ns / 3 };
+                let drifting = Drifting { period_ns, ppm: 100.0, phase_ns: period_ns / 3 };
                 let locked = 4 * S / period_ns;
-                let run = beside.run(2 * locked, |slot| slot % every == 0);
+                let run = drifting.run(2 * locked, |slot| slot % every == 0);
                 let off = worst(&run[locked as usize..]);
                 assert!(off < 1_000, "{period_ns} ns, one of {every} lost: {off} ns");
             }
@@ -138,12 +138,12 @@ mod tests {
         // Far beyond what steps of a hundredth of the period can follow: the error wraps around again and again.
         // That is right.
         let mut lock = PhaseLock::new(MS);
-        let wild = Beside { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
+        let wild = Drifting { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
         let mut grid = 0;
         for _ in 0..20_000 {
             grid += MS as i64 + lock.step(wild.error(grid));
         }
-        let tame = Beside { ppm: 100.0, ..wild };
+        let tame = Drifting { ppm: 100.0, ..wild };
         let mut errors = Vec::new();
         for _ in 0..4_000 {
             let error = tame.error(grid);
@@ -155,19 +155,19 @@ mod tests {
 
     #[test]
     fn a_single_wrong_sample_moves_the_grid_by_no_more_than_one_step() {
-        let beside = Beside { period_ns: MS, ppm: 20.0, phase_ns: 0 };
+        let drifting = Drifting { period_ns: MS, ppm: 20.0, phase_ns: 0 };
         for wrong in [500_000, -499_999, i64::MAX, i64::MIN] {
             let mut lock = PhaseLock::new(MS);
             let (mut grid, mut worst) = (0, 0);
             for slot in 0..6_000 {
-                let error = beside.error(grid);
+                let error = drifting.error(grid);
                 if slot > 2_000 {
                     worst = worst.max(error.unsigned_abs());
                 }
                 grid += MS as i64 + lock.step(if slot == 3_000 { wrong } else { error });
             }
             assert!(worst <= 10_100, "{wrong}: {worst} ns");
-            assert!(beside.error(grid).abs() < 100);
+            assert!(drifting.error(grid).abs() < 100);
         }
     }
 }

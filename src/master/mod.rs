@@ -394,7 +394,7 @@ impl Setup {
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions } =
-            assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
+            assemble(&plan, MonotonicClock, &Os::off_core(realtime.core_to_be()), task, control.clone())?;
 
         let (report, reported) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()

@@ -163,7 +163,7 @@ pub struct Os {
 
 impl Os {
     /// Its link thread keeps off this core, which is that of the loop.
-    pub fn beside(core_of_loop: Option<usize>) -> Os {
+    pub fn off_core(core_of_loop: Option<usize>) -> Os {
         Os { core_of_loop, ..Os::default() }
     }
 

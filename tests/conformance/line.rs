@@ -652,7 +652,7 @@ impl Line {
     }
 
     /// Turns until the drive answers again. A datagram does with the next exchange; a connection may have to be opened
-    /// anew, after a pause and a greeting, and its first reply may not say all.
+    /// anew, after a pause and a handshake, and its first reply may not say all.
     pub fn heal(&mut self, index: usize) -> Seen {
         if !self.can.stream && !self.can.own_clock {
             return self.exchange(index);

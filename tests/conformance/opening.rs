@@ -29,7 +29,7 @@ pub fn open_sends_nothing(subject: &'static dyn Subject) {
     let line = Line::new(subject, 3);
     line.world.advance(S);
     assert_eq!(line.wire.log().sends, 0);
-    // Connections are opened and greeted beside the loop.
+    // Connections are opened, with their handshake, outside the loop.
     assert!(line.can.stream || line.world.delivered() == 0);
     assert!(
         !line

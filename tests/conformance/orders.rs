@@ -580,7 +580,7 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         // Lost, doubled, or late by an exchange.
         let (drop, duplicate, delay) = match line.can.stream {
             false => (0.3, 0.1, 0.1),
-            // Each of them may cost a connection, and a greeting has to pass to open the next one.
+            // Each of them may cost a connection, and a handshake has to pass to open the next one.
             true => (0.005, 0.002, 0.01),
         };
         let delay_ns = PERIOD * u64::from(line.drives[0].axis.divisor);

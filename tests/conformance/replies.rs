@@ -478,7 +478,7 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
         line.honest = false;
         let mut random = fastrand::Rng::with_seed(seed);
         for index in 0..3 {
-            // A connection that is lost is opened by a greeting, which has to pass as well.
+            // A connection that is lost is opened by a handshake, which has to pass as well.
             let rate = if line.can.stream { 0.05 } else { 1.0 };
             let plan = FaultPlan {
                 seed: seed * 3 + index as u64,

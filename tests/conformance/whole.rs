@@ -375,7 +375,7 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
 fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
     let options = WorldOptions { seed, wake_ns: 60_000, ..WorldOptions::default() };
     let mut m = Machine::of(subject, 3, |_, _| {}, CyclePlan::default(), options);
-    // A connection that is lost is opened by a greeting, which has to pass as well.
+    // A connection that is lost is opened by a handshake, which has to pass as well.
     let rate = if m.can.stream { 0.1 } else { 1.0 };
     for index in 0..3 {
         let plan = FaultPlan {

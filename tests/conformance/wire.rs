@@ -55,7 +55,7 @@ pub struct Tape {
     pub meddled: Option<Vec<u8>>,
     /// The master's end of its connection, if it has any.
     pub peer: Option<SocketAddrV4>,
-    /// The bus has that connection: what comes on it is no greeting.
+    /// The bus has that connection: what comes on it is no handshake.
     pub open: bool,
     /// Connections that the bus has taken over.
     pub opened: u64,
@@ -404,7 +404,7 @@ impl SimDrive for TappedDrive {
         self.said = said.or(self.said);
         let reported = to.filter(|_| !tape.mute).and_then(|_| subject.said(self.reported, &request, &reply));
         self.reported = reported.or(self.reported);
-        // On a stream, a greeting, or a part of a request only.
+        // On a stream, a handshake, or a part of a request only.
         let none = subject.can().stream && (!tape.open || request.is_empty());
         if !none {
             tape.received.push(Delivery { at: now, request, reply, said, reported });

@@ -13,7 +13,7 @@ use crate::virtual_time::support::*;
 
 const STOP: Command = Command::Stop { deceleration: None };
 
-/// The control words that the drive heard, each once in a row.
+/// The control words that the drive received, each once in a row.
 fn controls(b: &Bench, index: usize) -> Vec<u16> {
     let mut words: Vec<u16> =
         b.tape(index).received.iter().filter_map(|received| received.request.control).map(|c| c.0).collect();

@@ -189,8 +189,8 @@ fn there_are_no_bursts_to_catch_up() {
     }
 }
 
-/// The positions of the streamed rows that the drive heard, in order.
-fn rows_heard(b: &Bench, index: usize) -> Vec<i32> {
+/// The positions of the streamed rows that the drive received, in order.
+fn rows_received(b: &Bench, index: usize) -> Vec<i32> {
     let mut rows: Vec<(u16, i32)> = Vec::new();
     for received in &b.tape(index).received {
         let Some(motion) = received.request.motion else { continue };
@@ -240,7 +240,7 @@ fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
         for (index, follow) in follows.into_iter().enumerate() {
             assert_eq!(b.ended(index, follow), Outcome::Done, "divisor {divisor} seed {seed} axis {index}");
             let expected: Vec<i32> = (0..=ROWS).map(|n| 500_000 + n * 100).collect();
-            let rows = rows_heard(&b, index);
+            let rows = rows_received(&b, index);
             let (streamed, standing) = rows.split_at(expected.len());
             assert_eq!(streamed, expected, "divisor {divisor} seed {seed} axis {index}");
             // Behind the last one some that stand still, so that the drive's delay runs out.

@@ -352,7 +352,7 @@ impl Handshake for UnidriveHandshake {
             Ok(Some(size)) if size < self.inbox.len() => surprised(),
             Ok(Some(_)) => {
                 let inbox = std::mem::take(&mut self.inbox);
-                let greeted = match Response::parse(&inbox) {
+                let state = match Response::parse(&inbox) {
                     Ok((header, response)) if header.transaction == self.transaction => {
                         self.answer(response, out)
                     }
@@ -360,7 +360,7 @@ impl Handshake for UnidriveHandshake {
                 };
                 self.inbox = inbox;
                 self.inbox.clear();
-                greeted
+                state
             }
             Err(error) => HandshakeState::Failed(error.to_string()),
         }

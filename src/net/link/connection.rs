@@ -7,7 +7,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::words::{During, broken, no_answer, no_greeting};
+use super::words::{During, broken, no_answer, no_handshake};
 use crate::net::stream::{Broken, Handshake, HandshakeState, LinkNotes, StreamPeer};
 use crate::time::{MS, Time};
 
@@ -166,7 +166,7 @@ impl Connection {
                 self.refused(now, no_answer(address, self.peer.connect_ns))
             }
             Phase::Handshake { until, .. } if until <= now => {
-                self.refused(now, no_greeting(address, self.peer.handshake_ns))
+                self.refused(now, no_handshake(address, self.peer.handshake_ns))
             }
             _ if self.session_due().is_some_and(|due| due <= now) => self.run(now),
             _ => Action::Wait,
@@ -176,9 +176,9 @@ impl Connection {
     /// Its session runs, if it has one: it is due, or somebody has posted something.
     pub fn run(&mut self, now: Time) -> Action {
         self.rests_until = now + SHORTEST_RUN_NS;
-        let greeted = self.peer.handshake.run(now, &mut self.out);
+        let state = self.peer.handshake.run(now, &mut self.out);
         if let Phase::Handshake { .. } | Phase::Kept { .. } = self.phase {
-            return self.greeted(now, greeted);
+            return self.handshake(now, state);
         }
         self.out.clear();
         Action::Wait
@@ -190,8 +190,8 @@ impl Connection {
         self.out.clear();
         self.sent = 0;
         self.phase = Phase::Handshake { until: now + self.peer.handshake_ns, done: false };
-        let greeted = self.peer.handshake.begin(now, &mut self.out);
-        self.greeted(now, greeted)
+        let state = self.peer.handshake.begin(now, &mut self.out);
+        self.handshake(now, state)
     }
 
     /// It could not be opened, or broke during the handshake or session.
@@ -212,8 +212,8 @@ impl Connection {
                 self.refused(now, format!("{} sends something that nobody requested", self.peer.address))
             }
             Phase::Handshake { done: false, .. } | Phase::Kept { .. } => {
-                let greeted = self.peer.handshake.take(now, bytes, &mut self.out);
-                self.greeted(now, greeted)
+                let state = self.peer.handshake.take(now, bytes, &mut self.out);
+                self.handshake(now, state)
             }
             _ => Action::Wait,
         }
@@ -236,8 +236,8 @@ impl Connection {
         self.refused(now, format!("{} given up: {why}", self.name))
     }
 
-    fn greeted(&mut self, now: Time, greeted: HandshakeState) -> Action {
-        match (greeted, &mut self.phase) {
+    fn handshake(&mut self, now: Time, state: HandshakeState) -> Action {
+        match (state, &mut self.phase) {
             (HandshakeState::Failed(why), _) => {
                 return self.refused(now, format!("{}: {why}", self.peer.address));
             }

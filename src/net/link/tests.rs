@@ -184,7 +184,7 @@ impl BlackHole {
 }
 
 #[test]
-fn a_peer_that_dribbles_is_greeted_handed_over_and_talked_to() {
+fn a_peer_that_dribbles_finishes_its_handshake_is_handed_over_and_talked_to() {
     let listener = listener(address(1, 10));
     let mut streams = Os::default().streams(vec![patient(address(1, 10), Hello::default())]).unwrap();
     let mut drive = accept(&listener);
@@ -205,7 +205,7 @@ fn a_peer_that_dribbles_is_greeted_handed_over_and_talked_to() {
 
 #[test]
 fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
-    // 16 do not answer at all, 16 take the connection and never answer the greeting. Each has 600 s, so that the last
+    // 16 do not answer at all, 16 take the connection and never answer the handshake. Each has 600 s, so that the last
     // peer is only served within the time of this test if nobody waits for them.
     let holes: Vec<_> = (0..16).map(|host| BlackHole::new(address(2, 10 + host))).collect();
     let mutes: Vec<_> = (16..32).map(|host| listener(address(2, 10 + host))).collect();
@@ -213,7 +213,7 @@ fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
     let hosts = (0..32).map(|host| 10 + host).chain([99]);
     let peers = hosts.map(|host| patient(address(2, host), Hello::default())).collect();
     let mut streams = Os::default().streams(peers).unwrap();
-    let greeted: Vec<_> = mutes.iter().map(accept).collect();
+    let mute: Vec<_> = mutes.iter().map(accept).collect();
     for round in 0..3 {
         let mut drive = accept(&well);
         expect(&mut drive, b"hello");
@@ -226,7 +226,7 @@ fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
     assert!((0..32).all(|index| streams.notes().get(index).is_none()));
     assert!(mutes.iter().all(|mute| mute.accept().unwrap_err().kind() == ErrorKind::WouldBlock));
     assert_eq!(streams.opened(), None);
-    drop((streams, holes, greeted));
+    drop((streams, holes, mute));
 }
 
 #[test]
@@ -274,7 +274,7 @@ fn a_peer_that_resets_its_connections_is_asked_until_it_keeps_one() {
         reset(accept(&listener));
         until("noted", || notes.get(0).is_some_and(|note| note.contains("ends the connection at once")));
     }
-    // In the middle of a greeting, orderly.
+    // In the middle of a handshake, orderly.
     let mut drive = accept(&listener);
     drive.write_all(b"welc").unwrap();
     drop(drive);
@@ -385,7 +385,7 @@ fn the_thread_keeps_off_the_core_of_the_loop() {
         let Some(core) = default_core().filter(|_| ours.len() > 1) else {
             return println!("skipped: there is one core only");
         };
-        let streams = Os::beside(Some(core)).streams(Vec::new()).unwrap();
+        let streams = Os::off_core(Some(core)).streams(Vec::new()).unwrap();
         let others: Vec<_> = ours.into_iter().filter(|other| *other != core).collect();
         until("moved", || {
             let threads = thread_directories();

@@ -20,7 +20,7 @@ pub(super) fn no_answer(peer: SocketAddrV4, waited_ns: u64) -> String {
     )
 }
 
-pub(super) fn no_greeting(peer: SocketAddrV4, waited_ns: u64) -> String {
+pub(super) fn no_handshake(peer: SocketAddrV4, waited_ns: u64) -> String {
     format!(
         "{peer} accepts connections, but does not answer within {}: is it the right port of the right device?",
         Ns(waited_ns)

@@ -81,18 +81,18 @@ impl Pipe {
         self.replies.clear();
         let Some(mut peer) = self.peer.take() else { return };
         let mut out = Vec::new();
-        let mut greeted = peer.handshake.begin(self.now, &mut out);
-        // Bounded: a greeting has so many steps at most.
+        let mut state = peer.handshake.begin(self.now, &mut out);
+        // Bounded: a handshake has so many steps at most.
         for _ in 0..100 {
-            if greeted != HandshakeState::More {
+            if state != HandshakeState::More {
                 break;
             }
             let mut reply = Vec::new();
             self.drive.receive(self.now, MASTER, &std::mem::take(&mut out), &mut reply);
-            greeted = peer.handshake.take(self.now, &reply, &mut out);
+            state = peer.handshake.take(self.now, &reply, &mut out);
         }
         self.peer = Some(peer);
-        self.open = greeted == HandshakeState::Done;
+        self.open = state == HandshakeState::Done;
         (self.news, self.broken) = (self.open, None);
     }
 

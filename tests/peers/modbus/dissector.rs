@@ -184,7 +184,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         // Function 23, where it is not known; the parameter that nobody has.
         let unknown = if index == 2 { &[(23, 1), (3, 2)][..] } else { &[(3, 2)] };
         assert_eq!(exchanges.iter().filter_map(refused).collect::<Vec<_>>(), unknown);
-        // The greeting counts its requests from 1 on, and so does the loop behind it.
+        // The handshake counts its requests from 1 on, and so does the loop behind it.
         let begin = exchanges.iter().rposition(|(request, _)| request.transaction == 1).unwrap();
         let cyclic = &exchanges[begin..];
         assert_eq!(cyclic.len() as u64, end.counters.sent, "{:?}", end.counters);

@@ -1,4 +1,4 @@
-//! A machine of any shape: brought into motion, struck, looked at, and brought back for the next fault.
+//! A machine of any shape: brought into motion, given a fault, looked at, and brought back for the next fault.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -22,13 +22,13 @@ use super::{DRIVE, LINK, MACHINE, STREAM, Table};
 use crate::virtual_time::support::*;
 
 /// One fault and what has to come of it.
-struct Strike {
+struct Injection {
     fault: Fault,
     /// Whom it befell; `None` = all.
     axis: Option<usize>,
     /// Who has to be told to stop.
     axes: Vec<usize>,
-    struck_at: u64,
+    injected_at: u64,
     /// The cycle from which its bound counts, once that is known.
     from: Option<u64>,
 }
@@ -46,7 +46,7 @@ enum State {
     Rising,
     /// In motion until that cycle; then this fault befalls this axis.
     Moving(u64, Fault, usize),
-    Struck(Strike),
+    Injected(Injection),
     /// Stopped, and left alone until that cycle.
     Resting(u64),
 }
@@ -87,7 +87,7 @@ pub struct Machine {
     stated: Vec<u64>,
     task: Arc<Mutex<TaskPart>>,
     max_skip: u64,
-    /// No lane strikes by itself.
+    /// No lane injects a fault by itself.
     quiet: bool,
     /// Every axis may be stopped.
     all: bool,
@@ -223,8 +223,8 @@ impl Machine {
             }
         }
         for (axis, event) in std::mem::take(&mut self.b.events) {
-            let struck = |lane: &Lane| matches!(lane.state, State::Struck(_)) && lane.axes.contains(&axis);
-            let expected = self.all || self.lanes.iter().any(struck);
+            let faulty = |lane: &Lane| matches!(lane.state, State::Injected(_)) && lane.axes.contains(&axis);
+            let expected = self.all || self.lanes.iter().any(faulty);
             let watch = &mut self.watches[axis];
             match event.kind {
                 EventKind::Stopped(cause) => {
@@ -272,11 +272,11 @@ impl Machine {
                 State::Clearing => self.clear(&axes),
                 State::Rising => self.rise(&axes),
                 State::Moving(until, fault, axis) if !self.quiet && self.now() >= until => {
-                    State::Struck(self.strike(fault, Some(axis), axes))
+                    State::Injected(self.inject(fault, Some(axis), axes))
                 }
-                State::Struck(mut strike) => match self.settle(&mut strike) {
+                State::Injected(mut injection) => match self.settle(&mut injection) {
                     true => self.rest(),
-                    false => State::Struck(strike),
+                    false => State::Injected(injection),
                 },
                 State::Resting(until) if self.now() >= until => {
                     axes.into_iter().for_each(|axis| self.mend(axis));
@@ -326,7 +326,7 @@ impl Machine {
             return State::Clearing;
         }
         if !self.quiet && self.random.u8(..5) == 0 {
-            // Struck on the way up.
+            // Given a fault on the way up.
             axes.iter().for_each(|axis| self.post(*axis, Command::Enable));
             let longest = 350 * MS / self.b.period_ns;
             let (fault, axis) = (pick(&mut self.random, &LINK), pick(&mut self.random, axes));
@@ -409,7 +409,7 @@ impl Machine {
     }
 
     /// Lets it happen.
-    fn strike(&mut self, fault: Fault, axis: Option<usize>, axes: Vec<usize>) -> Strike {
+    fn inject(&mut self, fault: Fault, axis: Option<usize>, axes: Vec<usize>) -> Injection {
         let (world, now) = (self.b.world(), self.now());
         let mut from = None;
         if let Some(axis) = axis {
@@ -472,17 +472,17 @@ impl Machine {
             }
             _ => {}
         }
-        Strike { fault, axis, axes, struck_at: now, from }
+        Injection { fault, axis, axes, injected_at: now, from }
     }
 
     /// Whether every stop request is out; if so, none was late.
-    fn settle(&mut self, strike: &mut Strike) -> bool {
-        let Strike { fault, axis: struck, ref axes, struck_at, .. } = *strike;
+    fn settle(&mut self, injection: &mut Injection) -> bool {
+        let Injection { fault, axis: faulty, ref axes, injected_at, .. } = *injection;
         let now = self.now();
-        assert!(now < struck_at + 1_000, "{fault:?} of axis {struck:?} in cycle {struck_at}: no stop");
-        strike.from = strike.from.or_else(|| {
-            let acted_at = self.task.lock().unwrap().acted_at.filter(|acted| *acted > struck_at);
-            let axis = struck.unwrap_or(0);
+        assert!(now < injected_at + 1_000, "{fault:?} of axis {faulty:?} in cycle {injected_at}: no stop");
+        injection.from = injection.from.or_else(|| {
+            let acted_at = self.task.lock().unwrap().acted_at.filter(|acted| *acted > injected_at);
+            let axis = faulty.unwrap_or(0);
             match fault {
                 Dropping | Late => self.watches[axis].stopped.map(|stopped| stopped.good_at),
                 Starved => {
@@ -496,25 +496,25 @@ impl Machine {
         let reported =
             |axis: &usize| Some((*axis, self.watches[*axis].stopped?, self.watches[*axis].stopped?.told_at?));
         let Some(reported) = axes.iter().map(reported).collect::<Option<Vec<_>>>() else { return false };
-        let from = strike.from.expect("stopped, so its cause is known");
+        let from = injection.from.expect("stopped, so its cause is known");
         // A stream that loses rows, or goes on without power, becomes a fault of the drive, and that may be told first.
         let told_first = |(axis, stopped, _): &(usize, Stopped, u64)| {
-            Some(*axis) == struck && stopped.cause == StopCause::DriveFault
+            Some(*axis) == faulty && stopped.cause == StopCause::DriveFault
         };
         let may = matches!(fault, Dropping | Late | PowerCut) && reported.iter().any(told_first);
         let fault = if may { DriveError } else { fault };
         let tally = self.table.entry(fault).or_default();
         tally.faults += 1;
         for (axis, stopped, told_at) in reported {
-            let own = struck.is_none_or(|struck| struck == axis);
+            let own = faulty.is_none_or(|faulty| faulty == axis);
             let cause = if own { fault.cause() } else { StopCause::Group };
-            let bound = fault.bound(own, &self.b.drives[axis].axis, self.stated[struck.unwrap_or(axis)]);
+            let bound = fault.bound(own, &self.b.drives[axis].axis, self.stated[faulty.unwrap_or(axis)]);
             let cycles = told_at - from;
             assert!(
                 cycles <= bound,
-                "{fault:?} of {struck:?}: axis {axis} was told {cycles} cycles after {from}, not {bound}"
+                "{fault:?} of {faulty:?}: axis {axis} was told {cycles} cycles after {from}, not {bound}"
             );
-            assert_eq!(stopped.cause, cause, "{fault:?} of {struck:?}: axis {axis}");
+            assert_eq!(stopped.cause, cause, "{fault:?} of {faulty:?}: axis {axis}");
             tally.note(cycles, bound);
         }
         true
@@ -547,7 +547,7 @@ impl Machine {
     }
 
     /// Brings all axes into motion, and stops them all.
-    fn strike_all(&mut self, fault: Fault) {
+    fn inject_all(&mut self, fault: Fault) {
         self.quiet = true;
         let mut turns = 0;
         while !self.lanes.iter().all(|lane| matches!(lane.state, State::Moving(..))) {
@@ -567,8 +567,8 @@ impl Machine {
             self.go_on();
         }
         self.all = true;
-        let mut strike = self.strike(fault, None, self.axes().collect());
-        while !self.settle(&mut strike) {
+        let mut injection = self.inject(fault, None, self.axes().collect());
+        while !self.settle(&mut injection) {
             self.turn();
         }
         for index in 0..self.lanes.len() {
@@ -581,18 +581,18 @@ impl Machine {
     pub fn run(&mut self, faults: u64) {
         self.bring_up();
         (self.quiet, self.all) = (false, false);
-        let struck = |m: &Machine| m.table.values().map(|tally| tally.faults).sum::<u64>();
-        while struck(self) < faults {
+        let faulty = |m: &Machine| m.table.values().map(|tally| tally.faults).sum::<u64>();
+        while faulty(self) < faults {
             match self.random.u8(..40) {
                 0 => {
                     let fault = pick(&mut self.random, &MACHINE);
-                    self.strike_all(fault);
+                    self.inject_all(fault);
                 }
                 _ => (0..100).for_each(|_| self.go_on()),
             }
         }
-        self.strike_all(PanickingTask);
-        self.strike_all(Shutdown);
+        self.inject_all(PanickingTask);
+        self.inject_all(Shutdown);
         self.all = true;
         let ends = (0..20_000).any(|_| self.turn() == Flow::End);
         assert!(ends, "the shutdown does not end");

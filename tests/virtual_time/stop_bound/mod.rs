@@ -7,7 +7,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the kinds of faults, their bounds, and the count of what came of them |
-//! | `machine` | a machine of any shape, brought into motion, struck, and brought back |
+//! | `machine` | a machine of any shape, brought into motion, given a fault, and brought back |
 //! | `watch` | what one drive is told |
 
 mod machine;

@@ -39,7 +39,7 @@ type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 /// A drive that the test and the world share.
 struct Shared {
     drive: UnidriveSim,
-    /// Every request, the greeting's too.
+    /// Every request, the handshake's too.
     received: Vec<Vec<u8>>,
     /// Changes what the drive hears, and what it answers.
     request: Option<Tamper>,
@@ -450,7 +450,7 @@ fn a_restart_between_two_connections_is_noticed_though_nothing_was_acknowledged_
         // The link is not lost by then: nobody else stops it.
         let mut b = Bench::enabled(1, via, |_, drive| drive.axis.health.bucket = 100_000);
         b.turning(0, 4.0);
-        // From now on only greetings are answered: they neither read nor write anything by function 23.
+        // From now on only handshakes are answered: they neither read nor write anything by function 23.
         b.tap(0).reply = Some(Box::new(|reply| {
             if reply.get(7) == Some(&function::READ_WRITE) {
                 reply.clear();
@@ -618,7 +618,7 @@ fn each_mischief_of_a_peer_has_its_own_counter_and_moves_no_other() {
 }
 
 #[test]
-fn a_drive_that_refuses_its_cyclic_parameters_again_and_again_is_greeted_anew() {
+fn a_drive_that_refuses_its_cyclic_parameters_again_and_again_gets_a_new_handshake() {
     let mut b = Bench::enabled(1, Via::Menu0 { first: 11 }, |_, _| {});
     b.tap(0).reply =
         Some(Box::new(|reply| *reply = [&reply[..5], &[3, reply[6], reply[7] | 0x80, 2]].concat()));

@@ -229,7 +229,7 @@ fn coupler(place: u16) -> Device {
 }
 
 impl Rig {
-    /// Runs so many cycles, and how often each drive was heard in them.
+    /// Runs so many cycles, and how often each drive answered in them.
     fn receive(&mut self, cycles: usize) -> Vec<usize> {
         self.reported.taken.clear();
         self.run(cycles);
@@ -340,8 +340,8 @@ fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
     rig.all_up(20_000);
     assert_eq!((rig.wrong_counts(), rig.receive(20)), (0, vec![20; 90]));
     rig.sim.deafen(80, true);
-    let heard = rig.receive(100);
-    assert!((0..90).all(|index| heard[index] == if index == 80 { 0 } else { 100 }), "{heard:?}");
+    let answered = rig.receive(100);
+    assert!((0..90).all(|index| answered[index] == if index == 80 { 0 } else { 100 }), "{answered:?}");
 }
 
 #[test]

@@ -81,7 +81,7 @@ fn assert_about(ns: u64, nominal: u64) {
 }
 
 #[test]
-fn a_greeting_passes_in_any_split_and_hands_over_when_all_is_sent() {
+fn a_handshake_passes_in_any_split_and_hands_over_when_all_is_sent() {
     for piece in 1..=7 {
         let (mut connection, notes) = connection(b"hello", b"welcome");
         let now = connect(&mut connection);
@@ -165,7 +165,7 @@ fn what_the_protocol_finds_is_told_with_the_address() {
 }
 
 #[test]
-fn a_peer_that_goes_on_talking_after_the_greeting_is_not_handed_over() {
+fn a_peer_that_goes_on_talking_after_the_handshake_is_not_handed_over() {
     let (mut connection, notes) = connection(b"hello", b"welcome");
     let now = connect(&mut connection);
     connection.connected(now);

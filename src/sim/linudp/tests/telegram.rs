@@ -88,7 +88,7 @@ fn a_duplicate_is_answered_and_not_run() {
 }
 
 #[test]
-fn only_the_masters_port_is_heard() {
+fn only_requests_from_the_masters_port_are_answered() {
     let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
     let stranger = SocketAddrV4::new(*OTHER.ip(), MASTER_PORT + 1);
     assert_eq!(bench.raw(stranger, &STATUS), None);

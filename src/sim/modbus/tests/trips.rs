@@ -185,7 +185,7 @@ fn a_watchdog_of_edges_is_not_served_by_a_level() {
 }
 
 #[test]
-fn the_modbus_timeout_trips_when_nothing_is_heard() {
+fn the_modbus_timeout_trips_when_nothing_is_received() {
     let mut bench = Bench::enabled(1_000);
     bench.settled(C::FORWARD);
     bench.wait(60 * S);

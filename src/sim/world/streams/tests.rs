@@ -195,7 +195,7 @@ impl Rig {
 }
 
 #[test]
-fn a_connection_is_opened_greeted_and_handed_over_and_takes_its_latencies() {
+fn a_connection_is_opened_with_its_handshake_and_handed_over_and_takes_its_latencies() {
     let faults = FaultPlan { answer_ns: 100 * US, ..FaultPlan::default() };
     let mut rig = Rig::new(1, faults);
     assert_eq!(rig.request(0, 1), Err(Broken::Absent));
@@ -270,7 +270,7 @@ fn a_cut_ends_the_connection_in_the_middle_of_a_reply() {
 }
 
 #[test]
-fn a_drive_that_hangs_up_is_heard() {
+fn a_drive_that_hangs_up_is_noticed() {
     let mut rig = Rig::new(1, FaultPlan::default());
     rig.opened(0);
     rig.carrier.send(0, &[1, 1]).unwrap();
