@@ -8,6 +8,7 @@ mod setpoints;
 
 pub use self::commands::{take_calls, take_commands};
 pub use self::setpoints::take_rows;
+pub use super::health::Probes;
 
 use std::collections::VecDeque;
 
@@ -146,12 +147,12 @@ impl DriveController {
         period_ns: u64,
         first_probe: u64,
         silence: u64,
-        own_clock: bool,
+        probes: Probes,
     ) -> DriveController {
         let machine = Machine::new(&plan, can, period_ns);
         let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
         let (divisor, phase) = (plan.divisor, plan.phase);
-        let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
+        let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, probes);
         DriveController {
             health,
             ages_at: u64::MAX,

@@ -3,24 +3,39 @@
 use crate::axis::{Health, Link};
 use crate::time::nanos;
 
-/// The link to one drive as the loop evaluates it.
+/// When the requests leave to a drive that does not answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Probes {
+    /// One an interval. More of them to a dead address would fill the shared socket's send buffer, and starve the
+    /// other drives.
+    Spaced,
+    /// In each of its own slots: the frame that serves its bus leaves anyway.
+    Carried,
+    /// In each of its own slots and in no other one: it has agreed to that rate, sends by its own clock, and its
+    /// watchdog needs them.
+    AtOwnRate,
+}
+
+/// The link to one drive as the loop evaluates it: one cache line.
 #[derive(Clone, Copy, Debug)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct LinkHealth {
     link: Link,
     /// Each slot is one of its own.
     each_slot: bool,
-    /// The drive sends by its own clock, and its watchdog needs the requests whatever the link.
-    own_clock: bool,
+    probes: Probes,
     /// Good exchanges since the last miss or leak.
     good: u32,
     /// The slot of the last good one.
     good_at: u64,
-    rules: Health,
+    /// As in [`Health`].
+    leak: u32,
+    gate: u32,
+    bucket: u32,
     /// Misses in the bucket.
     level: u32,
-    divisor: u64,
-    phase: u64,
+    divisor: u32,
+    phase: u32,
     next_probe: u64,
     /// Cycles between two probes of a drive that does not answer.
     probe_every: u64,
@@ -30,8 +45,7 @@ pub struct LinkHealth {
 
 impl LinkHealth {
     /// A drive not seen yet. Its first probe goes out in slot `first_probe`. `silence` slots without a good exchange
-    /// are a loss, however many of them were executed. A drive with its `own_clock` is sent its requests in each of its
-    /// own slots, as long as they leave.
+    /// are a loss, however many of them were executed.
     pub fn new(
         rules: Health,
         divisor: u32,
@@ -39,19 +53,21 @@ impl LinkHealth {
         period_ns: u64,
         first_probe: u64,
         silence: u64,
-        own_clock: bool,
+        probes: Probes,
     ) -> LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
         LinkHealth {
             link: Link::Unseen,
             each_slot: divisor <= 1 && phase == 0,
-            own_clock,
+            probes,
             good: 0,
             good_at: 0,
-            rules,
+            leak: rules.leak,
+            gate: rules.gate,
+            bucket: rules.bucket,
             level: 0,
-            divisor: u64::from(divisor.max(1)),
-            phase: u64::from(phase),
+            divisor: divisor.max(1),
+            phase,
             next_probe: first_probe,
             probe_every,
             silence,
@@ -63,14 +79,15 @@ impl LinkHealth {
         self.link
     }
 
-    /// Whether an exchange is due in slot `index`: every own slot while the drive answers, one probe per interval
-    /// while it does not. Requests to a dead address would otherwise fill the shared socket's send buffer and
-    /// starve the other drives.
+    /// Whether an exchange is due in slot `index`: every own slot while the drive answers, and its probes while it does
+    /// not.
     #[inline]
     pub fn is_due(&self, index: u64) -> bool {
         match self.link {
             Link::Unseen | Link::Lost => index >= self.next_probe,
-            Link::Qualifying | Link::Online => self.each_slot || index % self.divisor == self.phase,
+            Link::Qualifying | Link::Online => {
+                self.each_slot || index % u64::from(self.divisor) == u64::from(self.phase)
+            }
         }
     }
 
@@ -84,13 +101,16 @@ impl LinkHealth {
 
     /// When a drive that does not answer has its turn again, after slot `index`.
     fn again(&self, index: u64) -> u64 {
-        if self.own_clock { self.next_own(index) } else { index + self.probe_every }
+        match self.probes {
+            Probes::Spaced => index + self.probe_every,
+            Probes::Carried | Probes::AtOwnRate => self.next_own(index),
+        }
     }
 
     /// Its next own slot after `index`.
     fn next_own(&self, index: u64) -> u64 {
-        let next = index + 1;
-        next + (self.phase + self.divisor - next % self.divisor) % self.divisor
+        let (next, divisor) = (index + 1, u64::from(self.divisor));
+        next + (u64::from(self.phase) + divisor - next % divisor) % divisor
     }
 
     /// It can be reached from slot `index` on, without waiting for a probe interval.
@@ -104,7 +124,7 @@ impl LinkHealth {
         self.good_at = index;
         self.good += 1;
         // Usually it is up, and nothing leaks yet.
-        if self.link != Link::Online || self.good >= self.rules.leak {
+        if self.link != Link::Online || self.good >= self.leak {
             self.improve();
         }
     }
@@ -118,11 +138,11 @@ impl LinkHealth {
             }
             Link::Qualifying | Link::Online => {}
         }
-        if self.link == Link::Qualifying && self.good >= self.rules.gate {
+        if self.link == Link::Qualifying && self.good >= self.gate {
             self.link = Link::Online;
             self.level = 0;
             self.good = 0;
-        } else if self.link == Link::Online && self.good >= self.rules.leak {
+        } else if self.link == Link::Online && self.good >= self.leak {
             self.level = self.level.saturating_sub(1);
             self.good = 0;
         }
@@ -139,7 +159,7 @@ impl LinkHealth {
             }
             Link::Online => {
                 self.level += 1;
-                if self.level >= self.rules.bucket {
+                if self.level >= self.bucket {
                     self.lose(index);
                 }
             }
@@ -156,7 +176,10 @@ impl LinkHealth {
     fn lose(&mut self, index: u64) {
         self.link = Link::Lost;
         // The stop request leaves with the very next slot, as the first probe; at an agreed rate with the next own one.
-        self.next_probe = if self.own_clock { self.next_own(index) } else { index + 1 };
+        self.next_probe = match self.probes {
+            Probes::Spaced | Probes::Carried => index + 1,
+            Probes::AtOwnRate => self.next_own(index),
+        };
     }
 }
 
@@ -166,7 +189,7 @@ mod tests {
     use crate::time::MS;
 
     fn online() -> LinkHealth {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20, false);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20, Probes::Spaced);
         for _ in 0..10 {
             health.answered(0);
         }
@@ -176,7 +199,7 @@ mod tests {
 
     #[test]
     fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20, false);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20, Probes::Spaced);
         assert!(!health.is_due(2) && health.is_due(3));
         health.requested(3, true);
         assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
@@ -222,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_drive_that_can_be_asked_again_is_asked_at_once() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, false);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, Probes::Spaced);
         health.requested(0, true);
         assert!(!health.is_due(10));
         health.reachable(10);
@@ -233,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 1, 40, true);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 1, 40, Probes::AtOwnRate);
         let mut due = |slots: std::ops::Range<u64>, sent: bool| {
             let mut all = Vec::new();
             for index in slots {
@@ -265,8 +288,34 @@ mod tests {
     }
 
     #[test]
+    fn a_drive_whose_frame_leaves_anyway_takes_part_in_all_its_slots_whatever_its_link() {
+        let mut health = LinkHealth::new(Health::default(), 2, 1, MS, 0, 40, Probes::Carried);
+        let due = |health: &mut LinkHealth, slots: std::ops::Range<u64>| {
+            let mut all = Vec::new();
+            for index in slots {
+                if health.is_due(index) {
+                    all.push(index);
+                    health.requested(index, true);
+                }
+            }
+            all
+        };
+        assert_eq!(due(&mut health, 0..8), [0, 1, 3, 5, 7], "never seen");
+        (0..10).for_each(|_| health.answered(8));
+        (0..5).for_each(|_| health.missed(9, true));
+        assert_eq!(health.link(), Link::Lost);
+        assert_eq!(due(&mut health, 10..16), [10, 11, 13, 15], "the stop leaves with the very next slot");
+        health.answered(15);
+        health.missed(17, true);
+        assert_eq!((health.link(), due(&mut health, 18..24)), (Link::Lost, vec![19, 21, 23]), "lost again");
+        // What does not leave is tried once an interval.
+        health.requested(23, false);
+        assert_eq!(due(&mut health, 24..126), [123, 125]);
+    }
+
+    #[test]
     fn divisor_and_phase_choose_the_slots() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, false);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, Probes::Spaced);
         (0..10).for_each(|_| health.answered(0));
         let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
         assert_eq!(due, [3, 7, 11]);

@@ -18,7 +18,7 @@ use crate::cycle::record::Record;
 use crate::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers, Gauges, Status};
 use crate::cycle::task::Task;
 use crate::cycle::window::OpenBus;
-use crate::drive::controller::{DriveController, Queues};
+use crate::drive::controller::{DriveController, Probes, Queues};
 use crate::net::Carriers;
 use crate::rt::{self, Clock, Regions};
 use crate::telemetry::Recorder;
@@ -133,7 +133,11 @@ pub fn assemble<C: Clock>(
                 period_ns,
                 first_probe,
                 silence,
-                bus_plan.fresh_within_ns(index).is_some(),
+                match bus_plan.fresh_within_ns(index) {
+                    Some(_) => Probes::AtOwnRate,
+                    None if bus.is_one_frame() => Probes::Carried,
+                    None => Probes::Spaced,
+                },
             );
             let every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.

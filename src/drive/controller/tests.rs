@@ -85,7 +85,7 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let controller = DriveController::new(plan, can(), queues, MS, 0, 100, false);
+        let controller = DriveController::new(plan, can(), queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
         Alone {
             controller,

@@ -6,7 +6,6 @@ use std::sync::atomic::Ordering;
 use super::EthercatBus;
 use super::endpoints::{DriveEnd, Endpoints};
 use super::notes::{DOWN, OTHER_MASTER, WELL};
-use crate::axis::Link;
 use crate::bus::ethercat::counters::Own;
 use crate::bus::ethercat::image::{Mark, Read};
 use crate::bus::ethercat::segment::{Back, Sent};
@@ -165,13 +164,9 @@ impl EthercatBus {
     ) {
         let drives = self.drives.iter_mut().zip(&mut self.outgoing).zip(slots);
         let drives = drives.filter(|((_, out), slot)| slot.due && usize::from(out.frame) == number);
-        // The frame is sent in each cycle with the last outputs: so the counting of sent outputs advances in each.
         if let Some(sent_at) = sent_at.filter(|_| self.segment.is_settled()) {
             for ((drive, out), slot) in drives {
                 out.built = false;
-                if slot.link == Link::Lost {
-                    slot.reachable = true;
-                }
                 drive.station.sent(sent_at, cycle.deadline, slot);
             }
             return;
@@ -179,7 +174,6 @@ impl EthercatBus {
         for ((DriveEnd { station, slave }, out), slot) in drives {
             out.built = sent_at.is_none();
             let is_requested = self.segment.is_operational(*slave);
-            slot.reachable |= is_requested && slot.link == Link::Lost;
             match sent_at.filter(|_| is_requested) {
                 Some(sent_at) if self.segment.outputs_count(*slave) => {
                     station.sent(sent_at, cycle.deadline, slot);
