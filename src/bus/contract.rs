@@ -194,9 +194,16 @@ impl Cycle {
 }
 
 /// One drive between the loop and its bus.
+///
+/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link` and
+/// `desired`, the bus the rest.
 #[derive(Clone, Debug, Default)]
+#[repr(C, align(64))]
 pub struct Slot {
-    // Written by the loop.
+    /// The exchange of this drive.
+    pub exchange: Exchange,
+    /// What has left of what is desired.
+    pub gone: Gone,
     /// An exchange is due at the next send.
     pub due: bool,
     /// The drive's power is on, or may come on by a request of the loop: a call of the application that commands the
@@ -206,22 +213,6 @@ pub struct Slot {
     /// The link as evaluated by the loop. A drive of which nothing is desired is only read, whatever its link. What is
     /// desired goes out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
-    /// What the drive shall do from its next request on.
-    pub desired: Desired,
-
-    // Written by the bus.
-    /// The exchange of this drive.
-    pub exchange: Exchange,
-    /// What the drive reported last.
-    pub status: DriveStatus,
-    /// What else is new of it.
-    pub notices: Notices,
-    /// What proves that the drive has what is desired.
-    pub evidence: Evidence,
-    /// What has left of that.
-    pub gone: Gone,
-    /// Exact counts of its exchanges.
-    pub counters: Counters,
     /// A drive without a connection has one from now on: it is due next, whatever its link. The loop clears it.
     pub reachable: bool,
     /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
@@ -230,6 +221,16 @@ pub struct Slot {
     /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
     /// enable until it is over.
     pub commanded: bool,
+    /// What else is new of the drive.
+    pub notices: Notices,
+    /// What the drive reported last.
+    pub status: DriveStatus,
+    /// What proves that the drive has what is desired.
+    pub evidence: Evidence,
+    /// Exact counts of its exchanges.
+    pub counters: Counters,
+    /// What the drive shall do from its next request on.
+    pub desired: Desired,
 }
 
 /// The state of a drive's exchange.
@@ -306,6 +307,7 @@ impl Exchange {
 
 /// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Notices {
     /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted
     /// packet.
@@ -317,11 +319,11 @@ pub struct Notices {
     pub other_master: bool,
     /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,
-    /// The drive refused to report a variable: its channel, and the drive's status.
-    pub monitor_refused: Option<(u8, u32)>,
     /// The drive reported an emergency, with or without a fresh status. The loop takes one in each cycle; the next
     /// one waits until then.
     pub emergency: Option<Emergency>,
+    /// The drive refused to report a variable: its channel, and the drive's status.
+    pub monitor_refused: Option<(u8, u32)>,
 }
 
 #[cfg(test)]

@@ -121,19 +121,17 @@ pub struct Gone {
     pub grid: Option<Time>,
 }
 
-/// What shows that a drive has its desired state, written by the bus with each report.
+/// What shows that a drive has its desired state, written by the bus with each report. What changes with most of them
+/// stands first.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub struct Evidence {
-    /// The newest serials that the drive has accepted, as far as its wire can prove.
-    pub accepted: Accepted,
     /// What is written reaches the drive and counts there.
     pub outputs_count: bool,
     /// Its power stays on, if it is on: the drive reports that it is commanded to be on.
     pub stays_on: bool,
     /// It can take the next motion.
     pub ready: bool,
-    /// It follows what is written.
-    pub follows: Follows,
     /// Its settings are those of its plan; they are written before its power comes on.
     pub is_set_up: bool,
     /// Its mode.
@@ -142,10 +140,6 @@ pub struct Evidence {
     pub homing: Homing,
     /// Whether it has its reference; `None`: not known since that may have changed.
     pub reference: Option<Reference>,
-    /// What is known of its fault.
-    pub fault: FaultIs,
-    /// Why it cannot be enabled or moved at present.
-    pub obstacle: Cannot,
     /// It has refused the newest motion.
     pub refused: Option<Refused>,
     /// The actual position, not folded into one turn.
@@ -154,6 +148,14 @@ pub struct Evidence {
     pub demand: f64,
     /// The velocity of the demand, user units/s.
     pub demand_velocity: f64,
+    /// The newest serials that the drive has accepted, as far as its wire can prove.
+    pub accepted: Accepted,
+    /// It follows what is written.
+    pub follows: Follows,
+    /// What is known of its fault.
+    pub fault: FaultIs,
+    /// Why it cannot be enabled or moved at present.
+    pub obstacle: Cannot,
 }
 
 /// Why a drive has refused a motion.

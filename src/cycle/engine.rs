@@ -124,6 +124,8 @@ pub struct Engine<C> {
     status: Status,
     /// More of it than its counts has changed since it was published.
     changed: bool,
+    /// A drive has reported monitored variables in this cycle.
+    shows: bool,
     /// The loop was awake before the grid point of this slot.
     spun: bool,
     /// The previous executed cycle was late.
@@ -248,6 +250,7 @@ impl<C: Clock> Engine<C> {
             status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
             changed: true,
             reference,
+            shows: false,
             spun: false,
             was_late: false,
             wake_before_ns: None,
@@ -461,12 +464,14 @@ impl<C: Clock> Engine<C> {
         take_commands(&mut self.controllers, &mut self.channels.bells);
         let (mut missed, mut stopped) = (0_u16, false);
         let (mut operational, mut online, mut unanswered) = (0, 0, 0);
+        self.shows = false;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let was_online = controller.feedback().link == Link::Online;
             let reply = controller.evaluate(cycle, now, slot);
             missed += u16::from(was_online && reply == Reply::Missed);
             unanswered += u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
             stopped |= controller.just_stopped();
+            self.shows |= controller.shows();
             let feedback = controller.feedback();
             operational += u32::from(feedback.is_operational());
             online += u32::from(feedback.link == Link::Online);
@@ -508,13 +513,14 @@ impl<C: Clock> Engine<C> {
     fn command(&mut self, cycle: &Cycle, next: &Cycle, now: Time) -> Left {
         take_calls(&mut self.controllers, &mut self.channels.bells);
         let (mut calls, mut stops, mut rows) = (false, false, false);
+        let with_task = self.task.is_some();
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             controller.exchange(cycle, now, slot);
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
             calls |= controller.waiting().is_some();
             stops |= controller.just_stopped();
-            rows |= controller.takes_rows();
+            rows |= if with_task { controller.takes_rows() } else { controller.follows_rows() };
             if !controller.follows_rows() {
                 controller.propose(next, slot);
             }
@@ -690,15 +696,21 @@ impl<C: Clock> Engine<C> {
 
     fn publish(&mut self) {
         let turn = self.status.executed;
-        let mut lost = 0;
-        for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            let lost_records = &mut self.status.lost_records;
-            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
-            if let Some(record) = controller.take_shown(axis as u16) {
-                self.channels.record(Record::Monitor(record), lost_records);
+        // The records are built in the ring, if each drive has one and there is room for all of them.
+        let axes = self.controllers.len();
+        let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
+        let lost = match room {
+            Some(room) => {
+                let mut lost = 0;
+                room.fill_from_iter(self.controllers.iter_mut().enumerate().map(|(axis, controller)| {
+                    let record = controller.publish(axis as u16);
+                    lost += controller.lost();
+                    Record::Drive(record)
+                }));
+                lost
             }
-            lost += controller.lost;
-        }
+            None => self.publish_each(),
+        };
         // Those whose turn it is.
         let (axes, every) = (self.axes.len(), self.numbers_every);
         let first = (every - turn % every) % every;
@@ -711,6 +723,22 @@ impl<C: Clock> Engine<C> {
         self.status.planned = self.grid.planned() + 1;
         self.status.lost_events = lost;
         self.publish_status();
+    }
+
+    /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
+    /// samples were lost so far.
+    #[inline(never)]
+    fn publish_each(&mut self) -> u64 {
+        let mut lost = 0;
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
+            let lost_records = &mut self.status.lost_records;
+            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
+            if let Some(record) = controller.take_shown(axis as u16) {
+                self.channels.record(Record::Monitor(record), lost_records);
+            }
+            lost += controller.lost();
+        }
+        lost
     }
 
     /// Publishes the numbers of the loop; what changes only now and then, only if it has changed.

@@ -149,20 +149,17 @@ impl CycleRecord {
     /// point. The longest of its delays is named: the others follow from it.
     pub fn lateness(&self, late_ns: u64, deadline_ns: u64) -> Option<Lateness> {
         let wake_ns = u64::from(self.wake_ns);
-        let mut worst = (wake_ns > late_ns).then_some(Lateness::Wake(wake_ns));
-        for (stage, ns) in Stage::ALL.into_iter().zip(self.stages_ns) {
-            let ns = match stage {
-                Stage::Receive => {
-                    let begin = wake_ns + u64::from(self.stages_ns[Stage::Send as usize]);
-                    (begin + u64::from(ns)).saturating_sub(deadline_ns.max(begin))
-                }
-                _ => u64::from(ns),
-            };
-            if ns > late_ns && worst.is_none_or(|worst| ns > worst.ns()) {
-                worst = Some(Lateness::Stage(stage, ns));
-            }
+        let mut delays = self.stages_ns.map(u64::from);
+        let begin = wake_ns + delays[Stage::Send as usize];
+        let received = begin + delays[Stage::Receive as usize];
+        delays[Stage::Receive as usize] = received.saturating_sub(deadline_ns.max(begin));
+        let longest = delays.into_iter().fold(wake_ns, u64::max);
+        // Usually none is long.
+        if longest <= late_ns {
+            return (self.missed > 0).then_some(Lateness::Reply);
         }
-        worst.or((self.missed > 0).then_some(Lateness::Reply))
+        let stage = Stage::ALL.into_iter().zip(delays).find(|(_, ns)| *ns == longest && wake_ns < longest);
+        Some(stage.map_or(Lateness::Wake(wake_ns), |(stage, ns)| Lateness::Stage(stage, ns)))
     }
 }
 

@@ -182,10 +182,12 @@ impl Window {
 
     /// Counts the missing exchanges of each bus; returns those of all.
     fn count(&mut self, cycle: &Cycle, buses: &[OpenBus], slots: &[Slot]) -> usize {
+        let mut all = 0;
         for (missing, open) in self.missing.iter_mut().zip(buses) {
             *missing = self::missing(cycle, &slots[open.first..open.end]);
+            all += *missing;
         }
-        self.missing.iter().sum()
+        all
     }
 
     fn learn(&mut self, enough: bool, cycle: &Cycle) {

@@ -35,9 +35,16 @@ use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::{Time, nanos};
 
-/// The ends of the queues that the loop holds for one axis.
+/// The ends of the queues that the loop holds for one axis. The first ones are used in each cycle.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub struct Queues {
+    /// The newest feedback.
+    pub feedback: Writer<Feedback>,
+    /// Every cycle's feedback, where the plan requests it.
+    pub samples: Option<Producer<Feedback>>,
+    /// Events and samples for which there was no room.
+    pub lost: u64,
     /// Commands that the application has posted, to the axis or to the group that it leads.
     pub posted: Consumer<QueuedCommand>,
     /// Commands to the axis, taken out of its own queue and out of those of its groups.
@@ -50,20 +57,15 @@ pub struct Queues {
     pub events: Producer<Event>,
     /// Places among them that only the ends of commands take.
     pub room_for_ends: usize,
-    /// The newest feedback.
-    pub feedback: Writer<Feedback>,
-    /// Every cycle's feedback, where the plan requests it.
-    pub samples: Option<Producer<Feedback>>,
 }
 
 /// What the loop keeps of one axis.
 ///
-/// What each cycle touches stands first, together, in the order of the cycle: the plan with its names, the queues and
-/// what a command needs lie behind it.
+/// What each cycle touches stands first, in as few cache lines as possible: the plan with its names, most queues and
+/// what a command needs lie behind it. The first line, with the head of the duty, is that of all stages.
 #[derive(Debug)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct DriveController {
-    health: LinkHealth,
     /// The slot from which on the setpoint of the running command may be too old.
     ages_at: u64,
     /// Something is to be looked at with the next commands: its bell has rung, or a command waits.
@@ -78,10 +80,16 @@ pub struct DriveController {
     rising: u8,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
+    /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
+    row_waits: bool,
+    /// The monitored variables of this cycle are there.
+    shows: bool,
     /// What this cycle has measured, for the telemetry.
     measured: Measured,
     /// How long after its grid point the previous request left.
     phase_ns: Option<u64>,
+    duty: Duty,
+    health: LinkHealth,
     /// The slot of the grid that was evaluated last.
     grid: Time,
     /// The slot of the values in the feedback.
@@ -90,14 +98,11 @@ pub struct DriveController {
     peaks: Peaks,
     feedback: Feedback,
     bounds: Bounds,
+    rest: Rest,
     /// From one row to the next, s.
     row_seconds: f64,
-    rest: Rest,
     machine: Machine,
-    duty: Duty,
     queues: Queues,
-    /// Events and samples for which the queues had no room.
-    pub lost: u64,
     /// The monitored variables of this cycle.
     shown: Shown,
     plan: AxisPlan,
@@ -154,7 +159,6 @@ impl DriveController {
         let (divisor, phase) = (plan.divisor, plan.phase);
         let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, probes);
         DriveController {
-            health,
             ages_at: u64::MAX,
             called: false,
             queued: false,
@@ -162,19 +166,21 @@ impl DriveController {
             just_stopped: false,
             rising: 0,
             closed: None,
+            row_waits: false,
+            shows: false,
             measured: Measured::default(),
             phase_ns: None,
+            duty: Duty::new(),
+            health,
             grid: Time(0),
             fresh_at: 0,
             peaks: Peaks::default(),
             feedback: Feedback::default(),
             bounds: Bounds::new(&plan),
-            row_seconds,
             rest: Rest::default(),
+            row_seconds,
             machine,
-            duty: Duty::new(),
             queues,
-            lost: 0,
             shown: Shown::default(),
             plan,
             began: Time(0),
@@ -232,7 +238,7 @@ impl DriveController {
     /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
     /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed. Its
     /// exchange may have been closed since then.
-    #[inline]
+    #[inline(always)] // Once for each axis and cycle; what is queued takes the way around it.
     fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
         self.queued = false;
         if let Some(grid) = slot.gone.grid.take() {
@@ -247,11 +253,17 @@ impl DriveController {
         }
     }
 
+    /// The same of a request that was queued.
+    #[cold]
+    fn sent_meanwhile(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        self.sent(cycle, slot);
+    }
+
     /// Its request left at this instant.
-    #[inline]
+    #[inline(always)] // As `sent`.
     fn left(&mut self, cycle: &Cycle, sent_at: Time) {
         self.health.requested(cycle.index, true);
-        self.follow.held = false;
+        self.row_waits = false;
         let phase_ns = sent_at.since(cycle.grid);
         self.measured.phase_ns = measured(phase_ns);
         if let Some(before) = self.phase_ns.replace(phase_ns) {
@@ -271,7 +283,7 @@ impl DriveController {
                 self.health.requested(cycle.index, false);
                 // A row that the operating system refused is sent with the next request; in a group it is lost like any
                 // telegram, or this axis would be one row behind from then on.
-                self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
+                self.row_waits &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
             }
         }
     }
@@ -291,7 +303,7 @@ impl DriveController {
     #[inline]
     fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         if self.queued {
-            self.sent(cycle, slot);
+            self.sent_meanwhile(cycle, slot);
         }
         (self.closed, self.grid) = (None, cycle.grid);
         self.measured.was_online = self.feedback.link == Link::Online;
@@ -451,6 +463,7 @@ impl DriveController {
     fn take_monitored(&mut self) {
         let monitor = self.feedback.status.monitor;
         self.shown = monitor.into();
+        self.shows = !self.shown.is_empty();
         for (extent, value) in self.monitor.iter_mut().zip(monitor) {
             if let Some(value) = value.filter(|value| !value.is_nan()) {
                 Extent::see(extent, value);
@@ -542,7 +555,7 @@ impl DriveController {
     #[inline]
     fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
-        self.machine.observe(cycle.grid, restarted, slot);
+        self.called |= self.machine.observe(cycle.grid, restarted, slot);
         // First: what follows from another master must not be named in its place.
         if std::mem::take(&mut slot.notices.other_master) {
             self.stop(cycle, now, StopCause::OtherMaster);
@@ -810,13 +823,13 @@ impl DriveController {
     }
 
     /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
-    #[inline]
+    #[inline(always)] // Its record is built in the ring.
     pub fn publish(&mut self, axis: u16) -> DriveRecord {
         self.feedback.write_to(&mut self.queues.feedback);
         if let Some(samples) = &mut self.queues.samples
             && samples.push(self.feedback).is_err()
         {
-            self.lost += 1;
+            self.queues.lost += 1;
         }
         let Feedback { cycle, link, stopped, ref status, .. } = self.feedback;
         let command = self.duty.follows().command;
@@ -824,14 +837,23 @@ impl DriveController {
         DriveRecord::new(of, std::mem::take(&mut self.measured), status)
     }
 
+    /// The drive has reported monitored variables in this cycle.
+    #[inline]
+    pub fn shows(&self) -> bool {
+        self.shows
+    }
+
     /// The monitored variables of this cycle for the telemetry, if the drive reported some; once.
     #[inline]
     pub fn take_shown(&mut self, axis: u16) -> Option<MonitorRecord> {
-        if self.shown.is_empty() {
-            return None;
-        }
-        let shown = std::mem::take(&mut self.shown);
+        let shown = std::mem::take(&mut self.shows).then_some(self.shown)?;
         Some(MonitorRecord { index: self.feedback.cycle, axis, shown })
+    }
+
+    /// Events and samples for which the queues had no room.
+    #[inline]
+    pub fn lost(&self) -> u64 {
+        self.queues.lost
     }
 
     /// The loop's counts of it so far, with those of its bus.
@@ -876,7 +898,7 @@ impl DriveController {
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;
         if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
-            self.lost += 1;
+            self.queues.lost += 1;
         }
     }
 }

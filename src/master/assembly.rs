@@ -118,6 +118,7 @@ pub fn assemble<C: Clock>(
                 room_for_ends: room_for_ends(axis),
                 feedback: writer,
                 samples: sample_in,
+                lost: 0,
             };
             // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
             // occurs later.

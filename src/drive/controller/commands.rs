@@ -73,7 +73,7 @@ impl DriveController {
     /// the next. The command of a group is left to the group synchronisation.
     #[inline]
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
-        if self.called || self.machine.end().is_some() {
+        if self.called {
             self.exchange_all(cycle, now, slot);
         }
         if cycle.index >= self.ages_at {
@@ -141,7 +141,8 @@ impl DriveController {
     /// The group command that waits until all other members are ready for it.
     #[inline]
     pub fn waiting(&self) -> Option<GroupCall> {
-        self.waiting.and_then(|command| command.call)
+        // What waits is looked at in each cycle.
+        if self.called { self.waiting.and_then(|command| command.call) } else { None }
     }
 
     /// Whether its part of `call` is still to begin.
@@ -338,14 +339,14 @@ impl DriveController {
         }
         self.machine.start(self.grid, command);
         self.duty.set_ordered(command);
-        self.follow.held = false;
+        self.row_waits = false;
     }
 
     /// Writes what is desired of the drive with the send of `next`, if one is due then.
     #[inline]
     pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
         if slot.due || slot.exchange == Exchange::Queued {
-            self.machine.propose(next.grid, slot);
+            self.called |= self.machine.propose(next.grid, slot);
         }
     }
 

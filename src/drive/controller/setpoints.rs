@@ -22,8 +22,6 @@ pub(super) struct Follow {
     last: Option<Row>,
     /// Exchanges in a row for which the stream had nothing.
     empty: u32,
-    /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
-    pub(super) held: bool,
     /// The row of the next send, out of the queue.
     next: Option<Row>,
 }
@@ -125,7 +123,7 @@ impl DriveController {
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
         let follow = self.duty.active().filter(|active| matches!(active.command, Command::Follow))?;
         let due = slot.due && matches!(self.machine.command(), Some(Command::Follow));
-        let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
+        let done = self.row_waits || self.follow.last.is_some_and(|row| row.last);
         (due && !done).then_some(follow)
     }
 
@@ -173,7 +171,7 @@ impl DriveController {
         };
         self.follow.number += 1;
         self.follow.last = Some(chosen);
-        self.follow.held = true;
+        self.row_waits = true;
         self.machine.input.row = Some(NumberedRow { number: self.follow.number, row: chosen });
     }
 
@@ -205,6 +203,7 @@ impl DriveController {
     /// Drops the rest of the streams up to `stream`.
     pub(super) fn drop_rows(&mut self, stream: u32) {
         self.task_row = None;
+        self.row_waits = false;
         self.follow = Follow { number: self.follow.number, ..Follow::default() };
         self.has_row(stream + 1);
     }

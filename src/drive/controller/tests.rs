@@ -54,7 +54,18 @@ impl DriveController {
     /// It ends like this.
     pub(in crate::drive) fn end_with(&mut self, end: Result<(), Failure>) {
         self.machine.end_with(end);
+        self.called = true;
     }
+}
+
+#[test]
+fn what_all_stages_look_at_is_one_cache_line_of_the_controller_and_two_of_its_machine() {
+    use std::mem::offset_of;
+    assert!(offset_of!(DriveController, duty) <= 56);
+    assert_eq!(offset_of!(DriveController, machine) % 64, 0);
+    assert_eq!(size_of::<LinkHealth>(), 64);
+    let exchange = offset_of!(Slot, notices);
+    assert!(exchange < 64, "{exchange}");
 }
 
 /// The commands whose ends are among these events.
@@ -84,6 +95,7 @@ impl Alone {
             room_for_ends: 8,
             feedback,
             samples: None,
+            lost: 0,
         };
         let controller = DriveController::new(plan, can(), queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();

@@ -213,7 +213,7 @@ impl State {
         if self.motion.value == Motion::Halt {
             let point = self.found(view);
             self.want_motion(Motion::Hold);
-            self.course.begin_at(point);
+            self.lead_from(point);
         }
     }
 

@@ -42,21 +42,22 @@ use crate::time::Time;
 /// How a command has ended; `None`: it is under way.
 type End = Option<Result<(), Failure>>;
 
-/// The machine of one drive.
+/// The machine of one drive. What most cycles look at is one cache line here, and one at the begin of the state.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub struct Machine {
-    rules: Rules,
-    /// What the requests that went out have led to.
-    state: State,
-    /// The same with the first request of the command that waits.
-    proposed: State,
     /// The command of which nothing has left yet.
     waiting: Option<Waiting>,
+    /// What the command follows.
+    pub input: Input,
+    /// What the requests that went out have led to.
+    state: State,
     /// The newest command, and how it has ended.
     command: Option<Command>,
     end: End,
-    /// What the command follows.
-    pub input: Input,
+    rules: Rules,
+    /// The state with the first request of the command that waits.
+    proposed: State,
 }
 
 /// A command before its first request.
@@ -79,12 +80,20 @@ enum Start {
 
 /// The state of a drive as the master wants it, and how far it is on its way there.
 #[derive(Clone, Debug)]
+#[repr(C, align(64))]
 struct State {
-    step: Step,
-    /// When the command began; a step that begins its time anew sets it again.
-    since: Time,
+    /// Sends since the step began.
+    sent: u32,
     /// Reports in a row that show the end of the step.
     agree: u8,
+    /// Its intents are not in the slot yet.
+    is_new: bool,
+    /// The master makes the setpoints.
+    has_course: bool,
+    step: Step,
+    course: Course,
+    /// When the command began; a step that begins its time anew sets it again.
+    since: Time,
     power: Intent<Power>,
     mode: Intent<Mode>,
     motion: Intent<Motion>,
@@ -92,11 +101,6 @@ struct State {
     /// The number of the last row of the application that was sent.
     row: u64,
     setpoint: Setpoint,
-    course: Course,
-    /// Sends since the step began.
-    sent: u32,
-    /// Its intents are not in the slot yet.
-    is_new: bool,
 }
 
 /// The step of a command.
@@ -160,27 +164,28 @@ impl Machine {
     pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
         let rules = Rules::new(axis, can, period_ns);
         let state = State {
-            step: Step::Idle,
-            since: Time(0),
+            sent: 0,
             agree: 0,
+            is_new: true,
+            has_course: rules.quantity.is_some(),
+            step: Step::Idle,
+            course: Course::default(),
+            since: Time(0),
             power: Intent::default(),
             mode: Intent::default(),
             motion: Intent::default(),
             serial: 0,
             row: 0,
             setpoint: Setpoint::default(),
-            course: Course::new(&rules.can),
-            sent: 0,
-            is_new: true,
         };
         Machine {
-            rules,
+            waiting: None,
+            input: Input::default(),
             proposed: state.clone(),
             state,
-            waiting: None,
             command: None,
             end: None,
-            input: Input::default(),
+            rules,
         }
     }
 
@@ -222,13 +227,14 @@ impl Machine {
         (self.command, self.waiting.map(|waiting| waiting.since))
     }
 
-    /// Writes what is desired of the drive with the send in slot `grid`.
+    /// Writes what is desired of the drive with the send in slot `grid`. Returns whether the newest command has ended.
     #[inline]
-    pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
+    pub fn propose(&mut self, grid: Time, slot: &mut Slot) -> bool {
         if self.waiting.is_none() && self.state.keeps_setpoint(&self.input, slot) {
-            return;
+            return false;
         }
         self.plan(grid, slot);
+        self.end.is_some()
     }
 
     #[inline(never)]
@@ -288,13 +294,14 @@ impl Machine {
         }
     }
 
-    /// The reports of a cycle.
+    /// The reports of a cycle. Returns whether the newest command has ended.
     #[inline]
-    pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
+    pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) -> bool {
         if self.waiting.is_none() && !restarted && self.state.is_undisturbed(&self.input, slot) {
-            return;
+            return false;
         }
         self.go_on(now, restarted, slot);
+        self.end.is_some()
     }
 
     #[inline(never)]
@@ -446,7 +453,9 @@ impl State {
     fn sent(&mut self, grid: Time) {
         self.sent = self.sent.saturating_add(1);
         self.is_new = false;
-        self.course.sent(grid);
+        if self.has_course {
+            self.course.sent(grid);
+        }
     }
 
     fn next_serial(&mut self) -> u64 {
@@ -544,7 +553,7 @@ impl State {
     fn run_from(&mut self, point: Point) {
         self.want_power(Power::EnableOperation);
         self.want_motion(Motion::Hold);
-        self.course.begin_at(point);
+        self.lead_from(point);
     }
 
     /// The drive has lost its commands: no earlier value is written again.

@@ -13,7 +13,7 @@ use super::view::{Input, Rules, View};
 use super::{End, State, Step, near};
 use crate::axis::{Failure, Profile, Row};
 use crate::bus::Slot;
-use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
+use crate::bus::desired::{ModeIs, Quantity, Setpoint};
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
 
@@ -26,14 +26,16 @@ const AHEAD: f64 = 3.0;
 
 /// The setpoint over time.
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub(super) struct Course {
-    /// The master makes the setpoints.
-    is_used: bool,
     /// The setpoint follows `motion`; otherwise it is neutral.
     leads: bool,
     /// The drive is, or was, in another mode than that of its setpoint.
     away: bool,
-    motion: Trajectory,
+    /// A velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
+    is_constant: bool,
+    /// What it was requested to be then, before it was limited.
+    level: f64,
     /// How much of the motion was sent, and the point there.
     passed_ns: u64,
     demand: Point,
@@ -41,10 +43,7 @@ pub(super) struct Course {
     next_ns: u64,
     next: Point,
     sent_at: Option<Time>,
-    /// A velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
-    is_constant: bool,
-    /// What it was requested to be then, before it was limited.
-    level: f64,
+    motion: Trajectory,
 }
 
 /// At a velocity or a torque.
@@ -58,23 +57,24 @@ pub(super) struct Turning {
     limit: Option<f64>,
 }
 
-impl Course {
-    pub(super) fn new(can: &Capabilities) -> Course {
+impl Default for Course {
+    fn default() -> Course {
         Course {
-            is_used: matches!(can.generator, Generator::Master(_)),
             leads: false,
             away: false,
-            motion: Trajectory::on(Point::default()),
+            is_constant: false,
+            level: 0.0,
             passed_ns: 0,
             demand: Point::default(),
             next_ns: 0,
             next: Point::default(),
             sent_at: None,
-            is_constant: false,
-            level: 0.0,
+            motion: Trajectory::on(Point::default()),
         }
     }
+}
 
+impl Course {
     pub(super) fn leads(&self) -> bool {
         self.leads
     }
@@ -94,16 +94,13 @@ impl Course {
     }
 
     /// From this point on at its velocity.
-    pub(super) fn begin_at(&mut self, point: Point) {
-        (self.leads, self.demand) = (self.is_used, point);
+    fn begin_at(&mut self, point: Point) {
+        (self.leads, self.demand) = (true, point);
         self.plan(Trajectory::on(point));
     }
 
     #[inline]
     pub(super) fn sent(&mut self, grid: Time) {
-        if !self.is_used {
-            return;
-        }
         (self.passed_ns, self.demand, self.sent_at) = (self.next_ns, self.next, Some(grid));
     }
 
@@ -163,6 +160,13 @@ impl Rules {
 }
 
 impl State {
+    /// From this point on at its velocity, where the master makes the setpoints.
+    pub(super) fn lead_from(&mut self, point: Point) {
+        if self.has_course {
+            self.course.begin_at(point);
+        }
+    }
+
     /// Where the setpoint is.
     pub(super) fn demand(&self, view: &View) -> f64 {
         if view.drive_makes_setpoints() { view.evidence.demand } else { self.course.demand.position }
@@ -174,7 +178,7 @@ impl State {
         if self.is_new {
             return false;
         }
-        if !self.course.is_used {
+        if !self.has_course {
             // Only rows are setpoints of a drive that makes its own.
             return !matches!(self.step, Step::FollowWaiting | Step::Following | Step::FollowEnding { .. });
         }

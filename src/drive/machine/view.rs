@@ -42,6 +42,7 @@ impl Rules {
 
 /// What the loop has chosen for the command to follow with its next send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Input {
     /// Of a jog or a cyclic velocity, user units/s; of a cyclic torque, per cent of the rated torque: above 0 it
     /// accelerates towards higher user positions, whichever way the drive counts.

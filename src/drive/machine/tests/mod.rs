@@ -18,7 +18,7 @@ mod stops;
 use std::time::Duration;
 
 use self::fake::{Drive, T, kinds};
-use super::{Machine, NumberedRow};
+use super::{Machine, NumberedRow, State};
 use crate::axis::{
     AxisPlan, Command, Failure, Jog, Move, Profile, Row, State as Cia402, Target, Unit, Units,
 };
@@ -54,6 +54,14 @@ struct Rig {
     /// The drive's restarts that were reported.
     restarts: u32,
     sent_at: Option<Time>,
+}
+
+#[test]
+fn what_most_cycles_look_at_is_one_cache_line_and_one_of_the_state() {
+    use std::mem::offset_of;
+    assert!(offset_of!(Machine, input) <= 56, "{}", offset_of!(Machine, input));
+    assert_eq!(offset_of!(Machine, state) % 64, 0);
+    assert!(offset_of!(State, course) <= 64, "{}", offset_of!(State, course));
 }
 
 fn plan() -> AxisPlan {
