@@ -1,11 +1,19 @@
 //! One cycle after the other: send, receive, evaluate, commands, prepare, publish.
 //!
+//! | file | what |
+//! |---|---|
+//! | `engine` | the grid: which slot is executed, and its stages in their order |
+//! | `stages` | evaluate, commands, prepare |
+//! | `report` | what a cycle publishes |
+//! | `panics` | what follows from a panic on the loop's thread |
+//!
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
 
 mod panics;
+mod report;
+mod stages;
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
@@ -17,17 +25,17 @@ use self::panics::Panics;
 use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
-use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, Stage, short};
+use super::record::{CycleRecord, Record, SkippedRecord, Stage, short};
 use super::reference::Reference;
 use super::skips::Skips;
 use super::status::{AxisInfo, DriveNumbers, Numbers, Status};
-use super::task::{Axes, Task};
+use super::task::Task;
 use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::doorbell::Bells;
-use crate::axis::{Link, Pulse, StopCause};
+use crate::axis::{Pulse, StopCause};
 use crate::bus::{Cycle, Slot};
-use crate::drive::controller::{DriveController, take_calls, take_commands, take_rows};
+use crate::drive::controller::DriveController;
 use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -89,13 +97,6 @@ pub struct AxisOutlet {
     pub info: AxisInfo,
     /// Its numbers.
     pub numbers: Writer<DriveNumbers>,
-}
-
-impl Channels {
-    /// Sends a record to the telemetry, or counts it as lost.
-    fn record(&mut self, record: Record, lost: &mut u64) {
-        *lost += u64::from(self.records.push(record).is_err());
-    }
 }
 
 /// The loop.
@@ -432,223 +433,6 @@ impl<C: Clock> Engine<C> {
         (if ended { Flow::End } else { Flow::Continue }, published)
     }
 
-    /// Reports an executed cycle. If it was late, it also reads, with a system call, what the kernel has counted
-    /// against this thread.
-    fn account(&mut self, mut record: CycleRecord) {
-        self.was_late = record.lateness(self.late_ns, self.deadline_ns).is_some();
-        if self.was_late {
-            self.status.late += 1;
-            record.look = Some(self.look());
-        }
-        self.record(Record::Cycle(record));
-    }
-
-    fn look(&mut self) -> Look {
-        let usage = self.clock.usage();
-        Look { faults: usage.page_faults() as u32, switches: usage.involuntary_switches as u32 }
-    }
-
-    /// Sets the next slot by the clock that leads.
-    fn steer(&mut self, cycle: &Cycle) {
-        let Some(reference) = &mut self.reference else { return };
-        let error_ns = self.buses[reference.bus()].work(&mut self.slots, |bus, _| bus.phase_error());
-        let record = reference.take(cycle.index, error_ns);
-        self.status.reference = Some(reference.status());
-        self.grid.steer(record.step_ns.into());
-        self.record(Record::Reference(record));
-    }
-
-    /// Evaluates all exchanges. Returns how many drives that were online have not answered.
-    fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
-        // What was posted before a stop ends with it.
-        take_commands(&mut self.controllers, &mut self.channels.bells);
-        let (mut missed, mut stopped) = (0_u16, false);
-        let (mut operational, mut online, mut unanswered) = (0, 0, 0);
-        self.shows = false;
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            let was_online = controller.feedback().link == Link::Online;
-            let reply = controller.evaluate(cycle, now, slot);
-            missed += u16::from(was_online && reply == Reply::Missed);
-            unanswered += u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
-            stopped |= controller.just_stopped();
-            self.shows |= controller.shows();
-            let feedback = controller.feedback();
-            operational += u32::from(feedback.is_operational());
-            online += u32::from(feedback.link == Link::Online);
-        }
-        self.status.missed += unanswered;
-        (self.status.operational, self.status.online) = (operational, online);
-        for bus in &self.buses {
-            if bus.bus.helper_ended() {
-                for controller in &mut self.controllers[bus.first..bus.end] {
-                    controller.stop(cycle, now, StopCause::LinkThread);
-                }
-                stopped = true;
-            }
-        }
-        if self.heartbeat.is_silent(cycle) {
-            for controller in &mut self.controllers {
-                controller.stop_if_armed(cycle, now, StopCause::Heartbeat);
-            }
-            stopped = true;
-        }
-        self.groups.judge(&mut self.controllers);
-        while let Some(lead) = self.groups.take_full() {
-            for controller in &mut self.controllers {
-                if controller.moves_in_group().is_some_and(|call| call.lead as usize == lead) {
-                    controller.stop(cycle, now, StopCause::GroupLink);
-                }
-            }
-            stopped = true;
-        }
-        if stopped {
-            self.take_groups_along(cycle, now);
-        }
-        missed
-    }
-
-    /// Begins what may begin at each axis, and writes at once what is desired of it with the send of `next`. Returns
-    /// what is left of that: rows come to all members of a group together, and what begins or stops at one axis may
-    /// begin or stop others before it.
-    fn command(&mut self, cycle: &Cycle, next: &Cycle, now: Time) -> Left {
-        take_calls(&mut self.controllers, &mut self.channels.bells);
-        let (mut calls, mut stops, mut rows) = (false, false, false);
-        let with_task = self.task.is_some();
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            controller.exchange(cycle, now, slot);
-            slot.due = controller.is_due(next.index);
-            slot.guarded = controller.is_guarded();
-            calls |= controller.waiting().is_some();
-            stops |= controller.just_stopped();
-            rows |= if with_task { controller.takes_rows() } else { controller.follows_rows() };
-            if !controller.follows_rows() {
-                controller.propose(next, slot);
-            }
-        }
-        if calls {
-            self.groups.open(cycle, now, &mut self.controllers);
-        }
-        match (calls || stops, rows) {
-            (true, _) => Left::All,
-            (false, true) => Left::Rows,
-            (false, false) => Left::Nothing,
-        }
-    }
-
-    /// An axis that was stopped stops its stop group.
-    fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        while let Some(group) = self.controllers.iter_mut().find_map(DriveController::take_group_stop) {
-            self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
-        }
-    }
-
-    /// Stops every axis whose stop group is `chosen`.
-    fn stop_axes(
-        &mut self,
-        cycle: &Cycle,
-        now: Time,
-        cause: StopCause,
-        chosen: impl Fn(Option<u16>) -> bool,
-    ) {
-        // What was posted before the stop ends with it.
-        take_commands(&mut self.controllers, &mut self.channels.bells);
-        for controller in &mut self.controllers {
-            if chosen(controller.plan().stop.group) {
-                controller.stop(cycle, now, cause);
-                controller.take_group_stop();
-            }
-        }
-    }
-
-    /// The orderly end, once requested. True when it is complete.
-    fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let requested = self.channels.control.requested();
-        if requested == RUN {
-            return false;
-        }
-        let (since, before) = *self.ending.get_or_insert((now, STOP));
-        let hurry = requested == HURRY && before == STOP;
-        self.ending = Some((since, requested));
-        let mut down = true;
-        for controller in &mut self.controllers {
-            down &= controller.shut_down(cycle, now, hurry);
-        }
-        if down || now.since(since) > self.longest_end_ns {
-            let begun = *self.buses_ending.get_or_insert(now);
-            let mut done = true;
-            for open in &mut self.buses {
-                done &= open.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
-            }
-            self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
-            self.buses_down = done || self.status.cut_off;
-            self.changed = true;
-        }
-        self.buses_down
-    }
-
-    fn run_task(&mut self, cycle: &Cycle, before: Time) {
-        let Some(task) = &mut self.task else { return };
-        let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before);
-        let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
-        let panicked = result.is_err();
-        // Neither the panic's payload nor the task is dropped: this thread must not free memory.
-        std::mem::forget(result);
-        let over = match self.plan.task_budget_ns {
-            Some(budget) => self.clock.now().since(before) > budget,
-            None => false,
-        };
-        if panicked {
-            std::mem::forget(self.task.take());
-        }
-        if panicked || over {
-            self.stop_axes(cycle, before, StopCause::Task, |_| true);
-        }
-        // The task may have run for long.
-        take_commands(&mut self.controllers, &mut self.channels.bells);
-    }
-
-    /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
-    fn arm(&mut self, next: &Cycle, now: Time) {
-        self.propose(next, now);
-        self.build(next);
-    }
-
-    /// Writes what is desired of each drive with the send of `next`. It may be called again for the same send.
-    #[inline(never)]
-    fn propose(&mut self, next: &Cycle, now: Time) {
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            slot.due = controller.is_due(next.index);
-            slot.guarded = controller.is_guarded();
-        }
-        self.feed(next, now, true);
-    }
-
-    /// Gives the axes that follow their rows, and writes what is desired of them, or of `all`.
-    #[inline(never)]
-    fn feed(&mut self, next: &Cycle, now: Time, all: bool) {
-        take_rows(&mut self.controllers, &self.slots);
-        let mut all = all;
-        for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
-            controller.feed(next, now, slot);
-            all |= controller.just_stopped();
-        }
-        if all {
-            // What stopped since the evaluation leaves with the same send.
-            self.take_groups_along(next, now);
-        }
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            if all || controller.follows_rows() {
-                controller.propose(next, slot);
-            }
-        }
-    }
-
-    fn build(&mut self, next: &Cycle) {
-        for open in &mut self.buses {
-            open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
-        }
-    }
-
     /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the previous cycle
     /// took too long.
     fn pass_over(&mut self, now: Time, count: u64, woke_late: bool) {
@@ -692,65 +476,6 @@ impl<C: Clock> Engine<C> {
         }
         // The requests were built for another slot: other drives may be due, and a stop may have come.
         self.arm(&cycle, now);
-    }
-
-    fn publish(&mut self) {
-        let turn = self.status.executed;
-        // The records are built in the ring, if each drive has one and there is room for all of them.
-        let axes = self.controllers.len();
-        let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
-        let lost = match room {
-            Some(room) => {
-                let mut lost = 0;
-                room.fill_from_iter(self.controllers.iter_mut().enumerate().map(|(axis, controller)| {
-                    let record = controller.publish(axis as u16);
-                    lost += controller.lost();
-                    Record::Drive(record)
-                }));
-                lost
-            }
-            None => self.publish_each(),
-        };
-        // Those whose turn it is.
-        let (axes, every) = (self.axes.len(), self.numbers_every);
-        let first = (every - turn % every) % every;
-        for axis in (first as usize..axes).step_by(every as usize) {
-            self.axes[axis].numbers.write(&self.controllers[axis].numbers(&self.slots[axis]));
-        }
-        if first == 0 {
-            self.buses.iter_mut().for_each(OpenBus::publish);
-        }
-        self.status.planned = self.grid.planned() + 1;
-        self.status.lost_events = lost;
-        self.publish_status();
-    }
-
-    /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
-    /// samples were lost so far.
-    #[inline(never)]
-    fn publish_each(&mut self) -> u64 {
-        let mut lost = 0;
-        for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            let lost_records = &mut self.status.lost_records;
-            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
-            if let Some(record) = controller.take_shown(axis as u16) {
-                self.channels.record(Record::Monitor(record), lost_records);
-            }
-            lost += controller.lost();
-        }
-        lost
-    }
-
-    /// Publishes the numbers of the loop; what changes only now and then, only if it has changed.
-    fn publish_status(&mut self) {
-        match std::mem::take(&mut self.changed) || self.status.reference.is_some() {
-            true => self.channels.status.write(&self.status),
-            false => self.channels.status.write_words(self.status.counts().into_iter()),
-        }
-    }
-
-    fn record(&mut self, record: Record) {
-        self.channels.record(record, &mut self.status.lost_records);
     }
 
     /// The clock, for a caller that steps the engine by hand.

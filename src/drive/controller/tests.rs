@@ -6,10 +6,16 @@ use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
 use super::*;
+use crate::axis::command::NativeOwner;
 use crate::axis::doorbell::Bells;
 use crate::axis::newest::{NewestIn, newest};
-use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
+use crate::axis::{
+    Emergency, Failure, FoundRunning, HeldBy, Link, Load, Move, State, StopCause, StopThen, Target, Underrun,
+    Units, cell,
+};
+use crate::bus::Exchange;
 use crate::bus::desired::Generator;
+use crate::drive::record::measured;
 use crate::rt::ring;
 use crate::time::MS;
 

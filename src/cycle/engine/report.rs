@@ -1,0 +1,90 @@
+//! What a cycle publishes: feedback, records, and the numbers of the loop.
+
+use super::{Channels, Engine};
+use crate::cycle::record::{CycleRecord, Look, Record};
+use crate::cycle::window::OpenBus;
+use crate::rt::Clock;
+
+impl Channels {
+    /// Sends a record to the telemetry, or counts it as lost.
+    pub(super) fn record(&mut self, record: Record, lost: &mut u64) {
+        *lost += u64::from(self.records.push(record).is_err());
+    }
+}
+
+impl<C: Clock> Engine<C> {
+    /// Reports an executed cycle. If it was late, it also reads, with a system call, what the kernel has counted
+    /// against this thread.
+    pub(super) fn account(&mut self, mut record: CycleRecord) {
+        self.was_late = record.lateness(self.late_ns, self.deadline_ns).is_some();
+        if self.was_late {
+            self.status.late += 1;
+            record.look = Some(self.look());
+        }
+        self.record(Record::Cycle(record));
+    }
+
+    pub(super) fn look(&mut self) -> Look {
+        let usage = self.clock.usage();
+        Look { faults: usage.page_faults() as u32, switches: usage.involuntary_switches as u32 }
+    }
+
+    pub(super) fn publish(&mut self) {
+        let turn = self.status.executed;
+        // The records are built in the ring, if each drive has one and there is room for all of them.
+        let axes = self.controllers.len();
+        let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
+        let lost = match room {
+            Some(room) => {
+                let mut lost = 0;
+                room.fill_from_iter(self.controllers.iter_mut().enumerate().map(|(axis, controller)| {
+                    let record = controller.publish(axis as u16);
+                    lost += controller.lost();
+                    Record::Drive(record)
+                }));
+                lost
+            }
+            None => self.publish_each(),
+        };
+        // Those whose turn it is.
+        let (axes, every) = (self.axes.len(), self.numbers_every);
+        let first = (every - turn % every) % every;
+        for axis in (first as usize..axes).step_by(every as usize) {
+            self.axes[axis].numbers.write(&self.controllers[axis].numbers(&self.slots[axis]));
+        }
+        if first == 0 {
+            self.buses.iter_mut().for_each(OpenBus::publish);
+        }
+        self.status.planned = self.grid.planned() + 1;
+        self.status.lost_events = lost;
+        self.publish_status();
+    }
+
+    /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
+    /// samples were lost so far.
+    #[inline(never)]
+    fn publish_each(&mut self) -> u64 {
+        let mut lost = 0;
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
+            let lost_records = &mut self.status.lost_records;
+            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
+            if let Some(record) = controller.take_shown(axis as u16) {
+                self.channels.record(Record::Monitor(record), lost_records);
+            }
+            lost += controller.lost();
+        }
+        lost
+    }
+
+    /// Publishes the numbers of the loop; what changes only now and then, only if it has changed.
+    pub(super) fn publish_status(&mut self) {
+        match std::mem::take(&mut self.changed) || self.status.reference.is_some() {
+            true => self.channels.status.write(&self.status),
+            false => self.channels.status.write_words(self.status.counts().into_iter()),
+        }
+    }
+
+    pub(super) fn record(&mut self, record: Record) {
+        self.channels.record(record, &mut self.status.lost_records);
+    }
+}

@@ -1,0 +1,215 @@
+//! The stages between the window and the end of a cycle: evaluate, commands, prepare.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::{BUSES_END_NS, Engine, HURRY, Left, RUN, STOP};
+use crate::axis::{Link, StopCause};
+use crate::bus::Cycle;
+use crate::cycle::record::{Record, Reply};
+use crate::cycle::task::Axes;
+use crate::drive::controller::{DriveController, take_calls, take_commands, take_rows};
+use crate::rt::Clock;
+use crate::time::Time;
+
+impl<C: Clock> Engine<C> {
+    /// Sets the next slot by the clock that leads.
+    pub(super) fn steer(&mut self, cycle: &Cycle) {
+        let Some(reference) = &mut self.reference else { return };
+        let error_ns = self.buses[reference.bus()].work(&mut self.slots, |bus, _| bus.phase_error());
+        let record = reference.take(cycle.index, error_ns);
+        self.status.reference = Some(reference.status());
+        self.grid.steer(record.step_ns.into());
+        self.record(Record::Reference(record));
+    }
+
+    /// Evaluates all exchanges. Returns how many drives that were online have not answered.
+    pub(super) fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
+        // What was posted before a stop ends with it.
+        take_commands(&mut self.controllers, &mut self.channels.bells);
+        let (mut missed, mut stopped) = (0_u16, false);
+        let (mut operational, mut online, mut unanswered) = (0, 0, 0);
+        self.shows = false;
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            let was_online = controller.feedback().link == Link::Online;
+            let reply = controller.evaluate(cycle, now, slot);
+            missed += u16::from(was_online && reply == Reply::Missed);
+            unanswered += u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
+            stopped |= controller.just_stopped();
+            self.shows |= controller.shows();
+            let feedback = controller.feedback();
+            operational += u32::from(feedback.is_operational());
+            online += u32::from(feedback.link == Link::Online);
+        }
+        self.status.missed += unanswered;
+        (self.status.operational, self.status.online) = (operational, online);
+        for bus in &self.buses {
+            if bus.bus.helper_ended() {
+                for controller in &mut self.controllers[bus.first..bus.end] {
+                    controller.stop(cycle, now, StopCause::LinkThread);
+                }
+                stopped = true;
+            }
+        }
+        if self.heartbeat.is_silent(cycle) {
+            for controller in &mut self.controllers {
+                controller.stop_if_armed(cycle, now, StopCause::Heartbeat);
+            }
+            stopped = true;
+        }
+        self.groups.judge(&mut self.controllers);
+        while let Some(lead) = self.groups.take_full() {
+            for controller in &mut self.controllers {
+                if controller.moves_in_group().is_some_and(|call| call.lead as usize == lead) {
+                    controller.stop(cycle, now, StopCause::GroupLink);
+                }
+            }
+            stopped = true;
+        }
+        if stopped {
+            self.take_groups_along(cycle, now);
+        }
+        missed
+    }
+
+    /// Begins what may begin at each axis, and writes at once what is desired of it with the send of `next`. Returns
+    /// what is left of that: rows come to all members of a group together, and what begins or stops at one axis may
+    /// begin or stop others before it.
+    pub(super) fn command(&mut self, cycle: &Cycle, next: &Cycle, now: Time) -> Left {
+        take_calls(&mut self.controllers, &mut self.channels.bells);
+        let (mut calls, mut stops, mut rows) = (false, false, false);
+        let with_task = self.task.is_some();
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            controller.exchange(cycle, now, slot);
+            slot.due = controller.is_due(next.index);
+            slot.guarded = controller.is_guarded();
+            calls |= controller.waiting().is_some();
+            stops |= controller.just_stopped();
+            rows |= if with_task { controller.takes_rows() } else { controller.follows_rows() };
+            if !controller.follows_rows() {
+                controller.propose(next, slot);
+            }
+        }
+        if calls {
+            self.groups.open(cycle, now, &mut self.controllers);
+        }
+        match (calls || stops, rows) {
+            (true, _) => Left::All,
+            (false, true) => Left::Rows,
+            (false, false) => Left::Nothing,
+        }
+    }
+
+    /// An axis that was stopped stops its stop group.
+    fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
+        while let Some(group) = self.controllers.iter_mut().find_map(DriveController::take_group_stop) {
+            self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
+        }
+    }
+
+    /// Stops every axis whose stop group is `chosen`.
+    pub(super) fn stop_axes(
+        &mut self,
+        cycle: &Cycle,
+        now: Time,
+        cause: StopCause,
+        chosen: impl Fn(Option<u16>) -> bool,
+    ) {
+        // What was posted before the stop ends with it.
+        take_commands(&mut self.controllers, &mut self.channels.bells);
+        for controller in &mut self.controllers {
+            if chosen(controller.plan().stop.group) {
+                controller.stop(cycle, now, cause);
+                controller.take_group_stop();
+            }
+        }
+    }
+
+    /// The orderly end, once requested. True when it is complete.
+    pub(super) fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
+        let requested = self.channels.control.requested();
+        if requested == RUN {
+            return false;
+        }
+        let (since, before) = *self.ending.get_or_insert((now, STOP));
+        let hurry = requested == HURRY && before == STOP;
+        self.ending = Some((since, requested));
+        let mut down = true;
+        for controller in &mut self.controllers {
+            down &= controller.shut_down(cycle, now, hurry);
+        }
+        if down || now.since(since) > self.longest_end_ns {
+            let begun = *self.buses_ending.get_or_insert(now);
+            let mut done = true;
+            for open in &mut self.buses {
+                done &= open.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+            }
+            self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
+            self.buses_down = done || self.status.cut_off;
+            self.changed = true;
+        }
+        self.buses_down
+    }
+
+    pub(super) fn run_task(&mut self, cycle: &Cycle, before: Time) {
+        let Some(task) = &mut self.task else { return };
+        let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before);
+        let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
+        let panicked = result.is_err();
+        // Neither the panic's payload nor the task is dropped: this thread must not free memory.
+        std::mem::forget(result);
+        let over = match self.plan.task_budget_ns {
+            Some(budget) => self.clock.now().since(before) > budget,
+            None => false,
+        };
+        if panicked {
+            std::mem::forget(self.task.take());
+        }
+        if panicked || over {
+            self.stop_axes(cycle, before, StopCause::Task, |_| true);
+        }
+        // The task may have run for long.
+        take_commands(&mut self.controllers, &mut self.channels.bells);
+    }
+
+    /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
+    pub(super) fn arm(&mut self, next: &Cycle, now: Time) {
+        self.propose(next, now);
+        self.build(next);
+    }
+
+    /// Writes what is desired of each drive with the send of `next`. It may be called again for the same send.
+    #[inline(never)]
+    pub(super) fn propose(&mut self, next: &Cycle, now: Time) {
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            slot.due = controller.is_due(next.index);
+            slot.guarded = controller.is_guarded();
+        }
+        self.feed(next, now, true);
+    }
+
+    /// Gives the axes that follow their rows, and writes what is desired of them, or of `all`.
+    #[inline(never)]
+    pub(super) fn feed(&mut self, next: &Cycle, now: Time, all: bool) {
+        take_rows(&mut self.controllers, &self.slots);
+        let mut all = all;
+        for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
+            controller.feed(next, now, slot);
+            all |= controller.just_stopped();
+        }
+        if all {
+            // What stopped since the evaluation leaves with the same send.
+            self.take_groups_along(next, now);
+        }
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            if all || controller.follows_rows() {
+                controller.propose(next, slot);
+            }
+        }
+    }
+
+    pub(super) fn build(&mut self, next: &Cycle) {
+        for open in &mut self.buses {
+            open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
+        }
+    }
+}

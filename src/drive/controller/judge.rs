@@ -1,0 +1,310 @@
+//! The exchange of a cycle: what was sent, how it ended, and what came with it.
+
+use super::duty::Claim;
+use super::watch::Braked;
+use super::{Closed, DriveController};
+use crate::axis::{DriveStatus, EventKind, Link, State, StopCause};
+use crate::bus::{Cycle, Exchange, Slot};
+use crate::drive::bounds::Sample;
+use crate::drive::numbers::Extent;
+use crate::drive::record::{Reply, measured, short};
+use crate::time::Time;
+
+impl DriveController {
+    /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
+    /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed. Its
+    /// exchange may have been closed since then.
+    #[inline(always)] // Once for each axis and cycle; what is queued takes the way around it.
+    pub(super) fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        self.queued = false;
+        if let Some(grid) = slot.gone.grid.take() {
+            self.machine.commit(grid);
+        }
+        match slot.exchange {
+            // The usual ones.
+            Exchange::Answered { sent_at, .. } | Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => {
+                self.left(cycle, sent_at)
+            }
+            _ => self.sent_otherwise(cycle, slot),
+        }
+    }
+
+    /// The same of a request that was queued.
+    #[cold]
+    fn sent_meanwhile(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        self.sent(cycle, slot);
+    }
+
+    /// Its request left at this instant.
+    #[inline(always)] // As `sent`.
+    fn left(&mut self, cycle: &Cycle, sent_at: Time) {
+        self.health.requested(cycle.index, true);
+        self.row_waits = false;
+        let phase_ns = sent_at.since(cycle.grid);
+        self.measured.phase_ns = measured(phase_ns);
+        if let Some(before) = self.phase_ns.replace(phase_ns) {
+            let jitter_ns = phase_ns.abs_diff(before);
+            self.measured.jitter_ns = measured(jitter_ns);
+            self.peaks.send_jitter.see(jitter_ns, cycle.index);
+        }
+    }
+
+    #[inline(never)]
+    fn sent_otherwise(&mut self, cycle: &Cycle, slot: &Slot) {
+        match slot.exchange.sent_at() {
+            Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            Some(_) => {}
+            None if slot.exchange == Exchange::Queued => self.queued = true,
+            None => {
+                self.health.requested(cycle.index, false);
+                // A row that the operating system refused is sent with the next request; in a group it is lost like any
+                // telegram, or this axis would be one row behind from then on.
+                self.row_waits &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
+            }
+        }
+    }
+
+    /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
+    /// exchange.
+    #[inline]
+    pub(super) fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        if self.queued {
+            self.sent_meanwhile(cycle, slot);
+        }
+        (self.closed, self.grid) = (None, cycle.grid);
+        self.measured.was_online = self.feedback.link == Link::Online;
+        let mut rtt = None;
+        // The usual end of an exchange, in a cycle that has one.
+        let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
+            slot.exchange = Exchange::Idle;
+            self.closed = Some(Closed::Answered);
+            self.health.answered(cycle.index);
+            let rtt_ns = at.since(sent_at);
+            self.peaks.rtt.see(rtt_ns, cycle.index);
+            self.measured.rtt_ns = measured(rtt_ns);
+            rtt = Some(short(rtt_ns));
+            if slot.notices.fresh && !slot.notices.restarted {
+                self.take_sample(sent_at, slot);
+            }
+            Reply::Answered
+        } else {
+            let reply = self.judge_otherwise(cycle, now, slot);
+            self.health.watch_silence(cycle.index);
+            reply
+        };
+        self.measured.reply = reply;
+        if slot.reachable {
+            slot.reachable = false;
+            self.health.reachable(cycle.index + 1);
+        }
+        if slot.notices.restarted {
+            self.bounds.forget();
+        }
+        self.take_status(cycle, now, slot, rtt);
+        self.take_link(cycle, now, slot);
+        // The first answer need not report the drive's state.
+        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
+        {
+            let age_ns = now.since(self.feedback.status.at);
+            self.measured.age_ns = measured(age_ns);
+            self.peaks.age.see(age_ns, cycle.index);
+        }
+        reply
+    }
+
+    /// No exchange was answered for certain.
+    #[inline(never)]
+    fn judge_otherwise(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        match slot.exchange {
+            Exchange::Idle | Exchange::Missed => {
+                self.take_packet(slot);
+                Reply::None
+            }
+            Exchange::Queued => Reply::Queued,
+            Exchange::Owed { reply_by, .. } if !cycle.closes(reply_by) => Reply::Owed,
+            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
+                slot.counters.answered += 1;
+                slot.exchange = Exchange::Idle;
+                self.closed = Some(Closed::Answered);
+                self.health.answered(cycle.index);
+                self.take_packet(slot);
+                Reply::Current
+            }
+            Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
+                slot.counters.missed += 1;
+                slot.exchange = Exchange::Missed;
+                self.missed(cycle, now);
+                Reply::Missed
+            }
+            Exchange::Unsent => {
+                slot.exchange = Exchange::Idle;
+                // A link that its bus shuts down at the orderly end is not lost.
+                if !(self.ends && slot.expected_silence) {
+                    self.missed(cycle, now);
+                }
+                Reply::Unsent
+            }
+            Exchange::Answered { .. } => {
+                slot.exchange = Exchange::Idle;
+                self.closed = Some(Closed::Answered);
+                self.health.answered(cycle.index);
+                Reply::Suspect
+            }
+        }
+    }
+
+    /// A packet of a drive with its own clock, with an exchange or without: it has a stamp of its own.
+    fn take_packet(&mut self, slot: &Slot) {
+        if slot.notices.fresh {
+            self.take_sample(slot.status.at, slot);
+        }
+    }
+
+    /// The report to a request that left at `sent_at` counts for the limits.
+    #[inline]
+    fn take_sample(&mut self, sent_at: Time, slot: &Slot) {
+        let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
+        let led = !self.duty.is_under_torque();
+        let position = if led { demand } else { position };
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity });
+    }
+
+    fn missed(&mut self, cycle: &Cycle, now: Time) {
+        self.closed = Some(Closed::Missed);
+        self.health.missed(cycle.index, self.seen);
+        if self.moves_in_group().is_some() {
+            self.emit(cycle, now, EventKind::MissedInGroup);
+        }
+    }
+
+    /// Takes the drive's status into the feedback, with an event for each change.
+    #[inline]
+    fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
+        let Slot { status, notices, .. } = slot;
+        self.feedback.cycle = cycle.index;
+        if !notices.fresh {
+            let age = cycle.index.saturating_sub(self.fresh_at);
+            self.feedback.age = u32::try_from(age).unwrap_or(u32::MAX);
+            return self.take_emergency(cycle, now, slot);
+        }
+        self.fresh_at = cycle.index - u64::from(status.suspect).min(cycle.index);
+        if self.rising > 0 {
+            self.fall(status);
+        }
+        let before = Shows::of(&self.feedback.status);
+        self.feedback.status = *status;
+        self.feedback.age = u32::from(status.suspect);
+        self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
+        if notices.monitor_fresh {
+            notices.monitor_fresh = false;
+            self.take_monitored();
+        }
+        let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
+        if noticed || before != Shows::of(&self.feedback.status) {
+            self.report(cycle, now, slot, before);
+        }
+    }
+
+    /// A report of a drive whose enable has not ended as done.
+    #[cold]
+    fn fall(&mut self, status: &DriveStatus) {
+        if self.duty.active().is_none() && !status.state.is_powered() && !status.suspect {
+            self.rising -= 1;
+        }
+    }
+
+    #[inline(never)]
+    fn take_monitored(&mut self) {
+        let monitor = self.feedback.status.monitor;
+        self.shown = monitor.into();
+        self.shows = !self.shown.is_empty();
+        for (extent, value) in self.monitor.iter_mut().zip(monitor) {
+            if let Some(value) = value.filter(|value| !value.is_nan()) {
+                Extent::see(extent, value);
+            }
+        }
+    }
+
+    /// Reports what is new, or differs from what was shown `before`.
+    #[cold]
+    fn report(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, before: Shows) {
+        if let Some((channel, status)) = slot.notices.monitor_refused.take() {
+            self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
+        }
+        if std::mem::take(&mut slot.notices.restarted) {
+            self.restarted = true;
+            self.emit(cycle, now, EventKind::Restarted);
+        }
+        self.take_emergency(cycle, now, slot);
+        let reported = Shows::of(&self.feedback.status);
+        if before.inhibited != reported.inhibited {
+            self.emit(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
+        }
+        if before.state != reported.state {
+            self.emit(cycle, now, EventKind::State(reported.state));
+        }
+        if before.fault != reported.fault {
+            self.emit(cycle, now, EventKind::Fault(reported.fault));
+        }
+        if before.warning != reported.warning {
+            self.emit(cycle, now, EventKind::Warning(reported.warning));
+        }
+    }
+
+    /// Takes the emergency that the drive reported; it may come without an exchange.
+    fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        if let Some(emergency) = slot.notices.emergency.take() {
+            self.measured.emergency = Some(emergency.into());
+            self.emit(cycle, now, EventKind::Emergency(emergency));
+        }
+    }
+
+    /// The link as evaluated: events, loss, and a drive found running.
+    #[inline]
+    fn take_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        if self.feedback.link != self.health.link() {
+            self.change_link(cycle, now, slot);
+        }
+    }
+
+    #[cold]
+    fn change_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let (before, link) = (self.feedback.link, self.health.link());
+        self.feedback.link = link;
+        slot.link = link;
+        self.emit(cycle, now, EventKind::Link(link));
+        self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
+        match link {
+            Link::Lost if before == Link::Online => {
+                self.stop(cycle, now, StopCause::LinkLost);
+                // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
+                self.just_stopped &= !slot.expected_silence;
+            }
+            Link::Online => {
+                self.seen = true;
+                let running = self.feedback.status.state.is_powered() || self.feedback.status.moving;
+                if running && self.duty.claim() != Claim::Armed && !slot.notices.other_master {
+                    self.find_running(cycle, now, Braked::BySetpoints);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What of a status is reported when it changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shows {
+    state: State,
+    inhibited: bool,
+    warning: u32,
+    fault: u32,
+}
+
+impl Shows {
+    #[inline]
+    fn of(status: &DriveStatus) -> Shows {
+        let DriveStatus { state, inhibited, warning, fault, .. } = *status;
+        Shows { state, inhibited, warning, fault }
+    }
+}

@@ -1,0 +1,312 @@
+//! The watch over an axis, and its stops: latched with their cause, braked, and begun again if it moves all the same.
+
+use super::DriveController;
+use super::duty::{Claim, Latch};
+use crate::axis::command::NativeOwner;
+use crate::axis::{Abort, Command, EventKind, FoundRunning, Link, Outcome, QueuedCommand, State, StopCause};
+use crate::bus::{Cycle, Slot};
+use crate::drive::bounds::Watched;
+use crate::drive::rest::Motion;
+use crate::drive::stop::{Sight, StopSequence};
+use crate::time::{Time, nanos};
+
+impl DriveController {
+    /// A drive runs that this master has not enabled: it was found so, or began later.
+    pub(super) fn find_running(&mut self, cycle: &Cycle, now: Time, braked: Braked) {
+        match *self.duty.latch() {
+            // What a living master runs is not taken over.
+            Latch::Down(..) | Latch::Kept(StopCause::OtherMaster) => return,
+            Latch::Kept(_) => {}
+            Latch::Open => self.latch(cycle, now, StopCause::FoundRunning),
+        }
+        // A drive that this master has commanded is never only read again.
+        if self.plan.on_found_running == FoundRunning::Stop || self.duty.claim() != Claim::Found {
+            self.brake(now, braked);
+        }
+    }
+
+    /// Watches an axis that has power, and runs one cycle of its stop sequence.
+    #[inline]
+    pub(super) fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let restarted = std::mem::take(&mut self.restarted);
+        self.called |= self.machine.observe(cycle.grid, restarted, slot);
+        // First: what follows from another master must not be named in its place.
+        if std::mem::take(&mut slot.notices.other_master) {
+            self.stop(cycle, now, StopCause::OtherMaster);
+        }
+        if std::mem::take(&mut slot.notices.fresh) {
+            let follows = self.duty.follows();
+            if follows.is_led && self.feedback.status.state == State::OperationEnabled {
+                // It is where it is expected, and what leads it is checked before it is sent.
+                self.rest.interrupt();
+                if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds) {
+                    self.breaks(cycle, now, StopCause::Limit);
+                }
+            } else {
+                self.watch_any(cycle, now, slot, restarted);
+            }
+            if self.duty.follows().stops {
+                self.watch_stop(cycle, now, true);
+            }
+        } else if self.duty.follows().stops {
+            self.watch_stop(cycle, now, false);
+        }
+    }
+
+    /// The same of an axis in any state.
+    #[inline(never)]
+    fn watch_any(&mut self, cycle: &Cycle, now: Time, slot: &Slot, restarted: bool) {
+        if let Some(cause) = self.left_operation(restarted).or_else(|| self.watch_motion(now, slot)) {
+            self.breaks(cycle, now, cause);
+        }
+    }
+
+    /// It is not where it is expected to be, or does what it must not.
+    #[cold]
+    fn breaks(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        if self.duty.claim() == Claim::Found {
+            // Before it is online it is found, as it will be then; later, something else has begun to move it.
+            let online = self.feedback.link == Link::Online;
+            let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
+            self.find_running(cycle, now, braked);
+        } else if self.duty.latch().is_open() {
+            // What no command has begun follows no setpoint, nor does what goes on under a stop.
+            let follows = self.duty.active().is_some_and(|active| !stops(active));
+            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+            let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
+            self.stop_by(braked, cycle, now, cause);
+        } else {
+            self.stop_again(cycle, now, cause);
+        }
+    }
+
+    /// One cycle of the stop that runs.
+    #[inline(never)]
+    fn watch_stop(&mut self, cycle: &Cycle, now: Time, fresh: bool) {
+        if self.is_stopping_too_long(now) {
+            self.latch(cycle, now, StopCause::StopTimeout);
+            let (stop, load) = (self.plan.stop, self.plan.load);
+            let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
+            self.duty.set_latch(Latch::Down(StopCause::StopTimeout, sequence));
+            self.issue(Some(command));
+        }
+        let sight = Sight {
+            fresh,
+            answers: self.answers(),
+            failed: matches!(self.machine.end(), Some(Err(_))),
+            powered: self.feedback.status.state.is_powered(),
+            moving: self.feedback.status.moving,
+            velocity: self.feedback.status.velocity,
+        };
+        if let Some((cause, sequence)) = self.duty.sequence()
+            && let Some(command) = sequence.step(now, sight)
+        {
+            let why = Abort::Stopped(cause);
+            if let Some(active) =
+                self.duty.active().filter(|active| !matches!(active.command, Command::Reset))
+            {
+                self.end(cycle, now, active, Outcome::Aborted(why));
+            }
+            self.issue(Some(command));
+        }
+    }
+
+    /// Why an axis that is expected to stay in operation is not.
+    fn left_operation(&self, restarted: bool) -> Option<StopCause> {
+        // Where the application owns the control word, the drive's state is the application's concern.
+        let free = self.is_native(NativeOwner::Application);
+        if !(self.duty.claim() == Claim::Armed || free) {
+            return None;
+        }
+        match self.feedback.status.state {
+            State::OperationEnabled | State::QuickStopActive => None,
+            _ if free && !restarted => None,
+            State::Fault | State::FaultReactionActive => Some(StopCause::DriveFault),
+            _ if self.feedback.status.inhibited => Some(StopCause::HardwareEnable),
+            _ => Some(StopCause::DriveDropped),
+        }
+    }
+
+    /// What an axis with power must not do, in whatever state it is: leave its limits, or move without a command.
+    fn watch_motion(&mut self, now: Time, slot: &Slot) -> Option<StopCause> {
+        let state = self.feedback.status.state;
+        // A drive in its fault reaction brakes by itself, and takes no request.
+        if !state.is_powered() {
+            self.rest.power_off();
+            return None;
+        }
+        if state == State::FaultReactionActive {
+            self.rest.interrupt();
+            return None;
+        }
+        let seconds = self.row_seconds;
+        let braking = matches!(self.duty.latch(), Latch::Down(_, sequence) if !sequence.is_down());
+        // What is on already is not moved by being enabled.
+        let commanded = self.duty.active().as_ref().is_some_and(|active| match active.command {
+            Command::Reset | Command::ResetFault => false,
+            Command::Enable => state != State::OperationEnabled,
+            _ => true,
+        });
+        // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
+        let native = self.duty.active().is_some_and(|active| matches!(active.command, Command::Native(_)));
+        let watched = Watched {
+            homing: self.duty.active().is_some_and(|active| matches!(active.command, Command::Home)),
+            braking: native || self.duty.active().is_none() || self.is_under_torque(),
+        };
+        let broken = self.bounds.are_broken(watched, seconds);
+        if braking {
+            self.rest.stop();
+        } else if commanded {
+            self.rest.interrupt();
+        } else if !slot.status.suspect {
+            let motion =
+                Motion { moving: self.feedback.status.moving, velocity: self.feedback.status.velocity };
+            if self.rest.moves(now, motion, &self.plan.stop, seconds) {
+                return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
+            }
+        }
+        // The stop sequence has its own time-out.
+        (broken && !braking).then_some(StopCause::Limit)
+    }
+
+    /// The application's stop has not ended in its time, although the drive answers.
+    fn is_stopping_too_long(&self, now: Time) -> bool {
+        self.duty.active().is_some_and(stops)
+            && self.duty.latch().is_open()
+            && self.answers()
+            && now.since(self.began) > nanos(self.plan.stop.timeout)
+    }
+
+    /// The fastest speed at which it may be, user units/s.
+    pub(super) fn speed(&self) -> f64 {
+        self.feedback.status.velocity.abs().max(self.bounds.speed())
+    }
+
+    /// The drive answers, so that requests reach it.
+    pub(super) fn answers(&self) -> bool {
+        matches!(self.feedback.link, Link::Qualifying | Link::Online)
+    }
+
+    /// Stops the axis: latches the cause, flushes queue and stream, starts the stop sequence. The first cause
+    /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
+    /// written.
+    pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        self.stop_by(Braked::BySetpoints, cycle, now, cause);
+    }
+
+    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
+        if !self.duty.latch().is_open() {
+            return;
+        }
+        self.latch(cycle, now, cause);
+        if self.duty.claim() != Claim::Found {
+            self.brake(now, braked);
+        }
+    }
+
+    /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
+    pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
+        if self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
+            self.stop(cycle, now, cause);
+        }
+    }
+
+    /// Whether no position leads the drive, and its reported demand is meaningless.
+    pub(super) fn is_under_torque(&self) -> bool {
+        self.duty.is_under_torque()
+    }
+
+    fn is_native(&self, owner: NativeOwner) -> bool {
+        matches!(self.duty.active(), Some(QueuedCommand { command: Command::Native(own), .. }) if *own == owner)
+    }
+
+    /// Starts the stop sequence of an axis that is latched.
+    fn brake(&mut self, now: Time, braked: Braked) {
+        let Some(cause) = self.duty.latch().cause() else { return };
+        // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
+        let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque();
+        let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
+        let (sequence, command) = start(self.plan.stop, self.plan.load, now, self.speed());
+        self.duty.set_latch(Latch::Down(cause, sequence));
+        self.issue(Some(command));
+    }
+
+    /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
+    fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        let speed = self.speed();
+        if matches!(self.duty.latch(), Latch::Kept(_)) {
+            return self.brake(now, Braked::ByTheDrive);
+        }
+        let command = match self.duty.sequence() {
+            Some((_, sequence)) if sequence.is_down() => sequence.again(now, speed),
+            _ => return,
+        };
+        self.rest.interrupt();
+        self.just_stopped = true;
+        self.emit(cycle, now, EventKind::Stopped(cause));
+        self.flush(cycle, now, Abort::Stopped(cause));
+        self.issue(Some(command));
+    }
+
+    /// Latches without touching the drive.
+    fn latch(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        self.duty.set_latch(Latch::Kept(cause));
+        self.disarm();
+        self.just_stopped = true;
+        self.feedback.stopped = Some(cause);
+        self.emit(cycle, now, EventKind::Stopped(cause));
+        self.flush(cycle, now, Abort::Stopped(cause));
+    }
+
+    /// It is no longer expected to stay in operation.
+    pub(super) fn disarm(&mut self) {
+        if self.duty.claim() == Claim::Armed {
+            self.duty.set_claim(Claim::Ours);
+        }
+    }
+
+    /// Whether it was stopped since its group was last checked.
+    pub fn just_stopped(&self) -> bool {
+        self.just_stopped
+    }
+
+    /// The stop group to stop with it, once after each stop.
+    pub fn take_group_stop(&mut self) -> Option<u16> {
+        if std::mem::take(&mut self.just_stopped) { self.plan.stop.group } else { None }
+    }
+
+    /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
+    /// is complete.
+    pub fn shut_down(&mut self, cycle: &Cycle, now: Time, hurry: bool) -> bool {
+        self.ends = true;
+        self.stop(cycle, now, StopCause::Shutdown);
+        self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
+        if matches!(self.duty.latch(), Latch::Kept(_)) && self.duty.claim() != Claim::Found {
+            self.brake(now, Braked::BySetpoints);
+        }
+        // Only ever read: not ours to power off.
+        let Some((_, sequence)) = self.duty.sequence() else { return true };
+        sequence.shut_down(now, self.feedback.status.state.is_powered());
+        let command = if hurry { sequence.hurry(now) } else { None };
+        let down = sequence.is_down();
+        if command.is_some() {
+            self.issue(command);
+        }
+        down
+    }
+}
+
+/// What brings an axis to standstill.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Braked {
+    /// The stop that its plan names: a ramp of setpoints, if it is one.
+    BySetpoints,
+    /// The quick stop of its drive, whatever its plan names.
+    ByTheDrive,
+}
+
+/// Whether the application's command is a stop.
+fn stops(active: QueuedCommand) -> bool {
+    matches!(active.command, Command::Stop { .. } | Command::QuickStop)
+}
