@@ -195,8 +195,8 @@ impl Cycle {
 
 /// One drive between the loop and its bus.
 ///
-/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link` and
-/// `desired`, the bus the rest.
+/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link`
+/// and `desired`, the bus the rest.
 #[derive(Clone, Debug, Default)]
 #[repr(C, align(64))]
 pub struct Slot {

@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `controller` | the loop's side of one drive: its queues, the running command, its latch |
+//! | `controller/judge`, `controller/watch` | the end of its exchange; what it must not do, and its stops |
 //! | `controller/commands` | the application's commands in their order |
 //! | `controller/setpoints` | rows, velocities and torques for the next send, and their age |
 //! | `stop` | the stop sequence |
