@@ -1,6 +1,6 @@
-//! What callgrind collects: what runs inside of [`counted`], and not inside of [`paused`], which is where the carriers in
-//! memory and the simulated drives are. So neither the drives nor the way into operation is counted, and nothing has to
-//! be subtracted.
+//! What callgrind collects: what runs inside of [`counted`], and not inside of [`paused`], which is where the carriers
+//! in memory and the simulated drives are. So neither the drives nor the way into operation is counted, and nothing has
+//! to be subtracted.
 
 use std::hint::black_box;
 use std::sync::atomic::{AtomicU8, Ordering};

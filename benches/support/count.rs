@@ -1,6 +1,7 @@
 //! Instructions of one scenario, counted by callgrind (Debian: valgrind).
 //!
-//! A bench that counts starts itself once for each scenario under callgrind, which collects only what `callgrind` marks.
+//! A bench that counts starts itself once for each scenario under callgrind, which collects only what `callgrind`
+//! marks.
 //!
 //! The count is the same in each run on each host: the child's clock is virtual, it makes no thread and needs no right,
 //! its environment is empty, and glibc is set to use the string functions of the plain architecture instead of those

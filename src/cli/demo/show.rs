@@ -1,5 +1,5 @@
-//! What the demo's axes do: those that take positions are homed, follow a travelling wave as streamed setpoints and make
-//! one profile move each, the others turn there and back meanwhile; then all of them stop and are powered off.
+//! What the demo's axes do: those that take positions are homed, follow a travelling wave as streamed setpoints and
+//! make one profile move each, the others turn there and back meanwhile; then all of them stop and are powered off.
 
 use std::f64::consts::TAU;
 use std::ops::Range;

@@ -5,7 +5,7 @@ use super::values::{Acceleration, Position, SignedAcceleration, SignedVelocity};
 use crate::bus::linudp::wire::MotionBlock;
 
 /// A motion command without its count: 12 bits of master and sub id, and the parameters. A constructor each for all
-/// that are in the [`CATALOGUE`]; what is newer than that is written as it stands.
+/// that are in the `CATALOGUE`; what is newer than that is written as it stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MotionCommand {
     /// Master id (bits 11-4) and sub id (3-0): `0x010` is "VAI go to position".

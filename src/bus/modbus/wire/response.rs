@@ -117,7 +117,7 @@ impl<'a> Response<'a> {
 /// Why a message is not a response.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ResponseError {
-    /// It is not a message that [`frame`] finds.
+    /// It is not a message that `frame` finds.
     #[error("{bytes} bytes are not one message with a header")]
     Frame {
         /// Its length, bytes.
