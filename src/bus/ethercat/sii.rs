@@ -34,7 +34,7 @@ const HEAD: [u16; 7] = [
 pub struct Head {
     /// The slave's identity.
     pub identity: Identity,
-    /// Its serial number.
+    /// Its serial number; 0 where it is not read.
     pub serial: u32,
     /// Its mailboxes: out, in; at 0: it names none.
     pub mailboxes: [Area; 2],
@@ -71,6 +71,16 @@ pub trait Content {
 
     /// The most words that are read of a category of this kind.
     fn wants(&self, kind: u16) -> u16;
+
+    /// Nothing is read behind a category of this kind.
+    fn ends_with(&self, _kind: u16) -> bool {
+        false
+    }
+
+    /// The serial number is read.
+    fn wants_serial(&self) -> bool {
+        true
+    }
 
     /// Four bytes of such a category, or its last two, so many behind its begin.
     fn take(&mut self, kind: u16, at: usize, data: &[u8]);
@@ -196,9 +206,10 @@ impl<C: Content> Reader<C> {
         self.item = match self.item {
             Item::Head(nth) => {
                 self.head.take(HEAD[nth], data);
-                match nth + 1 {
-                    next if next < HEAD.len() => Item::Head(next),
-                    _ => Item::Category { at: word::CATEGORIES, nth: 0 },
+                let is_read = |next: &usize| HEAD[*next] != word::SERIAL || self.content.wants_serial();
+                match (nth + 1..HEAD.len()).find(is_read) {
+                    Some(next) => Item::Head(next),
+                    None => Item::Category { at: word::CATEGORIES, nth: 0 },
                 }
             }
             Item::Category { at, nth } => self.next_category(at, nth, data),
@@ -207,6 +218,7 @@ impl<C: Content> Reader<C> {
                 self.content.take(kind, 2 * usize::from(at - begin), &data[..bytes.min(data.len())]);
                 match at.checked_add(2) {
                     Some(at) if at < end => Item::Words { kind, begin, at, end, next, nth },
+                    _ if self.content.ends_with(kind) => Item::Done,
                     _ => next.map_or(Item::Done, |at| Item::Category { at, nth: nth + 1 }),
                 }
             }
@@ -245,6 +257,14 @@ impl Content for Managers {
 
     fn wants(&self, kind: u16) -> u16 {
         if kind == Category::SYNC_MANAGERS { 4 * MANAGERS as u16 } else { 0 }
+    }
+
+    fn ends_with(&self, kind: u16) -> bool {
+        kind == Category::SYNC_MANAGERS
+    }
+
+    fn wants_serial(&self) -> bool {
+        false
     }
 
     fn take(&mut self, _kind: u16, at: usize, data: &[u8]) {
