@@ -172,7 +172,7 @@ pub fn calls(capacity: usize) -> (axis::acyclic::Acyclic, axis::acyclic::Port) {
 
     use axis::acyclic::{Acyclic, Commanding, queue};
     use axis::cell::cell;
-    use axis::handle::Observer;
+    use axis::observer::Observer;
 
     let (ends, port) = queue(capacity, Commanding::none());
     let (_, reader) = cell(axis::Feedback::default());
