@@ -77,6 +77,15 @@ pub mod bus {
         pub mod scan {
             pub use crate::bus::ethercat::scan::*;
         }
+        pub mod service {
+            pub use crate::bus::ethercat::service::*;
+        }
+        pub mod sii {
+            pub use crate::bus::ethercat::sii::*;
+        }
+        pub mod slot {
+            pub use crate::bus::ethercat::slot::*;
+        }
         pub mod wire {
             pub use crate::bus::ethercat::wire::*;
         }

@@ -10,12 +10,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
 use fieldbeat::internals::axis::acyclic::Notation;
 use fieldbeat::internals::bus::ethercat::object::Objects;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated, WorldOptions};
-use fieldbeat::time::Time;
+use fieldbeat::time::{MS, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
 use support::counting::{Counting, allocations, watch};
@@ -249,6 +249,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let _alone = alone();
     let drive = |place: u16| {
         let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+        drive.slave.watchdog = Watchdog::After(100 * MS);
         drive.axis.profile.velocity = 10.0;
         drive.axis.stop.deceleration = 200.0;
         drive.axis.enable_timeout = Duration::from_secs(3);
@@ -331,9 +332,9 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
             sim.world().delay_next_wake(3_700_000);
             assert!(sim.world().restart_slave(LINE, RESTARTED));
             sim.run(100);
-            assert!(sim.world().cut(LINE, Some(CUT_OFF)));
+            unwatched(|| assert!(sim.world().cut(LINE, Some(CUT_OFF))));
             sim.run(500);
-            assert!(sim.world().cut(LINE, None));
+            unwatched(|| assert!(sim.world().cut(LINE, None)));
             up = line_is_up(&mut sim);
             unwatched(|| drop(tickets));
             rounds += 1;

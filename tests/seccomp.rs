@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
 use fieldbeat::axis::{Axis, Command, Link};
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
 use fieldbeat::internals::axis::acyclic::Notation;
 use fieldbeat::internals::bus::ethercat::object::Objects;
 use fieldbeat::internals::cycle::engine::{Control, Engine};
@@ -293,12 +293,13 @@ fn live_on_a_line() {
     leave_no_core();
     let drive = |place: u16| {
         let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+        drive.slave.watchdog = Watchdog::After(100 * MS);
         drive.axis.health.bucket = 1_000_000;
         drive
     };
     let slave = SlavePlan {
-        inputs: Area { start: 0x1000, length: 2 },
-        outputs: Area { start: 0x1100, length: 2 },
+        inputs: vec![Area { start: 0x1000, length: 2 }],
+        outputs: vec![Area { start: 0x1100, length: 2 }],
         ..SlavePlan::new(2)
     };
     let mut line =

@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use fieldbeat::axis::{Limits, State};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
 use fieldbeat::internals::bus::ethercat::cia402::StatusWord;
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
 use fieldbeat::internals::net::frames::{MAC, Unsent};
@@ -16,7 +16,7 @@ use fieldbeat::internals::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::internals::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::time::Time;
+use fieldbeat::time::{MS, Time};
 
 use super::rig;
 
@@ -25,8 +25,9 @@ const INPUTS: usize = 2 + 8;
 /// In the latter: actual position and status word.
 const POSITION: std::ops::Range<usize> = 2..6;
 const STATUS: std::ops::Range<usize> = 8..10;
-/// So many frames in a row all drives have to be in operation.
-const SETTLED: u32 = 200;
+/// So many frames in a row all drives have to be in operation: until the last one of a long segment has read its mode
+/// and its reference by the mailbox.
+const SETTLED: u32 = 1_000;
 /// And so many more at most until one of them looks at no mailbox: on a long line there is always one to be looked at.
 const QUIET: u32 = 200;
 
@@ -34,6 +35,7 @@ const QUIET: u32 = 200;
 pub fn plan(interface: &str, drives: usize) -> EthercatPlan {
     let drive = |place: usize| {
         let mut drive = KollmorgenDrive::new(format!("k{place}"), place as u16, Family::S700);
+        drive.slave.watchdog = Watchdog::After(100 * MS);
         drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
         drive.axis.stop.deceleration = 100.0;
         drive.axis.health.bucket = 1_000_000;

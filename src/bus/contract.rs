@@ -159,6 +159,11 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
+    /// How many emergencies of device `index` were lost, since a queue for them was full.
+    fn emergencies_lost(&self, _index: usize) -> u64 {
+        0
+    }
+
     /// How many of the arrived datagrams the kernel dropped, where only a normal thread may query it.
     fn dropped(&self) -> u64 {
         0

@@ -161,7 +161,7 @@ impl Handler {
                 *known = link;
             }
         }
-        if !self.complete && self.links.iter().all(|link| *link == Link::Online) {
+        if !self.complete && !self.links.is_empty() && self.links.iter().all(|link| *link == Link::Online) {
             self.complete = true;
             self.live.say(&format!("all drives online: {}", self.links.len()));
         }

@@ -92,6 +92,11 @@ impl Prepared {
 }
 
 impl Running {
+    /// Standard output is one JSON object.
+    pub fn is_json(&self) -> bool {
+        self.json
+    }
+
     /// Ends the machine, prints its summary and writes its report. If either fails, the other is there all the same.
     pub fn finish(self, master: Master) -> (Summary, Result<(), Stop>) {
         let run = master.finish();

@@ -114,24 +114,25 @@ impl Set {
         })?;
         let mut values = Vec::new();
         for address in notation.read_back(&self.address) {
-            let read = match reach.access().read(&address) {
-                Ok(raw) => raw,
+            let (read, text) = match reach.access().read_shown(&address) {
+                Ok(read) => read,
                 // What cannot be read was written all the same.
-                Err(ParameterError::Refused { .. }) => written,
+                Err(ParameterError::Refused { .. }) => (written, notation.show(&address, written)),
                 Err(error) => return Err(failed(error)),
             };
-            values.push((address, read));
+            values.push((address, read, text));
         }
-        let shown = values.first().map_or(written, |(_, read)| *read);
-        tell(&reach, &self.address, shown, &notation.show(&self.address, shown), self.json)?;
-        match values.iter().find(|(address, read)| !notation.is_same(address, written, *read)) {
+        let shown = || (written, notation.show(&self.address, written));
+        let (shown, text) = values.first().map_or_else(shown, |(_, read, text)| (*read, text.clone()));
+        tell(&reach, &self.address, shown, &text, self.json)?;
+        match values.iter().find(|(address, read, _)| !notation.is_same(address, written, *read)) {
             None => Ok(()),
-            Some((address, read)) => Err(Stop::failed(format!(
+            Some((address, _, text)) => Err(Stop::failed(format!(
                 "drive {}: {} = {} was written, and {address} is {} now; something else sets it",
                 reach.drive(),
                 self.address,
                 self.value,
-                notation.show(address, *read)
+                text
             ))),
         }
     }

@@ -36,10 +36,15 @@ impl Sim {
             return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));
         }
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let count = plan.buses.iter().map(|bus| bus.axes().len() as u64).sum();
+        let drives: usize = plan.buses.iter().map(|bus| bus.axes().len()).sum();
+        let devices: usize = plan.buses.iter().map(|bus| bus.devices().len()).sum();
+        let listening = match drives {
+            0 => plural(devices as u64, "simulated device"),
+            drives => plural(drives as u64, "simulated drive"),
+        };
         let mut server = SimServer::start(simulation.build(), serving(&plan, self.core))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
-        print(format_args!("{} listening; Ctrl-C ends the simulation", plural(count, "simulated drive")))?;
+        print(format_args!("{listening} listening; Ctrl-C ends the simulation"))?;
         let begun = Instant::now();
         while !interrupt.is_set() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
             std::thread::sleep(LOOK_EVERY);

@@ -16,11 +16,11 @@ pub fn describe(plan: &Plan) -> Vec<String> {
     let mut drives = paced.iter();
     let source = plan.source.as_ref().map_or("built in code".to_owned(), |path| path.display().to_string());
     let mut lines =
-        vec![format!("{source}: {}, {}", count(axes.len(), "drive"), count(plan.buses.len(), "bus"))];
+        vec![format!("{source}: {}, {}", taking_part(&plan.buses), count(plan.buses.len(), "bus"))];
     lines.extend(cycle(&plan.cycle));
     for bus in &plan.buses {
         let mut own = bus.describe(plan.cycle.period_ns).into_iter();
-        lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), count(bus.axes().len(), "drive")));
+        lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), taking_part([bus])));
         let mut before: Option<(&str, Vec<String>)> = None;
         for drive in drives.by_ref().take(bus.axes().len()) {
             let paragraph = own.next().unwrap_or_default();
@@ -60,6 +60,15 @@ pub fn describe(plan: &Plan) -> Vec<String> {
     }
     lines.push("Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.".into());
     lines
+}
+
+/// Drives; where there are none, devices.
+fn taking_part<'a>(buses: impl IntoIterator<Item = &'a Box<dyn BusPlan>>) -> String {
+    let counts = buses.into_iter().map(|bus| (bus.axes().len(), bus.devices().len()));
+    match counts.fold((0, 0), |(drives, devices), (more, others)| (drives + more, devices + others)) {
+        (0, devices) => count(devices, "device"),
+        (drives, _) => count(drives, "drive"),
+    }
 }
 
 fn count(number: usize, what: &str) -> String {

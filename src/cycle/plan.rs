@@ -123,8 +123,8 @@ impl Plan {
         for bus in &self.buses {
             let (faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
             errors.extend(faults.into_iter().map(|(index, PlanFault { key, message })| {
-                let name = axes.get(index).map_or("", |axis| axis.name.as_str());
-                format!("bus {}: drive {name}: {key}: {message}", bus.name())
+                let drive = axes.get(index).map_or_else(String::new, |axis| format!("drive {}: ", axis.name));
+                format!("bus {}: {drive}{key}: {message}", bus.name())
             }));
         }
         for group in &self.groups {

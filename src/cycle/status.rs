@@ -148,6 +148,7 @@ impl BusInfo {
         self.devices.iter().enumerate().map(|(index, name)| DeviceEnd {
             name: name.clone(),
             not_operational: self.notes.as_ref().and_then(|notes| notes.device(index)),
+            emergencies_lost: self.notes.as_ref().map_or(0, |notes| notes.emergencies_lost(index)),
         })
     }
 }
@@ -194,6 +195,8 @@ pub struct DeviceEnd {
     pub name: String,
     /// Why it is not in operation; `None`: it is, or was until the orderly end.
     pub not_operational: Option<String>,
+    /// Emergencies that it has reported and the application has not received: a queue for them was full.
+    pub emergencies_lost: u64,
 }
 
 /// One drive in numbers.

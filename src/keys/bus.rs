@@ -46,9 +46,14 @@ pub fn simulated<D, S>(
 
 /// The tables of the drives of a bus, each over its `[bus.defaults]` but for the keys that are its `own`.
 pub fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Table<'a>> {
-    let defaults = bus.sub_table("defaults");
     if !bus.gives("drive") {
         bus.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
     }
+    drive_tables_if_any(bus, own)
+}
+
+/// The same of a bus that may have no drive.
+pub fn drive_tables_if_any<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Table<'a>> {
+    let defaults = bus.sub_table("defaults");
     bus.tables("drive").into_iter().map(|table| table.over(&defaults, own)).collect()
 }

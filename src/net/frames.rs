@@ -3,6 +3,7 @@
 use std::fmt::Debug;
 use std::os::fd::{BorrowedFd, RawFd};
 use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
@@ -12,6 +13,15 @@ use crate::time::Time;
 /// The address of every carrier that is not a network card: without the bit that the first slave of an EtherCAT
 /// segment sets.
 pub const MAC: [u8; 6] = [0x10; 6];
+
+/// From 1970-01-01 to 2000-01-01.
+const EPOCH: Duration = Duration::from_secs(946_684_800);
+
+/// The date of this computer's clock.
+pub(super) fn today_ns() -> Option<u64> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?.checked_sub(EPOCH)?;
+    u64::try_from(since.as_nanos()).ok()
+}
 
 /// A carrier of Ethernet frames on one interface: never waits, never allocates.
 pub trait Frames: Send {
@@ -27,6 +37,12 @@ pub trait Frames: Send {
 
     /// The present time, by the clock of its stamps.
     fn now(&mut self) -> Time;
+
+    /// The present date: ns since 2000-01-01, the epoch of distributed clocks. It is read once, outside of the cycle.
+    /// `None`: there is none, or it is before that.
+    fn today_ns(&self) -> Option<u64> {
+        None
+    }
 
     /// The Ethernet address of the interface.
     fn mac(&self) -> [u8; 6];

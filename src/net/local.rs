@@ -12,7 +12,7 @@ use nix::sys::socket::{
     AddressFamily, MsgFlags, SockFlag, SockType, UnixAddr, bind, recv, sendto, setsockopt, socket, sockopt,
 };
 
-use super::frames::{Frames, MAC, Unsent};
+use super::frames::{self, Frames, MAC, Unsent};
 use super::stamp;
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
@@ -110,6 +110,10 @@ impl Frames for Local {
         MonotonicClock::read()
     }
 
+    fn today_ns(&self) -> Option<u64> {
+        frames::today_ns()
+    }
+
     fn mac(&self) -> [u8; 6] {
         MAC
     }
@@ -126,6 +130,14 @@ mod tests {
     /// A name that no other test has.
     fn own(what: &str) -> String {
         format!("{what}-{}", std::process::id())
+    }
+
+    #[test]
+    fn its_date_is_that_of_the_computer() {
+        let carrier = Local::open(&own("date")).unwrap();
+        let unix_ns = std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
+        let since_2000 = unix_ns - (30 * 365 + 7) * 24 * 3_600 * crate::time::S;
+        assert!(since_2000.abs_diff(carrier.today_ns().unwrap()) < 10 * crate::time::S);
     }
 
     fn receive(end: &mut Local) -> Option<Vec<u8>> {

@@ -18,7 +18,7 @@ use nix::sys::socket::{
     AddressFamily, MsgFlags, SockFlag, SockType, recv, send, setsockopt, socket, sockopt,
 };
 
-use super::frames::{Dropped, Frames, Unsent};
+use super::frames::{self, Dropped, Frames, Unsent};
 use super::{set_option, stamp};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
@@ -191,6 +191,10 @@ impl Frames for Packet {
 
     fn now(&mut self) -> Time {
         MonotonicClock::read()
+    }
+
+    fn today_ns(&self) -> Option<u64> {
+        frames::today_ns()
     }
 
     fn mac(&self) -> [u8; 6] {

@@ -44,6 +44,27 @@ fn the_kollmorgen_sample_tells_the_truth() {
     }
 }
 
+#[test]
+fn the_sample_of_terminals_tells_the_truth() {
+    let plan = read(&tells_the_truth("rt-config/terminals.toml", 15));
+    assert_eq!(places(&plan), ["0 coupler", "1 switches", "2 valves", "3 pressure"]);
+    let reported = describe(&plan);
+    assert_eq!(reported[0], "m.toml: 4 devices, 1 bus");
+    for line in [
+        "bus ethercat: ethercat, 4 devices",
+        "  device coupler: eth1, place 0; vendor 0x2, product 0x44C2C52, any revision; 0 bytes out, 0 in",
+        "  device switches: eth1, place 1; vendor 0x2, product 0x3F03052, any revision; 0 bytes out, 1 in (0x1000)",
+        "  device valves: eth1, place 2; vendor 0x2, product 0x7D83052, any revision; 1 byte out (0x0F00), 0 in; its \
+         watchdog is as its SII has it (of most digital terminals 100 ms)",
+        "  device pressure: eth1, place 3; vendor 0x2, product 0xC1E3052, any revision; 0 bytes out, 8 in (0x1180)",
+    ] {
+        assert!(reported.iter().any(|other| other == line), "{line}\n{reported:#?}");
+    }
+    // A drive need not be there; something does.
+    let empty = "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"eth1\"\n";
+    assert_eq!(mistakes(empty), ["m.toml:1: bus.drive: missing; a bus needs at least one [[bus.drive]]"]);
+}
+
 /// Slaves by place: their names.
 fn places(plan: &Plan) -> Vec<String> {
     let reported = describe(plan);
@@ -175,7 +196,7 @@ protocol = "ethercat"
 interface = "local:line"
 sync_ahead = "100us"
 lrw = false
-simulate = { drift_ppm = [0, -20.5], line_delay = "1us", short_clocks = true, drop = 0.25 }
+simulate = { drift_ppm = [0, -20.5], line_delay = "1us", short_clocks = true, settling = 1024, drop = 0.25 }
 [bus.defaults]
 prbase = 16
 check_prbase = false
@@ -221,10 +242,10 @@ held_by = "brake"
         "drop: 0.25",
         "Expected { vendor: Some(106), product: None, revision: Some(16) }",
         "mailbox: Some([Area { start: 5120, length: 128 }, Area { start: 7168, length: 16 }])",
-        "outputs: Area { start: 4352, length: 6 }, inputs: Area { start: 4480, length: 8 }, watchdog_ns: \
-         None, sync: false",
-        "Start { object: Object { index: 13781, sub: 1 }, kind: I32, raw: 2 }",
-        "Start { object: Object { index: 13842, sub: 0 }, kind: I16, raw: 65535 }",
+        "outputs: [Area { start: 4352, length: 6 }], inputs: [Area { start: 4480, length: 8 }], watchdog: Off, \
+         sync: false",
+        "Start { object: Object { index: 13781, sub: 1 }, kind: I32, raw: 2, string: [] }",
+        "Start { object: Object { index: 13842, sub: 0 }, kind: I16, raw: 65535, string: [] }",
         &format!("mode: Some({:?})", Mode::TRAJECTORY),
         "rated_current: Some(4.5)",
         "accept_no_watchdog: true",
@@ -268,6 +289,30 @@ fn what_is_not_looked_at_is_said() {
         assert!(reported(section, fragment).contains(words), "{words}\n{}", reported(section, fragment));
         assert!(!reported(section, "").contains(words));
     }
+    // What ends the motion, or the outputs, if the master dies.
+    let velocities = "so velocities and torques are refused (no_drive_watchdog = \"refuse\")";
+    let keeps = "it keeps its last setpoint (no_drive_watchdog = \"accept\")";
+    let (accept, holds) = ("no_drive_watchdog = \"accept\"", "holds its last position setpoint under power");
+    let sii = "its watchdog is as its SII has it (of an AKD none), ";
+    let outputs = "outputs = { start = 0x0F00, length = 1 }\n";
+    for (section, fragment, words) in [
+        ("", "".to_owned(), format!("{sii}{velocities}")),
+        ("", accept.to_owned(), format!("{sii}without one {keeps}")),
+        ("", "pdo.outputs = \"0x1701\"".into(), format!("{sii}without one it {holds}")),
+        ("", "check_sii = false".into(), format!("its watchdog is off, {velocities}")),
+        ("", "watchdog = \"off\"".into(), format!("its watchdog is off, {velocities}")),
+        ("", format!("watchdog = \"off\"\n{accept}"), format!("its watchdog is off, so {keeps}")),
+        ("", "watchdog = \"100ms\"".into(), "the drive stops by itself within 100 ms without a frame".into()),
+        (
+            "device",
+            outputs.into(),
+            "its watchdog is as its SII has it (of most digital terminals 100 ms)".into(),
+        ),
+        ("device", format!("{outputs}watchdog = \"50ms\""), "its outputs go off within 50 ms".into()),
+        ("device", format!("{outputs}watchdog = \"off\""), "only the device itself ends its outputs".into()),
+    ] {
+        assert!(reported(section, &fragment).contains(&words), "{words}\n{}", reported(section, &fragment));
+    }
     // A text of an AKD goes in segments.
     let long = "type = \"akd\"\nstart_up = [{ object = \"0x2F00:1.text\", value = \"abcdefgh\" }]";
     read(&line("", long));
@@ -288,7 +333,7 @@ name = "x"
 name = "y"
 [[bus.device]]
 name = "io"
-outputs = { start = 0x1000, length = 2 }
+outputs = [{ start = 0x0F00, length = 1 }, { start = 0x0F01, length = 1 }]
 inputs = { start = 0x1100, length = 2 }
 [[bus.drive]]
 name = "z"
@@ -343,8 +388,8 @@ bus portal: ethercat, 3 drives
         brake holds the load
     vertical load: power goes off at standstill, or by the time-out; set the drive to close its brake before its power
         stage goes off
-  device io: eth1, place 2; any vendor, any product, any revision; 2 bytes out, 2 in; its outputs go off within 100 ms
-        without a frame
+  device io: eth1, place 2; any vendor, any product, any revision; 2 bytes out (1 at 0x0F00, 1 at 0x0F01), 2 in
+        (0x1100); its watchdog is as its SII has it (of most digital terminals 100 ms)
   place 3: not listed: a slave there forwards the frames and is not configured
   one frame every 1 ms carries the process data of 4 slaves, whatever the divisors: 148 bytes, 13.76 us on the wire at
         100 Mbit/s plus about 1 us per slave; with acyclic access up to 428 bytes and 36.16 us
@@ -398,14 +443,14 @@ fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
 #[test]
 fn a_line_built_in_code_is_checked_by_the_same_rules() {
     use fieldbeat::bus::BusPlan;
-    use fieldbeat::bus::ethercat::{Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan};
+    use fieldbeat::bus::ethercat::{Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
     let drive = |place| KollmorgenDrive::new(format!("k{place}"), place, Family::S700);
     let mut plan = EthercatPlan::new("local:line", vec![drive(0), drive(1)]);
     assert_eq!(BusPlan::faults(&plan, 1_000 * US), []);
-    plan.drives[1].slave.watchdog_ns = Some(50 * US);
+    plan.drives[1].slave.watchdog = Watchdog::After(50 * US);
     let device = |name: &str| Device {
         name: name.into(),
-        slave: SlavePlan { watchdog_ns: Some(100 * US), ..SlavePlan::new(1) },
+        slave: SlavePlan { watchdog: Watchdog::After(100 * US), ..SlavePlan::new(1) },
     };
     plan.devices = vec![device("k0"), device("a b")];
     plan.drives[0].axis.phase = 1;

@@ -2,6 +2,7 @@
 
 mod errors;
 mod ethercat;
+mod slaves;
 
 use std::net::Ipv4Addr;
 use std::os::unix::fs::symlink;

@@ -93,7 +93,7 @@ fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
 fn what_only_a_bus_of_one_frame_for_all_gets_wrong_is_caught_as_well() {
     for (defect, clause) in CAUGHT_ON_LINES {
         for positions in [false, true] {
-            let subject = EtherCat { positions, defect: Some(defect) };
+            let subject = EtherCat { positions, strict: false, defect: Some(defect) };
             assert!(
                 is_caught(Box::new(subject), clause),
                 "{defect:?} went unnoticed, positions: {positions}"

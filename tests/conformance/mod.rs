@@ -193,8 +193,13 @@ subjects! {
     linudp_untagged: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Off },
     modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
     modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
-    ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat { positions: false, defect: None },
-    ethercat_position: crate::conformance::subjects::ethercat::EtherCat { positions: true, defect: None },
+    ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat {
+        positions: false, strict: false, defect: None
+    },
+    ethercat_position: crate::conformance::subjects::ethercat::EtherCat {
+        positions: true, strict: false, defect: None
+    },
+    ethercat_strict: crate::conformance::subjects::ethercat::EtherCat { positions: true, strict: true, defect: None },
     toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
     toy_with_its_own_clock:
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),

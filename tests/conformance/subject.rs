@@ -132,11 +132,16 @@ pub struct Can {
     /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
     /// asked.
     pub shared: bool,
+    /// What is found running without the watchdog of its plan is set up anew before it gets power again.
+    pub rearmed: bool,
 }
 
 /// What is no message, nor the begin of one.
 #[derive(Debug)]
 pub struct NoMessage;
+
+/// Usual for [`Calls::soon`].
+pub const SOON: u64 = 100;
 
 /// Acyclic calls to a drive.
 #[derive(Clone, Copy, Debug)]
@@ -147,6 +152,8 @@ pub struct Calls {
     pub write: Call,
     /// One that it refuses, and its status.
     pub refused: (Call, u32),
+    /// Cycles in which a call to a drive that is there has ended. Many calls take a tenth of it each.
+    pub soon: u64,
 }
 
 /// A drive that a clause wants.

@@ -308,6 +308,10 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     m.done(1, Command::Stop { deceleration: None });
     assert!(m.tape(1, |tape| tape.said().powered && !tape.said().moving));
     if m.can.shared {
+        // Without power it was set up.
+        m.online();
+    }
+    if m.can.rearmed {
         is_set_up_anew(&mut m);
     }
     for index in 0..2 {
@@ -320,7 +324,6 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
 /// What was taken over without its watchdog is not switched on again: it is set up anew once its power is off, and
 /// nobody else notices.
 fn is_set_up_anew(m: &mut Machine) {
-    m.online();
     m.done(1, Command::Reset);
     let Failure::Unsupported(why) = m.failed(1, Command::Enable) else { panic!("{:?}", m.feedback(1)) };
     assert!(why.len() > 10, "{why}");

@@ -240,7 +240,8 @@ impl TappedLine {
         let all_mute = log.drives.iter().all(|tape| tape.mute);
         let gone =
             |place: usize| (0..count).any(|n| subject.place(n, count) == place && log.drives[n].unplugged);
-        let cut = (0..count).find(|place| (*place..count).all(gone));
+        let end = (0..count).map(|n| subject.place(n, count) + 1).max().unwrap_or(0);
+        let cut = (0..end).find(|place| (*place..end).all(gone));
         if std::mem::replace(&mut self.cut, cut) != cut {
             self.line.cut(cut);
         }

@@ -39,6 +39,16 @@ fn ethercat_wire() {
 }
 
 #[test]
+fn ethercat_mailbox() {
+    fuzz("ethercat_mailbox", targets::ethercat_mailbox, 1_500, 600);
+}
+
+#[test]
+fn ethercat_sii() {
+    fuzz("ethercat_sii", targets::ethercat_sii, 1_500, 600);
+}
+
+#[test]
 fn ethercat() {
     fuzz("ethercat", targets::ethercat, 150, 400);
 }

@@ -6,7 +6,7 @@
 //! | file | what |
 //! |---|---|
 //! | `capture` | a capture by tshark, and what its dissectors make of it |
-//! | `ethercat` | frames of EtherCAT, and a master of the crate ethercrab |
+//! | `ethercat` | frames of EtherCAT, and masters of the crate ethercrab and of SOEM |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
 //! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |

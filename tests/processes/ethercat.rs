@@ -1,6 +1,6 @@
 //! `fieldbeat ethercat scan`: of a line on this host, without any right, and of what is none.
 
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
 use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{FaultPlan, SimPlan};
@@ -18,9 +18,13 @@ struct Line {
 impl Line {
     fn start(test: u8, faults: FaultPlan) -> Line {
         let interface = format!("local:tests-{}-{test}", std::process::id());
-        let drives = [1, 2].map(|place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700));
+        let drives = [1, 2].map(|place| {
+            let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+            drive.slave.watchdog = Watchdog::After(100 * MS);
+            drive
+        });
         let mut plan = EthercatPlan::new(&interface, drives.into());
-        let slave = SlavePlan { inputs: Area { start: 0x1000, length: 2 }, ..SlavePlan::new(0) };
+        let slave = SlavePlan { inputs: vec![Area { start: 0x1000, length: 2 }], ..SlavePlan::new(0) };
         plan.devices.push(Device { name: "io".into(), slave });
         let segment = EthercatSegment {
             settings: SegmentSettings { faults, ..SegmentSettings::default() },

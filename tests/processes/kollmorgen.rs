@@ -9,7 +9,7 @@ use libc::SIGTERM;
 use super::support::{
     Machine, Program, as_ordinary_user, assert_sums, carried, checkout, drive, period, run,
 };
-use super::{ask, await_online, master, simulation};
+use super::{ask, await_online, await_status, master, simulation};
 
 /// The name of a line that no other test has.
 fn line(test: u8) -> String {
@@ -148,6 +148,7 @@ fn another_slave_than_configured_is_named_with_its_place() {
     let mut refused = master(&other, &["--json"]);
     let why = "place 1: its product is 0x03000600: correct product, or the order of the segment";
     refused.await_text(&format!("drive moves: not connected: {why}"));
+    await_status(&other, |summary| drive(summary, "turns")["not_connected"].is_null());
     refused.signal(SIGTERM);
     let summary = refused.end().json();
     // Which of its notes it ends with is chance: it is tried again and again.

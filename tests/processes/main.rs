@@ -53,14 +53,14 @@ use std::net::{SocketAddrV4, UdpSocket};
 use std::process::Command;
 use std::time::Duration;
 
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
-use support::{Ended, LONG, PROGRAM, Program, simulated, until};
+use support::{Ended, LONG, PROGRAM, Program, served, simulated, until};
 
 const MS: Duration = Duration::from_millis(1);
 
 fn serve(config: &std::path::Path) -> SimServer {
-    SimServer::start(simulated(config), ServerOptions::default()).unwrap()
+    served(|| simulated(config))
 }
 
 fn master(config: &std::path::Path, arguments: &[&str]) -> Program {

@@ -12,13 +12,12 @@ use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::internals::bus::modbus::counters::OWN;
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::modbus::Unidrives;
-use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::Status;
 use fieldbeat::telemetry::metrics::Endpoint;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
 use libc::SIGINT;
 
-use super::support::{LONG, Machine, Program, assert_sums, carried, patient, until};
+use super::support::{LONG, Machine, Program, assert_sums, carried, patient, served, until};
 use super::{assert_silent, master, serve, socket};
 
 /// Where the endpoint is, by what the program says.
@@ -355,9 +354,11 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
         groups: Vec::new(),
     };
     let simulate = |count| {
-        let mut there = SimPlan::from(Unidrives::of(&bus)).build();
-        there.drives.truncate(count);
-        SimServer::start(there, ServerOptions::default()).unwrap()
+        served(|| {
+            let mut there = SimPlan::from(Unidrives::of(&bus)).build();
+            there.drives.truncate(count);
+            there
+        })
     };
     // Only the first one is there.
     let sim = simulate(1);

@@ -61,6 +61,15 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
         assert!((159.0..161.0).contains(&position), "{drive}");
     }
 
+    // The last line has what became of the light of the terminals: each pattern is seen before the next one is written.
+    assert_eq!(summary["devices"].as_array().unwrap().len(), 3, "{summary}");
+    let light = ended.err.lines().last().unwrap();
+    let counts: Vec<u64> = light.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let [written, seen] = counts[..] else { panic!("{light}") };
+    let said = format!("fieldbeat: device outputs: {written} patterns written, {seen} seen at the inputs");
+    assert_eq!(light, said);
+    assert!(seen > 0 && (seen..=seen + 1).contains(&written), "{light}");
+
     // Of the buses only the line has a clock, and it leads.
     let mut clocks = summary["buses"].as_array().unwrap().iter().filter(|bus| !bus["clock"].is_null());
     let (line, none) = (clocks.next().unwrap(), clocks.next());
@@ -92,7 +101,7 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
          drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate drives.rejected \
          drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns drives.age_cycles \
          drives.protocol_counters drives.position drives.inhibited drives.stopped drives.fault drives.fault_name \
-         drives.monitor devices buses \
+         drives.monitor devices devices.name devices.not_operational devices.emergencies_lost buses \
          buses.name buses.unmatched buses.dropped buses.receive_errors buses.clock realtime realtime.policy \
          realtime.priority realtime.core \
          realtime.memory_locked realtime.page_faults realtime.involuntary_switches realtime.telemetry_lost \

@@ -9,7 +9,7 @@ pub mod forward;
 pub mod hold;
 pub mod onlooker;
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -23,6 +23,7 @@ use fieldbeat::axis::Health;
 use fieldbeat::config::Configuration;
 use fieldbeat::doctor::glance;
 use fieldbeat::sim::Simulated;
+use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::{MS, S};
 use fieldbeat::{CyclePlan, Plan, Realtime};
 
@@ -94,6 +95,24 @@ pub fn until(limit: Duration, mut done: impl FnMut() -> bool) -> bool {
         sleep(Duration::from_millis(5));
     }
     true
+}
+
+/// Serves `simulated` on real sockets.
+///
+/// An address of an earlier server of this process may be in use for a while longer: a child that another test has just
+/// forked holds its sockets until it is executed, which takes long on a busy host.
+#[track_caller]
+pub fn served(simulated: impl Fn() -> Simulated) -> SimServer {
+    let mut server = None;
+    assert!(until(LONG, || match SimServer::start(simulated(), ServerOptions::default()) {
+        Ok(started) => {
+            server = Some(started);
+            true
+        }
+        Err(error) if error.kind() == ErrorKind::AddrInUse => false,
+        Err(error) => panic!("{error}"),
+    }));
+    server.unwrap()
 }
 
 /// A network of its own on loopback, and a directory for its configurations that goes with it.

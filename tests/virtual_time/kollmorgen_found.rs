@@ -1,7 +1,7 @@
 //! Drives that another master has left in OP, and this one joins as they are, or does not.
 
 use fieldbeat::axis::{Command, FoundRunning, Link, Outcome, StopCause};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object, Watchdog};
 use fieldbeat::internals::bus::ethercat::cia402::Mode;
 use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 
@@ -10,7 +10,7 @@ use super::kollmorgen::{LINE, Machine, drive, jog};
 
 /// A drive that goes on by itself when its master is gone.
 fn unwatched(mut drive: KollmorgenDrive) -> KollmorgenDrive {
-    drive.slave.watchdog_ns = None;
+    drive.slave.watchdog = Watchdog::Off;
     drive.accept_no_watchdog = true;
     (drive.axis.stop.deceleration, drive.axis.profile.velocity) = (2.0, 2.0);
     drive

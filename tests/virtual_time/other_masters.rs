@@ -2,7 +2,7 @@
 //! taken for one. Those of Unidrives are in `unidrive::others`.
 
 use fieldbeat::axis::{FoundRunning, Link, StopCause};
-use fieldbeat::bus::ethercat::Family;
+use fieldbeat::bus::ethercat::{Family, Watchdog};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
 use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
@@ -93,7 +93,7 @@ fn a_slave_that_another_master_takes_out_of_op_is_named_and_one_that_falls_by_it
 fn slaves_of_a_living_master_are_left_as_they_run() {
     // Watched by its own master, which is of another kind: it cannot be joined, and would be stopped.
     let mut plan = kollmorgen::plan(1);
-    plan.drives[0].slave.watchdog_ns = None;
+    plan.drives[0].slave.watchdog = Watchdog::Off;
     plan.drives[0].accept_no_watchdog = true;
     let mut first = Machine::enabled(plan.clone());
     first.post(0, jog(1.0));

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::{Call, CallError, Carrier, PostError};
+use super::{Call, CallError, Carrier, PostError, Series};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
 /// busy host may hold up every exchange of it.
@@ -53,6 +53,12 @@ pub trait Notation: Debug + Send + Sync {
     /// Reads `address` if its value may be longer than a raw value: its first eight bytes, and its text. `None`: it is
     /// no such address.
     fn read_long(&self, _carrier: &dyn Carrier, _address: &str) -> Option<Result<(u64, String), CallError>> {
+        None
+    }
+
+    /// The calls that write `text` to `address` if its value may be longer than a raw value. `None`: it is no such
+    /// address, or no value of it.
+    fn write_long(&self, _address: &str, _text: &str) -> Option<Vec<Call>> {
         None
     }
 
@@ -203,7 +209,7 @@ impl Access<'_> {
     pub fn read(&self, address: &str) -> Result<u64, ParameterError> {
         let request = Request::read(self.drive, address);
         let call = self.notation.read(address).map_err(|error| request.wrong(error))?;
-        self.carry_out(&request, call)
+        self.carry_out(&request, &[call])
     }
 
     /// Reads a parameter of any length: its raw value, or the beginning of it, and its text.
@@ -219,16 +225,21 @@ impl Access<'_> {
     pub fn write(&self, address: &str, text: &str) -> Result<u64, ParameterError> {
         let request = Request::write(self.drive, address, text.to_owned());
         let raw = self.notation.value(address, text).map_err(|error| request.wrong(error))?;
-        let call = self.notation.write(address, raw).map_err(|error| request.wrong(error))?;
-        self.carry_out(&request, call)?;
+        let calls = match self.notation.write_long(address, text) {
+            Some(calls) => calls,
+            None => vec![self.notation.write(address, raw).map_err(|error| request.wrong(error))?],
+        };
+        self.carry_out(&request, &calls)?;
         Ok(raw)
     }
 
-    fn carry_out(&self, request: &Request, call: Call) -> Result<u64, ParameterError> {
-        let series = self.carrier.run(&[call], self.notation.limit(&call));
-        match series.answers.first() {
-            Some(answer) => Ok(answer.value),
-            None => Err(request.failed(series.failed.unwrap_or(CallError::Gone), self.notation)),
+    /// Carries out calls that belong together; returns what the first one has answered.
+    fn carry_out(&self, request: &Request, calls: &[Call]) -> Result<u64, ParameterError> {
+        let limit = calls.first().map_or(LIMIT, |call| self.notation.limit(call));
+        let Series { answers, failed } = self.carrier.run(calls, limit);
+        match (failed, answers.first()) {
+            (None, Some(answer)) => Ok(answer.value),
+            (failed, _) => Err(request.failed(failed.unwrap_or(CallError::Gone), self.notation)),
         }
     }
 }

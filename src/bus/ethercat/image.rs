@@ -187,7 +187,7 @@ impl Image {
 /// How many of these slaves fit into so many bytes.
 fn fitting(slaves: &[(Owner, &SlavePlan)], room: usize) -> usize {
     let sums = slaves.iter().scan(0, |sum, (_, slave)| {
-        *sum += usize::from(slave.outputs.length) + AL_SIZE + usize::from(slave.inputs.length);
+        *sum += slave.output_bytes() + AL_SIZE + slave.input_bytes();
         Some(*sum)
     });
     sums.take_while(|sum| *sum <= room).count()
@@ -203,8 +203,8 @@ impl Frame {
         lrw: bool,
     ) -> Option<Frame> {
         let mut bytes = Box::new([0; FRAME_MAX]);
-        let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
-        let inputs: usize = slaves.iter().map(|(_, slave)| AL_SIZE + usize::from(slave.inputs.length)).sum();
+        let outputs: usize = slaves.iter().map(|(_, slave)| slave.output_bytes()).sum();
+        let inputs: usize = slaves.iter().map(|(_, slave)| AL_SIZE + slave.input_bytes()).sum();
         let mut builder = Builder::new(&mut *bytes, BROADCAST, source)?;
         let nop = |builder: &mut Builder<'_>, length| builder.push(Command::Nop, 0, length);
         let mark = nop(&mut builder, MARK_SIZE)?;
@@ -249,12 +249,12 @@ impl Frame {
 
     /// The offsets of each of its slaves.
     fn offsets(&self, frame: usize, slaves: &[(Owner, &SlavePlan)]) -> Vec<Offsets> {
-        let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
+        let outputs: usize = slaves.iter().map(|(_, slave)| slave.output_bytes()).sum();
         // Inputs follow the outputs, in the same datagram or in the next one.
         let behind = self.read.map_or(self.data.data().start + outputs, |read| read.data().start);
         let (mut out, mut input) = (0, 0);
         let offsets = |(_, slave): &(Owner, &SlavePlan)| {
-            let (wide, deep) = (usize::from(slave.outputs.length), usize::from(slave.inputs.length));
+            let (wide, deep) = (slave.output_bytes(), slave.input_bytes());
             let begin = self.data.data().start + out;
             let al = behind + input;
             let at = |offset: usize| self.logical + offset as u32;

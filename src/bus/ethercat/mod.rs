@@ -40,9 +40,9 @@ mod other;
 mod plan;
 mod profile;
 mod segment;
-mod service;
-mod sii;
-mod slot;
+pub(crate) mod service;
+pub(crate) mod sii;
+pub(crate) mod slot;
 mod start_up;
 mod station;
 #[cfg(feature = "cli")]
@@ -54,8 +54,8 @@ pub use native::{
 };
 pub(crate) use plan::is_interface;
 pub use plan::{
-    Area, Device, EthercatPlan, Expected, KOLLMORGEN, KollmorgenDrive, Mapping, Owner, Scaling, Setpoint,
-    SlavePlan, Start,
+    Area, Device, EthercatPlan, Expected, KOLLMORGEN, KollmorgenDrive, MOST_AREAS, Mapping, Owner, Scaling,
+    Setpoint, SlavePlan, Start, Watchdog,
 };
 
 pub use object::pdo::{Entry, Layout};

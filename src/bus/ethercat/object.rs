@@ -4,21 +4,23 @@
 //! |---|---|
 //! | `0x6041:0`, `6041h:0`, or a name of the [`catalogue`] | in its own type if it is known here; else read as it comes |
 //! | `0x6041` | subindex 0 |
-//! | `0x6041:0.u16`, `status-word.u16` | in this type: `i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `text` |
+//! | `0x6041:0.u16`, `status-word.u16` | in this type: `i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `text`, `octets` |
 //! | `0x1C12:ca` | all subindices together (complete access), as bytes, to read only; a Kollmorgen drive refuses it |
 //!
 //! | value | means |
 //! |---|---|
 //! | `-15000` | a count, as sent on the wire |
 //! | `0x3A98` | the bits of a count |
-//! | `S700` | of a text, up to eight characters |
+//! | `S700` | of a text, up to 128 characters |
+//! | `01 A0 FF` | of octets, up to 128 of them |
 //!
 //! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
 //! count, or the characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's
 //! abort code, or one of the [statuses](NO_MAILBOX) of the master.
 //!
 //! An object that is longer than the value of a call is read by a series of calls: [`READ`], followed by [`SIZE`]
-//! and [`PART`]s of the data read. [`long::read`] does it.
+//! and [`PART`]s of the data read. [`long::read`] does it. A longer value is written by [`LOAD`]s, followed by a
+//! [`STORE`]: [`long::write`].
 
 pub mod catalogue;
 pub mod long;
@@ -31,6 +33,8 @@ use crate::axis::acyclic::{Call, CallError, Commanding};
 pub use super::wire::sdo::Object;
 pub use catalogue::{Access, Drives, Known};
 pub use notation::Objects;
+#[cfg(feature = "config")]
+pub(super) use notation::string;
 
 /// The service of a call that reads.
 pub const READ: u32 = 1;
@@ -40,8 +44,14 @@ pub const WRITE: u32 = 2;
 /// The service of a call that returns how many bytes the preceding [`READ`] of the same target in its series has
 /// read.
 pub const SIZE: u32 = 3;
-/// The service of a call that returns eight of those bytes, of the first 64, starting at `value`.
+/// The service of a call that returns eight of those bytes, of the first [`long::MOST`], starting at `value`.
 pub const PART: u32 = 4;
+
+/// The service of a call that hands over the next eight bytes of a value, to be written later in its series. Nothing is
+/// sent.
+pub const LOAD: u32 = 5;
+/// The service of a call that writes the first `value` bytes handed over before it in its series.
+pub const STORE: u32 = 6;
 
 /// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far
 /// above.
@@ -60,6 +70,10 @@ pub const TRUNCATED: u32 = 0x06;
 pub const ENDLESS: u32 = 0x07;
 /// Status of a call: there is no such part of the data read before it in its series.
 pub const NOT_READ: u32 = 0x08;
+/// Status of a call: the value to be written was not handed over whole before it in its series.
+pub const NOT_LOADED: u32 = 0x09;
+/// Status of a call: the value is longer than the drive's mailbox can take.
+pub const EXPEDITED: u32 = 0x0A;
 /// Status of a call: the slave could not use the mailbox message; its [error](super::wire::mailbox::MailboxError) is added.
 pub const MAILBOX: u32 = 0x1_0000;
 
@@ -74,6 +88,8 @@ fn own_reason(status: u32) -> Option<&'static str> {
         TRUNCATED => "the answer is shorter than the slave announced",
         ENDLESS => "the answer is longer than the slave announced, or has no end",
         NOT_READ => "there is no such part of the data read before",
+        NOT_LOADED => "the value was not handed over whole; raise parameter_queue",
+        EXPEDITED => "its mailbox of 16 bytes takes values of at most 4 bytes",
         _ => return None,
     })
 }
@@ -103,13 +119,16 @@ pub enum Type {
     I32,
     /// UNSIGNED32.
     U32,
-    /// VISIBLE_STRING: a call has eight characters of it, [`long::read`] more.
+    /// VISIBLE_STRING: a call has eight characters of it, [`long::read`] and [`long::write`] more.
     Text,
+    /// OCTET_STRING: the same of any bytes.
+    Octets,
 }
 
 impl Type {
     /// All of them.
-    pub const ALL: [Type; 7] = [Type::I8, Type::U8, Type::I16, Type::U16, Type::I32, Type::U32, Type::Text];
+    pub const ALL: [Type; 8] =
+        [Type::I8, Type::U8, Type::I16, Type::U16, Type::I32, Type::U32, Type::Text, Type::Octets];
 
     /// How people write it.
     pub const fn name(self) -> &'static str {
@@ -121,16 +140,22 @@ impl Type {
             Type::I32 => "i32",
             Type::U32 => "u32",
             Type::Text => "text",
+            Type::Octets => "octets",
         }
     }
 
-    /// Bytes of a value; of a text, the most that a call has.
+    /// It is a string: as long as it is, and no number.
+    pub const fn is_string(self) -> bool {
+        matches!(self, Type::Text | Type::Octets)
+    }
+
+    /// Bytes of a value; of a string, the most that a call has.
     pub const fn bytes(self) -> usize {
         match self {
             Type::I8 | Type::U8 => 1,
             Type::I16 | Type::U16 => 2,
             Type::I32 | Type::U32 => 4,
-            Type::Text => 8,
+            Type::Text | Type::Octets => 8,
         }
     }
 
@@ -138,11 +163,11 @@ impl Type {
         matches!(self, Type::I8 | Type::I16 | Type::I32)
     }
 
-    /// The lowest and the highest value; meaningless for a text.
+    /// The lowest and the highest value; meaningless for a string.
     pub const fn range(self) -> (i64, i64) {
         let bits = 8 * self.bytes();
         match self {
-            Type::Text => (0, 0),
+            Type::Text | Type::Octets => (0, 0),
             _ if self.is_signed() => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
             _ => (0, (1 << bits) - 1),
         }
@@ -267,7 +292,8 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Object>) -> Commanding
 /// Why a call of the application is refused while the power of its drive is on: it writes an object that is exchanged,
 /// or none that is known to be harmless.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let object = Target::unpack(call.address).filter(|_| call.service == WRITE)?.object;
+    let writes = matches!(call.service, WRITE | STORE);
+    let object = Target::unpack(call.address).filter(|_| writes)?.object;
     (mapped.contains(&object.key()) || !is_harmless(object.index)).then_some(CallError::Commands)
 }
 
@@ -380,6 +406,16 @@ mod tests {
         assert_eq!(Objects.show("0x2F00:3", 7), "7 (0x7)");
         assert_eq!(Objects.show("device-name", u64::from(u32::from_le_bytes(*b"S700"))), "S700");
         assert_eq!(Objects.value("0x2F00:3.text", "S700"), Ok(u64::from(u32::from_le_bytes(*b"S700"))));
+        let long = "a text that is longer than eight characters";
+        assert_eq!(Objects.write_long("0x2F00:3.text", long).map(|calls| calls.len()), Some(7));
+        assert_eq!(Objects.write_long("0x2F00:3.octets", "01 02 0a").unwrap()[0].value, 0x0A_0201);
+        for (address, text) in
+            [("0x2F00:3.text", ""), ("0x2F00:3.octets", "1"), ("0x2F00:3.text", &*"x".repeat(129))]
+        {
+            assert!(matches!(Objects.value(address, text), Err(NotationError::Value { .. })), "{text}");
+            assert_eq!(Objects.write_long(address, text), None);
+        }
+        assert_eq!(Objects.write_long("control-word", "15"), None);
     }
 
     #[test]
@@ -389,7 +425,7 @@ mod tests {
         let refused = "the slave cannot use the mailbox message: 0x0002 protocol not supported";
         assert_eq!(Objects.reason(MAILBOX + 2), refused);
         assert_eq!(Objects.reason(0x0001_2345), "the slave cannot use the mailbox message: 0x2345");
-        for status in NO_MAILBOX..=NOT_READ {
+        for status in NO_MAILBOX..=EXPEDITED {
             assert!(own_reason(status).is_some(), "{status}");
         }
     }

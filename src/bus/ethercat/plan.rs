@@ -5,20 +5,24 @@
 //! | `faults` | what of it contradicts itself, or would not work |
 //! | `describe` | the line in words |
 //! | `frame` | how long its frame is |
+//! | `slave` | what every slave has, drive or not |
 
 mod describe;
 mod faults;
 mod frame;
+mod slave;
+
+#[cfg(test)]
+pub use slave::FIRST_STATION;
+pub use slave::{Area, Expected, MOST_AREAS, SlavePlan, Start, Watchdog};
 
 use super::cia402::Mode;
 use super::object::pdo::{self, Layout};
 use super::object::{Family, Object, Type};
-use super::wire::sii::Identity;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::is_plain_name;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::bus::variant::Variant;
-use crate::time::MS;
 
 /// The slaves of one line, behind one interface.
 #[derive(Clone, Debug)]
@@ -36,96 +40,6 @@ pub struct EthercatPlan {
     pub lrw: bool,
     /// Where in the period of SYNC0 a frame leaves the master, ns before it. Default: half of the period.
     pub ahead_of_sync_ns: Option<u64>,
-}
-
-/// What the line needs to know of a slave, drive or not.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SlavePlan {
-    /// Its place on the line: 0 is next to the master.
-    pub place: u16,
-    /// Who it has to be; a number that is left out may be any.
-    pub identity: Expected,
-    /// Where the mailbox is that the master writes, and the one that it reads; `None`: it has none.
-    pub mailbox: Option<[Area; 2]>,
-    /// Where its outputs are, and its inputs: as many bytes as its PDOs have, 0 of none.
-    pub outputs: Area,
-    /// See `outputs`.
-    pub inputs: Area,
-    /// It falls back by itself when no outputs come for so long, ns: its SyncManager watchdog. `None`: left off.
-    pub watchdog_ns: Option<u64>,
-    /// It has a clock, and makes SYNC0 of it.
-    pub sync: bool,
-    /// What its SII says is held against all this, as far as it says anything.
-    pub check_sii: bool,
-    /// Objects that are written in PREOP, in this order, behind those that select the PDOs.
-    pub start_up: Vec<Start>,
-    /// Objects that are read behind them, and have to be so. One that is a [factor](Start::factor) may be anything: the
-    /// next one has to be that many times its value.
-    pub verify: Vec<Start>,
-    /// Objects that have to be so in a drive that is found in OP, or it is not taken over as it is.
-    pub verify_found: Vec<Start>,
-}
-
-/// Who a slave has to be.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Expected {
-    /// Its maker.
-    pub vendor: Option<u32>,
-    /// What it is.
-    pub product: Option<u32>,
-    /// Which form of it.
-    pub revision: Option<u32>,
-}
-
-/// A piece of a slave's memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Area {
-    /// Where it begins.
-    pub start: u16,
-    /// Bytes.
-    pub length: u16,
-}
-
-/// An object and what is written to it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Start {
-    /// Which.
-    pub object: Object,
-    /// Its type: its size.
-    pub kind: Type,
-    /// The bits of its value.
-    pub raw: u64,
-}
-
-impl Start {
-    /// An object with these raw bits.
-    pub const fn new(object: Object, kind: Type, raw: u64) -> Start {
-        Start { object, kind, raw }
-    }
-
-    /// An object that is read, and not held against anything.
-    const ANY: u64 = u64::MAX;
-
-    /// In a list of objects that have to be so: the next one is to be as many times its value as this one says.
-    pub const fn factor(object: Object, kind: Type) -> Start {
-        Start { object, kind, raw: Start::ANY }
-    }
-
-    /// See [`factor`](Self::factor).
-    pub const fn is_factor(&self) -> bool {
-        self.raw == Start::ANY
-    }
-
-    /// Bytes that are written: of a text those that it has, one at least.
-    pub const fn bytes(&self) -> usize {
-        match self.kind {
-            Type::Text => {
-                let bytes = (71 - self.raw.leading_zeros() as usize) / 8;
-                if bytes == 0 { 1 } else { bytes }
-            }
-            kind => kind.bytes(),
-        }
-    }
 }
 
 /// One drive.
@@ -149,7 +63,7 @@ pub struct KollmorgenDrive {
     pub scaling: Scaling,
     /// What it says of its increments a turn (608Fh) is held against [`Scaling::prbase`], if it says anything.
     pub check_prbase: bool,
-    /// Velocities and torques are taken although its watchdog is off.
+    /// Velocities and torques are taken although the master arms no watchdog.
     pub accept_no_watchdog: bool,
     /// The mode of operation of `Home`: method 6098h, written before. `None`: as the drive is set.
     pub home_method: Option<i8>,
@@ -212,8 +126,6 @@ const S700_MAILBOX: u16 = 16;
 const AKD_MAILBOX: u16 = 1024;
 /// Where a drive's outputs and inputs are (those of an AKD; assumed for the others).
 const BUFFERS: [u16; 2] = [0x1100, 0x1140];
-/// How long a drive waits for the next outputs by default.
-const WATCHDOG_NS: u64 = 100 * MS;
 /// Increments per 250 us as rpm, with 2^20 increments a turn.
 const RPM_PER_COUNT: f64 = 4_000.0 * 60.0 / (1 << 20) as f64;
 
@@ -286,30 +198,6 @@ pub enum Owner {
     Drive(usize),
     /// The device with this index.
     Device(usize),
-}
-
-/// The station address of the slave next to the master.
-pub const FIRST_STATION: u16 = 0x1001;
-
-impl SlavePlan {
-    /// Its station address.
-    pub fn station(&self) -> u16 {
-        FIRST_STATION.wrapping_add(self.place)
-    }
-
-    /// A slave without a mailbox that exchanges nothing.
-    pub fn new(place: u16) -> SlavePlan {
-        SlavePlan { place, check_sii: true, ..SlavePlan::default() }
-    }
-}
-
-impl Expected {
-    /// Whether a slave with this identity is the one.
-    pub fn is(&self, found: Identity) -> bool {
-        [(self.vendor, found.vendor), (self.product, found.product), (self.revision, found.revision)]
-            .iter()
-            .all(|(expected, found)| expected.is_none_or(|expected| expected == *found))
-    }
 }
 
 impl Setpoint {
@@ -389,7 +277,6 @@ impl KollmorgenDrive {
             slave: SlavePlan {
                 identity: Expected { vendor: Some(KOLLMORGEN), product: Some(product), revision: None },
                 mailbox: Some(areas),
-                watchdog_ns: Some(WATCHDOG_NS),
                 sync: true,
                 ..SlavePlan::new(place)
             },
@@ -410,7 +297,10 @@ impl KollmorgenDrive {
 
     /// Makes the areas as long as the PDOs.
     pub fn fit(&mut self) {
-        let area = |start, layout: &Layout| Area { start, length: layout.size() as u16 };
+        let area = |start, layout: &Layout| match layout.size() {
+            0 => Vec::new(),
+            bytes => vec![Area { start, length: bytes as u16 }],
+        };
         self.slave.outputs = area(BUFFERS[0], &self.outputs);
         self.slave.inputs = area(BUFFERS[1], &self.inputs);
     }

@@ -7,8 +7,8 @@
 //!
 //! Registers are only read, and slaves are addressed by their positions: no station address, no state and no
 //! process data is touched. Reading the SII takes writes to its own registers. Below SAFEOP this disturbs nobody,
-//! unless the slave's processor owns the SII; above it, or if the processor owns it, the SII is read only on
-//! request ([`Options::sii`]), and given back.
+//! unless the slave's processor uses the SII; above it, or if the processor uses it, the SII is read only on
+//! request ([`Options::sii`]). One that was given to the processor is given back.
 
 mod exchange;
 mod information;
@@ -21,11 +21,14 @@ use self::exchange::{Ask, Exchange};
 pub use self::information::{Information, Unread};
 use super::wire::frame::{Command, Mac, position};
 use super::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, Links, SyncManager, address};
+use super::wire::sii;
 use crate::net::Frames;
 use crate::net::frames::Unsent;
 
 /// SyncManagers and FMMUs in the address space of a slave.
 const UNITS_MAX: u8 = 32;
+/// From AL status to the bit of device emulation.
+const EMULATION_AT: usize = (address::EMULATION - address::AL_STATUS) as usize;
 /// Bytes from the first error counter to the last one.
 const ERRORS: usize = 0x14;
 
@@ -49,6 +52,8 @@ pub struct Slave {
     pub status: AlStatus,
     /// The AL status code of the error.
     pub code: AlCode,
+    /// Device emulation: its status is what a master requested last, an acknowledgement included.
+    pub emulated: bool,
     /// The features of its controller.
     pub features: Features,
     /// Its ports.
@@ -107,6 +112,11 @@ impl Slave {
             self.managers.iter().filter(is_on).partition(|manager| manager.is_output());
         let bytes = |managers: Vec<&SyncManager>| managers.iter().map(|m| usize::from(m.length)).sum();
         (bytes(outputs), bytes(inputs))
+    }
+
+    /// It reports an error: one that is only mirrored has no code.
+    pub fn has_error(&self) -> bool {
+        self.status.error() && !(self.emulated && self.code == AlCode::NONE)
     }
 
     /// Whether its SII may be read without a request: then no master works with it.
@@ -277,7 +287,7 @@ impl Visit<'_, '_> {
             (address::TYPE, 10),
             (address::STATION, 4),
             (address::LINKS, 2),
-            (address::AL_STATUS, 6),
+            (address::AL_STATUS, EMULATION_AT + 1),
             (address::ERRORS, ERRORS),
             (address::SII_OWNER, 2),
         ])?;
@@ -290,6 +300,7 @@ impl Visit<'_, '_> {
             alias: word(&station, 2),
             status: AlStatus(word(&status, 0)),
             code: AlCode(word(&status, 4)),
+            emulated: byte(&status, EMULATION_AT) & 1 != 0,
             features,
             links: Links(word(&links, 0)),
             ports: byte(&head, 7),
@@ -299,12 +310,12 @@ impl Visit<'_, '_> {
             sync0_ns: if features.has_clock() { self.sync0()? } else { None },
             sii: Err(Unread::InUse),
         };
-        let is_owned = owner.iter().any(|byte| byte & 1 != 0);
-        slave.sii = match (options.sii, slave.is_idle(), is_owned) {
-            (true, ..) => self.information(is_owned)?,
+        // Given to the processor, or in use there.
+        let (is_owned, is_used) = (sii::is_processors(&owner), byte(&owner, 1) & 1 != 0);
+        slave.sii = match (options.sii, slave.is_idle(), is_used) {
+            (true, ..) | (false, true, false) => self.information(is_owned)?,
             (false, false, _) => Err(Unread::InUse),
             (false, true, true) => Err(Unread::Owned),
-            (false, true, false) => self.information(false)?,
         };
         Ok(slave)
     }

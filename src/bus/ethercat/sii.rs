@@ -1,10 +1,12 @@
-//! Reads the SII of a slave step by step, four bytes at a time: in the slots of the cycle, and for a scan.
+//! Reads the SII of a slave step by step, four or eight bytes at a time: in the slots of the cycle, and for a scan.
+//!
+//! A command is written to an SII that was seen idle, and its data count with the address that was requested.
 
 use super::plan::Area;
 use super::slot::{Answers, Ask};
 use super::wire::frame::Command;
 use super::wire::registers::{SyncManager, address};
-use super::wire::sii::{self, Category, Identity, Protocols, Status, Use, word};
+use super::wire::sii::{self, Category, Fault, Identity, Protocols, Status, Use, word};
 
 /// The most SyncManagers that are kept for bring-up.
 const MANAGERS: usize = 8;
@@ -14,6 +16,7 @@ const CATEGORIES: u8 = 64;
 const REPETITIONS: u8 = 3;
 /// Control, address and data follow each other.
 const LOOK: usize = 14;
+const ADDRESS_AT: usize = 2;
 const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
 /// The value of an EEPROM that was never written.
 const BLANK: u32 = u32::MAX;
@@ -111,6 +114,8 @@ enum Item {
 /// What is requested next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Request {
+    /// Whether it is idle.
+    Check,
     /// The failed command is ended.
     Clear,
     Command,
@@ -142,13 +147,13 @@ pub enum Reading {
     /// Everything is read.
     Done,
     /// It cannot be read.
-    Failed,
+    Failed(Fault),
 }
 
 impl<C: Content> Reader<C> {
     /// Nothing was read yet. A command is repeated after so many looks at a busy SII.
     pub fn new(content: C, most_looks: u16) -> Reader<C> {
-        let (item, next, head) = (Item::Head(0), Request::Command, Head::default());
+        let (item, next, head) = (Item::Head(0), Request::Check, Head::default());
         Reader { item, next, looks: 0, most_looks, repetitions: 0, head, content }
     }
 
@@ -167,39 +172,65 @@ impl<C: Content> Reader<C> {
         match self.next {
             Request::Clear => ask.write(write(control), &Status::IDLE.to_le_bytes()),
             Request::Command => ask.write(write(control), &sii::read(word)),
-            Request::Look => ask.read(read(control), LOOK),
+            Request::Check | Request::Look => ask.read(read(control), LOOK),
         };
+    }
+
+    /// It writes next: a busy SII, or one that belongs to the slave's processor, does not take that.
+    pub fn writes(&self) -> bool {
+        matches!(self.next, Request::Clear | Request::Command)
     }
 
     /// Takes the answer.
     pub fn receive(&mut self, answers: &Answers<'_>) -> Reading {
         // A lost frame: the same is requested again.
         let Some(answer) = answers[0] else { return Reading::On };
-        if self.next != Request::Look {
-            self.next = if self.next == Request::Clear { Request::Command } else { Request::Look };
+        if self.writes() {
+            if answer.working_counter == 0 {
+                return self.again(Request::Check, Fault::Owned);
+            }
+            self.next = if self.next == Request::Clear { Request::Check } else { Request::Look };
             return Reading::On;
         }
         let Some(status) = answer.data.first_chunk::<2>() else { return Reading::On };
         let status = Status(u16::from_le_bytes(*status));
-        if status.busy() {
+        if status.busy() || answer.working_counter == 0 {
             self.looks = self.looks.saturating_add(1);
-            return if self.looks > self.most_looks { self.again(Request::Command) } else { Reading::Busy };
+            let is_long = self.looks > self.most_looks;
+            return if is_long { self.again(Request::Check, Fault::Busy) } else { Reading::Busy };
+        }
+        if self.next == Request::Check {
+            if status.failed() {
+                return self.again(Request::Clear, Fault::Refused);
+            }
+            (self.next, self.looks) = (Request::Command, 0);
+            return Reading::On;
         }
         if !self.content.accepts(status) {
-            return self.again(Request::Clear);
+            return self.again(Request::Clear, status.fault());
         }
-        let Some(data) = answer.data.get(DATA_AT..).and_then(<[u8]>::first_chunk::<4>) else {
-            return Reading::Failed;
+        let (address, data) = (answer.data.get(ADDRESS_AT..DATA_AT), answer.data.get(DATA_AT..LOOK));
+        let (Some(word), Some(data)) = (self.word(), data.map(|data| data.as_chunks::<4>().0)) else {
+            return Reading::Failed(Fault::Refused);
         };
+        if address != Some(&u32::from(word).to_le_bytes()) {
+            return self.again(Request::Check, Fault::Address);
+        }
         (self.next, self.looks, self.repetitions) = (Request::Command, 0, 0);
-        self.take(*data);
+        let halves = if status.reads_eight() { 2 } else { 1 };
+        for (half, data) in (0..halves).zip(data) {
+            // The second half counts if it is what would be read next.
+            if self.word() == word.checked_add(2 * half) {
+                self.take(*data);
+            }
+        }
         if self.item == Item::Done { Reading::Done } else { Reading::On }
     }
 
-    fn again(&mut self, next: Request) -> Reading {
+    fn again(&mut self, next: Request, fault: Fault) -> Reading {
         (self.next, self.looks) = (next, 0);
         self.repetitions += 1;
-        if self.repetitions > REPETITIONS { Reading::Failed } else { Reading::On }
+        if self.repetitions > REPETITIONS { Reading::Failed(fault) } else { Reading::On }
     }
 
     fn take(&mut self, data: [u8; 4]) {
@@ -279,11 +310,15 @@ impl Content for Managers {
 }
 
 impl Managers {
-    /// The SyncManager of this use, and its number.
-    pub fn of(&self, usage: Use) -> Option<(u16, SyncManager)> {
-        let found = |(number, entry): (usize, &Option<(SyncManager, Use)>)| {
-            entry.filter(|(_, other)| *other == usage).map(|(manager, _)| (number as u16, manager))
-        };
-        self.entries.iter().enumerate().find_map(found)
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.entries.iter().all(Option::is_none)
+    }
+
+    /// The SyncManagers of this use, each with its number.
+    pub fn of(&self, usage: Use) -> impl Iterator<Item = (u16, SyncManager)> {
+        let entries =
+            (0..).zip(&self.entries).filter_map(|(number, entry)| entry.map(|entry| (number, entry)));
+        entries.filter(move |(_, (_, other))| *other == usage).map(|(number, (manager, _))| (number, manager))
     }
 }

@@ -109,7 +109,7 @@ mod tests {
     fn a_drive_is_told_its_cycle_its_pdos_and_its_mode() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
         let object = Object::new(0x6081, 0);
-        drive.slave.start_up.push(Start { object, kind: Type::U32, raw: 5 });
+        drive.slave.start_up.push(Start::new(object, Type::U32, 5));
         assert_eq!(
             written(&drive),
             [
@@ -128,14 +128,11 @@ mod tests {
     }
 
     #[test]
-    fn a_text_is_written_as_long_as_it_is() {
-        let start = |kind, raw| Start { object: RESOLUTION, kind, raw };
-        let text = |text: &[u8]| start(Type::Text, crate::bus::ethercat::object::long::raw(text)).bytes();
-        assert_eq!(
-            [text(b""), text(b"a"), text(b"abcd"), text(b"abcde"), text(b"abcdefgh")],
-            [1, 1, 4, 5, 8]
-        );
-        assert_eq!([start(Type::U32, 0).bytes(), start(Type::I8, 0xFF).bytes()], [4, 1]);
+    fn a_string_is_written_as_long_as_it_is() {
+        let bytes = |text: &[u8]| Start::string(RESOLUTION, Type::Text, text.to_vec()).bytes();
+        assert_eq!([bytes(b"a"), bytes(b"abcd"), bytes(b"abcdefgh"), bytes(&[b'x'; 40])], [1, 4, 8, 40]);
+        let number = |kind, raw| Start::new(RESOLUTION, kind, raw).bytes();
+        assert_eq!([number(Type::U32, 0), number(Type::I8, 0xFF)], [4, 1]);
     }
 
     #[test]

@@ -8,7 +8,6 @@ use serde_json::{Value, json};
 
 use super::scan::{Errors, Information, Options, ScanError, Slave, Unread, scan};
 use super::wire::frame::ETHERTYPE;
-use super::wire::registers::AlStatus;
 use super::wire::sii::Protocols;
 use crate::bus::tools::{Program, Stop, Tool, arguments};
 use crate::net::frames::Unsent;
@@ -147,7 +146,7 @@ fn row(slave: &Slave) -> [String; 14] {
     [
         slave.place.to_string(),
         format!("{:#06x}", slave.station),
-        state(slave.status),
+        state(slave),
         sii.map(|sii| sii.name.clone()).filter(|name| !name.is_empty()).unwrap_or_else(none),
         of(|sii| sii.identity.vendor),
         of(|sii| sii.identity.product),
@@ -162,9 +161,10 @@ fn row(slave: &Slave) -> [String; 14] {
     ]
 }
 
-fn state(status: AlStatus) -> String {
+fn state(slave: &Slave) -> String {
+    let status = slave.status;
     let name = status.state().map_or_else(|| format!("{:#04x}", status.0 & 0x0F), |state| state.to_string());
-    name + if status.error() { " error" } else { "" }
+    name + if slave.has_error() { " error" } else { "" }
 }
 
 /// What is spoken there, and the bytes of both.
@@ -203,7 +203,7 @@ fn links(slave: &Slave) -> String {
 /// What stands in no column.
 fn notes(slave: &Slave) -> Vec<String> {
     let mut notes = Vec::new();
-    if slave.status.error() || slave.code.0 != 0 {
+    if slave.has_error() || slave.code.0 != 0 {
         notes.push(format!("AL status code {}", slave.code));
     }
     if let Some(cycle) = slave.sync0_ns {
@@ -261,7 +261,8 @@ fn object(slave: &Slave) -> Value {
         "station": slave.station,
         "alias": slave.alias,
         "state": slave.status.state().map(|state| state.to_string()),
-        "error": slave.status.error(),
+        "error": slave.has_error(),
+        "emulated": slave.emulated,
         "al_status": slave.status.0,
         "al_status_code": slave.code.0,
         "al_status_text": slave.code.name(),

@@ -1,5 +1,6 @@
 //! `fieldbeat demo`: master and simulated drives in one process, and a show of what the axes can do.
 
+mod light;
 mod show;
 
 use std::io::ErrorKind;
@@ -15,13 +16,14 @@ use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{MS, Ns, nanos};
 use fieldbeat::{CyclePlan, Plan};
 
-use self::show::{Error, Show, was_stopped};
+use self::light::Light;
+use self::show::{Error, SWING_S, Show, was_stopped};
 use crate::cli::handler::Handler;
 use crate::cli::interrupt::Interrupt;
 use crate::cli::output::{Output, both};
 use crate::cli::run::{not_whole, start};
 use crate::cli::sim::serving;
-use crate::cli::{Stop, complain, span};
+use crate::cli::{Stop, complain, print, span};
 
 /// Without `--for`: the drives are waited for so long, on a very busy computer, and the show takes so long.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -36,7 +38,7 @@ pub struct Demo {
     /// Length of the whole demo, the wait for the drives included; without it, 10 s from then on.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// How many LinMot drives, next to two Unidrives and two Kollmorgens.
+    /// How many LinMot drives, next to two Unidrives, two Kollmorgens and a coupler with terminals.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
     /// The period of the cycle; without it, the shortest of 1, 2, 4, 8 and 16 ms that this host carries now.
@@ -58,8 +60,8 @@ impl Demo {
         if plan.cycle.reference.is_none() {
             let period = Ns(period_ns);
             complain(&format!(
-                "without the Kollmorgens: they take a --period of whole multiples of 250us below 3ms, of 1ms above, \
-                 not {period}"
+                "without the Kollmorgens and the terminals: they take a --period of whole multiples of 250us below \
+                 3ms, of 1ms above, not {period}"
             ));
         }
         let master = start(output.setup(plan), &interrupt)?;
@@ -68,17 +70,21 @@ impl Demo {
         let (movers, turners) = names(master.plan());
         let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
+        let light = Light::of(&master, Duration::from_secs_f64(SWING_S)).map_err(Stop::failed)?;
         let handler = Handler::new(&master, &interrupt);
         let end = begun + self.duration.unwrap_or(PATIENCE);
-        let mut show = Show { master, axes, movers: movers.len(), end, handler };
+        let mut show = Show { master, axes, movers: movers.len(), end, handler, light };
         let result = show.wait_online().and_then(|()| {
             if self.duration.is_none() {
                 show.end = Instant::now() + SHOW;
             }
             show.play()
         });
+        show.light.iter_mut().for_each(Light::end);
         show.handler.end(&show.master);
+        let is_json = output.is_json();
         let (summary, printed) = output.finish(show.master);
+        let lit = show.light.map_or(Ok(()), |light| finish(&light, is_json));
         server.stop();
         let verdict = match result {
             _ if summary.has_failed() => Err(not_whole(&summary)),
@@ -87,8 +93,20 @@ impl Demo {
             Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
             Err(error) => Err(Stop::failed(error)),
         };
-        both(printed, verdict)
+        both(both(printed, lit), verdict)
     }
+}
+
+/// Prints what became of the light, below the summary; behind JSON on standard error.
+fn finish(light: &Light, is_json: bool) -> Result<(), Stop> {
+    if light.has_failed() {
+        return Err(Stop::failed(light));
+    }
+    if is_json {
+        complain(&light.to_string());
+        return Ok(());
+    }
+    print(light)
 }
 
 /// The requested period, or the shortest that this host carries; one line says why.

@@ -12,10 +12,11 @@ use fieldbeat::internals::config::DEMO_STREAMS_UP_TO_NS;
 use fieldbeat::time::S;
 use fieldbeat::{Master, MasterError};
 
+use super::light::Light;
 use crate::cli::handler::Handler;
 
 /// Time of one swing, s.
-const SWING_S: f64 = 2.0;
+pub const SWING_S: f64 = 2.0;
 /// The wave grows and dies away within this time, s.
 const FADE_S: f64 = 1.0;
 /// Axes on one wave length.
@@ -41,6 +42,8 @@ pub struct Show {
     /// All that is shown has ended by then.
     pub end: Instant,
     pub handler: Handler,
+    /// That of the terminals, if there are any.
+    pub light: Option<Light>,
 }
 
 /// Whether the command ended because the end was requested.
@@ -90,6 +93,12 @@ impl Show {
         self.end.saturating_duration_since(Instant::now() + CLOSING)
     }
 
+    /// Looks after the master and the light while `what` goes on.
+    fn look(&mut self, what: &str) {
+        self.handler.look(&self.master, what);
+        self.light.iter_mut().for_each(Light::go_on);
+    }
+
     /// Whether it is time for the orderly end, whatever goes on.
     fn is_over(&self) -> bool {
         Instant::now() + RAMP > self.end
@@ -127,21 +136,17 @@ impl Show {
 
     fn wait_all(&mut self, what: &'static str, axes: &Range<usize>, ids: &[CommandId]) -> Result<(), Error> {
         let begun = Instant::now();
-        for (axis, id) in self.axes[axes.clone()].iter_mut().zip(ids) {
-            let limit = axis.plan().home_timeout;
+        for (index, id) in axes.clone().zip(ids) {
+            let limit = self.axes[index].plan().home_timeout;
             loop {
-                match axis.wait(*id, what, Duration::from_millis(50)) {
-                    Err(AxisError::TimedOut { .. }) if Instant::now() + RAMP > self.end => {
-                        return Err(Error::Over);
-                    }
-                    Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => {
-                        self.handler.look(&self.master, what);
-                    }
+                match self.axes[index].wait(*id, what, Duration::from_millis(50)) {
+                    Err(AxisError::TimedOut { .. }) if self.is_over() => return Err(Error::Over),
+                    Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => self.look(what),
                     ended => break ended?,
                 }
             }
             // No other end is waited for: what else happened is shown by the handler.
-            while axis.event().is_some() {}
+            while self.axes[index].event().is_some() {}
         }
         Ok(())
     }
@@ -173,6 +178,7 @@ impl Show {
             let (movers, turners) = self.axes.split_at_mut(self.movers);
             if ids.is_empty() {
                 ids = movers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
+                self.light.iter_mut().for_each(Light::begin);
             }
             turning.go_on(turners)?;
             for ((axis, id), ended) in movers.iter_mut().zip(&ids).zip(&mut ended) {
@@ -184,7 +190,7 @@ impl Show {
                 }
             }
             turners.iter_mut().for_each(|axis| while axis.event().is_some() {});
-            self.handler.look(&self.master, "wave");
+            self.look("wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
                 break;

@@ -6,15 +6,18 @@
 //! | `access` | what a master may read and write |
 //! | `fmmu` | the same by logical addresses |
 //! | `effects` | the effects of a write |
+//! | `misuse` | counts what a master should not do |
 
 mod access;
 mod effects;
 mod fmmu;
+mod misuse;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
 
+pub use self::misuse::Misuse;
 use super::clock::Clock;
 use super::hardware::Settings;
 use super::manager::Manager;
@@ -37,8 +40,17 @@ const STATE_CHANGED: u16 = 1 << 3;
 const REQUESTS: usize = 0x0220;
 /// In the AL status: its code is the device id (ETG.1020).
 const DEVICE_ID: u16 = 1 << 5;
+const FIFO_SIZE: usize = 0x0102;
 const ALIAS_ENABLE: usize = 0x0103;
+/// What is behind the controller: digital inputs and outputs, with device emulation; or a microcontroller.
+const PDI_CONTROL: u16 = 0x0140;
+const EMULATED: [u8; 2] = [0x04, 0x01];
+const PROCESSOR: [u8; 2] = [0x08, 0x00];
 const WATCHDOG_COUNTER: usize = 0x0442;
+/// In the owner of the SII: the processor may have it; and behind it: it has it.
+const SLAVES: u8 = 1 << 0;
+/// In the owner: it is taken from the processor.
+const FORCED: u8 = 1 << 1;
 /// The watchdog's divider and time as delivered: 100 us, 100 ms.
 const DIVIDER: u16 = 0x09C2;
 const TICKS: u16 = 1_000;
@@ -51,8 +63,8 @@ const CYCLIC: u8 = 0b01;
 pub(super) struct Passage {
     /// On its way out.
     pub(super) at: Time,
-    /// On its way back; `None`: it turns here.
-    pub(super) back_at: Option<Time>,
+    /// Back at each port; `None`: nothing is behind that.
+    pub(super) back: [Option<Time>; 4],
 }
 
 /// A slave controller without its firmware.
@@ -62,6 +74,8 @@ pub(super) struct Chip {
     features: Features,
     receive_times: bool,
     device_id: Option<u16>,
+    /// AL status follows AL control.
+    emulated: bool,
     managers: Vec<Manager>,
     fmmus: Vec<Fmmu>,
     eeprom: Eeprom,
@@ -77,6 +91,7 @@ pub(super) struct Chip {
     /// The watchdog was last fed; `None`: never.
     fed: Option<Time>,
     expired: bool,
+    misuse: Misuse,
 }
 
 impl Chip {
@@ -86,6 +101,7 @@ impl Chip {
             features: settings.features,
             receive_times: settings.receive_times || settings.features.has_clock(),
             device_id: settings.device_id,
+            emulated: settings.emulated,
             managers: vec![Manager::default(); settings.sync_managers.min(32).into()],
             fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
             eeprom: Eeprom::new(sii, settings.sii_access),
@@ -102,6 +118,7 @@ impl Chip {
             events: 0,
             fed: None,
             expired: false,
+            misuse: Misuse::default(),
         };
         chip.describe(settings);
         chip
@@ -109,19 +126,22 @@ impl Chip {
 
     /// Its descriptive registers.
     fn describe(&mut self, settings: &Settings) {
-        let Settings { kind, ram_kib, .. } = *settings;
+        let Settings { kind, ram_kib, ports, .. } = *settings;
         let [features, divider, ticks] = [self.features.0, DIVIDER, TICKS].map(u16::to_le_bytes);
         self.put(address::TYPE, &kind);
-        // Two ports, MII.
         let (fmmus, managers) = (self.fmmus.len() as u8, self.managers.len() as u8);
-        self.put(address::RESOURCES, &[fmmus, managers, ram_kib, 0x0F]);
+        self.put(address::RESOURCES, &[fmmus, managers, ram_kib, ports]);
         self.put(address::FEATURES, &features);
         self.put(address::WATCHDOG_DIVIDER, &divider);
+        self.put(PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
         self.put(0x0410, &ticks);
         self.put(address::WATCHDOG, &ticks);
         self.put(address::DC_SPEED, &[0x00, 0x10, 0, 0, 0x00, 0x0C]);
         let alias = self.eeprom.alias();
         self.put(address::ALIAS, &alias.to_le_bytes());
+        if settings.sii_access.owned_by_slave {
+            self.give_sii();
+        }
         self.show_state(AlState::Init, false, AlCode::NONE);
         self.events = 0;
     }
@@ -147,10 +167,9 @@ impl Chip {
         u64::from_le_bytes(self.bytes(at))
     }
 
-    /// Shows the links of port 0 and 1; a port without one is closed.
-    pub(super) fn link(&mut self, ports: [bool; 2]) {
-        // Ports 2 and 3 do not exist: closed.
-        let mut links = 1_u16 << 12 | 1 << 14;
+    /// Shows the links of its ports; a port without one is closed.
+    pub(super) fn link(&mut self, ports: [bool; 4]) {
+        let mut links = 0;
         for (port, up) in ports.into_iter().enumerate() {
             links |= if up { 1 << (4 + port) | 1 << (9 + 2 * port) } else { 1 << (8 + 2 * port) };
         }
@@ -170,11 +189,28 @@ impl Chip {
         self.put(address::AL_STATUS, &status.to_le_bytes());
         self.put(AL_CODE as u16, &own.unwrap_or(code.0).to_le_bytes());
         self.events |= STATE_CHANGED;
-        self.managers.iter_mut().for_each(|manager| manager.enter(state));
+        // What locks buffers is a processor.
+        let unlocked = if self.emulated { AlState::Op } else { state };
+        self.managers.iter_mut().for_each(|manager| manager.enter(unlocked));
         if state == AlState::Init {
             self.filled = None;
         }
         self.show();
+    }
+
+    /// Its state, if it has no processor: as it was requested last.
+    pub(super) fn emulated_state(&self) -> Option<AlState> {
+        AlStatus(self.word(address::AL_STATUS)).state().filter(|_| self.emulated)
+    }
+
+    /// Whether its processor may read the SII: the master has given it.
+    pub(super) fn has_sii(&self) -> bool {
+        self.memory[usize::from(address::SII_OWNER)] & SLAVES != 0
+    }
+
+    /// The processor has the SII now, and keeps it until it is taken by force.
+    pub(super) fn give_sii(&mut self) {
+        self.put(address::SII_OWNER, &[SLAVES; 2]);
     }
 
     /// When AL control was written, until it is read.
@@ -238,9 +274,14 @@ impl Chip {
         requested
     }
 
-    /// The outputs of all SyncManagers, in order; without those that were not written yet.
-    pub(super) fn outputs(&self) -> impl Iterator<Item = &u8> {
-        self.managers.iter().filter(|manager| manager.is_process(true)).flat_map(Manager::taken)
+    /// The outputs of all SyncManagers, in order; zeros of one that was not written yet, nothing if none was.
+    pub(super) fn outputs(&self) -> impl Iterator<Item = u8> {
+        let managers = || self.managers.iter().filter(|manager| manager.is_process(true));
+        let any = managers().any(|manager| !manager.taken().is_empty());
+        managers().filter(move |_| any).flat_map(|manager| {
+            let taken = manager.taken();
+            (0..manager.area().len()).map(move |at| taken.get(at).copied().unwrap_or(0))
+        })
     }
 
     /// Outputs were written; returned once.
@@ -346,6 +387,9 @@ impl Chip {
     fn show_sii(&mut self) {
         let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
         self.put(address::SII_DATA, &data);
+        if let Some(at) = self.eeprom.slipped_to() {
+            self.put(address::SII_CONTROL + 2, &at.to_le_bytes());
+        }
         self.put(address::ALIAS, &alias.to_le_bytes());
     }
 

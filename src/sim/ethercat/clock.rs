@@ -9,6 +9,8 @@ use crate::time::Time;
 const SPEED_MAX_PPM: f64 = 1_000.0;
 /// With fewer comparisons than this the compensation is not stable.
 const QUICKEST: u16 = 4;
+/// A comparison after a longer gap adjusts for so long, ns: it does not make up for the gap at once.
+const GAP_NS: i64 = 10_000_000;
 /// So many passed SYNC0 are caught up, and older ones are not.
 const CATCH_UP: u64 = 1_000;
 
@@ -119,11 +121,12 @@ impl Clock {
         let last = self.compared.replace(self.own);
         let part = if last.is_some() { 1.0 / self.over } else { 1.0 };
         self.difference_ns += (error - self.difference_ns) * part;
-        let since = last.map_or(0, |last| self.own.wrapping_sub(last));
-        if since == 0 {
+        // The adjustment itself may have set it back.
+        let since = last.map_or(0, |last| self.own.wrapping_sub(last).cast_signed());
+        if since <= 0 {
             return;
         }
-        let since = since as f64;
+        let since = since.min(GAP_NS) as f64;
         let most = since * SPEED_MAX_PPM * 1e-6;
         let trim = self.trim_ppm - error / (self.within * self.within) / since * 1e6;
         self.trim_ppm = trim.clamp(-SPEED_MAX_PPM, SPEED_MAX_PPM);
@@ -210,6 +213,19 @@ mod tests {
         // Time does not go back.
         often.advance(Time(5 * S));
         assert!(often.own().abs_diff(10 * S - MS) <= 1);
+    }
+
+    #[test]
+    fn a_gap_between_two_masters_does_not_make_it_run_away() {
+        let mut clock = started(true, 0, 0.0);
+        clock.compare(0, 64);
+        clock.advance(Time(3 * S));
+        for ms in 1..100 {
+            clock.advance(Time(3 * S + ms * MS));
+            let (before, error) = (clock.own(), 7 * S);
+            clock.compare(clock.system_time().wrapping_sub(error), 64);
+            assert!(before.wrapping_sub(clock.own()) <= 10 * US, "{before} {}", clock.own());
+        }
     }
 
     #[test]

@@ -1,7 +1,12 @@
 //! The keys of `simulate` of a bus with `protocol = "ethercat"`, of its drives and of its devices.
 
+mod slave;
+
+use self::slave::{Names, slave};
 use super::coupler::Terminals;
-use super::{Coupler, Dialect, DriveSettings, EthercatSegment, MotorSettings, SegmentSettings};
+use super::{
+    Coupler, Dialect, DriveSettings, EthercatSegment, MotorSettings, SegmentSettings, SlaveSettings,
+};
 use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use crate::keys::bus;
 use crate::keys::table::{Table, number};
@@ -11,29 +16,44 @@ use crate::time::{MS, US};
 
 /// Reads the simulated segment of a `[[bus]]` that is read otherwise.
 pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &EthercatPlan, period_ns: u64) -> EthercatSegment {
-    let mut drives = bus::drive_tables(table, &["name", "position"]);
+    let mut drives = bus::drive_tables_if_any(table, &["name", "position"]);
     let mut devices = table.tables("device");
+    let names = Names::of(plan);
+    let mut settings = table.table("simulate", |table| segment(table, period_ns));
+    let mut add = |place: u16, own: SlaveSettings| settings.slaves.insert(place, own);
     let simulated = EthercatSegment {
-        settings: table.table("simulate", |table| segment(table, period_ns)),
         drives: (drives.iter_mut().zip(&plan.drives))
-            .map(|(table, drive)| table.table("simulate", |table| settings(table, drive)))
+            .map(|(table, drive)| {
+                table.table("simulate", |table| {
+                    let simulated = self::drive(table, drive);
+                    add(drive.slave.place, slave(table, drive.slave.place, &names, false));
+                    simulated
+                })
+            })
             .collect(),
         devices: (devices.iter_mut().zip(&plan.devices))
             .map(|(table, device)| {
                 let Coupler { outputs, inputs } = Coupler::of(device);
-                table.table("simulate", |table| Coupler {
-                    outputs: terminals(table, "outputs", outputs),
-                    inputs: terminals(table, "inputs", inputs),
+                table.table("simulate", |table| {
+                    add(device.slave.place, slave(table, device.slave.place, &names, true));
+                    Coupler {
+                        outputs: terminals(table, "outputs", outputs),
+                        inputs: terminals(table, "inputs", inputs),
+                    }
                 })
             })
             .collect(),
+        settings,
         plan: plan.clone(),
     };
     for (device, fault) in simulated.faults() {
-        let place = plan.devices.iter().position(|known| Some(&known.name) == device.as_ref());
-        match place {
-            Some(index) => devices[index].fault(fault.key, fault.message),
-            None => table.fault(fault.key, fault.message),
+        let of = |name: &String| Some(name) == device.as_ref();
+        let place = plan.devices.iter().position(|known| of(&known.name));
+        let drive = plan.drives.iter().position(|known| of(&known.axis.name));
+        match (place, drive) {
+            (Some(index), _) => devices[index].fault(fault.key, fault.message),
+            (None, Some(index)) => drives[index].fault(fault.key, fault.message),
+            (None, None) => table.fault(fault.key, fault.message),
         }
     }
     simulated
@@ -60,12 +80,15 @@ fn segment(table: &mut Table<'_>, period_ns: u64) -> SegmentSettings {
             .time("line_delay", 0..=100 * US, "the time of a frame from one slave to the next")
             .unwrap_or(default.delay_ns),
         short_clocks: table.flag("short_clocks").unwrap_or(default.short_clocks),
+        settling: table
+            .integer("settling", 4..=10_000, "frames in which a clock removes most of a difference")
+            .unwrap_or(default.settling),
         faults: faults(table, Carrier::Datagrams, period_ns.min(10 * MS), 0),
         ..default
     }
 }
 
-fn settings(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
+fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
     let default = DriveSettings::new(drive.family);
     let units = &drive.axis.units;
     let reach = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;

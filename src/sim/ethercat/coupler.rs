@@ -128,6 +128,23 @@ impl Application for Coupler {
         }
     }
 
+    fn trim(&self, outputs: &mut [u8]) {
+        let bits = self.outputs.digital % 8;
+        let last = self.outputs.digital_bytes().checked_sub(1);
+        if let Some(byte) = last.and_then(|last| outputs.get_mut(last)).filter(|_| bits > 0) {
+            *byte &= (1 << bits) - 1;
+        }
+    }
+
+    fn sense(&self, levels: &[u8], inputs: &mut [u8]) {
+        for n in 0..usize::from(self.inputs.digital) {
+            let is_on = levels.get(n / 8).is_some_and(|byte| byte >> (n % 8) & 1 != 0);
+            if let Some(byte) = inputs.get_mut(n / 8) {
+                *byte = *byte & !(1 << (n % 8)) | u8::from(is_on) << (n % 8);
+            }
+        }
+    }
+
     fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
         if outputs != self.outputs.bytes() {
             return Err(OUTPUTS_WRONG);

@@ -394,6 +394,19 @@ impl Application for Drive {
         self.dropped.take()
     }
 
+    fn actual(&mut self, inputs: &mut [u8]) {
+        self.refresh();
+        self.give(inputs);
+    }
+
+    /// Without power on its motor; unless it is running.
+    fn left_in(&mut self, state: AlState) {
+        if self.al != state {
+            self.sync.start(self.cycle_ns.filter(|_| state >= AlState::SafeOp));
+            self.al = state;
+        }
+    }
+
     /// Power came back: everything volatile is lost, the motor goes on turning as it did.
     fn restart(&mut self, now: Time) {
         self.advance(now);

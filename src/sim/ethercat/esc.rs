@@ -1,16 +1,17 @@
 //! One slave: its controller and its firmware, and the effects of a datagram's commands (ETG.1000.4, 5.4).
 
-use super::chip::{Chip, Passage};
+use super::chip::{Chip, Misuse, Passage};
 use super::firmware::Firmware;
 use super::hardware::Settings;
+use super::slave::Left;
 use super::{Application, Drive};
 use crate::bus::ethercat::wire::frame::{Command, DATAGRAM_HEADER, Place, WORKING_COUNTER};
-use crate::bus::ethercat::wire::registers::{AlCode, AlState, Fmmu, SyncManager, address};
-use crate::bus::ethercat::wire::sii::word;
+use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, address};
 use crate::time::Time;
 
 /// The feature bit of a slave without BRW, APRW and FPRW.
 const NO_READ_WRITE: u16 = 1 << 10;
+const ALIAS_ENABLE: u16 = 0x0103;
 /// The cyclic unit is the master's, SYNC0 is on.
 const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 
@@ -18,7 +19,7 @@ const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 #[derive(Debug)]
 pub struct Esc {
     settings: Settings,
-    links: [bool; 2],
+    links: [bool; 4],
     deaf: bool,
     chip: Chip,
     firmware: Firmware,
@@ -29,35 +30,43 @@ pub struct Esc {
 impl Esc {
     /// Just powered on, in INIT.
     pub fn new(settings: Settings, application: Box<dyn Application>) -> Esc {
-        let has_mailbox =
-            settings.sii.get(usize::from(word::PROTOCOLS)).is_some_and(|protocols| *protocols != 0);
         Esc {
             chip: Chip::new(&settings, settings.sii.clone()),
-            firmware: Firmware::new(application, settings.watchdog_code, settings.reaction_ns, has_mailbox),
-            links: [false; 2],
+            firmware: Firmware::new(application, &settings),
+            links: [false; 4],
             deaf: false,
             sent: Vec::new(),
             settings,
         }
     }
 
-    /// It is in OP with these SyncManagers and this FMMU for its outputs, as another master has left it, and its
-    /// drive comes up running.
-    pub(super) fn run(&mut self, managers: &[SyncManager], outputs: Fmmu) {
-        let Some(cycle_ns) = self.drive().and_then(|drive| drive.cycle_ns()) else { return };
-        for (n, manager) in (0..).zip(managers) {
-            self.chip.write(address::sync_manager(n), &manager.to_bytes());
+    /// It is as another master has left it.
+    pub(super) fn leave(&mut self, left: &Left) {
+        for (n, manager) in (0..).zip(&left.managers) {
+            self.chip.write(address::sync_manager(n), manager);
         }
-        self.chip.write(address::fmmu(0), &outputs.to_bytes());
-        self.chip.write(address::WATCHDOG, &[0; 2]);
-        // They have one time.
-        let offset = self.chip.clock().own().wrapping_neg();
-        self.chip.write(address::DC_OFFSET, &offset.to_le_bytes());
-        let start = self.chip.clock().system_time() + cycle_ns;
-        self.chip.write(address::DC_CYCLE, &(cycle_ns as u32).to_le_bytes());
-        self.chip.write(address::DC_START, &start.to_le_bytes());
-        self.chip.write(address::DC_CONTROL, &SYNC0_ON);
-        self.firmware.run(&mut self.chip);
+        for (n, fmmu) in (0..).zip(&left.fmmus) {
+            self.chip.write(address::fmmu(n), fmmu);
+        }
+        self.chip.write(address::STATION, &left.station.to_le_bytes());
+        self.chip.write(ALIAS_ENABLE, &[left.alias_on.into()]);
+        if left.unwatched {
+            self.chip.write(address::WATCHDOG, &[0; 2]);
+        }
+        if let Some(cycle_ns) = left.sync0_ns {
+            // They have one time.
+            let offset = self.chip.clock().own().wrapping_neg();
+            self.chip.write(address::DC_OFFSET, &offset.to_le_bytes());
+            let start = self.chip.clock().system_time() + u64::from(cycle_ns);
+            self.chip.write(address::DC_CYCLE, &cycle_ns.to_le_bytes());
+            self.chip.write(address::DC_START, &start.to_le_bytes());
+            self.chip.write(address::DC_CONTROL, &SYNC0_ON);
+        }
+        if left.sii_given {
+            self.chip.give_sii();
+        }
+        let (status, code) = left.al;
+        self.firmware.leave(&mut self.chip, AlStatus(status), AlCode(code));
     }
 
     /// The state it is in.
@@ -87,6 +96,21 @@ impl Esc {
         self.firmware.drive()
     }
 
+    /// What a master did since power-on that real hardware would not like.
+    pub fn misuse(&self) -> Misuse {
+        self.chip.misuse()
+    }
+
+    /// The outputs that it drives; none as long as none count.
+    pub fn driven(&self) -> &[u8] {
+        self.firmware.driven()
+    }
+
+    /// Outputs of another slave are at its inputs.
+    pub(super) fn sense(&mut self, levels: &[u8]) {
+        self.firmware.sense(levels);
+    }
+
     /// It forwards frames and carries out none of them, until this is taken back.
     pub fn deafen(&mut self, deaf: bool) {
         self.deaf = deaf;
@@ -110,7 +134,7 @@ impl Esc {
     }
 
     /// Which of its ports have a link.
-    pub(super) fn link(&mut self, ports: [bool; 2]) {
+    pub(super) fn link(&mut self, ports: [bool; 4]) {
         self.links = ports;
         self.chip.link(ports);
     }
@@ -128,7 +152,8 @@ impl Esc {
             return;
         }
         let is_synchronous = self.chip.clock().next_sync().is_some();
-        if !is_synchronous && !self.chip.managers().iter().any(|manager| manager.is_process(true)) {
+        let has_outputs = self.chip.managers().iter().any(|manager| manager.is_process(true));
+        if !is_synchronous && (!has_outputs || self.settings.emulated) {
             self.firmware.cycle(&mut self.chip, at);
         }
         self.chip.begin(passage);

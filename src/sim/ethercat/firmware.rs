@@ -4,14 +4,20 @@
 use std::ops::Range;
 
 use super::chip::Chip;
+use super::hardware::Settings;
 use super::manager::Manager;
+use super::slave::MailboxSettings;
 use super::{Application, Drive};
-use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus};
+use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, SyncManager, address};
+use crate::bus::ethercat::wire::sii::{Use, word};
 use crate::time::Time;
 
 /// Standard codes that every slave has.
 const UNKNOWN_STATE: AlCode = AlCode(0x0012);
 const MAILBOX: AlCode = AlCode(0x0016);
+const NO_SII: AlCode = AlCode(0x0050);
+const OUTPUTS: AlCode = AlCode(0x001D);
+const INPUTS: AlCode = AlCode(0x001E);
 /// Buffers below it are no memory, but outputs.
 const MEMORY: usize = 0x1000;
 
@@ -22,39 +28,49 @@ pub(super) struct Firmware {
     watchdog_code: AlCode,
     reaction_ns: u64,
     has_mailbox: bool,
+    /// It reads its SII on the way to PREOP.
+    reads_sii: bool,
+    /// The SyncManagers that it wants; empty: it does not compare them.
+    wanted: Vec<(SyncManager, Use)>,
     state: AlState,
     /// Why it refused, or fell back, until that is acknowledged.
     error: Option<AlCode>,
     /// The requested state of the application that it cannot enter yet.
     pending: Option<AlState>,
-    /// A message that waits for room in the mailbox.
-    waiting: Option<Vec<u8>>,
+    manner: MailboxSettings,
+    /// A message that waits for room in the mailbox, and when it is ready.
+    waiting: Option<(Time, Vec<u8>)>,
+    /// Answers so far.
+    answers: u32,
     /// The last message put there.
     last: Vec<u8>,
     /// Process data of the present cycle.
     outputs: Vec<u8>,
     inputs: Vec<u8>,
+    /// Outputs of another slave that are wired to its inputs.
+    sensed: Option<Vec<u8>>,
 }
 
 impl Firmware {
-    pub(super) fn new(
-        application: Box<dyn Application>,
-        watchdog_code: AlCode,
-        reaction_ns: u64,
-        has_mailbox: bool,
-    ) -> Firmware {
+    pub(super) fn new(application: Box<dyn Application>, settings: &Settings) -> Firmware {
+        let protocols = settings.sii.get(usize::from(word::PROTOCOLS));
         Firmware {
             application,
-            watchdog_code,
-            reaction_ns,
-            has_mailbox,
+            watchdog_code: settings.watchdog_code,
+            reaction_ns: settings.reaction_ns,
+            has_mailbox: protocols.is_some_and(|protocols| *protocols != 0),
+            reads_sii: settings.sii_access.read_in_preop,
+            wanted: settings.managers.clone(),
             state: AlState::Init,
             error: None,
             pending: None,
+            manner: settings.mailbox,
             waiting: None,
+            answers: 0,
             last: Vec::new(),
             outputs: Vec::new(),
             inputs: Vec::new(),
+            sensed: None,
         }
     }
 
@@ -68,14 +84,32 @@ impl Firmware {
         self.error
     }
 
+    /// The outputs of the present cycle.
+    pub(super) fn driven(&self) -> &[u8] {
+        &self.outputs
+    }
+
+    /// Outputs of another slave are at its inputs.
+    pub(super) fn sense(&mut self, levels: &[u8]) {
+        let sensed = self.sensed.get_or_insert_default();
+        sensed.clear();
+        sensed.extend_from_slice(levels);
+    }
+
     /// The drive behind it, if there is one.
     pub(super) fn drive(&mut self) -> Option<&mut Drive> {
         self.application.drive()
     }
 
-    /// It is in OP, as another master has left it.
-    pub(super) fn run(&mut self, chip: &mut Chip) {
-        self.state = AlState::Op;
+    /// It is as another master has left it.
+    pub(super) fn leave(&mut self, chip: &mut Chip, status: AlStatus, code: AlCode) {
+        self.state = status.state().unwrap_or_default();
+        self.error = status.error().then_some(code);
+        if chip.emulated_state().is_some() {
+            chip.write(address::AL_CONTROL, &status.0.to_le_bytes());
+            return;
+        }
+        self.application.left_in(self.state);
         self.show(chip);
     }
 
@@ -100,6 +134,7 @@ impl Firmware {
             let request = chip.take_request();
             self.take(chip, request, now);
         }
+        self.follow(chip);
         if let Some(state) = self.pending {
             self.rise(chip, state, now);
         }
@@ -108,19 +143,29 @@ impl Firmware {
         }
     }
 
-    /// One cycle of the application.
+    /// Without a processor nobody decides: the state is the requested one.
+    fn follow(&mut self, chip: &Chip) {
+        self.state = chip.emulated_state().unwrap_or(self.state);
+    }
+
+    /// One cycle of the application. Without a processor inputs are read in every state.
     pub(super) fn cycle(&mut self, chip: &mut Chip, at: Time) {
+        self.follow(chip);
         self.stay(chip, at);
-        if self.state < AlState::SafeOp {
+        if self.state < AlState::SafeOp && chip.emulated_state().is_none() {
             return;
         }
         self.outputs.clear();
-        if self.state == AlState::Op {
+        if self.state == AlState::Op && !chip.watchdog_expired(at) {
             self.outputs.extend(chip.outputs());
+            self.application.trim(&mut self.outputs);
         }
         self.inputs.clear();
         self.inputs.extend(chip.inputs());
         self.application.process(at, &self.outputs, &mut self.inputs);
+        if let Some(levels) = &self.sensed {
+            self.application.sense(levels, &mut self.inputs);
+        }
         chip.put_inputs(&self.inputs);
         self.stay(chip, at);
     }
@@ -128,7 +173,7 @@ impl Firmware {
     /// Falls back if it cannot stay in OP.
     fn stay(&mut self, chip: &mut Chip, at: Time) {
         let (expired, dropped) = (chip.watchdog_expired(at), self.application.dropped());
-        if self.state != AlState::Op {
+        if self.state != AlState::Op || chip.emulated_state().is_some() {
             return;
         }
         let code = match dropped {
@@ -188,24 +233,55 @@ impl Firmware {
         if self.state == AlState::Init || state == AlState::Init {
             self.forget();
         }
-        (self.state, self.pending) = (state, None);
+        if state == AlState::PreOp && self.reads_sii {
+            chip.give_sii();
+        }
+        let rises = state > std::mem::replace(&mut self.state, state);
+        self.pending = None;
         if state == AlState::Op {
             // The watchdog runs from here on.
             chip.feed(now);
         }
         self.show(chip);
+        if state == AlState::SafeOp && rises {
+            self.inputs.clear();
+            self.inputs.extend(chip.inputs());
+            self.application.actual(&mut self.inputs);
+            chip.put_inputs(&self.inputs);
+        }
     }
 
     /// Faults of the SyncManagers for a state.
     fn check(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
         match state {
+            AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(NO_SII),
             AlState::PreOp if self.has_mailbox => {
                 let fits = |n: usize, output| chip.managers().get(n).is_some_and(|m| m.is_mailbox(output));
-                if fits(0, true) && fits(1, false) { Ok(()) } else { Err(MAILBOX) }
+                if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(MAILBOX) }
             }
-            AlState::SafeOp | AlState::Op => self.check_process(chip),
+            AlState::SafeOp | AlState::Op => {
+                self.compare(chip, state).and_then(|()| self.check_process(chip))
+            }
             _ => Ok(()),
         }
+    }
+
+    /// Compares the SyncManagers that a state needs with the wanted ones: start, length, control, and whether they
+    /// are on.
+    fn compare(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
+        for (n, (wanted, usage)) in self.wanted.iter().enumerate() {
+            let is_due = wanted.is_mailbox() || state >= AlState::SafeOp;
+            let set = chip.managers().get(n).map(Manager::setting).unwrap_or_default();
+            let fits = SyncManager { activate: wanted.activate, ..set } == *wanted;
+            if is_due && wanted.length > 0 && !(fits && set.activate & 1 == wanted.activate & 1) {
+                return Err(match usage {
+                    Use::Outputs => OUTPUTS,
+                    Use::Inputs => INPUTS,
+                    _ => MAILBOX,
+                });
+            }
+        }
+        Ok(())
     }
 
     fn check_process(&self, chip: &Chip) -> Result<(), AlCode> {
@@ -227,15 +303,16 @@ impl Firmware {
 
     /// Serves the mailbox: one message at a time.
     fn mailbox(&mut self, chip: &mut Chip, now: Time) {
-        if chip.takes_repeat() && self.waiting.is_none() && !self.last.is_empty() && chip.has_room() {
-            self.waiting = Some(self.last.clone());
+        let again = chip.takes_repeat() && self.manner.resends && self.waiting.is_none();
+        if again && !self.last.is_empty() && chip.has_room() {
+            self.waiting = Some((now, self.last.clone()));
         }
-        self.post(chip);
-        if chip.has_room() {
+        self.post(chip, now);
+        if chip.has_room() && self.waiting.is_none() {
             let mut message = Vec::new();
             if self.application.message(&mut message) {
-                self.waiting = Some(message);
-                self.post(chip);
+                self.waiting = Some((now, message));
+                self.post(chip, now);
             }
         }
         let is_due = chip.filled().is_some_and(|filled| now.since(filled) >= self.reaction_ns);
@@ -243,18 +320,28 @@ impl Firmware {
             let request = chip.take_message();
             let mut reply = Vec::new();
             if self.application.mailbox(&request, &mut reply) {
-                self.waiting = Some(reply);
-                self.post(chip);
+                self.answer(reply, now);
+                self.post(chip, now);
             }
         }
     }
 
+    /// Takes an answer of the application, at once, late or not at all.
+    fn answer(&mut self, reply: Vec<u8>, now: Time) {
+        self.answers += 1;
+        let MailboxSettings { delay_ns, delay_every, lose_every, .. } = self.manner;
+        let is_one_of = |every: u32| every > 0 && self.answers.is_multiple_of(every);
+        if !is_one_of(lose_every) {
+            self.waiting = Some((now + if is_one_of(delay_every) { delay_ns } else { 0 }, reply));
+        }
+    }
+
     /// Puts the waiting message into the mailbox, if that is empty.
-    fn post(&mut self, chip: &mut Chip) {
+    fn post(&mut self, chip: &mut Chip, now: Time) {
         if !chip.has_room() {
             return;
         }
-        if let Some(message) = self.waiting.take() {
+        if let Some((_, message)) = self.waiting.take_if(|(ready, _)| *ready <= now) {
             chip.put_message(&message);
             self.last = message;
         }

@@ -1,7 +1,9 @@
 //! The settings of one slave: its controller, its EEPROM, its clock, its reaction time.
 
 use super::sii::Access;
-use crate::bus::ethercat::wire::registers::{AlCode, Features};
+use super::slave::MailboxSettings;
+use crate::bus::ethercat::wire::registers::{AlCode, Features, SyncManager};
+use crate::bus::ethercat::wire::sii::Use;
 
 /// The settings of a slave.
 #[derive(Clone, Debug)]
@@ -18,6 +20,8 @@ pub struct Settings {
     pub sync_managers: u8,
     /// Its process memory from 1000h on, KiB, at most 60.
     pub ram_kib: u8,
+    /// What its ports are, two bits each from port 0 on: 0 there is none, 2 EBUS, 3 MII.
+    pub ports: u8,
     /// The words of its EEPROM; [`sii::Contents`](super::sii::Contents) makes them.
     pub sii: Vec<u16>,
     /// The timing of EEPROM access.
@@ -28,6 +32,14 @@ pub struct Settings {
     pub drift_ppm: f64,
     /// Comparisons in which its clock removes most of a difference to the reference.
     pub settling: u16,
+    /// It has no processor: its AL status is what AL control says, bit 4 included (0141h, bit 0), and nothing checks
+    /// a state or locks a buffer.
+    pub emulated: bool,
+    /// The SyncManagers that its processor wants, byte by byte; a state is refused with others. Empty: their number
+    /// and sizes only, as its application checks them.
+    pub managers: Vec<(SyncManager, Use)>,
+    /// How its mailbox answers.
+    pub mailbox: MailboxSettings,
     /// How long its firmware takes to read AL control or the mailbox.
     pub reaction_ns: u64,
     /// Its device id, if it shows one: bit 5 of its AL status, and the code register while there is no error.
@@ -50,11 +62,15 @@ impl Default for Settings {
             fmmus: 8,
             sync_managers: 8,
             ram_kib: 8,
+            ports: 0x0F,
             sii: Vec::new(),
             sii_access: Access::default(),
             clock_ns: 0,
             drift_ppm: 0.0,
             settling: 32,
+            emulated: false,
+            managers: Vec::new(),
+            mailbox: MailboxSettings::default(),
             reaction_ns: 0,
             device_id: None,
             watchdog_code: AlCode::WATCHDOG,

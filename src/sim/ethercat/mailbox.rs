@@ -24,6 +24,12 @@ const COE: u8 = 3;
 const EMERGENCY: u8 = 1;
 const REQUEST: u8 = 2;
 const RESPONSE: u8 = 3;
+/// The command byte of an abort.
+const ABORT: u8 = 0x80;
+/// SDO information: a drive has no dictionary to offer, and reports that (opcode 7).
+const INFORMATION: u8 = 8;
+const INFORMATION_ERROR: u8 = 7;
+const NO_DICTIONARY: AbortCode = AbortCode(0x0800_0023);
 
 /// Why a mailbox message cannot be used at all (ETG.1000.4, 5.6).
 mod error {
@@ -100,6 +106,12 @@ impl Mailbox {
                 self.refuse(counter, code);
                 return None;
             }
+            Err(Trouble::NoDictionary) => {
+                let [a, b, c, d] = NO_DICTIONARY.0.to_le_bytes();
+                let content = [0, INFORMATION << 4, INFORMATION_ERROR, 0, 0, 0, a, b, c, d];
+                self.push(0, COE | counter << 4, &content);
+                return None;
+            }
             Ok(Step::Answer(body)) => body,
             Err(Trouble::Abort(object, code)) => abort(object, code),
         };
@@ -128,9 +140,10 @@ impl Mailbox {
         self.reply(counter, body);
     }
 
-    /// An answer in the drive's dialect.
+    /// An answer in the drive's dialect. An abort has the service of a request (ETG.1000.6, 5.6.2.7).
     fn reply(&mut self, counter: u8, body: Vec<u8>) {
         let (longer, counter, service) = match self.dialect {
+            Dialect::Standard if body.first() == Some(&ABORT) => (0, counter, REQUEST),
             Dialect::Standard => (0, counter, RESPONSE),
             Dialect::Manual => (4, 0, REQUEST),
         };
@@ -188,12 +201,13 @@ impl Mailbox {
 }
 
 enum Trouble {
+    NoDictionary,
     Refused(u16),
     Abort(Object, AbortCode),
 }
 
 fn abort(object: Object, code: AbortCode) -> Vec<u8> {
-    head(0x80, object, code.0.to_le_bytes())
+    head(ABORT, object, code.0.to_le_bytes())
 }
 
 /// Reads a message: its first bytes, and all written bytes.
@@ -205,6 +219,9 @@ fn read(
     let [l0, l1, _, _, _, kind, _, service, command, low, high, sub, data @ ..] = *message;
     if kind & 0x0F != COE {
         return Err(Trouble::Refused(error::PROTOCOL));
+    }
+    if service >> 4 == INFORMATION {
+        return Err(Trouble::NoDictionary);
     }
     let length = usize::from(u16::from_le_bytes([l0, l1]));
     let least = SDO_SIZE - HEADER;
@@ -340,6 +357,7 @@ mod tests {
         };
         let aborted = |change| {
             let answer = refusal(change).unwrap();
+            assert_eq!(answer[7..9], [REQUEST << 4, ABORT], "an abort is a request itself");
             let Some(Parsed::Sdo { response: Response::Abort { code, .. }, .. }) = parse(&answer) else {
                 panic!()
             };
@@ -353,7 +371,7 @@ mod tests {
             other => panic!("{other:?}"),
         };
         assert_eq!(refused(|message| message[5] = 0x02), error::PROTOCOL);
-        assert_eq!(refused(|message| message[7] = 0x80), error::SERVICE);
+        assert_eq!(refused(|message| message[7] = 0x90), error::SERVICE);
         assert_eq!(refused(|message| message[0] = 200), error::SIZE);
         assert_eq!(refusal(|message| message[8] = 0x80), None, "an abort has no answer");
         let mut mailbox = Mailbox::new(Dialect::Standard, None);

@@ -4,7 +4,8 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `segment` | slaves in order, propagation delays, a cut cable; carries a frame through all of them |
+//! | `segment` | slaves in order; carries a frame through all of them |
+//! | `topology` | the cables between them: ports, branches, propagation delays, a cut |
 //! | `hardware` | the settings of one slave |
 //! | `esc` | one slave: its controller and its firmware; the commands of a datagram |
 //! | `chip` | registers and memory: access rights, and the effects of an access |
@@ -14,11 +15,14 @@
 //! | `firmware` | the EtherCAT state machine, the mailbox, the cycle of the application |
 //! | `simulation` | the segment of a plan |
 //! | `settings` | the settings of a drive and a segment |
+//! | `slave` | what sets one slave apart: its SII, how another master left it |
+//! | `models` | couplers and terminals as they can be bought |
 //! | `drive` | the firmware of a drive behind its slave controller: states, process data, CiA 402, modes, faults |
 //! | `objects`, `mapping` | its objects and which of them can be written; PDOs that the master maps |
 //! | `mailbox`, `transfer` | SDOs and emergencies; SDOs of more than four bytes |
 //! | `sync` | whether the cycle of the bus is regular enough |
 //! | `coupler` | an application: plain digital and analogue I/O |
+//! | `analogue` | an application: an analogue input terminal with a mailbox |
 //!
 //! A slave has no thread: when a frame passes it advances by the time since the last one. Where the standard leaves
 //! a choice it takes the strict side:
@@ -26,9 +30,11 @@
 //! | case | what the slave does |
 //! |---|---|
 //! | AL control is written again before the firmware has read it | does not take it: working counter 0 |
+//! | a slave without a mailbox, unless it is a drive | has no processor: AL status is what AL control says |
 //! | an error is present | every request is ignored but one that acknowledges it |
 //! | process data below SAFEOP, the mailbox in INIT | locked: working counter 0 |
 //! | the three buffers of process data reach into another SyncManager's | refuses SAFEOP: 0x0017 |
+//! | start, length or control of a SyncManager are written while it is on | nothing changes |
 //! | start or cycle of SYNC0 are written while it runs, or it is switched on again | counted, and nothing changes |
 //! | a start of SYNC0 that has passed, or an offset that skips it | there is none: until the clock has wrapped around, if it has 32 bits |
 //! | SAFEOP to OP before it is synchronous | AL code 001Ah, fault F28 |
@@ -39,6 +45,7 @@
 //! | a mapped object is written by SDO in SAFEOP or OP | abort 06010006h |
 //! | mode 7 without bit 4 of the control word | holds its position |
 
+mod analogue;
 mod chip;
 mod clock;
 #[cfg(feature = "config")]
@@ -51,25 +58,32 @@ pub(crate) mod hardware;
 mod mailbox;
 mod manager;
 mod mapping;
+mod models;
 mod objects;
 pub(crate) mod segment;
 mod settings;
 pub(crate) mod sii;
 mod simulation;
+mod slave;
 mod sync;
 #[cfg(test)]
 mod testing;
+mod topology;
 mod transfer;
 
 use std::fmt::Debug;
 
+pub use self::chip::Misuse;
 pub use self::coupler::Coupler;
 pub(crate) use self::esc::Esc;
 pub(crate) use self::hardware::Settings;
 pub(crate) use self::segment::Segment;
 pub(crate) use drive::Drive;
+pub use models::Model;
 pub use settings::{Dialect, DriveSettings, MotorSettings, SegmentSettings};
 pub use simulation::{EthercatSegment, EthercatSim};
+pub use slave::{ClockKind, Left, MailboxSettings, SiiContent, SiiSettings, SlaveSettings};
+pub use topology::Behind;
 
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::time::Time;
@@ -109,6 +123,18 @@ pub trait Application: Debug + Send {
 
     /// Time has advanced to `now`, with or without a cycle.
     fn advance(&mut self, _now: Time) {}
+
+    /// Writes its inputs as they are, on the way to SAFEOP, before its first cycle there.
+    fn actual(&mut self, _inputs: &mut [u8]) {}
+
+    /// Clears the bits of its outputs that no channel has.
+    fn trim(&self, _outputs: &mut [u8]) {}
+
+    /// Outputs of another slave that are wired to its inputs.
+    fn sense(&self, _levels: &[u8], _inputs: &mut [u8]) {}
+
+    /// Another master has left it in `state`.
+    fn left_in(&mut self, _state: AlState) {}
 
     /// Power cycle: everything volatile is lost.
     fn restart(&mut self, _now: Time) {}

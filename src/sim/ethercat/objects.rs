@@ -119,7 +119,7 @@ impl Objects {
 
     /// The type of an object that may be mapped to outputs, or to inputs.
     pub(super) fn mappable(&self, object: Object, output: bool) -> Option<Type> {
-        let known = self.known(object).ok().filter(|known| known.kind != Type::Text)?;
+        let known = self.known(object).ok().filter(|known| !known.kind.is_string())?;
         (!output || known.access == Access::ReadWrite).then_some(known.kind)
     }
 

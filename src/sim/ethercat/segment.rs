@@ -1,7 +1,8 @@
-//! Slaves in order, and the cable between them.
+//! Slaves in order, and a frame on its way through them.
 
 use super::chip::Passage;
 use super::esc::Esc;
+use super::topology::{Behind, Topology, Visit};
 use crate::bus::ethercat::wire::frame::{DATAGRAMS_MAX, Place, datagrams};
 use crate::time::Time;
 
@@ -13,7 +14,11 @@ const PASSED: u8 = 1 << 1;
 #[derive(Debug)]
 pub struct Segment {
     slaves: Vec<Esc>,
-    cut: Option<usize>,
+    topology: Topology,
+    /// The way of a frame.
+    visits: Vec<Option<Visit>>,
+    /// Outputs of slaves that are wired to the inputs of others: from, to.
+    wires: Vec<(usize, usize)>,
     /// The offsets of the datagrams of the present frame.
     places: Vec<Place>,
 }
@@ -21,7 +26,13 @@ pub struct Segment {
 impl Segment {
     /// A segment of these, all cables intact.
     pub fn new(slaves: Vec<Esc>) -> Segment {
-        let mut segment = Segment { slaves, cut: None, places: Vec::with_capacity(DATAGRAMS_MAX) };
+        let mut segment = Segment {
+            topology: Topology::line(slaves.iter().map(Esc::delay_ns).collect()),
+            visits: Vec::new(),
+            slaves,
+            wires: Vec::new(),
+            places: Vec::with_capacity(DATAGRAMS_MAX),
+        };
         segment.link();
         segment
     }
@@ -29,8 +40,30 @@ impl Segment {
     /// Cuts the cable in front of slave `n`, counted from 0, or repairs it. Frames turn at the slave before it; if
     /// there is none, no slave is reached.
     pub fn cut(&mut self, n: Option<usize>) {
-        self.cut = n;
+        self.topology.cut(n);
         self.link();
+    }
+
+    /// Puts slave `n` behind another port than port 1 of the slave before it; false: a frame would come to it in
+    /// another position, and nothing changes.
+    pub fn put(&mut self, n: usize, behind: Behind) -> bool {
+        let fits = n < self.slaves.len() && self.topology.put(n, behind);
+        self.link();
+        fits
+    }
+
+    /// Wires the outputs of slave `from` to the inputs of slave `to`.
+    pub(super) fn wire(&mut self, from: usize, to: usize) {
+        self.wires.push((from, to));
+    }
+
+    /// What is wired is at the inputs.
+    fn sense(&mut self) {
+        for &(from, to) in &self.wires {
+            if let Ok([output, input]) = self.slaves.get_disjoint_mut([from, to]) {
+                input.sense(output.driven());
+            }
+        }
     }
 
     /// The slave `n`, counted from 0.
@@ -45,12 +78,12 @@ impl Segment {
 
     /// The time of a frame through all slaves that it reaches and back to the master, ns.
     pub fn delay_ns(&self) -> u64 {
-        2 * self.slaves.iter().take(self.reached()).map(Esc::delay_ns).sum::<u64>()
+        self.topology.delay_ns()
     }
 
     /// A frame reaches a slave, and so comes back.
     pub fn is_reached(&self) -> bool {
-        self.reached() > 0
+        self.topology.reaches(0)
     }
 
     /// Advances all slaves to `now`, without a frame.
@@ -61,36 +94,32 @@ impl Segment {
     /// Carries a frame that the master sends at `now` through all slaves that it reaches, in place. Frames that are
     /// not EtherCAT stay as they are; datagrams after a broken one are not carried out.
     pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
-        let reached = self.reached();
-        let (near, far) = self.slaves.split_at_mut(reached);
-        far.iter_mut().for_each(|slave| slave.advance(now));
+        self.sense();
         let Ok(read) = datagrams(frame) else {
-            near.iter_mut().for_each(|slave| slave.advance(now));
+            self.advance(now);
             return;
         };
         self.places.clear();
         self.places.extend(read.map_while(Result::ok).map(|datagram| datagram.place));
-        if let Some(source) = frame.get_mut(SOURCE).filter(|_| reached > 0) {
+        if let Some(source) = frame.get_mut(SOURCE).filter(|_| self.topology.reaches(0)) {
             *source |= PASSED;
         }
-        let end = near.iter().fold(now, |at, slave| at + slave.delay_ns());
-        let mut at = now;
-        for (n, slave) in near.iter_mut().enumerate() {
-            at = at + slave.delay_ns();
-            let back_at = (n + 1 < reached).then(|| end + end.since(at));
-            slave.pass(Passage { at, back_at }, frame, &self.places);
+        for (slave, visit) in self.slaves.iter_mut().zip(&self.visits) {
+            match visit {
+                None => slave.advance(now),
+                Some(Visit { at, back }) => {
+                    let passage =
+                        Passage { at: now + *at, back: back.map(|back| back.map(|back| now + back)) };
+                    slave.pass(passage, frame, &self.places);
+                }
+            }
         }
-    }
-
-    /// How many slaves a frame reaches.
-    fn reached(&self) -> usize {
-        self.cut.unwrap_or(usize::MAX).min(self.slaves.len())
     }
 
     fn link(&mut self) {
-        let (count, cut) = (self.slaves.len(), self.cut);
+        self.visits = self.topology.visits();
         for (n, slave) in self.slaves.iter_mut().enumerate() {
-            slave.link([cut != Some(n), n + 1 < count && cut != Some(n + 1)]);
+            slave.link(self.topology.links(n));
         }
     }
 }
@@ -166,6 +195,9 @@ mod tests {
         assert_eq!(bench.send(Command::Brd(address::TYPE), &[0; 2]), (vec![4, 2], 2));
         assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 6]), (vec![1, 0, 0, 0, 0, 0], 2));
         assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 0);
+        let managers = bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]).0;
+        assert!(managers.chunks(8).all(|manager| manager[6] == 0), "they were on: that alone has changed");
+        assert_eq!(bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 64]).1, 2);
         assert_eq!(bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]), (vec![0; 64], 2));
         assert_eq!(bench.send(Command::Brd(address::FMMU), &[0; 64]), (vec![0; 64], 2));
     }
@@ -256,7 +288,7 @@ mod tests {
     fn behind_a_cut_cable_the_watchdog_goes_on() {
         let mut bench = Bench::drives(|_| {});
         for n in 0..2 {
-            bench.write(n, address::sync_manager(2), &[0x00, 0x11, 6, 0, 0x64, 0, 1, 0]);
+            bench.manage(n, 2, &[0x00, 0x11, 6, 0, 0x64, 0, 1, 0]);
         }
         bench.all_to(&[AlState::SafeOp, AlState::Op]);
         bench.segment.cut(Some(1));

@@ -1,5 +1,8 @@
 //! The settings of a simulated drive: its firmware, its motor, its answers.
 
+use std::collections::BTreeMap;
+
+use super::slave::SlaveSettings;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::pdo::{self, Layout};
 use crate::bus::ethercat::object::{Family, Object};
@@ -206,6 +209,8 @@ pub struct SegmentSettings {
     /// The number of FMMUs of the slave at a position; the last value holds for all further slaves. Default: 8.
     /// Small couplers have 2 or 3, and none to spare for their state.
     pub fmmus: Vec<u8>,
+    /// What sets the slave at a position apart.
+    pub slaves: BTreeMap<u16, SlaveSettings>,
     /// Each slave shows its device id in its AL status: its position. Default: none does.
     pub device_ids: bool,
     /// The faults between the master and the first slave.
@@ -221,6 +226,7 @@ impl Default for SegmentSettings {
             short_clocks: false,
             settling: 32,
             fmmus: Vec::new(),
+            slaves: BTreeMap::new(),
             device_ids: false,
             faults: FaultPlan::default(),
         }

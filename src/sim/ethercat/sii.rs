@@ -167,6 +167,14 @@ pub struct Access {
     pub eight: bool,
     /// The firmware emulates it.
     pub emulated: bool,
+    /// After power-on it is busy for so long, ns.
+    pub loading_ns: u64,
+    /// The first read returns the next word address, and the words there.
+    pub slips: bool,
+    /// After power-on the processor has it.
+    pub owned_by_slave: bool,
+    /// The processor reads it on the way to PREOP.
+    pub read_in_preop: bool,
 }
 
 /// A command to be completed at its time.
@@ -186,11 +194,16 @@ pub(super) struct Eeprom {
     error: u16,
     job: Option<Job>,
     data: [u8; 8],
+    /// It has been busy since power-on.
+    loaded: bool,
+    /// The address that the first read has returned.
+    slipped: Option<u32>,
 }
 
 impl Eeprom {
     pub(super) fn new(words: Vec<u16>, access: Access) -> Eeprom {
-        let mut eeprom = Eeprom { words, access, error: 0, job: None, data: [0; 8] };
+        let mut eeprom =
+            Eeprom { words, access, error: 0, job: None, data: [0; 8], loaded: false, slipped: None };
         eeprom.load();
         eeprom
     }
@@ -235,6 +248,11 @@ impl Eeprom {
         self.data
     }
 
+    /// The address of the data, if it is not the requested one; returned once.
+    pub(super) fn slipped_to(&mut self) -> Option<u32> {
+        self.slipped.take()
+    }
+
     /// Takes a command; the idle one ends an error. True: it is done already.
     pub(super) fn command(&mut self, now: Time, control: u16, address: u32, word: u16) -> bool {
         let command = control & bit::COMMAND;
@@ -250,8 +268,19 @@ impl Eeprom {
 
     /// Completes a command whose time has come; whether there was one.
     pub(super) fn advance(&mut self, now: Time) -> bool {
+        let loading_ns = if self.loaded { 0 } else { self.access.loading_ns };
+        self.loaded = true;
+        if loading_ns > 0 {
+            self.job = Some(Job { done_at: now + loading_ns, command: 0, address: 0, word: 0 });
+        }
         let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
         match job.command {
+            Status::IDLE => {}
+            Status::READ if self.access.slips => {
+                self.access.slips = false;
+                self.slipped = Some(job.address.wrapping_add(1));
+                self.read(job.address.wrapping_add(1));
+            }
             Status::READ => self.read(job.address),
             0x0200 => {
                 let at = usize::try_from(job.address).ok();
@@ -342,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_read_takes_its_time_and_brings_four_bytes_or_eight() {
-        let access = Access { busy_ns: 100, eight: false, emulated: true };
+        let access = Access { busy_ns: 100, eight: false, emulated: true, ..Access::default() };
         let mut eeprom = Eeprom::new(contents().image(), access);
         assert_eq!(eeprom.status(), 0x0020);
         eeprom.command(T, Status::READ, word::VENDOR.into(), 0);

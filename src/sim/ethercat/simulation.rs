@@ -1,13 +1,19 @@
 //! The segment of a plan, simulated: its slaves, and the content of their EEPROMs.
 
+use super::analogue::Analogue;
 use super::coupler::Terminals;
 use super::sii::{Access, Contents, Mailboxes, Pdo};
-use super::{Coupler, Drive, DriveSettings, Esc, Segment, SegmentSettings, Settings};
+use super::topology::Topology;
+use super::{
+    Application, ClockKind, Coupler, Drive, DriveSettings, Esc, Left, Model, Segment, SegmentSettings,
+    Settings, SiiSettings, SlaveSettings,
+};
 use crate::axis::PlanFault;
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::wire::frame::ETHERTYPE;
-use crate::bus::ethercat::wire::registers::{Features, Fmmu, SyncManager};
+use crate::bus::ethercat::wire::mailbox::SDO_SIZE;
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features, Fmmu, SyncManager};
 use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan, is_interface,
@@ -22,8 +28,6 @@ const INDEX: usize = 17;
 const DATA: usize = 26;
 /// The delay until the firmware reads the mailbox and AL control: one interrupt of a drive (EtherCAT manual).
 const REACTION_NS: u64 = 250 * US;
-/// The time of an EEPROM command (assumed).
-const SII_NS: u64 = 100 * US;
 /// The clocks of neighbouring slaves were switched on so far apart.
 const CLOCKS_APART_NS: u64 = 617 * MS + 1_234;
 /// CoE, in the protocols of the SII.
@@ -34,8 +38,11 @@ const FMMUS: [u8; 3] = [1, 2, 3];
 const IO: &str = "I/O";
 /// Where another master had the outputs of the first slave in the logical address space: our own may be there too.
 const LOGICAL: u32 = 0x0001_0000;
-/// The slave at each position that the plan leaves out: a coupler (Beckhoff EK1100) without terminals.
-const PLAIN: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x0011_0000 };
+/// Buffers below it are the outputs of a digital terminal, with this control byte.
+const MEMORY: u16 = 0x1000;
+const DIGITAL: u8 = 0x44;
+/// That of outputs whose watchdog is armed as delivered.
+const WATCHED: u8 = SyncManager::OUTPUTS | SyncManager::WATCHDOG;
 
 /// The simulated segment of a bus: slaves that fit its plan, as these settings say.
 #[derive(Clone, Debug)]
@@ -72,6 +79,7 @@ impl SimBus for EthercatSegment {
     fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
         let wire = self.interface_fault().map(|why| (None, PlanFault::new("simulate.interface", why)));
         let devices = self.plan.devices.iter().zip(&self.devices);
+        let wire = wire.into_iter().chain(self.behind_faults());
         wire.into_iter().chain(devices.flat_map(|(device, coupler)| coupler.faults(device))).collect()
     }
 
@@ -81,6 +89,29 @@ impl SimBus for EthercatSegment {
 }
 
 impl EthercatSegment {
+    /// Slaves that are behind a port at which no frame would come to them in their position.
+    fn behind_faults(&self) -> Vec<(Option<String>, PlanFault)> {
+        let last = self.plan.slaves().last().map_or(0, |(_, slave)| slave.place);
+        let mut topology = Topology::line(vec![0; usize::from(last) + 1]);
+        let behind = |place| self.settings.slaves.get(&place).and_then(|own: &SlaveSettings| own.behind);
+        let slaves = self
+            .plan
+            .slaves()
+            .into_iter()
+            .filter_map(|(owner, slave)| Some((owner, slave.place, behind(slave.place)?)));
+        slaves
+            .filter(|(_, place, behind)| !topology.put((*place).into(), *behind))
+            .map(|(owner, place, behind)| {
+                let why = format!(
+                    "port {} of position {} does not lead to position {place}: a frame leaves by ports 3, 1 and 2, and \
+                     comes back before it leaves by the next",
+                    behind.port, behind.place
+                );
+                (Some(self.plan.name_of(owner).to_owned()), PlanFault::new("simulate.behind", why))
+            })
+            .collect()
+    }
+
     fn interface_fault(&self) -> Option<&'static str> {
         let far = self.settings.interface.as_deref()?;
         if self.plan.is_local() {
@@ -96,22 +127,25 @@ impl EthercatSegment {
 impl Coupler {
     /// Terminals for the process data of a device.
     pub fn of(device: &Device) -> Coupler {
-        Coupler { outputs: terminals(device.slave.outputs), inputs: terminals(device.slave.inputs) }
+        Coupler {
+            outputs: terminals(device.slave.output_bytes()),
+            inputs: terminals(device.slave.input_bytes()),
+        }
     }
 
     /// What does not fit the process data of `device`.
     fn faults(self, device: &Device) -> impl Iterator<Item = (Option<String>, PlanFault)> {
         let sides = [
-            ("simulate.outputs", self.outputs, device.slave.outputs),
-            ("simulate.inputs", self.inputs, device.slave.inputs),
+            ("simulate.outputs", self.outputs, device.slave.output_bytes()),
+            ("simulate.inputs", self.inputs, device.slave.input_bytes()),
         ];
-        let wrong = sides.into_iter().filter(|(_, there, area)| there.bytes() != usize::from(area.length));
-        wrong.map(|(key, there, area)| {
+        let wrong = sides.into_iter().filter(|(_, there, bytes)| there.bytes() != *bytes);
+        wrong.map(|(key, there, bytes)| {
             let Terminals { digital, analogue } = there;
             let why = format!(
-                "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {}; make them equal",
+                "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {bytes}; make them \
+                 equal",
                 there.bytes(),
-                area.length
             );
             (Some(device.name.clone()), PlanFault::new(key, why))
         })
@@ -120,7 +154,8 @@ impl Coupler {
 
 /// A simulated segment.
 ///
-/// A position between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
+/// A position between two slaves that the plan leaves out has a coupler (EK1100) without terminals, a mailbox or a
+/// clock.
 #[derive(Debug)]
 pub struct EthercatSim {
     segment: Segment,
@@ -140,17 +175,25 @@ impl EthercatSim {
         let (mut slaves, mut logical) = (Vec::new(), LOGICAL);
         for (owner, slave) in plan.slaves() {
             while slaves.len() < slave.place.into() {
-                let coupler = Coupler::default();
-                slaves.push(coupler.slave(IO, PLAIN, hardware(&settings, slaves.len(), false)));
+                let plain = Device { name: String::new(), slave: SlavePlan::new(slaves.len() as u16) };
+                slaves.push(device(&plain, Coupler::default(), &settings));
             }
-            let hardware = hardware(&settings, slaves.len(), slave.sync);
             slaves.push(match owner {
-                Owner::Drive(index) => drive(&plan.drives[index], &segment.drives[index], hardware, logical),
-                Owner::Device(index) => device(&plan.devices[index], segment.devices[index], hardware),
+                Owner::Drive(index) => drive(&plan.drives[index], &segment.drives[index], &settings, logical),
+                Owner::Device(index) => device(&plan.devices[index], segment.devices[index], &settings),
             });
-            logical += u32::from(slave.outputs.length);
+            logical += slave.output_bytes() as u32;
         }
-        EthercatSim { segment: Segment::new(slaves), interface: plan.interface.clone(), settings }
+        let mut line = Segment::new(slaves);
+        for (place, own) in &settings.slaves {
+            if let Some(behind) = own.behind {
+                line.put((*place).into(), behind);
+            }
+            if let Some(to) = own.wired_to {
+                line.wire((*place).into(), to.into());
+            }
+        }
+        EthercatSim { segment: line, interface: plan.interface.clone(), settings }
     }
 
     /// The segment itself.
@@ -236,54 +279,97 @@ impl SimSegment for EthercatSim {
     }
 }
 
-/// The controller of the slave at `place`.
-fn hardware(segment: &SegmentSettings, place: usize, clock: bool) -> Settings {
-    let features = match (clock, segment.short_clocks) {
-        (false, _) => 0x0180,
-        (true, true) => 0x0184,
-        (true, false) => 0x018C,
+/// The controller of the slave of a plan, with this content of its SII, and with a processor unless it is `plain` or
+/// its settings say otherwise.
+fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, plain: bool) -> Settings {
+    let place = usize::from(slave.place);
+    let own = segment.slaves.get(&slave.place).cloned().unwrap_or_default();
+    let clock = own.clock.unwrap_or(match (slave.sync, segment.short_clocks) {
+        (false, _) => ClockKind::None,
+        (true, true) => ClockKind::Short,
+        (true, false) => ClockKind::Long,
+    });
+    let features = match clock {
+        ClockKind::None => 0x0180,
+        ClockKind::Short => 0x0184,
+        ClockKind::Long => 0x018C,
     };
     let drift_ppm = segment.drift_ppm.get(place).or(segment.drift_ppm.last()).copied().unwrap_or(0.0);
     let usual = Settings::default();
+    let fmmus = own.fmmus.or(segment.fmmus.get(place).or(segment.fmmus.last()).copied());
+    let emulated = own.emulated.unwrap_or(own.model.map_or(plain, Model::is_emulated));
+    let SiiSettings { owned_by_slave, read_in_preop, eight, busy_ns, loading_ns, slips, content } = own.sii;
     Settings {
         features: Features(features),
-        fmmus: segment.fmmus.get(place).or(segment.fmmus.last()).copied().unwrap_or(usual.fmmus),
-        device_id: segment.device_ids.then_some(place as u16),
-        sii_access: Access { busy_ns: SII_NS, ..Access::default() },
+        receive_times: own.clock != Some(ClockKind::None),
+        fmmus: fmmus.unwrap_or(usual.fmmus),
+        ports: own.model.map_or(usual.ports, Model::ports),
+        device_id: segment.device_ids.then_some(slave.place),
+        sii: content.of(contents.image()),
+        sii_access: Access {
+            busy_ns,
+            eight,
+            loading_ns,
+            slips,
+            owned_by_slave,
+            read_in_preop,
+            ..Access::default()
+        },
         clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
         drift_ppm,
         settling: segment.settling,
+        emulated,
+        mailbox: own.mailbox,
+        managers: if own.exact_managers { contents.managers.clone() } else { Vec::new() },
         reaction_ns: REACTION_NS,
         delay_ns: segment.delay_ns,
         ..usual
     }
 }
 
-fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, hardware: Settings, logical: u32) -> Esc {
+/// A slave as its settings say that another master has left it.
+fn left(mut esc: Esc, segment: &SegmentSettings, place: u16) -> Esc {
+    if let Some(left) = segment.slaves.get(&place).and_then(|own| own.left.as_ref()) {
+        esc.leave(left);
+    }
+    esc
+}
+
+fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSettings, logical: u32) -> Esc {
     let settings = drive_settings(plan, settings.clone());
+    let (name, outputs) = match settings.family {
+        // Whether its SII arms the watchdog is assumed; that of an AKD was captured.
+        Family::S700 => ("S700", WATCHED),
+        Family::Akd => ("AKD", SyncManager::OUTPUTS),
+    };
     let contents = Contents {
-        name: match settings.family {
-            Family::S700 => "S700",
-            Family::Akd => "AKD",
-        },
+        name,
         identity: settings.identity,
         serial: settings.serial,
         mailboxes: plan.slave.mailbox.map(mailboxes),
         fmmus: FMMUS.to_vec(),
-        managers: managers(&plan.slave),
+        managers: managers(&plan.slave, segment.slaves.get(&plan.slave.place), outputs),
         inputs: vec![pdo(&plan.inputs, 3)],
         outputs: vec![pdo(&plan.outputs, 2)],
         ..Contents::default()
     };
     let is_running = settings.running_rpm.is_some();
-    let mut esc = Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(Drive::new(settings)));
-    if is_running {
-        let managers: Vec<_> =
-            managers(&plan.slave).into_iter().map(|(manager, _)| manager.unwatched()).collect();
-        let Area { start, length } = plan.slave.outputs;
-        esc.run(&managers, Fmmu::bytes(logical, length, start, true));
+    let hardware = hardware(segment, &plan.slave, &contents, false);
+    let drive = Drive::new(settings);
+    let cycle_ns = drive.cycle_ns();
+    let mut esc = Esc::new(hardware, Box::new(drive));
+    if is_running && let Some(cycle_ns) = cycle_ns {
+        let Area { start, length } = plan.slave.outputs.first().copied().unwrap_or_default();
+        esc.leave(&Left {
+            al: (AlStatus::request(AlState::Op).0, 0),
+            managers: contents.managers.iter().map(|(manager, _)| manager.unwatched().to_bytes()).collect(),
+            fmmus: vec![Fmmu::bytes(logical, length, start, true).to_bytes()],
+            unwatched: true,
+            sync0_ns: u32::try_from(cycle_ns).ok(),
+            ..Left::default()
+        });
     }
-    esc
+    left(esc, segment, plan.slave.place)
 }
 
 /// A drive that fits its plan: with the PDOs that are not mapped first, and, unless it was set otherwise, with the
@@ -293,7 +379,8 @@ fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveS
         settings.identity = expected(plan.slave.identity, settings.identity);
     }
     if let Some([_, input]) = plan.slave.mailbox {
-        settings.long_sdos = settings.long_sdos.map(|_| input.length);
+        let is_longer = usize::from(input.length) > SDO_SIZE;
+        settings.long_sdos = (is_longer || settings.long_sdos.is_some()).then_some(input.length);
     }
     if plan.mapping != Mapping::Free {
         for layout in [&plan.outputs, &plan.inputs] {
@@ -307,16 +394,31 @@ fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveS
     settings
 }
 
-fn device(plan: &Device, coupler: Coupler, hardware: Settings) -> Esc {
-    let slave = &plan.slave;
-    let mut contents = coupler.contents(IO, expected(slave.identity, PLAIN));
-    contents.managers = managers(slave);
-    contents.mailboxes = slave.mailbox.map(mailboxes);
-    if slave.mailbox.is_some() {
-        // Theirs are the first two.
-        contents.inputs.iter_mut().chain(&mut contents.outputs).for_each(|pdo| pdo.manager += 2);
-    }
-    Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(coupler))
+fn device(plan: &Device, coupler: Coupler, segment: &SegmentSettings) -> Esc {
+    let (slave, own) = (&plan.slave, segment.slaves.get(&plan.slave.place));
+    let (contents, application): (Contents, Box<dyn Application>) = match own.and_then(|own| own.model) {
+        Some(Model::El3102) => {
+            let contents = Model::El3102.contents();
+            (contents.clone(), Box::new(Analogue::new(contents)))
+        }
+        Some(model) => (model.contents(), Box::new(model.terminals())),
+        None => {
+            let mut contents = coupler.contents(IO, expected(slave.identity, Model::Ek1100.identity()));
+            let is_digital = slave.outputs.first().is_some_and(|area| area.start < MEMORY);
+            contents.managers = managers(slave, own, if is_digital { DIGITAL } else { WATCHED });
+            contents.mailboxes = slave.mailbox.map(mailboxes);
+            if slave.mailbox.is_some() {
+                // Theirs are the first two.
+                contents.inputs.iter_mut().chain(&mut contents.outputs).for_each(|pdo| pdo.manager += 2);
+            }
+            (contents, Box::new(coupler))
+        }
+    };
+    left(
+        Esc::new(hardware(segment, slave, &contents, slave.mailbox.is_none()), application),
+        segment,
+        slave.place,
+    )
 }
 
 /// The expected numbers, and those of `other` where none is expected.
@@ -332,8 +434,10 @@ fn mailboxes([out, input]: [Area; 2]) -> Mailboxes {
     Mailboxes { out: (out.start, out.length), input: (input.start, input.length), protocols: COE }
 }
 
-/// Its SyncManagers: mailboxes first. Without them one for missing process data is left out.
-fn managers(slave: &SlavePlan) -> Vec<(SyncManager, Use)> {
+/// Its SyncManagers: mailboxes first, then process data; that of its outputs with the control byte `usual`, if nothing
+/// else is set. Without mailboxes one for missing process data is left out.
+fn managers(slave: &SlavePlan, own: Option<&SlaveSettings>, usual: u8) -> Vec<(SyncManager, Use)> {
+    let output_control = own.and_then(|own| own.output_control).unwrap_or(usual);
     let manager = |area: Area, control, usage| {
         (SyncManager { start: area.start, length: area.length, control, activate: 1 }, usage)
     };
@@ -343,11 +447,18 @@ fn managers(slave: &SlavePlan) -> Vec<(SyncManager, Use)> {
             manager(input, SyncManager::MAILBOX_IN, Use::MailboxIn),
         ]
     });
+    let all = |areas: &[Area]| match areas {
+        [] if slave.mailbox.is_some() => vec![Area::default()],
+        areas => areas.to_vec(),
+    };
     let process = [
-        manager(slave.outputs, SyncManager::OUTPUTS | SyncManager::WATCHDOG, Use::Outputs),
-        manager(slave.inputs, SyncManager::INPUTS, Use::Inputs),
+        (all(&slave.outputs), output_control, Use::Outputs),
+        (all(&slave.inputs), SyncManager::INPUTS, Use::Inputs),
     ];
-    mailboxes.chain(process.into_iter().filter(|(m, _)| slave.mailbox.is_some() || m.length > 0)).collect()
+    let each = |(areas, control, usage): (Vec<Area>, u8, Use)| {
+        areas.into_iter().map(move |area| manager(area, control, usage))
+    };
+    mailboxes.chain(process.into_iter().flat_map(each)).collect()
 }
 
 fn pdo(layout: &Layout, manager: u8) -> Pdo {
@@ -357,9 +468,9 @@ fn pdo(layout: &Layout, manager: u8) -> Pdo {
 }
 
 /// Terminals for so many bytes: digital ones as far as there can be so many.
-fn terminals(area: Area) -> Terminals {
-    match area.length {
-        0..=31 => Terminals { digital: 8 * area.length as u8, analogue: 0 },
+fn terminals(bytes: usize) -> Terminals {
+    match bytes {
+        0..=31 => Terminals { digital: 8 * bytes as u8, analogue: 0 },
         bytes => Terminals { digital: 8 * (bytes % 2) as u8, analogue: (bytes / 2).min(255) as u8 },
     }
 }

@@ -108,12 +108,17 @@ impl Bench {
     /// The same with an existing segment.
     pub(super) fn of(segment: Segment) -> Bench {
         let count = segment.slaves() as u16;
-        let mut bench = Bench { segment, now: Time(S), scripts: Vec::new() };
+        let mut bench = Bench::left(segment);
         for n in 0..count {
             let station = (0x1001 + n).to_le_bytes();
             assert_eq!(bench.send(Command::Apwr(position(n), address::STATION), &station).1, 1);
         }
         bench
+    }
+
+    /// The same with the station addresses that it has.
+    pub(super) fn left(segment: Segment) -> Bench {
+        Bench { segment, now: Time(S), scripts: Vec::new() }
     }
 
     /// A segment of scripted slaves.
@@ -145,13 +150,19 @@ impl Bench {
             (2, [0x00, 0x11, outputs as u8, 0, SyncManager::OUTPUTS, 0, 1, 0]),
             (3, [0x40, 0x11, inputs as u8, 0, SyncManager::INPUTS, 0, 1, 0]),
         ] {
-            assert_eq!(self.write(n, address::sync_manager(manager), &bytes), 1);
+            self.manage(n, manager, &bytes);
         }
         let (own, at) = (u32::from(n), 0x1_0000);
         let outputs = Fmmu::bytes(at + 6 * own, outputs, 0x1100, true);
         let inputs = Fmmu::bytes(at + 12 + 8 * own, inputs, 0x1140, false);
         assert_eq!(self.write(n, address::fmmu(0), &outputs.to_bytes()), 1);
         assert_eq!(self.write(n, address::fmmu(1), &inputs.to_bytes()), 1);
+    }
+
+    /// Sets a SyncManager, which has to be off for that.
+    pub(super) fn manage(&mut self, n: u16, manager: u16, bytes: &[u8; 8]) {
+        assert_eq!(self.write(n, address::sync_manager(manager) + 6, &[0]), 1);
+        assert_eq!(self.write(n, address::sync_manager(manager), bytes), 1);
     }
 
     /// A frame with this one datagram: its data and its working counter as they come back.

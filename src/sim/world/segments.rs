@@ -14,7 +14,7 @@ use crate::rt::Regions;
 use crate::sim::fault::{Injected, Parcel, Way};
 use crate::sim::wire::Wire;
 use crate::sim::{FaultPlan, SimSegment};
-use crate::time::Time;
+use crate::time::{S, Time};
 
 /// A wire from the master to a segment, and the master's end of it.
 struct Rail {
@@ -158,6 +158,9 @@ impl World {
     }
 }
 
+/// The date at which the clock of every world is 0, ns since 2000-01-01: 2024-01-01.
+const BEGUN_NS: u64 = 757_382_400 * S;
+
 /// A carrier of frames in a world.
 #[derive(Debug)]
 pub(super) struct Carriage {
@@ -192,6 +195,10 @@ impl Frames for Carriage {
 
     fn now(&mut self) -> Time {
         self.world.lock().read()
+    }
+
+    fn today_ns(&self) -> Option<u64> {
+        Some(BEGUN_NS + self.world.now().0)
     }
 
     fn mac(&self) -> [u8; 6] {

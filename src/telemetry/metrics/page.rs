@@ -153,8 +153,11 @@ const BUS: [Field<Unmatched>; 3] = [
 const DROPPED: &str = "Datagrams dropped by the kernel because the receive buffer was full.";
 
 /// Of what takes part without being a drive.
-const DEVICE: [Field<DeviceEnd>; 1] =
-    [(Gauge, "device_not_operational", NOT_OPERATIONAL, |of| of.not_operational.is_some().into())];
+const DEVICE: [Field<DeviceEnd>; 2] = [
+    (Gauge, "device_not_operational", NOT_OPERATIONAL, |of| of.not_operational.is_some().into()),
+    (Count, "device_emergencies_lost", EMERGENCIES_LOST, |of| of.emergencies_lost),
+];
+const EMERGENCIES_LOST: &str = "Emergencies of a device that were lost because their queue was full.";
 const NOT_OPERATIONAL: &str = "1 while a device that is not a drive is not in operation.";
 
 const CLOCK: [Field<BusClock>; 2] = [

@@ -23,7 +23,9 @@ impl fmt::Display for Summary {
             Ns(period_ns),
             plural(overruns, "overrun")
         )?;
-        self.drive_table(f)?;
+        if !self.drives.is_empty() {
+            self.drive_table(f)?;
+        }
         self.bus_lines(f)?;
         writeln!(f)?;
         self.loop_table(f)?;
@@ -104,13 +106,19 @@ impl Summary {
                 writeln!(f, "bus {}: its clock {clock}", bus.name)?;
             }
         }
-        for DeviceEnd { name, not_operational } in &self.devices {
+        for DeviceEnd { name, not_operational, emergencies_lost } in &self.devices {
             match not_operational {
                 Some(why) => {
                     let line = format!("device {name}: not in operation: {why}");
                     writeln!(f, "{}", paint(&line, BAD, f.alternate()))?;
                 }
                 None => writeln!(f, "device {name}: in operation")?,
+            }
+            if *emergencies_lost > 0 {
+                writeln!(
+                    f,
+                    "device {name}: {emergencies_lost} emergencies lost, since their queue was full"
+                )?;
             }
         }
         Ok(())

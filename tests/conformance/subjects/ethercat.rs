@@ -1,51 +1,38 @@
 //! EtherCAT to Kollmorgen drives of the S700: one frame for all of them. A velocity setpoint (1702h), or a position
 //! setpoint (1701h).
 
-use std::any::Any;
-use std::io;
-use std::net::SocketAddrV4;
-use std::ops::Range;
-use std::os::fd::RawFd;
+mod broken;
+mod strict;
 
+use std::any::Any;
+use std::ops::Range;
+
+use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Start, Type};
-use fieldbeat::internals::bus::Bus;
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Start, Type, Watchdog};
 use fieldbeat::internals::bus::ethercat::cia402::{ControlCommand as Operation, ControlWord, StatusWord};
 use fieldbeat::internals::bus::ethercat::faults::Fault;
 use fieldbeat::internals::bus::ethercat::object::{Target, pdo};
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat::internals::bus::ethercat::wire::sdo::AbortCode;
-use fieldbeat::internals::net::frames::{MAC, Unsent};
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
-use fieldbeat::internals::rt::Regions;
+use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimPlan, SimSegment, Simulated};
-use fieldbeat::{OpenError, Time};
+use fieldbeat::time::MS;
+
+use broken::Broken;
+pub use broken::Defect;
 
 use crate::conformance::line::PERIOD;
-use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
-/// By what the drives are led; sound, or with one thing wrong.
+/// By what the drives are led, and whether their slaves are strict; sound, or with one thing wrong.
 pub struct EtherCat {
     pub positions: bool,
+    pub strict: bool,
     pub defect: Option<Defect>,
-}
-
-/// What only a bus whose drives share a frame can get wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Defect {
-    /// The first two drives of the line have each other's inputs.
-    GivesAnothersInputs,
-    /// They have each other's outputs.
-    GivesAnothersOutputs,
-    /// A drive that took no part is there, with what it said last.
-    CountsTheMissing,
-    /// If one took no part, none did.
-    MissesAllWithOne,
-    /// Each drive has what it said a frame ago.
-    IsAFrameBehind,
 }
 
 const LINE: &str = "local:conformance";
@@ -72,8 +59,6 @@ const HEADER: usize = 10;
 const COUNTER: usize = 2;
 /// In the upper byte of a datagram's length.
 const CIRCULATED: u8 = 1 << 6;
-/// A drive that takes part adds so much to the counter.
-const COUNTS: u16 = 3;
 /// So many counts a step may be off by its own rounding.
 const ROUNDED: i64 = 4;
 
@@ -115,11 +100,13 @@ impl EtherCat {
         plan.fit();
         plan.axis = drive.axis.clone();
         // What moves by itself needs it.
-        if !drive.jog && !drive.follow {
-            plan.slave.watchdog_ns = None;
+        plan.slave.watchdog =
+            if drive.jog || drive.follow { Watchdog::After(100 * MS) } else { Watchdog::Off };
+        if self.strict {
+            strict::fit(&mut plan);
         }
         let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
-        plan.slave.start_up.push(Start { object: Object::new(0x6099, 1), kind: Type::U32, raw });
+        plan.slave.start_up.push(Start::new(Object::new(0x6099, 1), Type::U32, raw));
         // In increments it is the same for all units.
         let turns = drive.axis.units.counts_per_unit.abs() / increments();
         plan.axis.stop.standstill = STANDSTILL / turns;
@@ -135,13 +122,26 @@ impl EtherCat {
     fn segment(&self, drives: &[Drive]) -> EthercatSegment {
         let drive = |(index, drive)| self.drive(index, drives.len(), drive);
         let (plans, settings) = drives.iter().enumerate().map(drive).unzip();
-        EthercatSegment { drives: settings, ..EthercatPlan::new(LINE, plans).into() }
+        let mut segment = EthercatSegment { drives: settings, ..EthercatPlan::new(LINE, plans).into() };
+        if self.strict {
+            strict::surround(&mut segment);
+        }
+        segment
+    }
+
+    /// Slaves in front of the drives.
+    fn front(&self) -> usize {
+        if self.strict { strict::FRONT } else { 0 }
     }
 }
 
 impl Subject for EtherCat {
     fn name(&self) -> &'static str {
-        if self.positions { "ethercat with positions" } else { "ethercat with velocities" }
+        match (self.strict, self.positions) {
+            (true, _) => "ethercat with strict slaves",
+            (false, true) => "ethercat with positions",
+            (false, false) => "ethercat with velocities",
+        }
     }
 
     fn can(&self) -> Can {
@@ -161,6 +161,7 @@ impl Subject for EtherCat {
             own_clock: false,
             half_duplex: false,
             shared: true,
+            rearmed: !self.strict,
         }
     }
 
@@ -187,15 +188,23 @@ impl Subject for EtherCat {
         SimPlan::from(self.segment(drives)).build()
     }
 
+    fn place(&self, index: usize, count: usize) -> usize {
+        self.front() + count - 1 - index
+    }
+
     fn piece(&self, now: Time, frame: &[u8], index: usize, count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
         let mut all = datagrams(frame).ok()?.flatten();
         let image = all.find(|datagram| matches!(datagram.command(), Some(Command::Lrw(_))))?;
-        let place = self.place(index, count);
+        let place = self.place(index, count) - self.front();
         let request = image.data.get(place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
-        let reply =
-            image.data.get(count * OUTPUTS + place * (AL + INPUTS)..)?.first_chunk::<{ AL + INPUTS }>()?;
+        let inputs = count * OUTPUTS + self.front() * AL + place * (AL + INPUTS);
+        let reply = image.data.get(inputs..)?.first_chunk::<{ AL + INPUTS }>()?;
         let status = AlStatus(u16::from_le_bytes([reply[0], reply[1]]));
-        let there = status.state().is_some_and(|state| state >= AlState::SafeOp);
+        // With few FMMUs it is not there, and the status word is never zero.
+        let there = match status.state() {
+            Some(state) => state >= AlState::SafeOp,
+            None => reply[AL + INPUTS - 2..] != [0; 2],
+        };
         let reply = [&reply[..], &now.0.to_le_bytes()].concat();
         Some((request.to_vec(), if there { reply } else { Vec::new() }))
     }
@@ -214,7 +223,7 @@ impl Subject for EtherCat {
         let turns = since.is_some_and(|since| speed(since).abs() > STANDSTILL);
         let homes = control.has(ControlWord::START);
         let operates = control.has(Operation::EnableOperation.word().0);
-        let leads = AlStatus(al.into()).state() == Some(AlState::Op) && operates;
+        let leads = operates && AlStatus(al.into()).state().map_or(powered, |state| state == AlState::Op);
         let demand = if self.positions && leads && !homes { setpoint } else { position };
         let led = match self.positions {
             true => leads && before.is_some_and(|before| before.setpoint != Some(setpoint)),
@@ -255,7 +264,9 @@ impl Subject for EtherCat {
         // The profile velocity, of a mode that is not used here.
         let free = Target { object: Object::new(0x6081, 0), kind: Some(Type::U32), complete: false };
         let missing = Target::parse("0x5FFF:0.u16").expect("a target");
-        Calls { read: free.read(), write: free.write(77), refused: (missing.read(), AbortCode::NO_OBJECT.0) }
+        let refused = (missing.read(), AbortCode::NO_OBJECT.0);
+        let soon = if self.strict { strict::SOON } else { SOON };
+        Calls { read: free.read(), write: free.write(77), refused, soon }
     }
 
     fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
@@ -312,124 +323,5 @@ impl Subject for EtherCat {
             round[at.start - HEADER + 7] |= CIRCULATED;
         }
         Some(round)
-    }
-}
-
-/// A bus with a defect: it works on frames that are not as the line has made them.
-#[derive(Debug)]
-struct Broken {
-    plan: EthercatPlan,
-    defect: Defect,
-}
-
-impl BusPlan for Broken {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        let drives = self.plan.drives.len();
-        self.plan.open(period_ns, &Misusing { carriers, defect: self.defect, drives })
-    }
-}
-
-struct Misusing<'a> {
-    carriers: &'a dyn Carriers,
-    defect: Defect,
-    drives: usize,
-}
-
-impl Carriers for Misusing<'_> {
-    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        self.carriers.datagrams(bind, options)
-    }
-
-    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
-        self.carriers.streams(peers)
-    }
-
-    fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
-        let frames = self.carriers.frames(interface, ethertype)?;
-        Ok(Box::new(Misused { frames, defect: self.defect, kept: vec![[0; AL + INPUTS]; self.drives] }))
-    }
-}
-
-struct Misused {
-    frames: Box<dyn Frames>,
-    defect: Defect,
-    /// What each place of the line said last in OP.
-    kept: Vec<[u8; AL + INPUTS]>,
-}
-
-fn operates(said: &[u8; AL + INPUTS]) -> bool {
-    AlStatus(said[0].into()).state() == Some(AlState::Op)
-}
-
-impl Misused {
-    fn spoil_outputs(&self, frame: &mut [u8]) {
-        let Some(image) = image(frame).filter(|_| self.defect == Defect::GivesAnothersOutputs) else {
-            return;
-        };
-        let (first, others) = frame[image].split_at_mut(OUTPUTS);
-        first.swap_with_slice(&mut others[..OUTPUTS]);
-    }
-
-    fn spoil_inputs(&mut self, frame: &mut [u8]) {
-        let Some(image) = image(frame) else { return };
-        let inputs = image.start + self.kept.len() * OUTPUTS..image.end;
-        let (said, behind) = frame[inputs.start..].split_at_mut(inputs.len());
-        let (said, _) = said.as_chunks_mut::<{ AL + INPUTS }>();
-        let before = self.kept.clone();
-        for (kept, said) in self.kept.iter_mut().zip(said.iter()) {
-            if operates(said) {
-                *kept = *said;
-            }
-        }
-        let gone = said.iter().zip(&before).filter(|(said, kept)| !operates(said) && operates(kept)).count();
-        let is_whole = said.iter().chain(&before).all(operates);
-        match self.defect {
-            Defect::GivesAnothersInputs if is_whole => said.swap(0, 1),
-            Defect::IsAFrameBehind if is_whole => said.copy_from_slice(&before),
-            Defect::CountsTheMissing if gone > 0 => {
-                let counter = u16::from_le_bytes([behind[0], behind[1]]) + COUNTS * gone as u16;
-                behind[..COUNTER].copy_from_slice(&counter.to_le_bytes());
-                said.copy_from_slice(&self.kept);
-            }
-            Defect::MissesAllWithOne if gone > 0 => {
-                behind[..COUNTER].fill(0);
-                said.fill([0; AL + INPUTS]);
-            }
-            _ => {}
-        }
-    }
-}
-
-impl Frames for Misused {
-    fn fd(&self) -> Option<RawFd> {
-        self.frames.fd()
-    }
-
-    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
-        let mut frame = frame.to_vec();
-        self.spoil_outputs(&mut frame);
-        self.frames.send(&frame)
-    }
-
-    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
-        let (at, length) = self.frames.receive(room)?;
-        if let Some(frame) = room.get_mut(..length) {
-            self.spoil_inputs(frame);
-        }
-        Some((at, length))
-    }
-
-    fn now(&mut self) -> Time {
-        self.frames.now()
-    }
-
-    fn mac(&self) -> [u8; 6] {
-        self.frames.mac()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.frames.memory(regions);
     }
 }

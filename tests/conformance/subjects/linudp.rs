@@ -15,7 +15,7 @@ use fieldbeat::internals::bus::linudp::wire::{
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{SimPlan, Simulated};
 
-use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
 /// With a tag each reply names its request; without it the protocol has nothing of the kind.
 pub struct LinUdp {
@@ -57,6 +57,7 @@ impl Subject for LinUdp {
             own_clock: false,
             half_duplex: false,
             shared: false,
+            rearmed: false,
         }
     }
 
@@ -111,6 +112,7 @@ impl Subject for LinUdp {
             read: upid::call(RtcCommand::READ_RAM, 0x14BE, 0),
             write: upid::call(RtcCommand::WRITE_RAM, 0x14BE, 77),
             refused: (upid::call(RtcCommand::READ_RAM, 0xFFFF, 0), Refusal::NoSuchUpid.code().into()),
+            soon: SOON,
         }
     }
 

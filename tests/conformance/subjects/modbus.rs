@@ -22,7 +22,7 @@ use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
 use fieldbeat::{OpenError, Time};
 
-use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 
 /// One of the two ways to the cyclic parameters, sound or with one thing wrong.
 pub struct Modbus {
@@ -116,6 +116,7 @@ impl Subject for Modbus {
             own_clock: false,
             half_duplex: false,
             shared: false,
+            rearmed: false,
         }
     }
 
@@ -199,6 +200,7 @@ impl Subject for Modbus {
             read: free.read(),
             write: free.write(77),
             refused: (missing.read(), ExceptionCode::ADDRESS.0.into()),
+            soon: SOON,
         }
     }
 

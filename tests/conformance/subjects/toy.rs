@@ -31,7 +31,7 @@ use fieldbeat::time::{Time, US};
 use fieldbeat::{Cycle, OpenError};
 
 use crate::conformance::line::{PERIOD, WINDOW};
-use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
 use self::half_duplex::Turns;
 use self::own_clock::Packets;
@@ -177,6 +177,7 @@ impl Subject for Toy {
             own_clock: self.0 == ToyWire::OwnClock,
             half_duplex: self.0 == ToyWire::HalfDuplex,
             shared: false,
+            rearmed: false,
         }
     }
 
@@ -234,6 +235,7 @@ impl Subject for Toy {
             read: call(GET, 3),
             write: Call { value: 77, ..call(PUT, 3) },
             refused: (call(GET, 8), NO_REGISTER),
+            soon: SOON,
         }
     }
 

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use fieldbeat::Cycle;
 use fieldbeat::axis::{Command, Link, NativeOwner};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
 use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
 use fieldbeat::internals::bus::ethercat::cia402::ControlWord;
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
@@ -137,7 +137,11 @@ struct Rig {
 
 impl Rig {
     fn new() -> Rig {
-        let drive = |place: u16| KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+        let drive = |place: u16| {
+            let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+            drive.slave.watchdog = Watchdog::After(100 * MS);
+            drive
+        };
         let plan = EthercatPlan::new("local:fuzz", (0..DRIVES as u16).map(drive).collect());
         let cable = Shared(Arc::new(Mutex::new(Cable {
             line: EthercatSim::of(&plan),

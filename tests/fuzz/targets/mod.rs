@@ -6,6 +6,8 @@
 //! | `modbus_wire` | a stream of Modbus TCP, for every parser of it; as text, an address and a value of a parameter |
 //! | `modbus` | a program for a Modbus bus on one connection: commands, replies good and bad, a connection that ends |
 //! | `ethercat_wire` | a frame of EtherCAT, a mailbox message, words of an EEPROM |
+//! | `ethercat_mailbox` | a program for the mailbox of a slave: transfers, and a slave that answers as it likes |
+//! | `ethercat_sii` | the answers of a slave's EEPROM |
 //! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
 //! | `station` | a program for one station: commands, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
@@ -27,6 +29,8 @@ mod commands;
 mod config;
 mod drive;
 mod ethercat;
+mod ethercat_mailbox;
+mod ethercat_sii;
 mod ethercat_wire;
 mod files;
 mod input;
@@ -40,6 +44,8 @@ pub use channel::channel;
 pub use config::{config, config_keys};
 pub use drive::drive;
 pub use ethercat::ethercat;
+pub use ethercat_mailbox::ethercat_mailbox;
+pub use ethercat_sii::ethercat_sii;
 pub use ethercat_wire::ethercat_wire;
 pub use files::files;
 pub use machine::machine;

@@ -1,17 +1,16 @@
 //! The crate ethercrab, a master that others wrote, on our simulated line.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
 use fieldbeat::bus::ethercat::Family;
 
 use super::dissector::{ABORT, Address, FRMW, LRW, Message, dissect, exchanges};
-use super::{WIRE, cable, capture, segment, serve};
-use crate::support::{Cable, Ended, Machine, Program, checkout};
+use super::{WIRE, cable, capture, said, segment, serve};
+use crate::support::{Cable, Machine, Program, checkout};
 
 /// Builds their master, unless that was done already.
-fn build() -> std::path::PathBuf {
+pub fn build() -> std::path::PathBuf {
     let target = checkout("target/peers/ethercrab");
     let mut cargo = Command::new(std::env::var("CARGO").unwrap_or_else(|_| "cargo".into()));
     cargo.args(["build", "--quiet", "--release", "--locked", "--manifest-path"]);
@@ -21,16 +20,6 @@ fn build() -> std::path::PathBuf {
     target.join("release/ethercrab-peer")
 }
 
-/// What it said, by the first word of each line.
-fn said(ended: &Ended) -> BTreeMap<&str, Vec<&str>> {
-    let mut said = BTreeMap::<_, Vec<_>>::new();
-    for line in ended.out.lines() {
-        let (what, rest) = line.split_once(' ').unwrap();
-        said.entry(what).or_default().push(rest);
-    }
-    said
-}
-
 fn turns_a_drive(test: u8, short_clocks: bool) {
     let (machine, cable) = (Machine::new(test), cable(test));
     let peer = build();
@@ -38,7 +27,7 @@ fn turns_a_drive(test: u8, short_clocks: bool) {
     let mut ended = None;
     let file = capture(&cable, &machine, || {
         let mut command = Cable::command(&cable.master, peer.to_str().unwrap());
-        ended = Some(Program::spawn(command.args([WIRE, "2"])).end());
+        ended = Some(Program::spawn(command.args([WIRE, "2", "turn"])).end());
     });
     let ended = ended.unwrap();
     ended.expect(0);
@@ -84,7 +73,7 @@ fn judge(file: &Path) {
     let vendor = Some((0x1018, 1));
     let reported = messages.iter().filter(|message| (message.service, message.object) == (3, vendor));
     assert_eq!(reported.map(|message| message.data).collect::<Vec<_>>(), [Some(0x6A); 2]);
-    let aborts = messages.iter().filter(|message| (message.service, message.command) == (3, ABORT));
+    let aborts = messages.iter().filter(|message| (message.service, message.command) == (2, ABORT));
     assert_eq!(aborts.count(), 2);
     // What the drives' fixed PDOs are made of.
     let mapped = |object, data| {

@@ -6,26 +6,34 @@
 //! | `dissector` | frames as tshark has them |
 //! | `scan` | `fieldbeat ethercat scan`, captured |
 //! | `master` | the crate ethercrab brings our drives to OP, and turns one |
+//! | `soem` | the master SOEM does so, by the Python package pysoem; `soem.py` is its program |
+//! | `left` | our master on a segment that one of those was killed on |
 //! | `own` | our master does so, captured from its first frame to its last |
 
 mod dissector;
+mod left;
 mod master;
 mod own;
 mod scan;
+mod soem;
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, SlavePlan};
+use fieldbeat::bus::ethercat::{
+    Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, SlavePlan, Watchdog,
+};
 use fieldbeat::internals::net::{Carriers, Frames, Os};
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, SegmentSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::time::MS;
 use nix::sched::{CloneFlags, setns};
 
 use crate::capture::Capture;
-use crate::support::{Cable, Machine, command};
+use crate::support::{Cable, Ended, Machine, command};
 
 /// The interface at both ends of a [`Cable`].
 const WIRE: &str = "wire";
@@ -35,14 +43,18 @@ const MARKER: u16 = 0x88B5;
 
 /// A coupler with a byte of outputs and one of inputs, and so many drives behind it.
 fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
-    let drive = |place: u16| KollmorgenDrive::new(format!("d{place}"), place, family);
+    let drive = |place: u16| {
+        let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
+        drive.slave.watchdog = Watchdog::After(100 * MS);
+        drive
+    };
     let simulated =
         |place: u16| DriveSettings { serial: 100 + u32::from(place), ..DriveSettings::new(family) };
     let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(drive).collect());
     let slave = SlavePlan {
         identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), revision: None },
-        outputs: Area { start: 0x1000, length: 1 },
-        inputs: Area { start: 0x1100, length: 1 },
+        outputs: vec![Area { start: 0x1000, length: 1 }],
+        inputs: vec![Area { start: 0x1100, length: 1 }],
         ..SlavePlan::new(0)
     };
     plan.devices.push(Device { name: "io".into(), slave });
@@ -105,4 +117,14 @@ fn at_master<T: Send>(cable: &Cable, open: impl FnOnce() -> T + Send) -> T {
         });
         inside.join().unwrap()
     })
+}
+
+/// What another master has reported, by the first word of each line.
+fn said(ended: &Ended) -> BTreeMap<&str, Vec<&str>> {
+    let mut said = BTreeMap::<_, Vec<_>>::new();
+    for line in ended.out.lines() {
+        let (what, rest) = line.split_once(' ').unwrap();
+        said.entry(what).or_default().push(rest);
+    }
+    said
 }

@@ -18,7 +18,7 @@ use super::{LINE, Machine, drive};
 
 /// Four bytes of outputs that are its inputs, too.
 fn io(place: u16) -> Device {
-    let area = |start| Area { start, length: 4 };
+    let area = |start| vec![Area { start, length: 4 }];
     let slave = SlavePlan { outputs: area(0x1000), inputs: area(0x1100), ..SlavePlan::new(place) };
     Device { name: "io".into(), slave }
 }
@@ -90,7 +90,7 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     whole.drives[1].interrupts_to_sync = 1;
     let world = EthercatSim::new(&whole);
     // 1 ms.
-    let start = |sub, kind, raw| Start { object: Object::new(0x60C2, sub), kind, raw };
+    let start = |sub, kind, raw| Start::new(Object::new(0x60C2, sub), kind, raw);
     let start_up = vec![start(1, Type::U8, 1), start(2, Type::I8, 0xFD)];
     let slave = SlavePlan { start_up, ..akd.slave.clone() };
     plan.devices = vec![Device { name: "io".into(), slave }];
@@ -123,6 +123,20 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
         answer(&mut machine, ticket)
     };
     assert!(matches!(ask(Target::parse("0x2FFF:7.u16").unwrap().read()), Err(CallError::Refused(_))));
+    // Of forty that nobody takes the application gets as many as there is room for; the others count. Each fault comes,
+    // and goes by the control word.
+    for _ in 0..20 {
+        machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE));
+        for control in [0, 0x80] {
+            machine.run(60);
+            io.write(&[0, 0, 0, 0, control, 0]).unwrap();
+        }
+        machine.run(60);
+        io.write(&[0; 6]).unwrap();
+    }
+    let received = std::iter::from_fn(|| io.emergency()).count() as u64;
+    let lost = machine.sim.finish().devices[0].emergencies_lost;
+    assert!(received >= 16 && lost >= 10 && received + lost <= 40, "{received} {lost}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Native, Object, SlavePlan,
-    Terminals, Type,
+    Terminals, Type, Watchdog,
 };
 use fieldbeat::internals::bus::ethercat::counters::Own;
 use fieldbeat::internals::bus::ethercat::faults::Fault;
@@ -284,7 +284,7 @@ fn drives_found_running_without_a_watchdog_are_stopped_along_a_ramp_or_left_alon
     let mut drives =
         vec![drive(0, Family::S700), with(1, Family::S700, 0x1701, 0x1B03), drive(2, Family::S700)];
     for drive in &mut drives {
-        drive.slave.watchdog_ns = None;
+        drive.slave.watchdog = Watchdog::Off;
         drive.accept_no_watchdog = true;
         (drive.axis.stop.deceleration, drive.axis.profile.velocity) = (2.0, 2.0);
     }
@@ -363,7 +363,8 @@ fn native_process_data_are_the_applications() {
 #[test]
 fn terminals_between_drives_exchange_in_the_same_cycle() {
     let area = |start, length| Area { start, length };
-    let slave = SlavePlan { outputs: area(0x1000, 4), inputs: area(0x1100, 4), ..SlavePlan::new(1) };
+    let slave =
+        SlavePlan { outputs: vec![area(0x1000, 4)], inputs: vec![area(0x1100, 4)], ..SlavePlan::new(1) };
     let terminals = fieldbeat::internals::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
     let coupler = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
     let io = Device { name: "io".into(), slave };
@@ -479,7 +480,7 @@ fn objects_are_shown_beside_the_process_data() {
 fn without_its_master_each_drive_stops_within_its_watchdog() {
     let mut drives = vec![drive(0, Family::S700), with(1, Family::S700, 0x1701, 0x1B03), torque(2)];
     drives.push(drive(3, Family::Akd));
-    drives[3].slave.watchdog_ns = Some(20 * MS);
+    drives[3].slave.watchdog = Watchdog::After(20 * MS);
     let mut machine = Machine::enabled(line(drives));
     for index in [0, 1, 3] {
         machine.post(index, jog(2.0));

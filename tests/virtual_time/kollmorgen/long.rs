@@ -1,8 +1,10 @@
 //! Long lines: all slaves come up by the one slot of the first frame, a step of one of them at a time.
 
 use fieldbeat::axis::{Command, Link};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, SlavePlan};
 use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
+use fieldbeat::sim::ethercat::{EthercatSegment, MailboxSettings, Model, SiiSettings, SlaveSettings};
+use fieldbeat::time::MS;
 
 use super::{LINE, Machine, jog, plan, with};
 
@@ -48,4 +50,48 @@ fn a_line_whose_process_data_take_more_than_one_frame_comes_up_whole() {
     machine.post(39, jog(3.0));
     machine.run(300);
     machine.assert_turns(39, 3.0);
+}
+
+/// 8 drives among 56 terminals, with EEPROMs, mailboxes and clocks as slow as real ones.
+#[test]
+fn a_segment_of_64_slaves_as_slow_as_real_ones_is_up_within_10_seconds() {
+    let mut plan = plan(64);
+    plan.drives.retain(|drive| drive.slave.place % 8 == 1);
+    // A coupler, then outputs and inputs in turns.
+    let model = |place: u16| match place {
+        0 => Model::Ek1100,
+        place if place % 2 == 0 => Model::El2008,
+        _ => Model::El1008,
+    };
+    for place in (0..64).filter(|place| place % 8 != 1) {
+        let area = |start| vec![Area { start, length: 1 }];
+        let (outputs, inputs) = match model(place) {
+            Model::El2008 => (area(0x0F00), Vec::new()),
+            Model::El1008 => (Vec::new(), area(0x1000)),
+            _ => (Vec::new(), Vec::new()),
+        };
+        let slave = SlavePlan { outputs, inputs, ..SlavePlan::new(place) };
+        plan.devices.push(Device { name: format!("io{place}"), slave });
+    }
+    let frames = plan.describe(MS);
+    let is_one =
+        |line: &String| line.trim().starts_with("one frame every 1 ms carries the process data of 64 slaves");
+    assert!(frames.iter().any(is_one), "{frames:?}");
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.settling = 1_024;
+    segment.settings.drift_ppm = (0..64).map(|place| f64::from(place * 37 % 101) - 50.0).collect();
+    for place in 0..64 {
+        let sii = SiiSettings { busy_ns: 2 * MS, loading_ns: 100 * MS, ..SiiSettings::default() };
+        let mailbox = MailboxSettings { delay_ns: 20 * MS, ..MailboxSettings::default() };
+        let model = (place % 8 != 1).then(|| model(place));
+        let slave = SlaveSettings { model, sii, mailbox, ..SlaveSettings::default() };
+        segment.settings.slaves.insert(place, slave);
+    }
+    let mut machine = Machine::new(segment);
+    let all = |machine: &Machine| {
+        machine.look(|line| (0..64).all(|place| line.slave(place).unwrap().state() == AlState::Op))
+    };
+    machine.until("all up", 8_000, all);
+    let online = |machine: &Machine| (0..8).all(|n| machine.feedback(n).link == Link::Online);
+    machine.until("online", 1_000, online);
 }

@@ -6,24 +6,35 @@
 //! | `mod` | the machine: a line and its master |
 //! | `drives` | what drives do: motion, homing, faults, power, the end |
 //! | `devices` | slaves that are no drives; who is refused, and what is told of it |
+//! | `left` | segments that another master left behind |
 //! | `long` | lines of many drives |
+//! | `shifted` | drives that change their places while the master runs |
+//! | `clocks` | clocks under a busy host, and of several kinds |
 //! | `slaves` | slaves that are not like the usual ones |
+//! | `strict` | slaves that another hand describes |
+//! | `terminals` | terminals: where their process data are |
 
+mod clocks;
 mod devices;
 pub mod drives;
+mod left;
 mod long;
+mod shifted;
 mod slaves;
+mod strict;
+mod terminals;
 
 use std::time::Duration;
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
 use fieldbeat::internals::bus::ethercat::object::pdo;
 use fieldbeat::internals::sim::ethercat::Drive;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimPlan, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
+use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 
 /// The interface of the line.
@@ -35,6 +46,7 @@ const UP: u64 = 8_000;
 /// A drive as most tests want it, in revolutions: 10 rev/s, and jogs without a button to hold.
 pub fn drive(place: u16, family: Family) -> KollmorgenDrive {
     let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
+    drive.slave.watchdog = Watchdog::After(100 * MS);
     let axis = &mut drive.axis;
     axis.profile.velocity = 10.0;
     axis.profile.acceleration = 100.0;

@@ -14,8 +14,8 @@ use super::{CyclePlan, Machine, jog, plan};
 /// A drive, terminals of a byte either way, and another drive.
 fn with_terminals() -> EthercatSegment {
     let slave = SlavePlan {
-        outputs: Area { start: 0x1000, length: 1 },
-        inputs: Area { start: 0x1100, length: 1 },
+        outputs: vec![Area { start: 0x1000, length: 1 }],
+        inputs: vec![Area { start: 0x1100, length: 1 }],
         ..SlavePlan::new(1)
     };
     let device = Device { name: "io".into(), slave };

@@ -1,6 +1,8 @@
 //! The drives and devices behind the slaves of a segment: the stations of drives, and the ports of devices.
 
 use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::axis::acyclic::AcyclicEnds;
 use crate::axis::cell::Writer;
@@ -42,6 +44,8 @@ pub(super) struct DeviceEnd {
     pub(super) port: TerminalPort,
     pub(super) offsets: Offsets,
     pub(super) operational: bool,
+    /// Its emergencies for which there was no room, for normal threads.
+    pub(super) emergencies_lost: Arc<AtomicU64>,
     /// The application's ends, until they are fetched.
     pub(super) terminals: Option<Terminals>,
     pub(super) acyclic: Option<(AcyclicEnds, Observer)>,
@@ -141,7 +145,12 @@ impl Handler for Endpoints<'_> {
                 station.mailbox_received(slot);
             }
             Some(End::Device(device)) => {
-                device.service.receive(now, answers, &mut Counters::default());
+                let mut counters = Counters::default();
+                device.service.receive(now, answers, &mut counters);
+                let lost = counters.own[Own::EmergenciesLost as usize];
+                if lost > 0 {
+                    device.emergencies_lost.fetch_add(lost, Ordering::Relaxed);
+                }
                 device.mailbox_received();
             }
             None => {}

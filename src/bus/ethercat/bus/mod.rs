@@ -133,7 +133,7 @@ impl EthercatBus {
             })
             .collect();
         let devices = plan.devices.iter().enumerate().map(|(index, Device { slave, .. })| {
-            let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
+            let (application, port) = terminals(slave.output_bytes(), slave.input_bytes());
             let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
             DeviceEnd {
@@ -142,10 +142,16 @@ impl EthercatBus {
                 port,
                 offsets: offsets_of(Owner::Device(index)).1,
                 operational: false,
+                emergencies_lost: Arc::default(),
                 terminals: Some(application),
                 acyclic: Some((ends, Observer(reader))),
             }
         });
+        let devices = devices.collect();
+        let mut segment = Segment::new(&plan, offsets, period_ns);
+        if let Some(today_ns) = net.today_ns() {
+            segment.clock.begin(today_ns);
+        }
         Ok(EthercatBus {
             name: plan.name.clone(),
             net,
@@ -154,9 +160,9 @@ impl EthercatBus {
             image,
             drives,
             outgoing: outgoing.into(),
-            devices: devices.collect(),
+            devices,
             ends,
-            segment: Segment::new(&plan, offsets, period_ns),
+            segment,
             mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
             known: Box::new([Known::default(); KNOWN]),
             room: Box::new([0; FRAME_MAX]),
@@ -196,6 +202,7 @@ impl Bus for EthercatBus {
             device.port.memory(regions);
             device.reached.memory(regions);
             device.service.memory(regions);
+            regions.add(&*device.emergencies_lost);
         }
     }
 
@@ -277,6 +284,7 @@ impl Bus for EthercatBus {
             notes: self.segment.notes.clone(),
             drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
             devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
+            emergencies_lost: self.devices.iter().map(|device| device.emergencies_lost.clone()).collect(),
             dropped: self.net.dropped(),
             wire: self.wire.clone(),
             interface: self.interface.clone(),

@@ -1,7 +1,7 @@
 //! Why slaves are not in operation, for normal threads.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 use crate::bus::Notes;
 use crate::bus::ethercat::segment::note::Notes as SegmentNotes;
@@ -22,6 +22,8 @@ pub(super) struct SlaveNotes {
     pub(super) drives: Vec<(usize, u16)>,
     /// The same of each device.
     pub(super) devices: Vec<(usize, u16)>,
+    /// The emergencies of each device that were lost.
+    pub(super) emergencies_lost: Vec<Arc<AtomicU64>>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
     pub(super) wire: Arc<AtomicU8>,
     pub(super) interface: String,
@@ -34,6 +36,10 @@ impl Notes for SlaveNotes {
 
     fn device(&self, index: usize) -> Option<String> {
         self.note(*self.devices.get(index)?)
+    }
+
+    fn emergencies_lost(&self, index: usize) -> u64 {
+        self.emergencies_lost.get(index).map_or(0, |lost| lost.load(Ordering::Relaxed))
     }
 
     fn dropped(&self) -> u64 {

@@ -72,7 +72,7 @@ impl BusPlan for EthercatPlan {
     }
 
     fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
-        self.drives.get(index)?.slave.watchdog_ns
+        self.drives.get(index)?.slave.watchdog.ns()
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

@@ -3,32 +3,41 @@
 mod device;
 mod values;
 
+use std::ops::RangeInclusive;
+
 use device::device;
 use values::{identity, layout, mailbox, shown, start, start_up};
 
 use super::PROTOCOL;
 use super::cia402::Mode;
 use super::object::Family;
-use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlavePlan};
+use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlavePlan, Watchdog};
 use crate::axis::Unit;
 use crate::bus::BusPlan;
-use crate::keys::bus::drive_tables;
+use crate::keys::bus::{drive_tables, drive_tables_if_any};
 use crate::keys::drive::{Counts, axis};
 use crate::keys::machine::Machine;
 use crate::keys::table::{POSITIVE, Table, integer, time};
-use crate::time::{S, US};
+use crate::time::{MS, S, US};
 
 /// The last place of a slave.
 const LAST_PLACE: u16 = 255;
 /// The longest that register 0420h counts, ns.
 const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * 100 * US;
 
+/// What a slave may take to answer an SDO, ns.
+const SDO_TIMEOUTS: RangeInclusive<u64> = 10 * MS..=60 * S;
+/// The range of `state_timeout`.
+const STATE_TIMEOUTS: RangeInclusive<u64> = 100 * MS..=60 * S;
+
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let interface = interface(table, machine).unwrap_or_default();
     let is_known = !interface.is_empty();
-    let (mut drives, mut devices) = (drive_tables(table, &["name", "position"]), table.tables("device"));
+    // Terminals alone are a segment, too.
+    let of_drives = if table.gives("device") { drive_tables_if_any } else { drive_tables };
+    let (mut drives, mut devices) = (of_drives(table, &["name", "position"]), table.tables("device"));
     let mut plan = EthercatPlan {
         name,
         ahead_of_sync_ns: table.time(
@@ -120,13 +129,18 @@ pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
     slave.mailbox = mailbox(table, slave.mailbox);
     slave.sync = table.flag("sync").unwrap_or(slave.sync);
     slave.check_sii = table.flag("check_sii").unwrap_or(slave.check_sii);
+    let hint = "the time that the slave may take to answer an SDO, from its description (ESI)";
+    slave.sdo_timeout_ns = table.time("sdo_timeout", SDO_TIMEOUTS, hint).unwrap_or(slave.sdo_timeout_ns);
+    let hint = "the time that the slave may take to enter a state, from its description (ESI)";
+    slave.state_timeout_ns =
+        table.time("state_timeout", STATE_TIMEOUTS, hint).unwrap_or(slave.state_timeout_ns);
     slave.start_up = table.read("start_up", start_up).unwrap_or_default();
     let hint = "the slave stops by itself after this time without outputs; or \"off\"";
     let watchdog = table.read("watchdog", |value| match value.as_str() {
-        Some("off") => Ok(None),
-        _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Some),
+        Some("off") => Ok(Watchdog::Off),
+        _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Watchdog::After),
     });
-    slave.watchdog_ns = watchdog.unwrap_or(slave.watchdog_ns);
+    slave.watchdog = watchdog.unwrap_or_default();
 }
 
 fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
@@ -146,7 +160,10 @@ fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
     table.table("buffers", |table| {
         let slave = &mut drive.slave;
         for (key, area) in [("outputs", &mut slave.outputs), ("inputs", &mut slave.inputs)] {
-            area.start = start(table, key).unwrap_or(area.start);
+            let start = start(table, key);
+            if let Some((area, start)) = area.first_mut().zip(start) {
+                area.start = start;
+            }
         }
     });
 }

@@ -4,7 +4,7 @@ use toml::de::DeValue;
 
 use crate::axis::acyclic::Notation;
 use crate::bus::ethercat::object::pdo::{self, Entry, Layout};
-use crate::bus::ethercat::object::{Family, Object, Objects, Target, Type, catalogue};
+use crate::bus::ethercat::object::{Family, Object, Objects, Target, Type, catalogue, string};
 use crate::bus::ethercat::{Area, Expected, Start};
 use crate::keys::table::{Table, integer};
 use crate::keys::value::closest;
@@ -171,7 +171,10 @@ pub(super) fn start_up(value: &DeValue<'_>) -> Result<Vec<Start>, String> {
         };
         let address = format!("{target}.{}", kind.name());
         let raw = Objects.value(&address, &text).map_err(|error| format!("{target}: {error}"))?;
-        Ok(Start { object: target, kind, raw })
+        Ok(match string(kind, &text).filter(|_| kind.is_string()) {
+            Some(bytes) => Start::string(target, kind, bytes),
+            None => Start::new(target, kind, raw),
+        })
     };
     array.iter().map(|value| one(value.get_ref())).collect()
 }

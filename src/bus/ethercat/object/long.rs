@@ -2,11 +2,11 @@
 
 use std::time::Duration;
 
-use super::{PART, READ, SIZE, Target};
+use super::{LOAD, PART, READ, SIZE, STORE, Target};
 use crate::axis::acyclic::{Answer, Call, CallError, Carrier};
 
-/// The most bytes of an object that are read.
-pub const MOST: usize = 64;
+/// The most bytes of an object that are read or written.
+pub const MOST: usize = 128;
 /// Bytes per call.
 const STEP: usize = 8;
 
@@ -33,6 +33,14 @@ pub fn read(carrier: &dyn Carrier, target: Target, limit: Duration) -> Result<Ve
     Ok(all.take(size).collect())
 }
 
+/// The calls that write these bytes, at most [`MOST`]: they are handed over in pieces, and written by the last call.
+pub fn write(target: Target, bytes: &[u8]) -> Vec<Call> {
+    let address = target.pack();
+    let pieces = bytes.chunks(STEP).map(|piece| (LOAD, raw(piece)));
+    let all = pieces.chain([(STORE, bytes.len() as u64)]);
+    all.map(|(service, value)| Call { service, address, value }).collect()
+}
+
 /// The first eight bytes as the raw value of a call, the first one the lowest.
 pub fn raw(bytes: &[u8]) -> u64 {
     bytes.iter().take(STEP).rev().fold(0, |raw, byte| raw << 8 | u64::from(*byte))
@@ -42,6 +50,14 @@ pub fn raw(bytes: &[u8]) -> u64 {
 pub fn text(bytes: &[u8]) -> String {
     let shown = bytes.iter().take_while(|byte| **byte != 0);
     shown.flat_map(|byte| byte.escape_ascii()).map(char::from).collect()
+}
+
+/// Bytes from two digits each, with blanks between them or without; `None`: these are none.
+pub fn parse_octets(text: &str) -> Option<Vec<u8>> {
+    let digits: Vec<u8> =
+        text.chars().filter(|c| *c != ' ').map(|c| c.to_digit(16).map(|d| d as u8)).collect::<Option<_>>()?;
+    let (pairs, rest) = digits.as_chunks::<2>();
+    rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
 }
 
 /// Bytes as two digits each.
@@ -59,6 +75,8 @@ mod tests {
         assert_eq!(text(b"S700\x07 x\0old"), "S700\\x07 x");
         assert_eq!(octets(&[1, 0, 4, 0x17]), "01 00 04 17");
         assert_eq!((octets(&[]), text(&[])), (String::new(), String::new()));
+        assert_eq!(parse_octets("01 A0fF"), Some(vec![1, 0xA0, 0xFF]));
+        assert_eq!((parse_octets("01 A"), parse_octets("0g")), (None, None));
         assert_eq!((raw(&[0x37, 6]), raw(&[0xFF; 9])), (0x637, u64::MAX));
     }
 }

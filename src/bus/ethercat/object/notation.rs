@@ -1,6 +1,7 @@
 //! How people write objects and their values, the calls made from them, and their lists.
 
 use super::catalogue::{self, Drives, Known};
+use super::long::MOST;
 use super::{MAILBOX, Object, Target, Type, long, own_reason};
 use crate::axis::acyclic::{
     Access, Call, CallError, Carrier, ListError, Listed, Listing, Notation, NotationError, ParameterError,
@@ -11,7 +12,7 @@ use crate::bus::ethercat::wire::sdo::AbortCode;
 
 const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a \
     type (i8, u8, i16, \
-     u16, i32, u32, text)";
+     u16, i32, u32, text, octets)";
 
 /// Addresses and values of drives with objects.
 #[derive(Clone, Copy, Debug, Default)]
@@ -54,7 +55,7 @@ impl Notation for Objects {
         let (target, kind) = Objects::typed(address, &value.to_string())?;
         let raw = kind.raw(value as i64);
         // A number may come with its sign above its bits.
-        let is_number = kind != Type::Text && kind.is_signed() && kind.number(value) == value as i64;
+        let is_number = !kind.is_string() && kind.is_signed() && kind.number(value) == value as i64;
         // Or with the sign of a number of 32 bits.
         let is_word = u32::try_from(value).is_ok_and(|word| kind.number(raw) == i64::from(word as i32));
         match raw == value || is_number || is_word {
@@ -70,7 +71,12 @@ impl Notation for Objects {
         let (target, kind) = Objects::typed(address, text)?;
         let wrong = |form: String| NotationError::Value { value: text.to_owned(), form };
         if kind == Type::Text {
-            return characters(text).ok_or_else(|| wrong("one to eight characters of ASCII".to_owned()));
+            let form = format!("1 to {MOST} characters of ASCII");
+            return string(kind, text).map(|bytes| long::raw(&bytes)).ok_or_else(|| wrong(form));
+        }
+        if kind == Type::Octets {
+            let form = format!("1 to {MOST} bytes of two digits each, like \"01 A0\"");
+            return string(kind, text).map(|bytes| long::raw(&bytes)).ok_or_else(|| wrong(form));
         }
         let (low, high) = match target.object.known() {
             Some(known) if known.kind == kind => (known.min, known.max),
@@ -102,8 +108,10 @@ impl Notation for Objects {
         let Some((target, kind)) = target.and_then(|target| Some((target, target.kind?))) else {
             return format!("{raw} (0x{raw:X})");
         };
-        if kind == Type::Text {
-            return long::text(&raw.to_le_bytes());
+        match kind {
+            Type::Text => return long::text(&raw.to_le_bytes()),
+            Type::Octets => return long::octets(&raw.to_le_bytes()),
+            _ => {}
         }
         let raw = kind.raw(raw as i64);
         let plain = format!("{} (0x{raw:X})", kind.number(raw));
@@ -123,13 +131,20 @@ impl Notation for Objects {
     }
 
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
-        let is_long = |target: &Target| target.complete || target.kind == Some(Type::Text);
+        let is_long = |target: &Target| target.complete || target.kind.is_some_and(Type::is_string);
         let target = Target::parse(address).filter(is_long)?;
         let read = long::read(carrier, target, self.limit(&target.read()));
         Some(read.map(|bytes| {
-            let text = if target.complete { long::octets(&bytes) } else { long::text(&bytes) };
+            let text =
+                if target.kind == Some(Type::Text) { long::text(&bytes) } else { long::octets(&bytes) };
             (long::raw(&bytes), text)
         }))
+    }
+
+    fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
+        let target = Target::parse(address)?;
+        let bytes = string(target.kind.filter(|kind| kind.is_string())?, text)?;
+        Some(long::write(target, &bytes))
     }
 
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
@@ -156,11 +171,14 @@ fn bits(digits: &str) -> Option<u64> {
     u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
 }
 
-/// Printable characters as raw bits.
-fn characters(text: &str) -> Option<u64> {
-    let is_text = (1..=Type::Text.bytes()).contains(&text.len())
-        && text.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
-    is_text.then(|| text.bytes().rev().fold(0_u64, |raw, byte| raw << 8 | u64::from(byte)))
+/// The bytes of a string: printable characters, or octets; `None`: it is none, or too long.
+pub(in crate::bus::ethercat) fn string(kind: Type, text: &str) -> Option<Vec<u8>> {
+    let bytes = match kind {
+        Type::Octets => long::parse_octets(text)?,
+        _ => text.as_bytes().to_vec(),
+    };
+    let is_fine = |byte: &u8| kind == Type::Octets || byte.is_ascii_graphic() || *byte == b' ';
+    ((1..=MOST).contains(&bytes.len()) && bytes.iter().all(is_fine)).then_some(bytes)
 }
 
 /// Those that the drive has, with their values.

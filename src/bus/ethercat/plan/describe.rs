@@ -1,6 +1,8 @@
 //! The line in words: what `check` says of it.
 
-use super::{Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Setpoint, SlavePlan, frame};
+use super::{
+    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Setpoint, SlavePlan, Watchdog, frame,
+};
 use crate::axis::{HeldBy, Load};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
@@ -167,23 +169,28 @@ impl KollmorgenDrive {
             Load::Vertical(HeldBy::Drive) => "; without power nothing holds the load",
             Load::Level => "",
         };
-        let end = match (self.slave.watchdog_ns, self.setpoint(), self.accept_no_watchdog) {
-            (Some(ns), ..) => format!(
-                "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches its power off",
-                Ns(ns)
-            ),
-            (None, Some(Setpoint::Position(_)), _) => {
-                "its watchdog is off, so it holds its last position setpoint under power".into()
+        let what = match self.slave.ending() {
+            Ending::After(ns) => {
+                return format!(
+                    "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches its \
+                     power off{held}",
+                    Ns(ns)
+                );
             }
-            (None, _, true) => {
-                "its watchdog is off, so it keeps its last setpoint (no_drive_watchdog = \"accept\")".into()
-            }
-            (None, _, false) => {
-                "its watchdog is off, so velocities and torques are refused (no_drive_watchdog = \"refuse\")"
-                    .into()
+            Ending::Sii => "its watchdog is as its SII has it (of an AKD none)",
+            Ending::None => "its watchdog is off",
+        };
+        let end = match (self.setpoint(), self.accept_no_watchdog) {
+            (Some(Setpoint::Position(_)), _) => "holds its last position setpoint under power",
+            (_, true) => "keeps its last setpoint (no_drive_watchdog = \"accept\")",
+            (_, false) => {
+                return format!(
+                    "{what}, so velocities and torques are refused (no_drive_watchdog = \"refuse\"){held}"
+                );
             }
         };
-        end + held
+        let may = if self.slave.ending() == Ending::Sii { "without one it" } else { "so it" };
+        format!("{what}, {may} {end}{held}")
     }
 }
 
@@ -222,7 +229,26 @@ impl Expected {
     }
 }
 
+/// What ends the outputs of a slave when no frame comes any more.
+#[derive(Clone, Copy, PartialEq)]
+enum Ending {
+    /// Its watchdog with this time, ns.
+    After(u64),
+    /// What its SII says.
+    Sii,
+    /// No watchdog.
+    None,
+}
+
 impl SlavePlan {
+    fn ending(&self) -> Ending {
+        match self.watchdog {
+            Watchdog::After(ns) => Ending::After(ns),
+            Watchdog::AsDelivered if self.check_sii => Ending::Sii,
+            Watchdog::AsDelivered | Watchdog::Off => Ending::None,
+        }
+    }
+
     /// That nobody looks whether its memory is where the plan has it.
     fn unchecked(&self) -> &'static str {
         if self.check_sii {
@@ -235,21 +261,34 @@ impl SlavePlan {
 
 impl Device {
     fn describe(&self) -> String {
-        let SlavePlan { identity, outputs, inputs, watchdog_ns, .. } = &self.slave;
-        let end = match watchdog_ns {
-            Some(ns) if outputs.length > 0 => {
-                format!("; its outputs go off within {} without a frame", Ns(*ns))
-            }
-            None if outputs.length > 0 => "; only the device itself ends its outputs".into(),
-            _ => String::new(),
+        let SlavePlan { identity, outputs, .. } = &self.slave;
+        let end = match self.slave.ending() {
+            _ if outputs.is_empty() => String::new(),
+            Ending::After(ns) => format!("; its outputs go off within {} without a frame", Ns(ns)),
+            Ending::Sii => "; its watchdog is as its SII has it (of most digital terminals 100 ms)".into(),
+            Ending::None => "; its watchdog is off, so only the device itself ends its outputs".into(),
         };
-        let bytes = if outputs.length == 1 { "byte" } else { "bytes" };
+        let bytes = if self.slave.output_bytes() == 1 { "byte" } else { "bytes" };
         let unchecked = self.slave.unchecked();
         format!(
-            "{}{unchecked}; {} {bytes} out, {} in{end}",
+            "{}{unchecked}; {} {bytes} out{}, {} in{}{end}",
             identity.describe(),
-            outputs.length,
-            inputs.length
+            self.slave.output_bytes(),
+            places(outputs),
+            self.slave.input_bytes(),
+            places(&self.slave.inputs),
         )
+    }
+}
+
+/// Where process data are.
+fn places(areas: &[Area]) -> String {
+    let place = |area: &Area| match areas {
+        [_] => format!("{:#06X}", area.start),
+        _ => format!("{} at {:#06X}", area.length, area.start),
+    };
+    match areas {
+        [] => String::new(),
+        areas => format!(" ({})", areas.iter().map(place).collect::<Vec<_>>().join(", ")),
     }
 }

@@ -3,10 +3,12 @@
 use std::ops::Range;
 
 use super::{
-    Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Owner, Setpoint, SlavePlan, frame, is_interface,
+    Area, Device, EthercatPlan, KollmorgenDrive, MOST_AREAS, Mapping, Owner, Setpoint, SlavePlan, Start,
+    frame, is_interface,
 };
 use crate::axis::is_plain_name;
 use crate::axis::{HeldBy, Load, PlanFault};
+use crate::bus::ethercat::TERMINAL_MAX;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::pdo::Layout;
@@ -23,9 +25,13 @@ const CONTROLLER_PERIODS: u64 = 127;
 const WATCHDOG_STEP_NS: u64 = 100 * US;
 /// ... in 16 bits (register 0420h).
 const WATCHDOG_STEPS: u64 = u16::MAX as u64;
-/// Where a slave's memory begins; below are its registers (ETG.1000.4).
-const MEMORY: u16 = 0x1000;
-/// Process data have so many buffers in a row: one is written, one is read, one is the newest (ETG.1000.4).
+/// Below it are registers of the controller; digital outputs stand at 0F00h, general purpose ones at 0F10h (Beckhoff
+/// ESC datasheet, section II).
+const REGISTERS: u32 = 0x0F00;
+/// Where a slave's memory begins (ETG.1000.4).
+const MEMORY: u32 = 0x1000;
+/// Process data in the memory have so many buffers in a row: one is written, one is read, one is the newest
+/// (ETG.1000.4).
 const BUFFERS: u32 = 3;
 /// The bytes of an SDO with its header: what a drive's mailbox has room for at least.
 const SDO: u16 = 16;
@@ -157,7 +163,7 @@ impl SlavePlan {
     /// What is wrong with its memory and its watchdog.
     fn findings(&self, period_ns: u64, keys: Keys) -> Vec<PlanFault> {
         let mut faults = self.memory_faults(keys);
-        let Some(watchdog_ns) = self.watchdog_ns else { return faults };
+        let Some(watchdog_ns) = self.watchdog.ns() else { return faults };
         let mut wrong = |message| faults.push(PlanFault::new("watchdog", message));
         if !watchdog_ns.is_multiple_of(WATCHDOG_STEP_NS)
             || !(1..=WATCHDOG_STEPS).contains(&(watchdog_ns / WATCHDOG_STEP_NS))
@@ -180,14 +186,34 @@ impl SlavePlan {
 
     fn memory_faults(&self, keys: Keys) -> Vec<PlanFault> {
         let mut faults = Vec::new();
+        for (key, name, areas) in [(keys[0], "outputs", &self.outputs), (keys[1], "inputs", &self.inputs)] {
+            let bytes: usize = areas.iter().map(|area| usize::from(area.length)).sum();
+            let why = match () {
+                () if areas.len() > MOST_AREAS => {
+                    format!("has {} areas of {name}; a slave has at most {MOST_AREAS} here", areas.len())
+                }
+                () if bytes > TERMINAL_MAX => {
+                    format!("has {bytes} bytes of {name} in all; a slave has at most {TERMINAL_MAX} here")
+                }
+                () if areas.iter().any(|area| area.length == 0) => {
+                    format!("has {name} without a byte; leave them out")
+                }
+                () => continue,
+            };
+            faults.push(PlanFault::new(key, why));
+        }
         let areas = self.areas(keys);
         for (index, (key, name, bytes)) in areas.iter().enumerate() {
-            if bytes.start < u32::from(MEMORY) || bytes.end > 1 << 16 {
-                let why = format!(
-                    "its {name} at {:#06X} ... {:#06X} are outside its memory, 0x1000 ... 0xFFFF",
-                    bytes.start,
-                    bytes.end - 1
-                );
+            let wrong = match () {
+                () if bytes.start < REGISTERS => Some("would overwrite its registers, 0x0000 ... 0x0EFF"),
+                () if *key == "mailbox" && bytes.start < MEMORY => {
+                    Some("would not be in its memory, which begins at 0x1000")
+                }
+                () if bytes.end > 1 << 16 => Some("go beyond its memory, which ends at 0xFFFF"),
+                () => None,
+            };
+            if let Some(wrong) = wrong {
+                let why = format!("its {name} at {:#06X} ... {:#06X} {wrong}", bytes.start, bytes.end - 1);
                 faults.push(PlanFault::new(key, why));
             }
             for (.., other, taken) in &areas[..index] {
@@ -204,8 +230,8 @@ impl SlavePlan {
         let what = |name: &str, bytes: &Range<u32>| {
             format!("{name} at {:#06X} ... {:#06X}", bytes.start, bytes.end - 1)
         };
-        let remedy = match (self.outputs, self.inputs) {
-            (Area { start: out, length }, Area { start, length: 1.. })
+        let remedy = match (self.outputs.as_slice(), self.inputs.as_slice()) {
+            ([Area { start: out, length }], [Area { start, .. }])
                 if name == "inputs" && other == "outputs" && out < start =>
             {
                 let most = u32::from(start - out) / BUFFERS;
@@ -222,18 +248,18 @@ impl SlavePlan {
     /// What it has in its memory: the key, the name, where. Nothing where there is none.
     fn areas(&self, [outputs, inputs]: Keys) -> Vec<Named> {
         let span = |area: Area, times: u32| {
-            u32::from(area.start)..u32::from(area.start) + times * u32::from(area.length)
+            let start = u32::from(area.start);
+            let times = if start < MEMORY { 1 } else { times };
+            start..start + times * u32::from(area.length)
         };
         let [out, read] = self.mailbox.unwrap_or_default();
-        [
-            ("mailbox", "requests", span(out, 1)),
-            ("mailbox", "answers", span(read, 1)),
-            (outputs, "outputs", span(self.outputs, BUFFERS)),
-            (inputs, "inputs", span(self.inputs, BUFFERS)),
-        ]
-        .into_iter()
-        .filter(|(.., bytes)| !bytes.is_empty())
-        .collect()
+        let process = |key, name, areas: &[Area]| -> Vec<Named> {
+            areas.iter().map(|area| (key, name, span(*area, BUFFERS))).collect()
+        };
+        let mailboxes = vec![("mailbox", "requests", span(out, 1)), ("mailbox", "answers", span(read, 1))];
+        let all =
+            [mailboxes, process(outputs, "outputs", &self.outputs), process(inputs, "inputs", &self.inputs)];
+        all.into_iter().flatten().filter(|(.., bytes)| !bytes.is_empty()).collect()
     }
 }
 
@@ -254,12 +280,7 @@ impl KollmorgenDrive {
         }
         let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
-            let why = format!(
-                "{} has {} bytes, and the mailbox of this drive takes values of at most {EXPEDITED}; leave it out",
-                start.object,
-                start.bytes()
-            );
-            wrong("start_up", why);
+            wrong("start_up", too_long(start));
         }
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
             wrong(
@@ -269,7 +290,7 @@ impl KollmorgenDrive {
                     .into(),
             );
         }
-        for (object, _) in self.show.iter().flatten().filter(|(_, kind)| *kind == Type::Text) {
+        for (object, _) in self.show.iter().flatten().filter(|(_, kind)| kind.is_string()) {
             wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
         }
         faults
@@ -280,10 +301,10 @@ impl KollmorgenDrive {
         let mut faults = Vec::new();
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
         let pdos = [
-            ("pdo.outputs", &self.outputs, self.slave.outputs, CONTROL_WORD, "control word", true),
-            ("pdo.inputs", &self.inputs, self.slave.inputs, STATUS_WORD, "status word", false),
+            ("pdo.outputs", &self.outputs, self.slave.output_bytes(), CONTROL_WORD, "control word", true),
+            ("pdo.inputs", &self.inputs, self.slave.input_bytes(), STATUS_WORD, "status word", false),
         ];
-        for (key, layout, area, word, name, is_output) in pdos {
+        for (key, layout, bytes, word, name, is_output) in pdos {
             if layout.is_output() != is_output {
                 let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
                 wrong(key, format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo));
@@ -293,7 +314,7 @@ impl KollmorgenDrive {
             } else if !has(layout, word, Type::U16) {
                 wrong(key, format!("has a {name} of another type; write {word}.u16"));
             }
-            if let Some(entry) = layout.entries.iter().find(|entry| entry.kind == Type::Text) {
+            if let Some(entry) = layout.entries.iter().find(|entry| entry.kind.is_string()) {
                 wrong(key, format!("{} is a text; process data have numbers only", entry.object));
             }
             let twice = |(at, object): &(usize, Object)| layout.place(*object) != Some(*at);
@@ -306,8 +327,8 @@ impl KollmorgenDrive {
                     format!("{:04X}h is fixed, and mapping = \"free\" writes to it; use {free}", layout.pdo);
                 wrong(key, why);
             }
-            if usize::from(area.length) != layout.size() {
-                wrong(key, format!("has {} bytes, and its buffer has {}", layout.size(), area.length));
+            if bytes != layout.size() {
+                wrong(key, format!("has {} bytes, and its buffer has {bytes}", layout.size()));
             }
         }
         if self.setpoint().is_none() {
@@ -427,6 +448,20 @@ impl Device {
                 "is written through the mailbox, and the device has none; give its mailbox".into(),
             );
         }
+        let is_small = self.slave.mailbox.is_some_and(|[out, _]| out.length <= SDO);
+        let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
+        if let Some(start) = long.filter(|_| is_small) {
+            wrong("start_up", too_long(start));
+        }
         faults
     }
+}
+
+/// Why an object cannot be written through a mailbox of one SDO.
+fn too_long(start: &Start) -> String {
+    format!(
+        "{} has {} bytes, and the mailbox of this slave takes values of at most {EXPEDITED}; leave it out",
+        start.object,
+        start.bytes()
+    )
 }

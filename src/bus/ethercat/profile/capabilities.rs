@@ -12,8 +12,8 @@ const NO_POSITION: &str = "its setpoint is no position: take outputs with one (P
 const NO_VELOCITY: &str =
     "its setpoint is neither a position nor a velocity: take outputs with one (PDO 1702h)";
 const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1703h)";
-const NOT_WATCHED: &str = "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or \
-    no_drive_watchdog = \"accept\"";
+const NOT_WATCHED: &str = "its SyncManager watchdog is not set, nothing may stop it if the master dies: set watchdog, \
+    or no_drive_watchdog = \"accept\"";
 
 /// What its setpoint is, and the raw setpoint of one user unit/s, or of one per cent of the rated torque.
 pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
@@ -37,7 +37,7 @@ pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive) -> Capabil
     let is_blind = quantity == Quantity::Position && !reports_position(drive);
     // A position is held, even if the master dies.
     let unwatched =
-        quantity != Quantity::Position && !drive.accept_no_watchdog && drive.slave.watchdog_ns.is_none();
+        quantity != Quantity::Position && !drive.accept_no_watchdog && drive.slave.watchdog.ns().is_none();
     let positions = (quantity != Quantity::Position).then_some(NO_POSITION);
     let unwatched = unwatched.then_some(NOT_WATCHED);
     let speeds = matches!(quantity, Quantity::Torque | Quantity::Unknown).then_some(NO_VELOCITY);

@@ -136,7 +136,7 @@ pub(super) struct Profile {
     wanted: Desired,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
-    /// Its watchdog is to be set.
+    /// The master arms its watchdog.
     watched: bool,
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
@@ -185,7 +185,7 @@ impl Profile {
             scale,
             origin: drive.axis.units.offset,
             mode_bits: if mode == Some(Mode::INTERPOLATED) { ControlWord::START } else { 0 },
-            watched: drive.slave.watchdog_ns.is_some(),
+            watched: drive.slave.watchdog.ns().is_some(),
             found_otherwise: false,
             mode_refused: false,
             native_owner: None,

@@ -194,11 +194,7 @@ mod tests {
     fn what_else_is_mapped_is_as_planned_and_no_torque_is_taken_away() {
         let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
         let outputs = Object::new(0x60FE, 1);
-        akd.slave.start_up.push(Start {
-            object: outputs,
-            kind: crate::bus::ethercat::object::Type::U32,
-            raw: 3,
-        });
+        akd.slave.start_up.push(Start::new(outputs, crate::bus::ethercat::object::Type::U32, 3));
         let offsets = Offsets::new(&akd);
         let mut out = vec![0xEE; akd.outputs.size()];
         offsets.fill(&mut out);

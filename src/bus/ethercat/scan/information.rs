@@ -9,7 +9,7 @@ use crate::bus::ethercat::sii::{Content, Reader, Reading};
 use crate::bus::ethercat::slot::{self, Ask};
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{SyncManager, address};
-use crate::bus::ethercat::wire::sii::{self, Category, Identity, Protocols, Status, Use};
+use crate::bus::ethercat::wire::sii::{self, Category, Fault, Identity, Protocols, Status, Use};
 use crate::time::MS;
 
 /// The longest time of a command; 20 ms is usual, and this thread is a normal one.
@@ -87,7 +87,7 @@ impl Visit<'_, '_> {
         }
         let read = self.all();
         if owned {
-            self.own(&[1])?;
+            self.own(&[sii::PROCESSOR])?;
         }
         match read {
             Ok(information) => Ok(Ok(information)),
@@ -114,16 +114,16 @@ impl Visit<'_, '_> {
             let asks: Vec<_> =
                 ask.datagrams().map(|(command, data)| exchange::Ask::new(command, data)).collect();
             let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
-            let answer = answers.first().filter(|answer| answer.count > 0);
-            let answer =
-                answer.map(|answer| slot::Answer { working_counter: answer.count, data: &answer.data });
-            // A command is refused while another one is under way.
-            let reading = answer.map_or(Reading::Busy, |answer| reader.receive(&[Some(answer), None]));
-            match reading {
+            let answer = answers
+                .first()
+                .map(|answer| slot::Answer { working_counter: answer.count, data: &answer.data });
+            match reader.receive(&[answer, None]) {
                 Reading::On => until = self.exchange.now() + WITHIN_NS,
                 Reading::Busy if self.exchange.now() >= until => return Err(Unread::Busy.into()),
                 Reading::Busy => {}
-                Reading::Failed => return Err(Unread::Refused.into()),
+                Reading::Failed(Fault::Busy) => return Err(Unread::Busy.into()),
+                Reading::Failed(Fault::Owned) => return Err(Unread::Owned.into()),
+                Reading::Failed(_) => return Err(Unread::Refused.into()),
                 Reading::Done => break,
             }
         }

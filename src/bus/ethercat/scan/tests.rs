@@ -182,7 +182,7 @@ fn all_of_a_line_is_told() {
 #[test]
 fn an_eeprom_may_read_eight_bytes_and_take_its_time() {
     for eight in [false, true] {
-        let access = Access { eight, busy_ns: 2 * MS, emulated: !eight };
+        let access = Access { eight, busy_ns: 2 * MS, emulated: !eight, ..Access::default() };
         let mut wire = Wire::new(vec![drive(Settings { sii_access: access, ..Settings::default() })]);
         let slaves = wire.scan(Options::default()).unwrap();
         let sii = slaves[0].sii.as_ref().unwrap();
@@ -243,13 +243,17 @@ fn its_sii_is_read_when_asked_for_and_given_back() {
     let slaves = wire.scan(Options { sii: true }).unwrap();
     assert_eq!(slaves[1].sii.as_ref().unwrap().identity, S700);
     assert_eq!(wire.line.slave(1).unwrap().state(), AlState::SafeOp);
-    // In INIT, but of the slave's processor.
+    // In INIT, and given to the slave's processor, as a master leaves it: that of all others stays the master's.
     let mut wire = line();
     let owner = Command::Apwr(position(2), address::SII_OWNER);
     wire.master(owner, &[1]);
-    assert_eq!(wire.scan(Options::default()).unwrap()[2].sii, Err(Unread::Owned));
-    assert_eq!(wire.scan(Options { sii: true }).unwrap()[2].sii.as_ref().unwrap().identity, S700);
-    assert_eq!(wire.master(Command::Aprd(position(2), address::SII_OWNER), &[0]), (vec![1], 1));
+    for sii in [false, true] {
+        assert_eq!(wire.scan(Options { sii }).unwrap()[2].sii.as_ref().unwrap().identity, S700);
+        for (place, owner) in [(1, 0), (2, 1)] {
+            let read = Command::Aprd(position(place), address::SII_OWNER);
+            assert_eq!(wire.master(read, &[0]), (vec![owner], 1));
+        }
+    }
 }
 
 #[test]
@@ -387,5 +391,23 @@ proptest! {
         wire.waiting.push_back(frame);
         let end = wire.scan(Options::default());
         prop_assert!(matches!(end, Err(ScanError::Silent | ScanError::Foreign(_))), "{end:?}");
+    }
+}
+
+#[test]
+fn an_acknowledgement_that_a_slave_without_a_processor_mirrors_is_no_error() {
+    let settings = Settings { features: Features(0x0180), emulated: true, ..Settings::default() };
+    let mut wire = Wire::new(vec![Coupler::default().slave("EK1100", IO, settings)]);
+    // As other masters request INIT, and PREOP.
+    for control in [0x11, 0x12] {
+        wire.master(Command::Apwr(0, address::AL_CONTROL), &[control, 0]);
+        let slaves = wire.scan(Options::default()).unwrap();
+        assert_eq!(
+            (slaves[0].status.error(), slaves[0].emulated, slaves[0].has_error()),
+            (true, true, false)
+        );
+        let sii = slaves[0].sii.as_ref().unwrap();
+        assert_eq!((sii.name.as_str(), sii.identity), ("EK1100", IO));
+        assert_eq!(wire.master(Command::Aprd(0, address::AL_CONTROL), &[0]).0, [control]);
     }
 }

@@ -4,6 +4,11 @@
 //! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. The time
 //! shown instead, less that, is the phase error: our own wake-up jitter is not part of it. Clocks of 32 bits wrap
 //! context every 4.3 s; since the error is small against that, it is the difference of the lower halves.
+//!
+//! On a busy host frames leave late after they were stamped, several in a row, and show a time that is late by as
+//! much. So no single sample decides: the segment's time is the median of the first ones, and the lock is that of the
+//! majority. While it is locked, a sample far off steers nothing, and no time is sent until the next one is in
+//! place: late frames come in bursts, and a clock that is sent late times follows their mean.
 
 use crate::bus::{BusClock, Cycle};
 use crate::time::{MS, Time, US};
@@ -14,13 +19,15 @@ const WINDOW_SHORT_NS: i64 = 70 * US as i64;
 /// A clock is adjusted by this part of the time at most: half of what a drive tolerates for a cycle that is off all
 /// the time (EtherCAT manual).
 const SLEW: u64 = 2_000;
-/// Approximate begin of the segment's time: above any error of a clock of 32 bits.
+/// The least begin of the segment's time, which is the date (ns since 2000-01-01): above any error of 32-bit clocks.
 const ORIGIN_NS: u64 = 1 << 36;
 /// Times that differ by at most this part of the window are the same.
 const SAME: i64 = 4;
-/// So many samples in a row inside of half of the window are a lock: the other half is for the jitter of the
-/// frames.
-const SAMPLES: u32 = 64;
+/// So many more samples inside of half of the window than outside are a lock, and it is lost when as many more were
+/// outside: the other half is for the jitter of the frames.
+const SAMPLES: u8 = 64;
+/// The samples whose median is the first one.
+const FIRST: usize = 15;
 
 /// The relation of the grid and the segment's time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -35,11 +42,16 @@ pub struct SegmentClock {
     error_ns: i64,
     /// The newest error was not returned yet.
     new: bool,
-    /// A sample was taken since the reference was found.
-    pub seen: bool,
+    /// The first samples since the reference was found, and how many there are.
+    first: [i32; FIRST],
+    firsts: u8,
+    /// The newest sample was far off, or missing.
+    held: bool,
     /// The part of the reference's distance from the grid that it has not been adjusted by yet.
     slew_ns: i64,
-    good: u32,
+    /// How many more samples were inside of half of the window than outside, from 0 on, up to a lock.
+    good: u8,
+    locked: bool,
     /// It was locked once, and the largest error since.
     was_locked: bool,
     error_max_ns: u64,
@@ -61,6 +73,12 @@ impl SegmentClock {
             window_ns: window_ns(period_ns),
             ..SegmentClock::default()
         }
+    }
+
+    /// Its value at slot 0 is about `today_ns`, the date, unless the date is not known to the computer.
+    pub fn begin(&mut self, today_ns: u64) {
+        let target = self.origin_ns % self.period_ns;
+        self.origin_ns = today_ns.max(ORIGIN_NS).next_multiple_of(self.period_ns) + target;
     }
 
     /// The intended segment time at `at`, seen from the slot of `cycle`.
@@ -94,9 +112,13 @@ impl SegmentClock {
 
     /// The distance of `time` from its intended value; and the same without whole periods, the phase error.
     fn off(&self, cycle: &Cycle, at: Time, time: u32) -> (i64, i64) {
-        let period = self.period_ns as i64;
         let off = i64::from(time.wrapping_sub(self.time(cycle, at) as u32) as i32);
-        (off, (off + period / 2).rem_euclid(period) - period / 2)
+        (off, self.phase(off))
+    }
+
+    fn phase(&self, off: i64) -> i64 {
+        let period = self.period_ns as i64;
+        (off + period / 2).rem_euclid(period) - period / 2
     }
 
     /// Whole periods of a time that another master has set are no error.
@@ -124,28 +146,58 @@ impl SegmentClock {
 
     /// A reference was found, or lost.
     pub fn forget(&mut self) {
-        (self.seen, self.good, self.new, self.was_locked) = (false, 0, false, false);
+        (self.firsts, self.good, self.new, self.held) = (0, 0, false, false);
+        (self.locked, self.was_locked) = (false, false);
+    }
+
+    /// Enough samples were taken since the reference was found.
+    fn is_seen(&self) -> bool {
+        usize::from(self.firsts) == FIRST
+    }
+
+    /// The time is sent to a reference that follows.
+    pub fn is_sent(&self) -> bool {
+        self.is_seen() && !self.held
+    }
+
+    /// A frame did not come back in its time.
+    pub fn miss(&mut self) {
+        self.held = true;
     }
 
     /// The reference showed `time` as the frame of `cycle`, sent at `sent_at`, passed it.
     pub fn sample(&mut self, cycle: &Cycle, sent_at: Time, time: u32) {
         let (off, error) = self.off(cycle, sent_at, time);
-        if !std::mem::replace(&mut self.seen, true) {
-            self.take_whole(off, error);
-            self.slew_ns = error;
+        if !self.is_seen() {
+            return self.sample_first(off);
         }
-        (self.error_ns, self.new) = (error, true);
-        self.good = if error.abs() <= self.window_ns / 2 { self.good.saturating_add(1) } else { 0 };
-        self.was_locked |= self.is_locked();
+        let near = error.abs() <= self.window_ns / 2;
+        self.good = if near { SAMPLES.min(self.good + 1) } else { self.good.saturating_sub(1) };
+        self.locked = if self.locked { self.good > 0 } else { self.good == SAMPLES };
+        (self.error_ns, self.new, self.held) = (error, true, self.locked && !near);
+        self.was_locked |= self.locked;
         if self.was_locked {
             self.error_max_ns = self.error_max_ns.max(error.unsigned_abs());
+        }
+    }
+
+    /// One of the first samples: of frames that were late some may be whole periods off.
+    fn sample_first(&mut self, off: i64) {
+        self.first[usize::from(self.firsts)] = off as i32;
+        self.firsts += 1;
+        if self.is_seen() {
+            self.first.sort_unstable();
+            let off = i64::from(self.first[FIRST / 2]);
+            self.slew_ns = self.phase(off);
+            self.take_whole(off, self.slew_ns);
+            (self.error_ns, self.new) = (self.slew_ns, true);
         }
     }
 
     /// Distance of the newest slot from where the drives want it, ns: positive is late; `None`: the reference was
     /// not seen.
     pub fn error_ns(&self) -> Option<i64> {
-        self.seen.then_some(self.error_ns)
+        self.is_seen().then_some(self.error_ns)
     }
 
     /// The relation of it and the grid.
@@ -163,22 +215,15 @@ impl SegmentClock {
         self.new = false;
     }
 
-    /// The newest error, once: positive is late.
+    /// The newest error, once: positive is late. Without one that is far off while it is locked.
     pub fn take_error(&mut self) -> Option<i64> {
-        std::mem::take(&mut self.new).then_some(self.error_ns)
+        (std::mem::take(&mut self.new) && !self.held).then_some(self.error_ns)
     }
 
     /// The grid is where the drives want it.
     pub fn is_locked(&self) -> bool {
-        self.good >= SAMPLES
+        self.locked
     }
-}
-
-/// How much later than the reference a slave receives: half of the difference of the times that a frame is under
-/// way behind each of them. `loop_ns`: from the first port to the last one, 0 of the last slave; forwarding through
-/// a slave counts as cable.
-pub fn delay_ns(reference_loop_ns: u32, loop_ns: u32) -> u32 {
-    reference_loop_ns.saturating_sub(loop_ns) / 2
 }
 
 #[cfg(test)]
@@ -190,9 +235,21 @@ mod tests {
         Cycle { index, grid, period_ns: MS, deadline: grid + MS / 2 }
     }
 
+    /// One that has its first samples, all with this error.
+    fn seen(period_ns: u64, ahead_ns: u64, off: i64) -> SegmentClock {
+        let mut clock = SegmentClock::new(period_ns, ahead_ns);
+        for index in 0..FIRST as u64 {
+            let cycle = cycle(index);
+            assert_eq!((clock.take_error(), clock.is_sent()), (None, false));
+            let shown = clock.time(&cycle, cycle.grid).wrapping_add_signed(off);
+            clock.sample(&cycle, cycle.grid, shown as u32);
+        }
+        clock
+    }
+
     #[test]
     fn a_slot_stands_so_long_before_sync0_whatever_the_jitter() {
-        let mut clock = SegmentClock::new(MS, 400 * US);
+        let mut clock = seen(MS, 400 * US, 0);
         for (index, late, off) in [(0, 0, 0), (1, 90_000, 0), (2, 3_000, 5_000), (3, 0, -70_000)] {
             let cycle = cycle(index);
             let sent_at = cycle.grid + late;
@@ -205,8 +262,20 @@ mod tests {
     }
 
     #[test]
+    fn its_time_begins_at_the_date_and_sync0_stays_where_it_was() {
+        for (today, least) in [(757_382_400_123_456_789, 757_382_400_123_456_789), (5, ORIGIN_NS)] {
+            let mut clock = SegmentClock::new(MS, 400 * US);
+            let cycle = cycle(0);
+            let before = clock.time(&cycle, cycle.grid);
+            clock.begin(today);
+            let time = clock.time(&cycle, cycle.grid);
+            assert_eq!((time % MS, time - least < 2 * MS), (before % MS, true), "{time}");
+        }
+    }
+
+    #[test]
     fn a_clock_of_32_bits_goes_round_without_a_leap() {
-        let mut clock = SegmentClock::new(MS, 500 * US);
+        let mut clock = seen(MS, 500 * US, 0);
         for index in (0..20_000).step_by(7) {
             let cycle = cycle(index);
             clock.sample(&cycle, cycle.grid, (clock.time(&cycle, cycle.grid) + 1_234) as u32);
@@ -218,8 +287,11 @@ mod tests {
     fn whole_periods_of_a_clock_that_others_have_set_are_no_error() {
         let mut clock = SegmentClock::new(MS, 500 * US);
         let wanted = clock.time(&cycle(0), cycle(0).grid);
-        clock.sample(&cycle(0), cycle(0).grid, (wanted + 123 * MS + 20 * US) as u32);
-        assert_eq!(clock.take_error(), Some(20_000));
+        for late in [0, 3, 0, 700, 0, 0, 9_000, 9_000, 9_000, 0, 40, 0, 0, 0, 5_000] {
+            let shown = wanted + 123 * MS + 20 * US + late * US;
+            clock.sample(&cycle(0), cycle(0).grid, shown as u32);
+        }
+        assert_eq!((clock.take_error(), clock.is_sent()), (Some(20_000), true), "the late ones are fewer");
         assert_eq!(clock.time(&cycle(0), cycle(0).grid), wanted + 123 * MS);
     }
 
@@ -237,50 +309,65 @@ mod tests {
             assert!(!same(81_000) && !same(MS as u32) && !same(u32::MAX / 2));
             assert_eq!(clock.phase_ns, phase.unwrap_or(0));
         }
-        assert!(!clock.seen && clock.take_error().is_none(), "that is not the reference's");
+        assert!(!clock.is_seen() && clock.take_error().is_none(), "that is not the reference's");
+    }
+
+    /// Feeds it errors, ns, each one in so many cycles.
+    fn feed(clock: &mut SegmentClock, offs: impl IntoIterator<Item = i64>) {
+        for (index, off) in (FIRST as u64..).zip(offs) {
+            let cycle = Cycle { period_ns: clock.period_ns, ..cycle(index) };
+            let shown = clock.time(&cycle, cycle.grid).wrapping_add_signed(off);
+            clock.sample(&cycle, cycle.grid, shown as u32);
+        }
     }
 
     #[test]
-    fn it_is_locked_after_so_many_good_samples_and_a_bad_one_starts_over() {
-        let mut clock = SegmentClock::new(250 * US, 100 * US);
-        let mut feed = |off: u64, count: u64| {
-            for index in 0..count {
-                let cycle = Cycle { period_ns: 250 * US, ..cycle(index) };
-                clock.sample(&cycle, cycle.grid, (clock.time(&cycle, cycle.grid) + off) as u32);
-            }
+    fn it_is_locked_by_enough_good_samples_and_lost_by_as_many_bad_ones() {
+        let mut clock = seen(250 * US, 100 * US, 0);
+        let mut locked = |off, count| {
+            feed(&mut clock, std::iter::repeat_n(off, count));
             clock.is_locked()
         };
-        assert!(!feed(0, 63) && feed(34_000, 1));
-        assert!(!feed(36_000, 1) && !feed(0, 63) && feed(0, 1));
+        assert!(!locked(36_000, 100) && !locked(0, 63) && locked(34_000, 1));
+        assert!(locked(36_000, 63) && !locked(-36_000, 1) && !locked(0, 63) && locked(0, 1));
+    }
+
+    #[test]
+    fn a_lock_of_the_majority_stands_late_frames_and_no_one_follows_them() {
+        let mut clock = seen(MS, 500 * US, 0);
+        // Three of seven are late.
+        for turn in 0..1_000_i64 {
+            let late = turn % 7 >= 4;
+            feed(&mut clock, [if late { 200_000 + turn * 7_919 % 300_000 } else { 20_000 }]);
+            assert_eq!(clock.is_locked(), turn >= 423, "{turn}");
+            if clock.is_locked() {
+                assert_eq!(clock.take_error(), (!late).then_some(20_000));
+                assert_eq!(clock.is_sent(), !late);
+            }
+        }
+        clock.miss();
+        assert!(!clock.is_sent() && clock.is_locked());
+        feed(&mut clock, [0]);
+        assert!(clock.is_sent());
     }
 
     #[test]
     fn the_largest_error_counts_from_the_first_lock_on() {
-        let mut clock = SegmentClock::new(MS, 500 * US);
-        let mut index = 0;
-        let mut feed = |clock: &mut SegmentClock, off: i64, count: u64| {
-            for _ in 0..count {
-                index += 1;
-                let cycle = cycle(index);
-                let shown = clock.time(&cycle, cycle.grid).wrapping_add_signed(off);
-                clock.sample(&cycle, cycle.grid, shown as u32);
-            }
+        let status = BusClock { error_ns: None, locked: false, error_max_ns: 0, window_ns: 320_000 };
+        assert_eq!(SegmentClock::new(MS, 500 * US).status(), status);
+        let mut clock = seen(MS, 500 * US, 300_000);
+        assert_eq!(clock.status(), BusClock { error_ns: Some(300_000), ..status });
+        let mut feed = |off, count| {
+            feed(&mut clock, std::iter::repeat_n(off, count));
             clock.status()
         };
-        let status = BusClock { error_ns: None, locked: false, error_max_ns: 0, window_ns: 320_000 };
-        assert_eq!(clock.status(), status);
-        assert_eq!(feed(&mut clock, 300_000, 1), BusClock { error_ns: Some(300_000), ..status });
         let locked = BusClock { error_ns: Some(-7_000), locked: true, error_max_ns: 7_000, ..status };
-        assert_eq!(feed(&mut clock, -7_000, 64), locked);
-        let lost = BusClock { error_ns: Some(-200_000), locked: false, error_max_ns: 200_000, ..status };
-        assert_eq!(feed(&mut clock, -200_000, 1), lost);
+        assert_eq!(feed(-7_000, 64), locked);
+        let far = BusClock { error_ns: Some(-200_000), error_max_ns: 200_000, ..locked };
+        assert_eq!(feed(-200_000, 1), far);
+        let lost = BusClock { locked: false, ..far };
+        assert_eq!(feed(-200_000, 63), lost);
         clock.forget();
         assert_eq!(clock.status(), BusClock { error_ns: None, ..lost });
-    }
-
-    #[test]
-    fn delays_add_up_along_the_line() {
-        assert_eq!([3_000, 2_000, 1_000, 0].map(|own| delay_ns(3_000, own)), [0, 500, 1_000, 1_500]);
-        assert_eq!(delay_ns(0, 40), 0, "no slave is behind the reference");
     }
 }

@@ -241,6 +241,7 @@ impl Segment {
         if let Some(Requester::Mailbox(index)) = self.requester.take() {
             handler.mailbox_received(self.slaves[index].owner, now, &[None, None]);
         }
+        self.clock.miss();
         self.dark = self.dark.saturating_add(1);
         if self.dark == DARK {
             // Both clocks run by themselves now.

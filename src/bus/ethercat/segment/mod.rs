@@ -2,11 +2,13 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | who owns the slot of the next frame |
+//! | `mod` | the segment, its time, and its state for others |
+//! | `turns` | who owns the slot of the next frame, and receives the answers |
 //! | `judge` | the slaves, and which of them took part in a frame that has come back |
 //! | `slave` | one slave, step by step |
 //! | `running` | a slave that runs on a clock set by another master |
 //! | `clock` | the time of the segment |
+//! | `topology` | who is behind whom, and how long a frame takes there |
 //! | `note` | why a slave is not in operation |
 
 pub mod clock;
@@ -14,12 +16,15 @@ mod judge;
 pub mod note;
 mod running;
 pub mod slave;
+mod topology;
+mod turns;
 
 use self::clock::SegmentClock;
 use self::judge::{FrameState, Slaves};
-use self::note::Notes;
+use self::note::{Note, Notes};
 use self::running::Running;
-use self::slave::{Context, Happened, Mapped, Slave};
+use self::slave::{Mapped, Slave};
+use self::topology::Topology;
 use super::cia402::Mode;
 use super::counters::Own;
 use super::image::{Frame, Offsets};
@@ -31,11 +36,6 @@ use crate::axis::FoundRunning;
 use crate::bus::{BusClock, Cycle};
 use crate::rt::Regions;
 use crate::time::Time;
-
-/// The slaves that are checked for a request for the slot of one frame; and while all of them are in operation,
-/// and only their mailboxes may have one.
-const LOOKS_A_FRAME: usize = 8;
-const LOOKS_STEADY: usize = 2;
 
 /// The drives and devices behind the slaves, with their mailboxes.
 pub trait Handler {
@@ -116,6 +116,7 @@ pub struct Segment {
     pub leads: bool,
     /// The reference's time goes to all.
     timed: bool,
+    topology: Topology,
     /// Before that: the slave that was found running, and whose time the segment has.
     time_source: Option<usize>,
     /// Whose turn it is; and among the slaves on their way up, whether this slot is for them.
@@ -140,6 +141,7 @@ pub struct Segment {
 enum Requester {
     Slave(usize),
     Mailbox(usize),
+    Topology,
 }
 
 /// A frame that was sent.
@@ -186,6 +188,8 @@ impl Segment {
         };
         let ranges: Vec<_> = (0..count).map(frame).collect();
         let notes = Notes::new(slaves.len());
+        (0..slaves.len()).for_each(|index| notes.set(index, Note::Starting));
+        let places = slaves.iter().map(|(_, slave)| usize::from(slave.place) + 1).max().unwrap_or(0);
         let slaves = Slaves::new(slaves.into_iter().zip(offsets).map(slave));
         let frames = ranges.into_iter().map(|range| FrameState::new(range, &slaves)).collect();
         Segment {
@@ -193,6 +197,7 @@ impl Segment {
             frames,
             clock: SegmentClock::new(period_ns, plan.ahead_of_sync_ns.unwrap_or(period_ns / 2)),
             notes,
+            topology: Topology::new(places),
             ..Segment::default()
         }
     }
@@ -201,6 +206,7 @@ impl Segment {
     pub fn memory(&self, regions: &mut Regions) {
         self.slaves.memory(regions);
         regions.add(&*self.frames);
+        self.topology.memory(regions);
         self.notes.memory(regions);
     }
 
@@ -241,7 +247,7 @@ impl Segment {
             self.clock.forget();
         }
         // It receives our time once it has shown that its own is near.
-        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.seen);
+        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.is_sent());
         self.choose(cycle, handler);
         first.request(&self.ask);
     }
@@ -291,117 +297,6 @@ impl Segment {
         self.time_source = Some(index);
     }
 
-    /// Who owns the slot.
-    fn choose(&mut self, cycle: &Cycle, handler: &mut impl Handler) {
-        self.ask.clear();
-        self.requester = None;
-        if self.left {
-            return;
-        }
-        let settled = self.is_settled();
-        // On a long segment some mailbox always has to be read: every other slot is for the slaves on their way
-        // up.
-        self.climbs = !settled && !self.climbs;
-        if self.climbs {
-            let wants = |slave: &Slave| !slave.wants_nothing();
-            self.climb = self.choose_from(self.climb, LOOKS_A_FRAME, wants, cycle, handler);
-        }
-        if self.requester.is_none() {
-            let looks = if settled { LOOKS_STEADY } else { LOOKS_A_FRAME };
-            self.turn = self.choose_from(self.turn, looks, |_| true, cycle, handler);
-        }
-    }
-
-    /// The first of so many slaves that has a request, in turns; and the next one to be checked.
-    #[inline]
-    fn choose_from(
-        &mut self,
-        from: usize,
-        looks: usize,
-        is_checked: impl Fn(&Slave) -> bool,
-        cycle: &Cycle,
-        handler: &mut impl Handler,
-    ) -> usize {
-        let (count, mut left) = (self.slaves.len(), looks);
-        for step in 0..count {
-            let index = (from + step) % count;
-            if !is_checked(&self.slaves[index]) {
-                continue;
-            }
-            if left == 0 {
-                return index;
-            }
-            left -= 1;
-            self.requester = self.request_of(index, cycle, handler);
-            if self.requester.is_some() {
-                return index + 1;
-            }
-        }
-        from
-    }
-
-    /// The request of slave `index`.
-    fn request_of(&mut self, index: usize, cycle: &Cycle, handler: &mut impl Handler) -> Option<Requester> {
-        let slave = &self.slaves[index];
-        let owner = slave.owner;
-        handler.advance(owner, cycle.grid);
-        if slave.wants_nothing() && slave.is_open == slave.way.mailbox_open {
-            // Usually only its mailbox may have a request.
-            return self.request_of_mailbox(index, cycle, handler);
-        }
-        let slave = &mut self.slaves[index];
-        let mut service = handler.service(owner);
-        if let Some(service) = &mut service
-            && slave.is_open != slave.way.mailbox_open
-        {
-            slave.is_open = slave.way.mailbox_open;
-            service.open(slave.is_open);
-        }
-        slave.objects(cycle.grid, service);
-        let sent = Sent { cycle: *cycle, at: cycle.grid };
-        let context = self.context(index, &sent, handler);
-        let slave = &mut self.slaves[index];
-        slave.request(&context, &mut self.ask);
-        self.notes.set(index, slave.note());
-        if slave.reported.is_some() && slave.state_of_replies().is_none() {
-            handler.expect_silence(owner);
-        }
-        self.report(index, handler);
-        if !self.ask.is_empty() {
-            return Some(Requester::Slave(index));
-        }
-        self.request_of_mailbox(index, cycle, handler)
-    }
-
-    fn request_of_mailbox(
-        &mut self,
-        index: usize,
-        cycle: &Cycle,
-        handler: &mut impl Handler,
-    ) -> Option<Requester> {
-        let slave = Some(&self.slaves[index]).filter(|slave| slave.way.mailbox_open)?;
-        handler.service(slave.owner)?.request(cycle.grid, &mut self.ask);
-        (!self.ask.is_empty()).then_some(Requester::Mailbox(index))
-    }
-
-    fn context<'a>(&self, index: usize, sent: &'a Sent, handler: &impl Handler) -> Context<'a> {
-        let owner = &self.slaves[index].owner;
-        Context {
-            cycle: &sent.cycle,
-            sent_at: sent.at,
-            clock: self.clock,
-            reference: self.reference.map(|index| self.slaves[index].station()),
-            timed: self.timed,
-            may_begin: self.timed || self.may_have_time(),
-            other_time: if self.timed { None } else { self.other_time() },
-            has_time: self.has_time(index),
-            timing_taken: self.slaves.iter().any(Slave::is_timing),
-            turn_ns: sent.cycle.period_ns.saturating_mul(self.slaves.len() as u64),
-            wants_outputs: handler.wants_outputs(*owner),
-            powered: handler.powered(*owner),
-        }
-    }
-
     /// A frame has come back.
     pub fn receive(&mut self, back: &Back<'_>, number: usize, handler: &mut impl Handler) {
         if number == 0 {
@@ -431,42 +326,6 @@ impl Segment {
             handler.state(slave.owner, state);
             self.notes.set(index, slave.note());
         }
-    }
-
-    /// Passes the answers of the slot to its owner.
-    fn answer(&mut self, back: &Back<'_>, handler: &mut impl Handler) {
-        let answers = back.frame.answers_of(back.received);
-        match self.requester.take() {
-            Some(Requester::Slave(index)) => self.slave_received(back, index, &answers, handler),
-            Some(Requester::Mailbox(index)) => {
-                handler.mailbox_received(self.slaves[index].owner, back.sent.cycle.grid, &answers);
-            }
-            None => {}
-        }
-    }
-
-    fn slave_received(
-        &mut self,
-        back: &Back<'_>,
-        index: usize,
-        answers: &Answers<'_>,
-        handler: &mut impl Handler,
-    ) {
-        let context = self.context(index, &back.sent, handler);
-        let slave = &mut self.slaves[index];
-        let owner = slave.owner;
-        let (happened, running) = slave.receive(&context, answers);
-        self.notes.set(index, slave.note());
-        if let Some(running) = running {
-            self.take_time(index, &back.sent, &running);
-        }
-        match happened {
-            Happened::Nothing => {}
-            Happened::Restarted => handler.restarted(owner),
-            Happened::Operational => handler.count(owner, Own::BroughtUp),
-            Happened::Error => handler.count(owner, Own::AlErrors),
-        }
-        self.report(index, handler);
     }
 
     /// Takes all slaves out of operation that this master has put there; true: done.

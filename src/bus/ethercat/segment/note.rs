@@ -4,9 +4,19 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::slave::Missing;
+use crate::axis::acyclic::Notation;
+use crate::bus::ethercat::object::{self, Objects};
+use crate::bus::ethercat::service::ATTEMPTS;
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
 use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
+use crate::bus::ethercat::wire::sii::Fault;
 use crate::rt::Regions;
+
+/// The master's own statuses of an SDO are below; abort codes begin above.
+const OWN_STATUSES: u32 = 2 * object::MAILBOX;
+/// The longest time that a note has.
+const MILLISECONDS: u32 = u32::MAX >> 1;
 
 /// Why a slave is not in operation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -16,8 +26,8 @@ pub enum Note {
     None,
     /// No slave answers at its position.
     Absent,
-    /// Its SII cannot be read.
-    Sii,
+    /// Its SII cannot be read, or used.
+    Sii(Fault),
     /// Its vendor is not the configured one.
     Vendor(u32),
     /// It is another product.
@@ -26,14 +36,27 @@ pub enum Note {
     Revision(u32),
     /// The slave there is the one of another position.
     WrongPlace(u16),
-    /// Its SII has a SyncManager with other values.
-    SyncManager {
+    /// Its SII has a mailbox or process data elsewhere.
+    Start {
         /// 1 mailbox out, 2 in, 3 outputs, 4 inputs.
         usage: u8,
-        /// Its start there.
-        start: u16,
-        /// Its length there, bytes.
+        /// The configured start; 0: none is configured there.
+        own: u16,
+        /// The start in its SII; 0: it has none, or no more.
+        named: u16,
+        /// The length there, bytes.
         length: u16,
+    },
+    /// Its SII has another length of a mailbox or of process data.
+    Length {
+        /// As of [`Start`](Note::Start).
+        usage: u8,
+        /// The start of both.
+        start: u16,
+        /// The configured length, bytes.
+        own: u16,
+        /// The length in its SII.
+        named: u16,
     },
     /// It has too few FMMUs.
     Fmmus(u8),
@@ -50,13 +73,30 @@ pub enum Note {
         /// Its AL status code.
         code: AlCode,
     },
+    /// The same, by a code that concerns its SyncManagers, and the configuration sets another control byte of its
+    /// outputs than its SII has.
+    Control {
+        /// As of [`State`](Note::State).
+        to: AlState,
+        /// Its AL status code.
+        code: AlCode,
+        /// The control byte as set.
+        set: u8,
+        /// The one of its SII, or the usual one.
+        own: u8,
+    },
     /// It did not enter a state in time, without an error code.
-    Slow(AlState),
-    /// It did not accept a value at start-up.
+    Slow {
+        /// The state.
+        to: AlState,
+        /// The time that it had, ms.
+        within_ms: u32,
+    },
+    /// It did not accept a value at start-up, or its answer cannot be used.
     StartUp {
         /// The object.
         object: Object,
-        /// The abort code; 0: none.
+        /// The abort code, or a status of the master.
         abort: AbortCode,
     },
     /// Its watchdog does not read back as set.
@@ -78,10 +118,19 @@ pub enum Note {
     },
     /// Its clock does not synchronise to the segment's.
     Unsettled,
-    /// Another slave has its station address.
+    /// Another slave has its station address, and keeps it.
     AddressTwice,
-    /// A read of an object is not answered.
-    Unread(Object),
+    /// An access to an object is not answered.
+    Unanswered {
+        /// The object.
+        object: Object,
+        /// It is written.
+        writes: bool,
+        /// The time that each of the attempts had, ms.
+        within_ms: u32,
+    },
+    /// It is there, and does not carry out a request.
+    NotDone(Missing),
     /// The slave at this position runs on a time other than the segment's.
     OtherTime(u16),
 }
@@ -89,10 +138,9 @@ pub enum Note {
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 12] = [
+    const PLAIN: [Note; 11] = [
         Note::None,
         Note::Absent,
-        Note::Sii,
         Note::NoClock,
         Note::NoLrw,
         Note::NoCoe,
@@ -108,24 +156,36 @@ impl Note {
         let number = |kind: u8, high: u32, low: u32| {
             u64::from(kind) << 56 | u64::from(high & 0xFF_FFFF) << 32 | u64::from(low)
         };
+        let memory = |usage: u8, word: u16| u32::from(usage) << 16 | u32::from(word);
         match self {
             Note::Vendor(found) => number(0x80, 0, found),
             Note::Product(found) => number(0x81, 0, found),
             Note::Revision(found) => number(0x82, 0, found),
             Note::WrongPlace(place) => number(0x83, 0, place.into()),
-            Note::SyncManager { usage, start, length } => {
-                number(0x84, usage.into(), u32::from(start) << 16 | u32::from(length))
+            Note::Start { usage, own, named, length } => {
+                number(0x84, memory(usage, own), u32::from(named) << 16 | u32::from(length))
+            }
+            Note::Length { usage, start, own, named } => {
+                number(0x8d, memory(usage, start), u32::from(own) << 16 | u32::from(named))
             }
             Note::Fmmus(count) => number(0x85, 0, count.into()),
             Note::State { to, code } => number(0x86, to.number().into(), code.0.into()),
-            Note::Slow(to) => number(0x87, to.number().into(), 0),
+            Note::Control { to, code, set, own } => {
+                let control = u32::from(set) << 8 | u32::from(own);
+                number(0x8e, to.number().into(), control << 16 | u32::from(code.0))
+            }
+            Note::Slow { to, within_ms } => number(0x87, to.number().into(), within_ms),
             Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
             Note::WaitsForLock(error) => {
                 number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
             Note::Differs { object, found } => number(0x8a, object.key(), found),
-            Note::Unread(object) => number(0x8b, object.key(), 0),
+            Note::Unanswered { object, writes, within_ms } => {
+                number(0x8b, object.key(), u32::from(writes) << 31 | within_ms.min(MILLISECONDS))
+            }
             Note::OtherTime(place) => number(0x8c, 0, place.into()),
+            Note::NotDone(Missing { register, is_write }) => number(0x91, is_write.into(), register.into()),
+            Note::Sii(fault) => number(0x90, 0, fault as u32),
             plain => {
                 let kind = Note::PLAIN.iter().position(|note| *note == plain).unwrap_or_default();
                 number(kind as u8, 0, 0)
@@ -137,20 +197,34 @@ impl Note {
         let (kind, high, low) = ((packed >> 56) as u8, (packed >> 32) as u32 & 0xFF_FFFF, packed as u32);
         let state = || AlState::new(high as u8).unwrap_or_default();
         let object = || Object::new((high >> 8) as u16, high as u8);
+        let usage = (high >> 16) as u8;
         match kind {
             0x80 => Note::Vendor(low),
             0x81 => Note::Product(low),
             0x82 => Note::Revision(low),
             0x83 => Note::WrongPlace(low as u16),
-            0x84 => Note::SyncManager { usage: high as u8, start: (low >> 16) as u16, length: low as u16 },
+            0x84 => Note::Start { usage, own: high as u16, named: (low >> 16) as u16, length: low as u16 },
+            0x8d => Note::Length { usage, start: high as u16, own: (low >> 16) as u16, named: low as u16 },
             0x85 => Note::Fmmus(low as u8),
             0x86 => Note::State { to: state(), code: AlCode(low as u16) },
-            0x87 => Note::Slow(state()),
+            0x8e => Note::Control {
+                to: state(),
+                code: AlCode(low as u16),
+                set: (low >> 24) as u8,
+                own: (low >> 16) as u8,
+            },
+            0x87 => Note::Slow { to: state(), within_ms: low },
             0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
             0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
             0x8a => Note::Differs { object: object(), found: low },
-            0x8b => Note::Unread(object()),
+            0x8b => Note::Unanswered {
+                object: object(),
+                writes: low > MILLISECONDS,
+                within_ms: low & MILLISECONDS,
+            },
             0x8c => Note::OtherTime(low as u16),
+            0x91 => Note::NotDone(Missing { register: low as u16, is_write: high != 0 }),
+            0x90 => Note::Sii(Fault::ALL.get(low as usize).copied().unwrap_or(Fault::Refused)),
             _ => Note::PLAIN.get(usize::from(kind)).copied().unwrap_or_default(),
         }
     }
@@ -160,7 +234,19 @@ impl Note {
         let what = match self {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
-            Note::Sii => "its SII cannot be read: look whether another master holds it".into(),
+            Note::Sii(fault) => match fault {
+                Fault::Owned => {
+                    "its EEPROM (SII) belongs to its processor, which does not give it up: switch it off and on, or \
+                    take \"any\" for vendor, product and revision, and check_sii = false"
+                }
+                Fault::Busy => "its EEPROM (SII) stays busy: switch it off and on",
+                Fault::Refused => "its EEPROM (SII) refuses to be read: look whether another master holds it",
+                Fault::Unloaded => "it has not loaded its EEPROM (SII): it has to be written anew",
+                Fault::Checksum => "its EEPROM (SII) has a wrong checksum: it has to be written anew",
+                Fault::Address => "its EEPROM (SII) returns another address than the requested one: replace it",
+                Fault::Blank => "its EEPROM (SII) was never written: it needs that of its manufacturer",
+            }
+            .into(),
             Note::Vendor(found) => format!("its vendor is {found:#010x}: correct vendor, or the order of the segment"),
             Note::Product(found) => {
                 format!("its product is {found:#010x}: correct product, or the order of the segment")
@@ -169,13 +255,26 @@ impl Note {
             Note::WrongPlace(other) => {
                 format!("the slave there is the one of place {other}: look at the order of the cables")
             }
-            Note::SyncManager { usage, start, length } => {
-                let what = ["", "mailbox out", "mailbox in", "outputs", "inputs"].get(usize::from(usage));
-                let what = what.unwrap_or(&"a buffer");
-                format!("its SII has {what} at {start:#06x}, {length} bytes: correct the configuration")
+            Note::Start { usage, own, named: 0, .. } => {
+                let what = part(usage);
+                format!("its SII has no {what} at {own:#06x}: correct the configuration, or the order of the segment")
             }
+            Note::Start { usage, own: 0, named, length } => format!(
+                "its SII has {} at {named:#06x}, {length} bytes, which the configuration leaves out: add them",
+                part(usage)
+            ),
+            Note::Start { usage, own, named, length } => format!(
+                "its SII has {} at {named:#06x}, {length} bytes, and the configuration at {own:#06x}: correct the \
+                configuration",
+                part(usage)
+            ),
+            Note::Length { usage, start, own, named } => format!(
+                "its SII has {named} bytes of {} at {start:#06x}, and the configuration {own}: correct the \
+                configuration, or use check_sii = false",
+                part(usage)
+            ),
             Note::Fmmus(count) => {
-                format!("it has {count} FMMUs, too few for outputs and inputs: leave one of them out")
+                format!("it has {count} FMMUs, too few for its outputs and inputs: leave out some of them")
             }
             Note::NoClock => "it has no distributed clock: take sync = false".into(),
             Note::NoLrw => "it does not know LRW: take lrw = false for its bus".into(),
@@ -183,9 +282,20 @@ impl Note {
             Note::State { to, code } => {
                 format!("it refuses {to}: AL status code {:#06x} ({})", code.0, code.name().unwrap_or("not known"))
             }
-            Note::Slow(to) => format!("it does not enter {to}, and gives no error code"),
-            Note::StartUp { object, abort: AbortCode(0) } => {
-                format!("it does not answer when {:#06x}:{} is written", object.index, object.sub)
+            Note::Control { to, code, set, own } => {
+                let why = code.name().unwrap_or("not known");
+                format!(
+                    "it refuses {to}: AL status code {:#06x} ({why}); probably for watchdog, which makes the control \
+                    byte of its outputs {set:#04x} where its SII has {own:#04x}: leave watchdog out",
+                    code.0
+                )
+            }
+            Note::Slow { to, within_ms } => format!(
+                "it does not enter {to} within {within_ms} ms, and gives no error code: raise state_timeout if its \
+                description allows more"
+            ),
+            Note::StartUp { object: Object { index, sub }, abort: AbortCode(status) } if status < OWN_STATUSES => {
+                format!("at {index:#06x}:{sub}: {}", Objects.reason(status))
             }
             Note::StartUp { object, abort } => format!(
                 "it refuses what is written to {:#06x}:{}: abort code {:#010x} ({})",
@@ -219,8 +329,14 @@ impl Note {
             Note::Unsettled => "its clock does not synchronise with that of the segment: check its distributed \
                 clock".into(),
             Note::AddressTwice => "another slave has its station address: switch that one off and on".into(),
-            Note::Unread(object) => {
-                format!("it does not answer when {:#06x}:{} is read", object.index, object.sub)
+            Note::Unanswered { object: Object { index, sub }, writes, within_ms } => format!(
+                "it does not answer within {within_ms} ms, {ATTEMPTS} times in a row, when {index:#06x}:{sub} is {}: \
+                raise sdo_timeout, or check that it has this object",
+                if writes { "written" } else { "read" }
+            ),
+            Note::NotDone(Missing { register, is_write }) => {
+                let what = if is_write { "take what is written to" } else { "answer when it is asked for" };
+                format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
             }
             Note::OtherTime(other) => format!(
                 "the slave at place {other} runs on a clock that another master has set, and would lose it: stop \
@@ -229,6 +345,11 @@ impl Note {
         };
         Some(format!("place {place}: {what}"))
     }
+}
+
+/// What a SyncManager is for.
+fn part(usage: u8) -> &'static str {
+    ["", "mailbox out", "mailbox in", "outputs", "inputs"].get(usize::from(usage)).unwrap_or(&"a buffer")
 }
 
 /// The notes of all slaves of a segment.
@@ -268,20 +389,24 @@ mod tests {
         let all = [
             Note::None,
             Note::Absent,
-            Note::Sii,
+            Note::Sii(Fault::Checksum),
             Note::Vendor(0x6A),
             Note::Product(0x0300_0600),
             Note::Revision(u32::MAX),
             Note::WrongPlace(3),
-            Note::SyncManager { usage: 3, start: 0x1100, length: 6 },
+            Note::Start { usage: 3, own: 0x1180, named: 0x1100, length: 6 },
+            Note::Start { usage: 4, own: 0xFFFF, named: 0, length: 0 },
+            Note::Start { usage: 4, own: 0, named: 0xFFFF, length: 0xFFFF },
+            Note::Length { usage: 4, start: 0xFFFF, own: 1, named: 0xFFFF },
             Note::Fmmus(2),
             Note::NoClock,
             Note::NoLrw,
             Note::NoCoe,
             Note::State { to: AlState::SafeOp, code: AlCode(0x1D) },
-            Note::Slow(AlState::Op),
+            Note::Control { to: AlState::SafeOp, code: AlCode(0x1D), set: 0x64, own: 0x24 },
+            Note::Slow { to: AlState::Op, within_ms: 10_000 },
             Note::StartUp { object: Object::new(0x1C12, 1), abort: AbortCode(0x0602_0000) },
-            Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(0) },
+            Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(object::FULL) },
             Note::Watchdog,
             Note::WaitsForClock,
             Note::WaitsForLock(None),
@@ -291,8 +416,10 @@ mod tests {
             Note::Differs { object: Object::new(0x608F, 1), found: 1 << 20 },
             Note::Unsettled,
             Note::AddressTwice,
-            Note::Unread(Object::new(0x608F, 1)),
+            Note::Unanswered { object: Object::new(0x608F, 1), writes: false, within_ms: 2_000 },
+            Note::Unanswered { object: Object::new(0x1C12, 1), writes: true, within_ms: 100 },
             Note::OtherTime(7),
+            Note::NotDone(Missing { register: 0x0910, is_write: true }),
         ];
         let notes = Notes::new(1);
         for note in all {
@@ -301,9 +428,12 @@ mod tests {
             assert_eq!(note.text(4).is_none(), note == Note::None);
         }
         assert_eq!(
-            all[12].text(1).unwrap(),
+            all.iter().find(|note| matches!(note, Note::State { .. })).unwrap().text(1).unwrap(),
             "place 1: it refuses SAFEOP: AL status code 0x001d (invalid output configuration)"
         );
+        for (number, fault) in Fault::ALL.into_iter().enumerate() {
+            assert_eq!((fault as usize, Note::unpack(Note::Sii(fault).pack())), (number, Note::Sii(fault)));
+        }
         assert_eq!(notes.get(7), Note::None);
     }
 }

@@ -6,11 +6,12 @@
 //! | answer | meaning |
 //! |---|---|
 //! | a write, working counter 1 | the request is there |
-//! | a write, 0 | the mailbox is full: repeat. After a write whose frame was lost: that one is there |
+//! | a write, 0 | the mailbox is full: repeat, for as long as the slave may take. After a write whose frame was lost: that one is there |
 //! | a write, no frame | it may be there or not: repeat with the same count, which the slave ignores if it has it |
 //! | the status, bit 3 | a message waits |
 //! | a read of the last byte, 1 | the message is taken |
 //! | a read of the last byte, no frame | it may be taken: if there is none now, the slave is requested to repeat it (0x080E, 0x080F) |
+//! | no message after that | the slave does not support it, or acknowledges and sends nothing: the message is gone |
 //!
 //! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte
 //! behind it in the same frame, and one that is longer than a slot in pieces, the last byte at the end. With the
@@ -21,15 +22,18 @@ use super::super::counters::Own;
 use super::super::plan::Area;
 use super::super::slot::{Answer, Answers, Ask, ROOM};
 use super::super::wire::frame::Command;
-use super::super::wire::mailbox::{self, Counter, HEADER, SDO_SIZE};
+use super::super::wire::mailbox::{self, COE_HEADER, Counter, HEADER, SDO_SIZE};
 use super::super::wire::registers::{SyncManager, address};
-use super::super::wire::sdo::Request;
+use super::super::wire::sdo::{self, Request};
+use super::counts::Counts;
+use super::sdo::{KEPT, Sdo};
 use crate::bus::Counters;
 use crate::rt::Regions;
 use crate::time::{MS, Time, US};
 
-/// The most that is written at once; a Kollmorgen drive takes 16.
-const OUT_MAX: usize = 32;
+/// The most that is written at once: the longest value in one message, if the mailbox holds it. A Kollmorgen drive
+/// takes 16.
+const OUT_MAX: usize = COE_HEADER + sdo::SIZE + KEPT;
 /// Bytes that are read with the status of a mailbox that is longer.
 const HEAD: usize = 64;
 /// Interval of looks while an answer is awaited: a drive's firmware takes a request about once a millisecond.
@@ -39,10 +43,7 @@ const LOOK_NS: u64 = 750 * US;
 const UNCOUNTED_NS: u64 = 300 * MS;
 /// Interval of looks for unrequested messages.
 const IDLE_NS: u64 = 50 * MS;
-/// A mailbox that is still full then, and was so often, is not served.
-const FULL_NS: u64 = 20 * MS;
-const FULL: u32 = 3;
-/// A slave that has not acknowledged a repeat request by then does not support them.
+/// A message whose repetition has not come by then is gone, whether the slave has acknowledged the request or not.
 const REPEAT_NS: u64 = 100 * MS;
 /// In `activate` and in the slave's control behind it: the repeat request, and its acknowledgement, each a toggle.
 const TOGGLE: u8 = 1 << 1;
@@ -52,7 +53,7 @@ const STATUS: u16 = address::sync_manager(1) + SyncManager::STATUS;
 const ACTIVATE: u16 = STATUS + 1;
 
 /// Both mailboxes.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Mailbox {
     station: u16,
     out: Area,
@@ -68,9 +69,24 @@ pub(super) struct Mailbox {
     /// The message there may answer a request that is over.
     stale: bool,
     /// A request was answered since the mailbox was opened: the slave counts as the master does.
-    counts: bool,
+    counted: bool,
+    /// The counts of the request under way and of its answers.
+    counts: Counts,
+    /// The time that the slave may take for a request, ns.
+    answer_ns: u64,
     /// The longest time until it has the slot again, ns.
     turn_ns: u64,
+}
+
+/// A request to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Post {
+    /// A new one.
+    First,
+    /// The same again: an answer to an earlier one is as good.
+    Again,
+    /// It has no answer.
+    Unanswered,
 }
 
 /// The state of the request.
@@ -85,9 +101,8 @@ enum Sending {
         answered: bool,
         /// A frame with it was lost.
         lost: bool,
-        /// How often the mailbox was full, and since when.
-        full: u32,
-        since: Time,
+        /// The mailbox has been full since then.
+        full: Option<Time>,
     },
     /// It was written, and its answer is awaited; twice perhaps, and then there may be two answers.
     Written { twice: bool, since: Time },
@@ -134,7 +149,9 @@ pub(super) enum Received {
     Nothing,
     /// The slave does not empty the mailbox: the request was given up.
     Full,
-    /// A message: see [`Mailbox::message`].
+    /// A message was lost with its frame, and the slave does not repeat it.
+    Gone,
+    /// A message: see [`Mailbox::received`].
     Message,
 }
 
@@ -145,16 +162,30 @@ fn done(answer: &Option<Answer<'_>>) -> bool {
 
 impl Mailbox {
     /// The mailboxes of a slave; `None`: too short to be any.
-    pub(super) fn new([out, input]: [Area; 2], station: u16, turn_ns: u64) -> Option<Mailbox> {
+    pub(super) fn new(
+        [out, input]: [Area; 2],
+        station: u16,
+        answer_ns: u64,
+        turn_ns: u64,
+    ) -> Option<Mailbox> {
         let is_one = [out, input].iter().all(|area| usize::from(area.length) >= SDO_SIZE);
         is_one.then(|| Mailbox {
             station,
             out,
             input,
+            counter: Counter::default(),
+            message: [0; OUT_MAX],
+            length: 0,
+            sending: Sending::Nothing,
+            reading: Reading::Nothing,
             read: vec![0; usize::from(input.length)].into(),
+            pending: None,
+            looked: None,
             stale: true,
+            counted: false,
+            counts: Counts::default(),
+            answer_ns,
             turn_ns,
-            ..Mailbox::default()
         })
     }
 
@@ -170,7 +201,7 @@ impl Mailbox {
     /// Discards everything under way. The count continues: the slave may still know the last one.
     pub(super) fn reset(&mut self) {
         (self.sending, self.reading, self.pending) = (Sending::Nothing, Reading::Nothing, None);
-        (self.looked, self.stale, self.counts) = (None, true, false);
+        (self.looked, self.stale, self.counted, self.counts) = (None, true, false, Counts::default());
     }
 
     /// Bytes that a message may have.
@@ -178,25 +209,31 @@ impl Mailbox {
         usize::from(self.out.length).min(OUT_MAX)
     }
 
+    /// Its requests have room for this. A mailbox of one SDO has expedited ones only (EtherCAT manual, "Mail Input").
+    pub(super) fn takes(&self, sdo: &Sdo) -> bool {
+        self.room() > SDO_SIZE || !sdo.is_long_write()
+    }
+
     /// No request is under way.
     pub(super) fn is_free(&self) -> bool {
         self.sending == Sending::Nothing
     }
 
-    /// The count of the last request.
-    pub(super) fn count(&self) -> u8 {
-        self.counter.number()
+    /// The request has gone out more than once: there may be more than one answer.
+    pub(super) fn is_twice(&self) -> bool {
+        self.counts.is_repeated() || matches!(self.sending, Sending::Written { twice: true, .. })
     }
 
     /// The next request. False: it does not fit.
-    pub(super) fn post(&mut self, now: Time, request: &Request<'_>, answered: bool) -> bool {
+    pub(super) fn post(&mut self, request: &Request<'_>, post: Post) -> bool {
         let (room, counter) = (self.room(), self.counter.next());
         self.length = mailbox::emit(request, counter, &mut self.message[..room]);
         if self.length == 0 {
             return false;
         }
         self.counter = counter;
-        self.sending = Sending::Due { answered, lost: false, full: 0, since: now };
+        self.counts.send(counter, post == Post::Again);
+        self.sending = Sending::Due { answered: post != Post::Unanswered, lost: false, full: None };
         true
     }
 
@@ -205,15 +242,19 @@ impl Mailbox {
         self.pending == Some(Pending::Write)
     }
 
-    /// The request is with the slave, and was not answered yet.
+    /// The request is with the slave, or an earlier one for the same, and was not answered yet.
     pub(super) fn awaits(&self) -> bool {
-        matches!(self.sending, Sending::Written { .. })
+        match self.sending {
+            Sending::Nothing => false,
+            Sending::Due { .. } => self.counts.is_repeated(),
+            Sending::Written { .. } => true,
+        }
     }
 
     /// The answer has come.
     pub(super) fn answered(&mut self) {
-        self.stale |= matches!(self.sending, Sending::Written { twice: true, .. });
-        self.counts |= self.awaits();
+        self.stale |= self.is_twice();
+        self.counted |= self.awaits();
         self.sending = Sending::Nothing;
     }
 
@@ -222,25 +263,27 @@ impl Mailbox {
         // The answer to its frame is not that of the next request.
         self.pending = self.pending.filter(|pending| *pending != Pending::Write);
         (self.sending, self.stale) = (Sending::Nothing, true);
+        self.counts.abandon();
     }
 
-    /// The last read bytes, and whatever was behind them.
-    pub(super) fn message(&self) -> &[u8] {
-        &self.read
+    /// The last read bytes, and whatever was behind them; and the counts that they have to fit.
+    pub(super) fn received(&mut self) -> (&[u8], &mut Counts) {
+        (&self.read, &mut self.counts)
     }
 
     /// The last count of another master is not known: if it was this one, the slave takes the first request for a
     /// repetition.
     fn recount(&mut self, now: Time) {
         let Sending::Written { since, .. } = self.sending else { return };
-        if self.counts || self.reading != Reading::Nothing || now.since(since) < self.within(UNCOUNTED_NS, 6)
+        if self.counted || self.reading != Reading::Nothing || now.since(since) < self.within(UNCOUNTED_NS, 6)
         {
             return;
         }
         self.counter = self.counter.next();
         mailbox::recount(&mut self.message[..self.length], self.counter);
-        self.sending = Sending::Due { answered: true, lost: false, full: 0, since: now };
-        self.counts = true;
+        self.counts.send(self.counter, true);
+        self.sending = Sending::Due { answered: true, lost: false, full: None };
+        self.counted = true;
     }
 
     /// Its request for the next slot.
@@ -310,18 +353,15 @@ impl Mailbox {
         match self.pending.take() {
             None => Received::Nothing,
             Some(Pending::Write) => self.receive_write(now, answers, counters),
-            Some(Pending::Look) => {
-                self.receive_look(now, answers, counters);
-                Received::Nothing
-            }
+            Some(Pending::Look) => self.receive_look(now, answers, counters),
             Some(Pending::Piece(piece)) => self.receive_piece(piece, answers, counters),
             Some(Pending::Toggle(toggle)) => {
-                if let Reading::Repeat { since, .. } = self.reading {
-                    self.reading = match done(&answers[0]) {
-                        true => Reading::Repeated { toggle, since },
-                        false if now.since(since) >= self.within(REPEAT_NS, 4) => Reading::Nothing,
-                        false => self.reading,
-                    };
+                let Reading::Repeat { since, .. } = self.reading else { return Received::Nothing };
+                if done(&answers[0]) {
+                    self.reading = Reading::Repeated { toggle, since };
+                } else if now.since(since) >= self.within(REPEAT_NS, 4) {
+                    self.reading = Reading::Nothing;
+                    return Received::Gone;
                 }
                 Received::Nothing
             }
@@ -329,40 +369,43 @@ impl Mailbox {
     }
 
     fn receive_write(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Received {
-        let Sending::Due { answered, lost, full, since } = self.sending else { return Received::Nothing };
+        let Sending::Due { answered, lost, full } = self.sending else { return Received::Nothing };
         let parts = if self.length == usize::from(self.out.length) { 1 } else { 2 };
         let parts = &answers[..parts];
         if parts.iter().any(Option::is_none) {
             Own::MailboxRepeats.count(counters);
-            self.sending = Sending::Due { answered, lost: true, full, since };
+            self.sending = Sending::Due { answered, lost: true, full };
         } else if lost || parts.iter().all(done) {
             // Full after a loss: with the message that was thought lost.
             self.sending =
                 if answered { Sending::Written { twice: lost, since: now } } else { Sending::Nothing };
         } else {
-            let since = if full == 0 { now } else { since };
-            if full >= FULL && now.since(since) >= FULL_NS {
+            let since = full.unwrap_or(now);
+            if now.since(since) > self.answer_ns {
                 self.sending = Sending::Nothing;
                 return Received::Full;
             }
-            self.sending = Sending::Due { answered, lost, full: full.saturating_add(1), since };
+            self.sending = Sending::Due { answered, lost, full: Some(since) };
+            // It may wait until its own message is read.
+            self.stale = true;
         }
         Received::Nothing
     }
 
-    fn receive_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+    fn receive_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Received {
         let [Some(Answer { working_counter: 1, data: &[status, activate, control] }), head] = *answers else {
             // Haste does not help with a slave that does not answer at all.
             if answers[0].is_some() {
                 self.looked = Some(now);
             }
-            return;
+            return Received::Nothing;
         };
         self.looked = Some(now);
         let is_full = status & SyncManager::FULL != 0;
         match self.reading {
             Reading::Repeated { toggle, since }
-                if control & TOGGLE != toggle && now.since(since) < self.within(REPEAT_NS, 4) => {}
+                if (control & TOGGLE != toggle || !is_full)
+                    && now.since(since) < self.within(REPEAT_NS, 4) => {}
             _ if is_full => {
                 let read = head.filter(|head| done(&Some(*head)) && head.data.len() == HEAD);
                 if let Some((place, head)) = self.read.get_mut(..HEAD).zip(read) {
@@ -374,8 +417,13 @@ impl Mailbox {
                 Own::MailboxRepeats.count(counters);
                 self.reading = Reading::Repeat { toggle: !activate & TOGGLE, since: now };
             }
+            Reading::Repeated { .. } => {
+                self.reading = Reading::Nothing;
+                return Received::Gone;
+            }
             _ => (self.reading, self.stale) = (Reading::Nothing, false),
         }
+        Received::Nothing
     }
 
     fn receive_piece(&mut self, piece: Piece, answers: &Answers<'_>, counters: &mut Counters) -> Received {

@@ -3,8 +3,10 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the master's transfers, the application's calls behind them, emergencies |
+//! | `active` | the transfer under way: its owner, its time, its end |
 //! | `emergencies` | those that wait to be taken |
 //! | `mailbox` | how a message gets into the slave, and out of it |
+//! | `counts` | the counts of messages: which answer may belong to which request |
 //! | `sdo` | one transfer, message by message |
 //!
 //! An SDO from a slave is an answer only if one was requested, and if the count (where the slave returns it), the
@@ -12,56 +14,40 @@
 //! Input"). Every other SDO is a stray. An emergency may come in place of an answer, and at any time: the mailbox
 //! is read every 50 ms.
 //!
+//! An answer that is lost, or does not come within the slave's time, costs a repetition of the SDO, never more. After
+//! that a slave may answer twice, and counts are no proof: one that counts its own messages may be in step by chance.
+//! So an SDO of no effect is sent before the next one, and repeated once: what comes before its answer belongs to the
+//! past.
+//!
 //! It runs on the real-time thread: bounded, without allocation.
 
+mod active;
+mod counts;
 mod emergencies;
 mod mailbox;
 mod sdo;
 
+pub(super) use self::active::ATTEMPTS;
+use self::active::{Active, By, End, Kept, bits, farewell};
+pub use self::active::{SdoFailure, Transfer};
 use self::emergencies::Emergencies;
-use self::mailbox::{Mailbox, Received};
-use self::sdo::{Failure, KEPT, Sdo, Step};
+use self::mailbox::{Mailbox, Post, Received};
+use self::sdo::{Failure, Sdo, Step};
 use super::counters::Own;
 use super::object::number::DEVICE_TYPE;
-use super::object::{self, Target, Type, long};
+use super::object::{self, Target, long};
 use super::plan::SlavePlan;
 use super::slot::{Answers, Ask};
-use super::wire::mailbox::{Emergency, Message, parse};
+use super::wire::mailbox::{Emergency, Message, counter, is_answer, parse};
 use super::wire::sdo::{AbortCode, Object, Request};
 use crate::axis::Link;
 use crate::axis::acyclic::{Answer, Call, CallError, Port, Posted};
 use crate::bus::Counters;
 use crate::rt::Regions;
-use crate::time::{MS, Time};
+use crate::time::Time;
 
-/// The time limit of a transfer of the master.
-const LIMIT_NS: u64 = 700 * MS;
-const LIMIT_TURNS: u64 = 12;
-
-/// An SDO of the master itself, of eight bytes at most.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Transfer {
-    /// Reads an object: its bits, of a longer one the first four bytes.
-    Read(Object),
-    /// Writes the lowest `bytes` bytes of `raw`.
-    Write {
-        /// The object.
-        object: Object,
-        /// Its value.
-        raw: u64,
-        /// Its size.
-        bytes: u8,
-    },
-}
-
-/// Why an SDO failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SdoFailure {
-    /// The slave refused.
-    Abort(AbortCode),
-    /// It did not answer, or nothing usable, or the mailbox was closed.
-    Silent,
-}
+/// The slave's time for an answer is so many turns at least.
+const ANSWER_TURNS: u64 = 12;
 
 /// The mailbox of one slave.
 #[derive(Debug)]
@@ -70,105 +56,48 @@ pub struct Service {
     port: Option<Port>,
     open: bool,
     /// A transfer of the master that was not started yet, and how the last one ended.
-    waiting: Option<Transfer>,
+    waiting: Option<Sdo>,
     end: Option<Result<u32, SdoFailure>>,
     active: Option<Active>,
     kept: Kept,
+    /// What a series of calls has handed over so far, to be written.
+    loaded: Kept,
     emergencies: Emergencies,
     /// A call that commands the drive ended without the drive's answer: the drive may still carry it out, until it has
     /// answered a later request.
     unsettled: bool,
-    /// Transfers that were not answered, not counted yet.
+    /// An answer to an earlier request may come that the next one could be taken to have.
+    suspect: bool,
+    /// Transfers that were not answered, and repeated ones, not counted yet.
     silent: u64,
+    repeated: u64,
     /// Dropped emergencies, not counted yet.
     lost: u64,
-    /// The longest time until its mailbox has the slot again, ns.
-    turn_ns: u64,
-}
-
-/// The transfer under way.
-#[derive(Clone, Copy, Debug)]
-struct Active {
-    by: By,
-    sdo: Sdo,
-    since: Time,
-    limit_ns: u64,
-    /// A frame with its first request was built.
-    gone_out: bool,
-}
-
-/// Its owner.
-#[derive(Clone, Copy, Debug)]
-enum By {
-    Master,
-    Call(Posted, Option<Type>),
-    /// Nobody waits for it: its answer shows that the drive has carried out all requests before it.
-    Nobody,
-}
-
-/// How a transfer ends.
-#[derive(Clone, Copy, Debug)]
-enum End {
-    Done,
-    Failed(Failure),
-    GivenUp(CallError),
-}
-
-/// The data of the last read call, for the later calls of its series.
-#[derive(Clone, Copy, Debug)]
-struct Kept {
-    series: u64,
-    address: u32,
-    size: usize,
-    data: [u8; KEPT],
-}
-
-impl Kept {
-    /// The answer to a call for a part of it.
-    fn answer(&self, posted: &Posted) -> Result<Answer, CallError> {
-        let Call { service, address, value } = posted.call;
-        let done = |value| Ok(Answer { status: 0, address, value });
-        let at = usize::try_from(value).unwrap_or(usize::MAX);
-        let is_that = posted.series != 0 && (self.series, self.address) == (posted.series, address);
-        match service {
-            object::SIZE if is_that => done(self.size as u64),
-            object::PART if is_that && at < self.size.min(KEPT) => {
-                let part = self.data.get(at..).unwrap_or_default();
-                done(long::raw(part))
-            }
-            _ => Err(CallError::Refused(object::NOT_READ)),
-        }
-    }
-}
-
-/// A value of `size` bytes as the bits of its type, which may be longer.
-fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
-    let raw = long::raw(data.get(..size).unwrap_or(data));
-    match kind {
-        Some(kind) if kind.is_signed() && (1..kind.bytes()).contains(&size) => {
-            let above = 64 - 8 * size as u32;
-            kind.raw((raw << above) as i64 >> above)
-        }
-        _ => raw,
-    }
+    /// The time that the slave may take for an answer, ns.
+    answer_ns: u64,
 }
 
 impl Service {
     /// The mailbox of a slave, and the application's calls for it.
     pub fn new(slave: &SlavePlan, port: Option<Port>, turn_ns: u64) -> Service {
+        let answer_ns = slave.sdo_timeout_ns.max(ANSWER_TURNS * turn_ns);
+        let mailbox = |areas| Mailbox::new(areas, slave.station(), answer_ns, turn_ns);
         Service {
-            mailbox: slave.mailbox.and_then(|areas| Mailbox::new(areas, slave.station(), turn_ns)),
+            mailbox: slave.mailbox.and_then(mailbox),
             port,
             open: false,
             waiting: None,
             end: None,
             active: None,
-            kept: Kept { series: 0, address: 0, size: 0, data: [0; KEPT] },
+            kept: Kept::default(),
+            loaded: Kept::default(),
             emergencies: Emergencies::default(),
             unsettled: false,
+            suspect: false,
             silent: 0,
+            repeated: 0,
             lost: 0,
-            turn_ns,
+            answer_ns,
         }
     }
 
@@ -194,7 +123,7 @@ impl Service {
             self.lost += self.emergencies.count as u64;
             self.emergencies = Emergencies::default();
         } else {
-            self.finish(Time::default(), End::GivenUp(CallError::Restarted));
+            self.finish(End::GivenUp(CallError::Restarted));
             if self.waiting.take().is_some() {
                 self.end = Some(Err(SdoFailure::Silent));
             }
@@ -202,6 +131,7 @@ impl Service {
         if let Some(mailbox) = &mut self.mailbox {
             mailbox.reset();
         }
+        self.suspect = false;
     }
 
     /// No transfer of the master is under way, and the end of the last one was taken: one may begin.
@@ -212,9 +142,27 @@ impl Service {
 
     /// Begins a transfer of the master; it precedes those of the application.
     pub fn begin(&mut self, transfer: Transfer) {
-        match self.open && self.mailbox.is_some() {
-            true => self.waiting = Some(transfer),
-            false => self.end = Some(Err(SdoFailure::Silent)),
+        self.wait(match transfer {
+            Transfer::Read(object) => Sdo::read(object, false),
+            Transfer::Write { object, raw, bytes } => {
+                let value = raw.to_le_bytes();
+                Sdo::write(object, value.get(..bytes.into()).unwrap_or(&value))
+            }
+        });
+    }
+
+    /// The same: writes a value of any length, at most 128 bytes.
+    pub fn begin_long(&mut self, object: Object, value: &[u8]) {
+        self.wait(Sdo::write(object, value));
+    }
+
+    fn wait(&mut self, sdo: Sdo) {
+        match &self.mailbox {
+            Some(mailbox) if self.open && !mailbox.takes(&sdo) => {
+                self.end = Some(Err(SdoFailure::Unusable(object::EXPEDITED)));
+            }
+            Some(_) if self.open => self.waiting = Some(sdo),
+            _ => self.end = Some(Err(SdoFailure::Silent)),
         }
     }
 
@@ -265,7 +213,7 @@ impl Service {
             }
         }
         if let Some(active) = &self.active {
-            let is_over = now.since(active.since) > active.limit_ns;
+            let is_late = active.is_late(now, self.answer_ns);
             let refusal = match (&active.by, &self.port) {
                 (By::Call(posted, _), Some(port)) if !active.gone_out => port.refusal(posted),
                 _ => None,
@@ -276,12 +224,14 @@ impl Service {
                     Some(CallError::Cancelled)
                 }
                 By::Call(..) if is_down => Some(CallError::NotOnline),
-                _ if is_over => Some(CallError::TimedOut),
+                _ if active.is_over(now) => Some(CallError::TimedOut),
                 _ => None,
             };
             if let Some(why) = why {
                 self.silent += u64::from(why == CallError::TimedOut);
-                self.finish(now, End::GivenUp(why));
+                self.finish(End::GivenUp(why));
+            } else if is_late {
+                self.repeat(now);
             }
         }
         let is_ready = self.open && self.active.is_none();
@@ -292,17 +242,15 @@ impl Service {
 
     /// The next transfer: the master's first.
     fn take_up(&mut self, now: Time) {
-        let limit_ns = LIMIT_NS.max(LIMIT_TURNS * self.turn_ns);
-        if let Some(transfer) = self.waiting.take() {
-            let sdo = match transfer {
-                Transfer::Read(object) => Sdo::read(object, false),
-                Transfer::Write { object, raw, bytes } => Sdo::write(object, raw, bytes.into()),
-            };
-            return self.start(now, Active { by: By::Master, sdo, since: now, limit_ns, gone_out: false });
+        let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
+        if self.suspect && (self.waiting.is_some() || is_called) {
+            return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
+        }
+        if let Some(sdo) = self.waiting.take() {
+            return self.start(now, By::Master, sdo);
         }
         if self.unsettled {
-            let (by, sdo) = (By::Nobody, Sdo::read(DEVICE_TYPE, false));
-            return self.start(now, Active { by, sdo, since: now, limit_ns, gone_out: false });
+            return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
         }
         let Some(posted) = self.port.as_mut().and_then(Port::take) else { return };
         let call = posted.call;
@@ -311,26 +259,58 @@ impl Service {
             (object::WRITE, Some(Target { object, kind: Some(kind), complete: false })) => {
                 // Of a text there is what is not 0.
                 let text = (71 - call.value.leading_zeros() as usize) / 8;
-                let bytes = if kind == Type::Text { text } else { kind.bytes() };
-                (Sdo::write(object, call.value, bytes), Some(kind))
+                let bytes = if kind.is_string() { text } else { kind.bytes() };
+                let value = call.value.to_le_bytes();
+                (Sdo::write(object, value.get(..bytes).unwrap_or(&value)), Some(kind))
+            }
+            (object::STORE, Some(Target { object, kind: Some(kind), complete: false }))
+                if kind.is_string() =>
+            {
+                match self.loaded.whole(&posted) {
+                    Some(value) => (Sdo::write(object, value), Some(kind)),
+                    None => return self.end_call(&posted, Err(CallError::Refused(object::NOT_LOADED))),
+                }
+            }
+            (object::LOAD, _) => {
+                let loaded = self.loaded.load(&posted);
+                return self.end_call(&posted, loaded);
             }
             (object::SIZE | object::PART, _) => return self.end_call(&posted, self.kept.answer(&posted)),
             _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
         };
-        let (by, limit_ns) = (By::Call(posted, sdo.1), posted.limit_ns);
-        self.start(now, Active { by, sdo: sdo.0, since: now, limit_ns, gone_out: false });
+        if self.mailbox.as_ref().is_some_and(|mailbox| !mailbox.takes(&sdo.0)) {
+            return self.end_call(&posted, Err(CallError::Refused(object::EXPEDITED)));
+        }
+        self.start(now, By::Call(posted, sdo.1), sdo.0);
     }
 
-    fn start(&mut self, now: Time, active: Active) {
-        self.active = Some(active);
-        self.post(now);
+    fn start(&mut self, now: Time, by: By, sdo: Sdo) {
+        self.active = Some(Active::new(now, by, sdo, self.answer_ns));
+        self.post(Post::First);
     }
 
     /// Hands the next request of the transfer to the mailbox. There is room: a mailbox has 16 bytes at least.
-    fn post(&mut self, now: Time) {
+    fn post(&mut self, post: Post) {
         if let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) {
             let request = active.sdo.request(mailbox.room());
-            mailbox.post(now, &request, true);
+            mailbox.post(&request, post);
+        }
+    }
+
+    /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
+    fn repeat(&mut self, now: Time) {
+        let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) else { return };
+        let is_refused = match (&active.by, &self.port) {
+            // Its power has come on meanwhile.
+            (By::Call(posted, _), Some(port)) => port.refusal(posted).is_some(),
+            _ => false,
+        };
+        if mailbox.awaits() && active.attempts < ATTEMPTS && !is_refused {
+            let post = if active.sdo.is_begun() { Post::First } else { Post::Again };
+            active.repeat(now);
+            mailbox.abandon();
+            self.repeated += 1;
+            self.post(post);
         }
     }
 
@@ -349,25 +329,27 @@ impl Service {
     /// Takes the answer to its request.
     pub fn receive(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
+        counters.own[Own::MailboxRepeats as usize] += std::mem::take(&mut self.repeated);
         counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
         let received = self.mailbox.as_mut().map(|mailbox| mailbox.receive(now, answers, counters));
         match received {
             None | Some(Received::Nothing) => {}
             Some(Received::Full) => {
                 counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
-                self.finish(now, End::Failed(Failure::Unusable(object::FULL)));
+                self.finish(End::Failed(Failure::Unusable(object::FULL)));
             }
+            Some(Received::Gone) => self.repeat(now),
             Some(Received::Message) => self.take(now, counters),
         }
     }
 
     /// A message has come.
     fn take(&mut self, now: Time, counters: &mut Counters) {
-        let Some(mailbox) = &self.mailbox else { return };
+        let Some(mailbox) = &mut self.mailbox else { return };
         let active = self.active.as_mut().filter(|_| mailbox.awaits());
-        let is_awaited = active.is_some();
-        let failed = |status| Step::Failed(Failure::Unusable(status));
-        let step = match (parse(mailbox.message()), active) {
+        let (message, counts) = mailbox.received();
+        let failed = |status| Some(Step::Failed(Failure::Unusable(status)));
+        let step = match (parse(message), active) {
             (Some(Message::Emergency(emergency)), _) => {
                 Own::Emergencies.count(counters);
                 if !self.emergencies.push(emergency) {
@@ -376,40 +358,47 @@ impl Service {
                 return;
             }
             (Some(Message::Sdo { counter, response }), Some(active))
-                if counter == 0 || counter == mailbox.count() =>
+                if active.sdo.is_answered_by(&response) && counts.may_answer(counter) =>
             {
-                active.sdo.take(&response)
+                Some(active.sdo.take(&response))
             }
-            (Some(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
-            (Some(_), _) => Step::Stray,
-            (None, _) => {
+            (Some(Message::Refused(error)), Some(active))
+                if !active.is_nobodys() && counts.may_answer(counter(message)) =>
+            {
+                failed(object::MAILBOX + u32::from(error.0))
+            }
+            (Some(_), _) => None,
+            (None, active) => {
                 Own::MailboxBroken.count(counters);
-                if !is_awaited {
+                // Whatever else cannot be read is not its answer.
+                let is_its = active.is_some_and(|active| !active.is_nobodys()) && is_answer(message);
+                if !is_its || !counts.may_answer(counter(message)) {
                     return;
                 }
                 failed(object::BROKEN)
             }
         };
         match step {
-            Step::Stray => Own::MailboxStrays.count(counters),
-            Step::Next => {
-                if let Some(mailbox) = &mut self.mailbox {
-                    mailbox.answered();
+            None => Own::MailboxStrays.count(counters),
+            Some(Step::Next) => {
+                mailbox.answered();
+                if let Some(active) = &mut self.active {
+                    active.since = now;
                 }
-                self.post(now);
+                self.post(Post::First);
             }
-            Step::Done => self.finish(now, End::Done),
-            Step::Failed(failure) => {
+            Some(Step::Done) => self.finish(End::Done),
+            Some(Step::Failed(failure)) => {
                 if matches!(failure, Failure::Abort(_)) {
                     Own::Aborts.count(counters);
                 }
-                self.finish(now, End::Failed(failure));
+                self.finish(End::Failed(failure));
             }
         }
     }
 
     /// Ends the transfer that is under way.
-    fn finish(&mut self, now: Time, end: End) {
+    fn finish(&mut self, end: End) {
         let Some(active) = self.active.take() else { return };
         self.unsettled = match end {
             // It answers in the order of its requests.
@@ -419,13 +408,25 @@ impl Service {
             }
         };
         if let Some(mailbox) = &mut self.mailbox {
+            let is_answered = matches!(end, End::Done | End::Failed(Failure::Abort(_)));
+            self.suspect = match active.by {
+                // After its answer nothing of before comes.
+                By::Nobody => self.suspect && !is_answered,
+                _ => {
+                    if is_answered {
+                        mailbox.is_twice()
+                    } else {
+                        active.gone_out
+                    }
+                }
+            };
             match end {
                 End::GivenUp(_) => mailbox.abandon(),
                 End::Done | End::Failed(_) => mailbox.answered(),
             }
             if let Some(code) = farewell(&active.sdo, end) {
                 let object = active.sdo.object();
-                mailbox.post(now, &Request::Abort { object, code }, false);
+                mailbox.post(&Request::Abort { object, code }, Post::Unanswered);
             }
         }
         let (size, data) = active.sdo.value();
@@ -434,7 +435,8 @@ impl Service {
                 self.end = Some(match end {
                     End::Done => Ok(long::raw(data) as u32),
                     End::Failed(Failure::Abort(code)) => Err(SdoFailure::Abort(code)),
-                    End::Failed(Failure::Unusable(_)) | End::GivenUp(_) => Err(SdoFailure::Silent),
+                    End::Failed(Failure::Unusable(status)) => Err(SdoFailure::Unusable(status)),
+                    End::GivenUp(_) => Err(SdoFailure::Silent),
                 });
             }
             By::Call(posted, kind) => {
@@ -455,7 +457,21 @@ impl Service {
                     },
                 );
             }
+            By::Nobody
+                if matches!(end, End::GivenUp(CallError::TimedOut) | End::Failed(Failure::Unusable(_))) =>
+            {
+                self.fail_next();
+            }
             By::Nobody => {}
+        }
+    }
+
+    /// A slave that has not answered the one before would not answer the next one.
+    fn fail_next(&mut self) {
+        if self.waiting.take().is_some() {
+            self.end = Some(Err(SdoFailure::Silent));
+        } else if let Some(posted) = self.port.as_mut().and_then(Port::take) {
+            self.end_call(&posted, Err(CallError::TimedOut));
         }
     }
 
@@ -464,17 +480,6 @@ impl Service {
             port.end(posted, result);
         }
     }
-}
-
-/// The abort to a slave in the middle of a transfer that ends: it would wait for the next segment.
-fn farewell(sdo: &Sdo, end: End) -> Option<AbortCode> {
-    let code = match end {
-        End::Failed(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,
-        End::Failed(Failure::Unusable(_)) => AbortCode::GENERAL,
-        End::GivenUp(_) => AbortCode::TIMED_OUT,
-        End::Done | End::Failed(Failure::Abort(_)) => return None,
-    };
-    sdo.is_begun().then_some(code)
 }
 
 #[cfg(test)]

@@ -2,12 +2,13 @@
 //!
 //! Knows neither the mailbox nor the time. Every step brings it closer to its end, or ends it.
 
+use super::super::object::long::MOST as MOST_BYTES;
 use super::super::object::{ENDLESS, TOGGLE, TRUNCATED};
 use super::super::wire::mailbox::COE_HEADER;
 use super::super::wire::sdo::{AbortCode, EXPEDITED_MAX, Object, Request, Response, SEGMENT_HEADER, SIZE};
 
-/// The bytes of an object that are kept; the rest is read and counted.
-pub(super) const KEPT: usize = 64;
+/// The bytes of an object that are kept; the rest is read and counted. The most that are written.
+pub(super) const KEPT: usize = MOST_BYTES;
 /// The largest object, bytes; a longer one counts as endless.
 const MOST: usize = 1 << 16;
 
@@ -40,8 +41,6 @@ pub(super) enum Failure {
 /// The effect of an answer on a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// None: it answers something else.
-    Stray,
     /// The next request is due.
     Next,
     /// It is done.
@@ -66,11 +65,17 @@ impl Sdo {
         }
     }
 
-    /// Writes the first `bytes` bytes of `value`, the lowest first: one at least.
-    pub(super) fn write(object: Object, value: u64, bytes: usize) -> Sdo {
-        let mut sdo = Sdo { writes: true, size: Some(bytes.clamp(1, 8)), ..Sdo::read(object, false) };
-        sdo.data[..8].copy_from_slice(&value.to_le_bytes());
+    /// Writes these bytes, at most [`KEPT`]; one at least.
+    pub(super) fn write(object: Object, bytes: &[u8]) -> Sdo {
+        let size = bytes.len().clamp(1, KEPT);
+        let mut sdo = Sdo { writes: true, size: Some(size), ..Sdo::read(object, false) };
+        sdo.data.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
         sdo
+    }
+
+    /// It writes more than an expedited message holds.
+    pub(super) fn is_long_write(&self) -> bool {
+        self.writes && self.size.is_some_and(|size| size > EXPEDITED_MAX)
     }
 
     /// Its object.
@@ -114,17 +119,41 @@ impl Sdo {
         }
     }
 
-    /// Takes the answer.
+    /// It writes.
+    pub(super) fn writes(&self) -> bool {
+        self.writes
+    }
+
+    /// It begins anew.
+    pub(super) fn restart(&mut self) {
+        (self.passed, self.going, self.segments, self.toggle) = (0, 0, false, false);
+        if !self.writes {
+            self.size = None;
+        }
+    }
+
+    /// Whether an answer is one to the present request: by its command, and by the object, where it names one.
+    pub(super) fn is_answered_by(&self, response: &Response<'_>) -> bool {
+        let first =
+            |object: Object, writes: bool| !self.segments && self.writes == writes && self.object == object;
+        match *response {
+            Response::Abort { object, .. } => object == self.object,
+            Response::Value { object, .. } | Response::Begun { object, .. } => first(object, false),
+            Response::Downloaded { object } => first(object, true),
+            Response::Segment { .. } => self.segments && !self.writes,
+            Response::SegmentTaken { .. } => self.segments && self.writes,
+        }
+    }
+
+    /// Takes an answer to the present request.
     pub(super) fn take(&mut self, response: &Response<'_>) -> Step {
         match *response {
-            Response::Abort { object, code } if object == self.object || self.segments => {
-                Step::Failed(Failure::Abort(code))
-            }
-            Response::Value { object, data } if self.is_first(object, false) => {
+            Response::Abort { code, .. } => Step::Failed(Failure::Abort(code)),
+            Response::Value { data, .. } => {
                 self.put(data);
                 Step::Done
             }
-            Response::Begun { object, size, data } if self.is_first(object, false) => {
+            Response::Begun { size, data, .. } => {
                 self.size = size.map(|size| size as usize);
                 let data = &data[..data.len().min(self.size.unwrap_or(usize::MAX))];
                 self.put(data);
@@ -135,27 +164,19 @@ impl Sdo {
                     _ => Step::Next,
                 }
             }
-            Response::Segment { toggle, last, data } if self.segments && !self.writes => {
-                self.segment(toggle, last, data)
-            }
-            Response::Downloaded { object } if self.is_first(object, true) => {
+            Response::Segment { toggle, last, data } => self.segment(toggle, last, data),
+            Response::Downloaded { .. } => {
                 self.segments = true;
                 self.gone()
             }
-            Response::SegmentTaken { toggle } if self.segments && self.writes => {
-                if toggle != self.toggle {
-                    return Step::Failed(Failure::Unusable(TOGGLE));
-                }
+            Response::SegmentTaken { toggle } if toggle != self.toggle => {
+                Step::Failed(Failure::Unusable(TOGGLE))
+            }
+            Response::SegmentTaken { toggle } => {
                 self.toggle = !toggle;
                 self.gone()
             }
-            _ => Step::Stray,
         }
-    }
-
-    /// An answer to the first request, of this object.
-    fn is_first(&self, object: Object, writes: bool) -> bool {
-        !self.segments && self.writes == writes && self.object == object
     }
 
     fn segment(&mut self, toggle: bool, last: bool, data: &[u8]) -> Step {

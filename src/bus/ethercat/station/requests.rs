@@ -211,7 +211,7 @@ impl Requests {
     }
 
     fn take(&mut self, now: Time, pending: Pending, end: Result<u32, SdoFailure>) {
-        if end == Err(SdoFailure::Silent) {
+        if matches!(end, Err(SdoFailure::Silent | SdoFailure::Unusable(_))) {
             self.outdated = false;
             self.not_before = now + AGAIN_NS;
             if matches!(pending, Pending::Mode(_)) {

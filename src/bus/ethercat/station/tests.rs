@@ -11,6 +11,7 @@ use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use crate::bus::ethercat::object::{Family, Object, Type, pdo};
+use crate::bus::ethercat::plan::Watchdog;
 use crate::bus::ethercat::profile::capabilities;
 use crate::sim::ethercat::Application;
 
@@ -73,13 +74,13 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
     assert!(unsupported(&mut rig, Rig::jog(1.0)) && unsupported(&mut rig, Rig::by(1.0)));
     let mut plan = velocity();
-    plan.slave.watchdog_ns = None;
+    plan.slave.watchdog = Watchdog::Off;
     let mut rig = Rig::enabled(plan);
     assert!(unsupported(&mut rig, Rig::jog(1.0)));
     rig.assert_standing();
     // A position is held, and a velocity may be accepted.
     for mut plan in [position(), velocity()] {
-        plan.slave.watchdog_ns = None;
+        plan.slave.watchdog = Watchdog::Off;
         plan.accept_no_watchdog = plan.setpoint() != position().setpoint();
         let mut rig = Rig::enabled(plan);
         rig.order(Rig::jog(1.0));
@@ -213,6 +214,7 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     let fixed = |number| pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == number).unwrap();
     (plan.outputs, plan.inputs) = (fixed(0x1701), fixed(0x1B01));
     plan.fit();
+    plan.slave.watchdog = Watchdog::After(100 * MS);
     plan.slave.mailbox = position().slave.mailbox;
     let mut rig = Rig::enabled(plan);
     assert_eq!(rig.control(), 0x1F);

@@ -144,6 +144,18 @@ pub fn extent(head: &[u8], mailbox: usize) -> usize {
     if is_ours { size } else { HEADER }
 }
 
+/// The count of a message; 0: it has none.
+pub fn counter(message: &[u8]) -> u8 {
+    message.get(HEADER - 1).map_or(0, |byte| byte >> 4 & 7)
+}
+
+/// The headers are those of an answer to an SDO, whatever follows them.
+pub fn is_answer(message: &[u8]) -> bool {
+    let is_sdo = |byte: &u8| matches!(byte >> 4, service::SDO_REQUEST | service::SDO_RESPONSE);
+    message.get(HEADER - 1).is_some_and(|byte| byte & 0x0F == kind::COE)
+        && message.get(HEADER + 1).is_some_and(is_sdo)
+}
+
 /// Reads a mailbox. After the message there may be anything: old memory.
 pub fn parse(mailbox: &[u8]) -> Option<Message<'_>> {
     let header = mailbox.first_chunk::<HEADER>()?;

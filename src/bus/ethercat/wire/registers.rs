@@ -14,14 +14,18 @@ pub mod address {
     pub const STATION: u16 = 0x0010;
     /// Alias, from the SII.
     pub const ALIAS: u16 = 0x0012;
-    /// Loops of the ports; 0: each by itself.
+    /// Loops of the ports; 0: each by itself. The register behind it is the size of the receive FIFO.
     pub const PORT_LOOPS: u16 = 0x0101;
+    /// Bit 0: the slave answers to its alias too.
+    pub const ALIAS_ENABLE: u16 = 0x0103;
     /// [`Links`](super::Links).
     pub const LINKS: u16 = 0x0110;
     /// The requested state.
     pub const AL_CONTROL: u16 = 0x0120;
     /// The state, and behind it from byte 4 on its [`AlCode`](super::AlCode).
     pub const AL_STATUS: u16 = 0x0130;
+    /// Bit 0: device emulation. The controller of a slave without a processor copies AL control to AL status.
+    pub const EMULATION: u16 = 0x0141;
     /// The events that a slave adds to each datagram.
     pub const EVENT_MASK: u16 = 0x0200;
     /// Error counters; a write clears them.
@@ -178,6 +182,11 @@ impl AlCode {
     pub const SYNCHRONISATION: AlCode = AlCode(0x001A);
     /// No outputs came in time.
     pub const WATCHDOG: AlCode = AlCode(0x001B);
+
+    /// It concerns the setting of the SyncManagers, or of the watchdog.
+    pub const fn is_of_managers(self) -> bool {
+        matches!(self, AlCode::SYNC_MANAGER | AlCode(0x001D | 0x001F))
+    }
 
     /// Its meaning; `None`: a manufacturer's own.
     pub const fn name(self) -> Option<&'static str> {

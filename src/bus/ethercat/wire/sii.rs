@@ -27,8 +27,47 @@ pub mod word {
 
 /// Values of the owner register: taken from the slave's processor ...
 pub const FORCE: u8 = 2;
-/// ... and given to the master.
+/// ... given to the master ...
 pub const MASTER: u8 = 0;
+/// ... and to the slave's processor.
+pub const PROCESSOR: u8 = 1;
+
+/// Whether the processor owns it, or works with it: the owner register and the one behind it.
+pub fn is_processors(owner: &[u8]) -> bool {
+    owner.iter().take(2).any(|byte| byte & 1 != 0)
+}
+
+/// Why it cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It belongs to the slave's processor.
+    Owned,
+    /// A command does not end.
+    Busy,
+    /// A command fails.
+    Refused,
+    /// The slave has not loaded it.
+    Unloaded,
+    /// Its checksum is wrong.
+    Checksum,
+    /// It returns data of another address.
+    Address,
+    /// It was never written.
+    Blank,
+}
+
+impl Fault {
+    /// All of them, each at the index of its number.
+    pub const ALL: [Fault; 7] = [
+        Fault::Owned,
+        Fault::Busy,
+        Fault::Refused,
+        Fault::Unloaded,
+        Fault::Checksum,
+        Fault::Address,
+        Fault::Blank,
+    ];
+}
 
 /// The bytes that start a read from `word` on, for the control register and the address after it.
 pub const fn read(word: u16) -> [u8; 6] {
@@ -59,6 +98,15 @@ impl Status {
     /// The command failed, the checksum is wrong, or nothing is loaded.
     pub const fn error(self) -> bool {
         self.failed() || self.unsound()
+    }
+
+    /// The error that it shows.
+    pub const fn fault(self) -> Fault {
+        match self.0 {
+            status if status & 1 << 12 != 0 => Fault::Unloaded,
+            status if status & 1 << 11 != 0 => Fault::Checksum,
+            _ => Fault::Refused,
+        }
     }
 
     /// The command failed.

@@ -1,5 +1,6 @@
 //! What a master may read and write by registers and memory.
 
+use super::misuse::is_locked;
 use super::*;
 
 impl Chip {
@@ -24,9 +25,9 @@ impl Chip {
             0x0010..0x0012 | 0x0100..0x0104 | 0x0200..0x0202 | 0x0300..0x0314 => true,
             0x0120..0x0122 => self.requested.is_none(),
             0x0400..0x0402 | 0x0410..0x0412 | 0x0420..0x0422 | 0x0442..0x0444 | 0x0500 => true,
-            0x0502..0x0510 => !self.eeprom.is_busy() && self.memory[usize::from(address::SII_OWNER)] & 1 == 0,
+            0x0502..0x0510 => !self.eeprom.is_busy() && self.bytes(address::SII_OWNER) == [0; 2],
             0x0600..0x0800 => true,
-            0x0800..0x0900 => at % SyncManager::SIZE != 5 && at % SyncManager::SIZE != 7,
+            0x0800..0x0900 => !matches!(at % SyncManager::SIZE, 5 | 7) && !is_locked(at, &self.memory),
             0x0900..0x0904 | 0x0910..0x0918 | 0x0920..0x092C | 0x0930..0x0936 => true,
             0x0980..0x0982 | 0x0990..0x0998 | 0x09A0..0x09A8 => true,
             _ => at >= USER,
@@ -63,6 +64,7 @@ impl Chip {
 
     /// Writes what may be written. Whether anything could be written.
     pub(in super::super) fn write(&mut self, at: u16, data: &[u8]) -> bool {
+        self.count_misuse(at, data);
         let mut span = Span::default();
         // The pulse runs: its start and cycle are accepted and discarded (assumed; the manuals only forbid it).
         let runs = self.memory[usize::from(address::DC_ACTIVATION)] & CYCLIC != 0;

@@ -38,13 +38,22 @@ impl Chip {
     fn registers_written(&mut self, range: &Range<usize>) {
         let hit = |at: u16, size: usize| meets(range, at, size);
         if hit(address::AL_CONTROL, 2) {
-            self.requested = Some(self.passage.at);
+            if self.emulated {
+                let [status, _] = self.word(address::AL_CONTROL).to_le_bytes();
+                self.put(address::AL_STATUS, &[status & AlStatus::SHOWN as u8]);
+                self.events |= STATE_CHANGED;
+            } else {
+                self.requested = Some(self.passage.at);
+            }
         }
         if hit(address::ERRORS, 0x14) {
             self.put(address::ERRORS, &[0; 0x14]);
         }
         if hit(WATCHDOG_COUNTER as u16, 2) {
             self.put(WATCHDOG_COUNTER as u16, &[0; 2]);
+        }
+        if hit(address::SII_OWNER, 1) {
+            self.sii_owner();
         }
         if hit(address::SII_CONTROL, 2) {
             self.sii_command();
@@ -63,6 +72,13 @@ impl Chip {
         if range.end > usize::from(address::DC_PORTS) {
             self.clock_written(range);
         }
+    }
+
+    /// The processor lets go of the SII by force only.
+    fn sii_owner(&mut self) {
+        let [owner, held] = self.bytes(address::SII_OWNER);
+        let held = if owner & FORCED != 0 { 0 } else { held };
+        self.put(address::SII_OWNER, &[owner & SLAVES, held]);
     }
 
     fn sii_command(&mut self) {
@@ -113,14 +129,16 @@ impl Chip {
         }
     }
 
-    /// Latches when this frame came, and when it comes back.
+    /// Latches when this frame came, and when it comes back. A port with nothing behind it keeps its time.
     fn latch(&mut self) {
         let own = self.clock.own();
-        let Passage { at, back_at } = self.passage;
-        let back = back_at.map_or(0, |back_at| own.wrapping_add(back_at.since(at)));
+        let Passage { at, back } = self.passage;
         self.put(address::DC_PORTS, &(own as u32).to_le_bytes());
-        self.put(address::DC_PORTS + 4, &(back as u32).to_le_bytes());
-        self.put(address::DC_PORTS + 8, &[0; 8]);
+        for (port, back) in (address::DC_PORTS..).step_by(4).zip(back) {
+            if let Some(back) = back {
+                self.put(port, &(own.wrapping_add(back.since(at)) as u32).to_le_bytes());
+            }
+        }
         self.put(address::DC_RECEIVED, &own.to_le_bytes());
     }
 }

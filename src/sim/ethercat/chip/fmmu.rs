@@ -1,14 +1,17 @@
-//! The mapping of FMMUs: logical addresses to memory, bit by bit.
+//! The mapping of FMMUs: logical addresses to memory, bit by bit (ET1100 data sheet, section I, FMMU).
 
 use super::access::Span;
 use super::*;
 
+/// The only memory that is written bit by bit: the outputs of a digital terminal.
+const DIGITAL: Range<usize> = 0x0F00..0x0F04;
+
 impl Chip {
     /// Reads what the FMMUs map into these logical addresses. Whether anything could be read.
     pub(in super::super) fn read_logical(&mut self, at: u32, data: &mut [u8]) -> bool {
-        self.each_fmmu(false, |chip, fmmu| {
+        self.each_fmmu(false, |chip, fmmu, is_first| {
             let mut span = Span::default();
-            for piece in pieces(fmmu) {
+            for piece in pieces(fmmu).filter(|piece| is_first(piece.logical)) {
                 let Some(byte) = piece.place(at).and_then(|place| data.get_mut(place)) else { continue };
                 if chip.may_read(piece.physical) {
                     let bits = chip.memory[piece.physical] >> piece.bits.1 << piece.bits.0;
@@ -22,13 +25,19 @@ impl Chip {
 
     /// Writes what the FMMUs map from these logical addresses. Whether anything could be written.
     pub(in super::super) fn write_logical(&mut self, at: u32, data: &[u8]) -> bool {
-        self.each_fmmu(true, |chip, fmmu| {
-            let mut span = Span::default();
-            for piece in pieces(fmmu) {
+        self.each_fmmu(true, |chip, fmmu, is_first| {
+            let (mut span, mut last) = (Span::default(), None);
+            for piece in pieces(fmmu).filter(|piece| is_first(piece.logical)) {
                 let Some(byte) = piece.place(at).and_then(|place| data.get(place)) else { continue };
                 if chip.may_write(piece.physical) {
                     let bits = byte >> piece.bits.0 << piece.bits.1;
                     let own = &mut chip.memory[piece.physical];
+                    // The other bits stay in the outputs of a digital terminal; elsewhere they are undefined.
+                    if last.replace(piece.physical) != Some(piece.physical)
+                        && !DIGITAL.contains(&piece.physical)
+                    {
+                        *own = !*own;
+                    }
                     *own = *own & !piece.mask(piece.bits.1) | bits & piece.mask(piece.bits.1);
                     span.add(piece.physical);
                 }
@@ -37,13 +46,20 @@ impl Chip {
         })
     }
 
-    /// Whether `access` was successful with any of the FMMUs of this direction.
-    fn each_fmmu(&mut self, output: bool, mut access: impl FnMut(&mut Chip, Fmmu) -> bool) -> bool {
-        let mut any = false;
+    /// Whether `access` was successful with any of the FMMUs of this direction. It is passed whether a logical byte is
+    /// its own: where several map one byte, the first counts and the others do not.
+    fn each_fmmu(
+        &mut self,
+        output: bool,
+        mut access: impl FnMut(&mut Chip, Fmmu, &dyn Fn(u64) -> bool) -> bool,
+    ) -> bool {
+        let (mut any, mut mapped) = (false, Vec::<Range<u64>>::new());
         for n in 0..self.fmmus.len() {
             let fmmu = self.fmmus[n];
             if fmmu.active && fmmu.output == output {
-                any |= access(self, fmmu);
+                any |= access(self, fmmu, &|logical| !mapped.iter().any(|range| range.contains(&logical)));
+                let begin = u64::from(fmmu.logical);
+                mapped.push(begin..begin + u64::from(fmmu.length));
             }
         }
         any

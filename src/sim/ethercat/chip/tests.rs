@@ -34,20 +34,34 @@ fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
     let mut chip = chip(|_| {});
     // Ten bits from bit 6 on, to the memory from bit 3 on.
     let crooked =
-        |output| Fmmu { bits: (6, 7), physical: (0x1100, 3), ..Fmmu::bytes(0x40, 2, 0x1100, output) };
+        |output| Fmmu { bits: (6, 7), physical: (0x0F00, 3), ..Fmmu::bytes(0x40, 2, 0x0F00, output) };
     map(&mut chip, 0, crooked(true));
-    assert!(chip.write(0x1100, &[0xFF, 0xFF]));
+    assert!(chip.write(0x0F00, &[0xFF, 0xFF]));
     assert!(chip.write_logical(0x40, &[0x40, 0x00]));
     assert_eq!(
-        chip.bytes(0x1100_u16),
+        chip.bytes(0x0F00_u16),
         [0b0000_1111, 0b1110_0000],
         "ten bits from bit 3 on, the first one set"
     );
-    assert!(chip.write(0x1100, &[0b0101_0000, 0b0000_0001]));
+    // Elsewhere memory is written by bytes: what is not mapped has any value.
+    let elsewhere = Fmmu { physical: (0x1100, 3), ..crooked(true) };
+    map(&mut chip, 0, elsewhere);
+    assert!(chip.write(0x1100, &[0xFF, 0xFF]) && chip.write_logical(0x40, &[0x40, 0x00]));
+    assert_eq!(chip.bytes(0x1100_u16), [0b0000_1000, 0]);
+    assert!(chip.write(0x0F00, &[0b0101_0000, 0b0000_0001]));
     map(&mut chip, 0, crooked(false));
     let mut data = [0b0011_1111, 0xFF];
     assert!(chip.read_logical(0x40, &mut data));
     assert_eq!(data, [0b1011_1111, 0b0000_1010]);
+}
+
+#[test]
+fn of_two_fmmus_that_map_one_logical_byte_the_first_counts() {
+    let mut chip = chip(|_| {});
+    map(&mut chip, 0, Fmmu { bits: (0, 3), ..Fmmu::bytes(0x40, 1, 0x0F00, true) });
+    map(&mut chip, 1, Fmmu { bits: (4, 7), ..Fmmu::bytes(0x40, 2, 0x0F01, true) });
+    assert!(chip.write_logical(0x40, &[0xFF, 0xFF]));
+    assert_eq!(chip.bytes(0x0F00_u16), [0x0F, 0xF0, 0x0F], "of the second one only the other byte");
 }
 
 #[test]
@@ -144,22 +158,22 @@ fn registers_that_are_not_there_are_neither_read_nor_written() {
 fn resources_and_links_stand_as_a_master_reads_them() {
     let mut chip = chip(|_| {});
     assert_eq!(chip.bytes(address::TYPE), [4, 2, 0, 0, 8, 8, 8, 0x0F, 0xCC, 0x01]);
-    chip.link([true, true]);
+    chip.link([true, true, false, false]);
     assert_eq!(chip.word(address::LINKS), 0b0101_1010_0011_0000);
-    chip.link([true, false]);
+    chip.link([true, false, false, false]);
     assert_eq!(chip.word(address::LINKS), 0b0101_0110_0001_0000);
 }
 
 #[test]
 fn a_changed_link_is_told_with_each_datagram_until_it_was_read() {
     let mut chip = chip(|_| {});
-    chip.link([true, false]);
+    chip.link([true, false, false, false]);
     assert_eq!(chip.interrupts(), 0, "masked");
     assert!(chip.write(address::EVENT_MASK, &[4, 0]));
     assert_eq!(chip.interrupts(), 4);
     assert!(chip.read(address::LINKS, &mut [0; 2], false));
     assert_eq!(chip.interrupts(), 0);
-    chip.link([true, false]);
+    chip.link([true, false, false, false]);
     assert_eq!(chip.interrupts(), 0, "nothing has changed");
 }
 
@@ -167,13 +181,13 @@ fn a_changed_link_is_told_with_each_datagram_until_it_was_read() {
 fn ports_are_latched_together_and_one_where_the_frame_turns_is_not() {
     let mut chip = chip(|settings| settings.clock_ns = (1 << 32) + 500);
     chip.advance(Time(1_000));
-    chip.begin(Passage { at: Time(1_000), back_at: Some(Time(1_300)) });
+    chip.begin(Passage { at: Time(1_000), back: [None, Some(Time(1_300)), None, None] });
     assert!(chip.write(address::DC_PORTS, &[0; 4]));
     assert_eq!(chip.bytes(address::DC_PORTS), [0xF4, 1, 0, 0, 0x20, 3, 0, 0]);
     assert_eq!(chip.quad(address::DC_RECEIVED), (1 << 32) + 500);
-    chip.begin(Passage { at: Time(1_000), back_at: None });
+    chip.begin(Passage { at: Time(1_000), back: [None; 4] });
     assert!(chip.write(address::DC_PORTS, &[0]));
-    assert_eq!(chip.bytes(address::DC_PORTS), [0xF4, 1, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(chip.bytes(address::DC_PORTS), [0xF4, 1, 0, 0, 0x20, 3, 0, 0], "it keeps its time");
 }
 
 #[test]
@@ -186,9 +200,9 @@ fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
         activate: 1,
     };
     assert!(chip.write(address::sync_manager(2), &outputs.to_bytes()));
-    chip.begin(Passage { at: Time(5), back_at: None });
+    chip.begin(Passage { at: Time(5), back: [None; 4] });
     assert!(chip.write(0x1100, &[1, 2]) && chip.takes_outputs() && !chip.takes_outputs());
-    assert!(chip.outputs().eq(&[1, 2]));
+    assert!(chip.outputs().eq([1, 2]));
     // 1 000 ticks of 100 us.
     assert!(!chip.watchdog_expired(Time(100_000_004)));
     assert!(chip.watchdog_expired(Time(100_000_005)) && chip.watchdog_expired(Time(200_000_000)));

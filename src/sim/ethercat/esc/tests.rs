@@ -156,7 +156,7 @@ fn a_slave_does_not_do_what_its_features_lack() {
 fn the_eeprom_is_read_by_its_registers_and_by_its_owner_only() {
     let access = Access { busy_ns: 1_000, ..Access::default() };
     let mut bench = Bench::new(vec![Settings { sii_access: access, ..with_mailbox() }]);
-    let begin = sii::read(word::MAILBOX_OUT);
+    let begin = sii::read(sii::word::MAILBOX_OUT);
     assert_eq!(bench.write(0, address::SII_OWNER, &[1]), 1);
     assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 0);
     for owner in [sii::FORCE, sii::MASTER] {

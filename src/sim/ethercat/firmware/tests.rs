@@ -159,7 +159,7 @@ fn only_an_armed_watchdog_throws_it_out_of_op() {
     for (control, armed) in [(0x24, false), (0x64, true)] {
         let mut bench = at(S::PreOp);
         let outputs = SyncManager { start: 0x1100, length: 6, control, activate: 1 };
-        bench.write(0, address::sync_manager(2), &outputs.to_bytes());
+        bench.manage(0, 2, &outputs.to_bytes());
         bench.go(0, S::SafeOp);
         bench.idle(500);
         bench.go(0, S::Op);

@@ -1,6 +1,7 @@
-//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES`. The line behind INTERFACE is a coupler and
-//! DRIVES Kollmorgen S700. It brings all of them to OP, turns the first drive, stops it and goes back to INIT; a line
-//! on standard output says what it saw, and an error on standard error what it did not.
+//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES turn|hold`. The segment behind INTERFACE is a
+//! coupler and DRIVES Kollmorgen S700. It brings all of them to OP and turns the first drive. `turn` stops it then and
+//! goes back to INIT; `hold` keeps it turning until this process is killed. A line on standard output says what it saw,
+//! and an error on standard error what it did not.
 
 use std::error::Error as StdError;
 use std::time::{Duration, Instant};
@@ -28,6 +29,7 @@ fn main() -> Done<()> {
     let mut arguments = std::env::args().skip(1);
     let interface = arguments.next().ok_or("which interface?")?;
     let drives: usize = arguments.next().ok_or("how many drives?")?.parse()?;
+    let holds = arguments.next().ok_or("turn or hold?")? == "hold";
     let (tx, rx, pdus) = STORAGE.try_split().map_err(|()| "the storage is taken")?;
     let timeouts = Timeouts {
         state_transition: Duration::from_secs(20),
@@ -40,10 +42,10 @@ fn main() -> Done<()> {
     let config =
         MainDeviceConfig { dc_static_sync_iterations: 500, retry_behaviour: RetryBehaviour::Count(5) };
     smol::spawn(tx_rx_task(&interface, tx, rx)?).detach();
-    smol::block_on(run(MainDevice::new(pdus, timeouts, config), drives))
+    smol::block_on(run(MainDevice::new(pdus, timeouts, config), drives, holds))
 }
 
-async fn run(master: MainDevice<'static>, drives: usize) -> Done<()> {
+async fn run(master: MainDevice<'static>, drives: usize, holds: bool) -> Done<()> {
     let mut group = master.init_single_group::<SLAVES, IMAGE>(ethercat_now).await?;
     println!("slaves {}", group.len());
     for (place, mut slave) in group.iter_mut(&master).enumerate() {
@@ -90,6 +92,13 @@ async fn run(master: MainDevice<'static>, drives: usize) -> Done<()> {
     }
     println!("state OP");
     line.turn().await?;
+    if holds {
+        println!("holding");
+        loop {
+            line.cycle().await?;
+        }
+    }
+    line.stop().await?;
     group.into_safe_op(&master).await?.into_pre_op(&master).await?.into_init(&master).await?;
     println!("state INIT");
     Ok(())
@@ -146,7 +155,7 @@ impl<S: HasPdi> Line<'_, S> {
         Err(format!("not {what}: {seen:x?}").into())
     }
 
-    /// Enables the first drive, turns it for a while, and disables it. The others stay off.
+    /// Enables the first drive and turns it. The others stay off.
     async fn turn(&self) -> Done<()> {
         let first = |mask: u16, value: u16| {
             move |line: &Self| line.inputs(0).is_ok_and(|(_, status)| status & mask == value)
@@ -168,6 +177,11 @@ impl<S: HasPdi> Line<'_, S> {
         }
         println!("counter {counts}");
         println!("moved {} {}", self.inputs(0)?.0 - begin, self.inputs(self.drives - 1)?.0 - other);
+        Ok(())
+    }
+
+    /// Stops and disables the first drive.
+    async fn stop(&self) -> Done<()> {
         self.set(0, 0, 0x0F)?;
         for _ in 0..HELD {
             self.cycle().await?;
@@ -178,7 +192,8 @@ impl<S: HasPdi> Line<'_, S> {
         }
         println!("still {}", self.inputs(0)?.0 - still);
         self.set(0, 0, 0x06)?;
-        self.until("ready to switch on", first(0x6F, 0x21)).await?;
+        let is_ready = |line: &Self| line.inputs(0).is_ok_and(|(_, status)| status & 0x6F == 0x21);
+        self.until("ready to switch on", is_ready).await?;
         println!("status {:#06x}", self.inputs(0)?.1);
         Ok(())
     }

@@ -15,6 +15,7 @@ use super::setup::WATCHDOG_DIVIDER;
 use super::{Context, List, Mapped, Note, Slave, Step, Way};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
+use crate::bus::ethercat::plan::Watchdog;
 use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
@@ -25,6 +26,11 @@ const MANAGERS: usize = 4 * SyncManager::SIZE;
 const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 
 impl Slave {
+    /// A drive in OP, as it was last seen: it may move.
+    pub(super) fn may_be_found(&self) -> bool {
+        self.way.al == Some(AlState::Op) && !self.is_device()
+    }
+
     pub(super) fn request_found(&self, ask: &mut Ask) {
         ask.read(self.reads(address::SYNC_MANAGER), MANAGERS);
         ask.read(self.reads(address::WATCHDOG_DIVIDER), WATCHDOGS);
@@ -41,7 +47,7 @@ impl Slave {
     /// Its inputs and AL status; after the FMMU of its outputs.
     pub(super) fn request_join(&self, ask: &mut Ask) {
         let (fmmus, length) = self.fmmus();
-        let behind = if self.plan.outputs.length > 0 { Fmmu::SIZE } else { 0 };
+        let behind = self.output_fmmus() * Fmmu::SIZE;
         ask.write(self.writes(address::FMMU + behind as u16), &fmmus[behind..length]);
     }
 
@@ -62,8 +68,11 @@ impl Slave {
             let bytes = watchdogs.data.get(at..).and_then(<[u8]>::first_chunk::<2>);
             bytes.map(|bytes| u16::from_le_bytes(*bytes))
         };
-        self.watched = self.managers().all(arms)
-            && (word(0), word(WATCHDOGS - 2)) == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()));
+        let is_armed = || {
+            let values = (word(0), word(WATCHDOGS - 2));
+            self.managers().all(arms) && values == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()))
+        };
+        self.watched = self.plan.watchdog == Watchdog::AsDelivered || is_armed();
         let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
         if is_own && self.clock_fits {
             self.enter(now, Step::FoundFmmus);
@@ -74,12 +83,12 @@ impl Slave {
 
     /// Its FMMUs: those of its inputs replace none that another master writes by.
     pub(super) fn found_fmmus(&mut self, now: Time, data: &[u8]) {
-        let behind = if self.plan.outputs.length > 0 { 1 } else { 0 };
-        let written = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(behind).map(|bytes| Fmmu::new(*bytes));
+        let behind = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(self.output_fmmus());
+        let written = behind.map(|bytes| Fmmu::new(*bytes));
         if written.into_iter().any(|fmmu| fmmu.active && fmmu.output) {
             self.not_joinable(now);
         } else {
-            self.enter(now, Step::Address { joins: true });
+            self.enter(now, Step::Free { joins: true });
         }
     }
 
@@ -94,7 +103,7 @@ impl Slave {
         let phase_ns = running.phase_ns(clock, context.cycle, sent_at);
         let is_in_phase = phase_ns.is_some_and(|phase| !context.has_time || context.is_phase(phase));
         self.clock_fits = !self.other_time && if self.plan.sync { is_in_phase } else { !running.is_cyclic() };
-        self.enter(now, Step::sii());
+        self.identify(now);
         (running.is_cyclic() && !context.has_time).then_some(running)
     }
 
@@ -118,7 +127,8 @@ impl Slave {
 
     /// All of it is as configured.
     pub(super) fn joined_whole(&mut self, now: Time) {
-        (self.way.was_operational, self.note, self.refused) = (true, Note::None, Note::None);
+        (self.way.was_operational, self.note) = (true, Note::None);
+        (self.refused, self.refusals) = (Note::None, 0);
         self.enter(now, Step::Up);
     }
 
@@ -146,7 +156,7 @@ impl Slave {
                 self.enter(now, Step::Up);
             }
             // Its clock ran by itself meanwhile.
-            _ if self.plan.sync => self.enter(now, Step::Latch),
+            _ if self.plan.sync => self.enter(now, Step::Time),
             _ => self.enter(now, Step::Code),
         }
         true

@@ -28,7 +28,7 @@ impl Slave {
     /// Its possible share of the working counter of such a frame, at least and at most.
     #[inline]
     pub fn counts(&self) -> (u16, u16) {
-        let inputs = u16::from(self.has_al || self.plan.inputs.length > 0);
+        let inputs = u16::from(self.has_al || !self.plan.inputs.is_empty());
         let all = inputs + self.written();
         let full = if self.way.mapped == Mapped::Inputs { inputs } else { all };
         match self.shown.state() {
@@ -60,7 +60,7 @@ impl Slave {
     /// A write counts twice, if it is one datagram with the read.
     #[inline]
     fn written(&self) -> u16 {
-        match self.plan.outputs.length > 0 {
+        match !self.plan.outputs.is_empty() {
             true if self.lrw => 2,
             written => written.into(),
         }

@@ -2,8 +2,11 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | the slave, its steps, and how it leaves them |
+//! | `mod` | the slave, and how it leaves its steps |
+//! | `step` | its steps |
 //! | `request`, `receive` | the request of a step; the answer to it |
+//! | `address` | whether it is there, and its station address |
+//! | `identity` | its SII |
 //! | `objects` | what is written and read over its mailbox |
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
@@ -13,25 +16,32 @@
 //! | step | what |
 //! |---|---|
 //! | look | whether it is there, its state, the features of its controller, its station address; in OP: its clock |
-//! | SII | its identity, and whether its buffers are where the configuration has them |
+//! | unmap | FMMUs of others, unless it is a drive that may move |
+//! | SII | taken from its processor, and given back: its identity, its buffers |
 //! | INIT | down, whatever its state was; errors acknowledged |
 //! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address, taken from whoever has it |
+//! | clock | delay and offset, as soon as the segment has a time for it |
 //! | PREOP | the mailbox, then the objects of its start-up |
 //! | process data | watchdog, SyncManagers, FMMUs; read back |
-//! | clock | delay and offset, until its own clock is synchronised to the segment's; SYNC0 |
+//! | settled | its own clock is synchronised to the segment's; SYNC0 |
 //! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the segment |
 //!
 //! A step is repeated while its frames are lost; with a slave that does not answer it begins anew after a while.
 
+mod address;
 mod found;
 mod frames;
+mod identity;
 mod objects;
 mod receive;
 mod request;
 mod setup;
+mod step;
 mod sync;
 
 use self::objects::List;
+pub use self::step::Missing;
+use self::step::{Change, Pause, Setting, Step};
 use super::clock::SegmentClock;
 use super::note::Note;
 use crate::axis::FoundRunning;
@@ -39,7 +49,7 @@ use crate::bus::Cycle;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::image::Offsets;
 use crate::bus::ethercat::plan::{Owner, SlavePlan};
-use crate::bus::ethercat::sii::{Managers, Reader};
+use crate::bus::ethercat::sii::Managers;
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
 use crate::rt::Regions;
@@ -47,12 +57,16 @@ use crate::time::{MS, S, Time, US};
 
 /// The interval of looks at a position where no slave answers, or one that cannot be used.
 const LOOK_EVERY_NS: u64 = 100 * MS;
+/// The pause after the first refusal; after each further one twice as long, up to the longest.
 const REFUSED_FOR_NS: u64 = S;
+const REFUSED_MOST_NS: u64 = 30 * S;
 /// The tolerance of SYNC0 of a drive that is found in OP.
 const SYNC_OFF_NS: i64 = 10 * US as i64;
 /// FMMUs and SyncManagers that are cleared in a slot.
 const FMMUS_AT_ONCE: u8 = 8;
 const MANAGERS_AT_ONCE: u8 = 8;
+/// SyncManagers that are written, or read, in a slot.
+const MANAGERS_SET: u8 = 2;
 
 /// What a step has to know of the segment.
 #[derive(Clone, Copy, Debug)]
@@ -71,10 +85,16 @@ pub struct Context<'a> {
     pub may_begin: bool,
     /// The position of a slave that runs on a time other than the segment's: it may not begin yet.
     pub other_time: Option<u16>,
+    /// How much later than the first slave of all the first one with SYNC0 receives, ns.
+    pub first_delay_ns: Option<u32>,
     /// The segment has a time, and not from this slave: SYNC0 comes where that has it.
     pub has_time: bool,
-    /// Another slave reads receive times.
-    pub timing_taken: bool,
+    /// The other slave of this segment that has the station address in this answer, by its position.
+    pub in_use: Option<u16>,
+    /// The same of one that was given this address, and may not be reached by it any more.
+    pub given: Option<u16>,
+    /// The request to which this is the answer, or a part of it, was not carried out.
+    pub missing: Option<Missing>,
     /// The longest wait of a slave for its turn, ns.
     pub turn_ns: u64,
     /// The drive wants its outputs to go out.
@@ -104,100 +124,6 @@ pub enum Mapped {
     All,
 }
 
-/// The step that it is at.
-#[derive(Clone, Copy, Debug)]
-enum Step {
-    /// Nothing until then.
-    Rest(Time),
-    Look,
-    /// In OP already: the time that it runs on is read.
-    FoundClock,
-    SiiOwner,
-    Sii(Reader<Managers>),
-    /// A drive in OP: its SyncManagers and watchdog, its FMMUs, its station address, ...
-    Found,
-    FoundFmmus,
-    /// ... its inputs, and its PDOs and mode.
-    Join,
-    Ports,
-    Clear(u8),
-    /// Its station address is set, and read. `joins`: of a drive in OP.
-    Address {
-        joins: bool,
-    },
-    AddressCheck {
-        joins: bool,
-    },
-    Mailbox,
-    /// Objects over the mailbox.
-    Objects {
-        list: List,
-        next: usize,
-        begun: bool,
-    },
-    Watchdog,
-    WatchdogCheck,
-    SyncManagers,
-    SyncManagersCheck,
-    Fmmus,
-    Latch,
-    ReferenceTimes {
-        segment_ns: u64,
-    },
-    OwnTimes {
-        segment_ns: u64,
-        reference_loop_ns: u32,
-    },
-    Offset {
-        offset: u64,
-        delay_ns: u32,
-    },
-    Filter,
-    Settle {
-        good: u8,
-        next: Time,
-    },
-    SegmentTime,
-    /// `ahead_ns`: its own time less the segment's.
-    SyncStart {
-        ahead_ns: u64,
-        segment_ns: u64,
-    },
-    SyncOn {
-        segment_ns: u64,
-    },
-    State(Change),
-    Lock,
-    Up,
-    /// Its outputs are released.
-    Release,
-    /// It has reported an AL error in operation.
-    Code,
-}
-
-/// A change of state.
-#[derive(Clone, Copy, Debug)]
-struct Change {
-    to: AlState,
-    said: bool,
-    errors: u8,
-    /// Requested in its place, to acknowledge an error.
-    acknowledge: Option<AlStatus>,
-}
-
-/// The most looks at a busy SII before the command is repeated.
-const SII_LOOKS: u16 = 200;
-
-impl Step {
-    fn sii() -> Step {
-        Step::Sii(Reader::new(Managers::default(), SII_LOOKS))
-    }
-
-    fn to(state: AlState) -> Step {
-        Step::State(Change { to: state, said: false, errors: 0, acknowledge: None })
-    }
-}
-
 /// What happened to a slave that others have to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Happened {
@@ -220,8 +146,12 @@ pub struct Way {
     pub mapped: Mapped,
     /// Its mailbox can be used.
     pub mailbox_open: bool,
+    /// How often its objects were begun.
+    lists: u8,
     /// It was joined in OP: not all of it was set up here.
     pub joined: bool,
+    /// How often its clock was set anew while it settled.
+    set_anew: u8,
     /// It has been in OP.
     was_operational: bool,
     /// Its state, as far as is known; `None`: it is not there.
@@ -245,6 +175,10 @@ pub struct Slave {
     /// How far it is.
     pub way: Way,
     features: Features,
+    /// Its controller copies AL control to AL status: it has no errors, and an acknowledgement would become one.
+    emulated: bool,
+    /// What acknowledges the error that it showed when it was looked at.
+    acknowledge: Option<AlStatus>,
     fmmus: u8,
     managers: u8,
     /// Its SyncManagers as its SII has them.
@@ -256,6 +190,8 @@ pub struct Slave {
     pub watched: bool,
     /// Its clock was set to the segment's, and it has not been away since.
     pub clock_set: bool,
+    /// How much later than the first slave it receives, ns; `None`: it has been away since that was found.
+    pub delay_ns: Option<u32>,
     /// It was read, or does not answer.
     pub looked_at: bool,
     /// It runs on a time other than the segment's, as far as is known.
@@ -264,6 +200,8 @@ pub struct Slave {
     clock_fits: bool,
     /// It was given its station address, and has not been switched off since.
     known: bool,
+    /// It was given its station address by this master, and as far as is known the same slave still has it.
+    given: bool,
     /// All of it was set up here, and nothing has contradicted that since.
     ours: bool,
     /// The orderly end has begun: it is being shut down.
@@ -273,6 +211,8 @@ pub struct Slave {
     note: Note,
     /// Why it was refused last.
     refused: Note,
+    /// How often that was, in a row.
+    refusals: u8,
     /// The state last reported, and whether its mailbox was opened.
     pub reported: Option<AlState>,
     pub is_open: bool,
@@ -304,6 +244,8 @@ impl Slave {
             silent: 0,
             way: Way::default(),
             features: Features::default(),
+            emulated: false,
+            acknowledge: None,
             fmmus: 0,
             managers: 0,
             delivered: Managers::default(),
@@ -311,15 +253,18 @@ impl Slave {
             found_mode: None,
             watched: true,
             clock_set: false,
+            delay_ns: None,
             looked_at: false,
             other_time: false,
             clock_fits: false,
             known: false,
+            given: false,
             ours: false,
             ending: false,
             factor: 1,
             note: Note::Starting,
             refused: Note::None,
+            refusals: 0,
             reported: None,
             is_open: false,
             shown: AlStatus::default(),
@@ -328,9 +273,18 @@ impl Slave {
         }
     }
 
+    /// Where it is, for people.
+    #[cfg(test)]
+    pub fn at(&self) -> String {
+        format!("{:?} {:?} {:?} {:?}", self.plan.place, self.step, self.note(), self.way)
+    }
+
     /// Adds what it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.plan.outputs);
+        regions.add(&*self.plan.inputs);
         regions.add(&*self.plan.start_up);
+        self.plan.start_up.iter().for_each(|start| regions.add(&*start.string));
         regions.add(&*self.plan.verify);
         regions.add(&*self.plan.verify_found);
     }
@@ -369,14 +323,29 @@ impl Slave {
         matches!(self.step, Step::Up) && self.way.mapped == Mapped::All && self.has_al && !self.way.joined
     }
 
-    /// It reads receive times: no other slave may have them latched meanwhile.
-    pub fn is_timing(&self) -> bool {
-        matches!(self.step, Step::ReferenceTimes { .. } | Step::OwnTimes { .. } | Step::Offset { .. })
+    /// This station address is its own, and the master uses it.
+    pub fn has_address(&self, station: u16) -> bool {
+        self.way.addressed && self.station() == station
+    }
+
+    /// This station address is its own, and it was given it: it may answer at another position now.
+    pub fn was_given(&self, station: u16) -> bool {
+        self.given && self.station() == station
     }
 
     /// It is about to have its clock set.
     pub fn waits_for_clock(&self) -> bool {
-        matches!(self.step, Step::Latch) || self.is_timing()
+        matches!(self.step, Step::Time | Step::Offset(_))
+    }
+
+    /// Its clock is not set yet: it settles while others are set up.
+    pub fn is_urgent(&self) -> bool {
+        self.plan.sync && !self.clock_set && !matches!(self.step, Step::Rest(_) | Step::Refused(_))
+    }
+
+    /// For that its delay is to be found.
+    pub fn lacks_delay(&self) -> bool {
+        self.delay_ns.is_none() && matches!(self.step, Step::Time)
     }
 
     fn reads(&self, register: u16) -> Command {
@@ -408,19 +377,24 @@ impl Slave {
     /// It cannot be used as it is.
     fn refuse(&mut self, now: Time, note: Note) {
         (self.ours, self.refused) = (false, note);
-        self.start_over(now, REFUSED_FOR_NS, note);
+        (self.way, self.note) = (Way::default(), note);
+        let pause_ns = (REFUSED_FOR_NS << self.refusals.min(5)).min(REFUSED_MOST_NS);
+        self.refusals = self.refusals.saturating_add(1);
+        let pause = Pause { until: now + pause_ns, next: now + LOOK_EVERY_NS, seen: None };
+        self.enter(now, Step::Refused(pause));
     }
 
     /// No slave answers at its position.
     fn absent(&mut self, now: Time) {
         (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
-        self.refused = Note::None;
+        self.delay_ns = None;
+        (self.refused, self.refusals) = (Note::None, 0);
         self.start_over(now, LOOK_EVERY_NS, Note::Absent);
     }
 
     /// The frames no longer reach it.
     pub fn lost(&mut self, now: Time) {
-        (self.clock_set, self.looked_at) = (false, false);
+        (self.clock_set, self.looked_at, self.delay_ns) = (false, false, None);
         self.start_over(now, 0, Note::Absent);
     }
 
@@ -429,17 +403,26 @@ impl Slave {
         self.ending = true;
         match self.step {
             Step::State(Change { to: AlState::Init, .. }) => false,
+            Step::SiiBack { .. } => false,
+            Step::SiiTake { .. } | Step::Sii(_) => {
+                self.enter(now, Step::SiiBack { refused: Note::None });
+                false
+            }
             // It is not ours.
             _ if self.way.joined && self.way.mapped == Mapped::Inputs => true,
             Step::Rest(_)
+            | Step::Refused(_)
             | Step::Look
+            | Step::Twin { .. }
+            | Step::Unaddress
+            | Step::There(_)
+            | Step::Unmap(_)
             | Step::FoundClock
-            | Step::SiiOwner
-            | Step::Sii(_)
+            | Step::SiiForce
             | Step::Found
             | Step::FoundFmmus
+            | Step::Free { joins: true }
             | Step::Address { joins: true }
-            | Step::AddressCheck { joins: true }
             | Step::Join => true,
             _ => {
                 self.way.was_operational = false;

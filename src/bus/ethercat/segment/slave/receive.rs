@@ -1,13 +1,12 @@
 //! The answers to the requests of a step.
 
-use super::request::{AL_LOOK, LOOK};
+use super::request::AL_LOOK;
 use super::setup::WATCHDOG_DIVIDER;
 use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
-use crate::bus::ethercat::plan::FIRST_STATION;
 use crate::bus::ethercat::segment::running::Running;
-use crate::bus::ethercat::sii::{Head, Managers, Reading};
-use crate::bus::ethercat::slot::{Answer, Answers};
-use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
+use crate::bus::ethercat::sii::Reading;
+use crate::bus::ethercat::slot::Answers;
+use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus};
 use crate::time::Time;
 
 /// Missing answers in a row until it counts as lost.
@@ -35,32 +34,44 @@ impl Slave {
         // AL control may still be unread by the firmware, and not accept a second request; usually nobody else has
         // its station address.
         let may_be_zero = match self.step {
-            Step::Latch | Step::State(Change { said: false, .. }) => true,
-            Step::Address { .. } => answers[1].is_some_and(|given| given.working_counter > 0),
+            Step::State(Change { said: false, looks: false, .. }) => true,
+            Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
+            Step::Sii(reader) => reader.writes(),
+            Step::Twin { .. } | Step::Free { .. } => true,
             _ => false,
         };
-        let nobody = |answer: &Option<Answer<'_>>| answer.is_some_and(|answer| answer.working_counter == 0);
-        if answers.iter().any(nobody) && matches!(self.step, Step::ReferenceTimes { .. }) {
-            // The reference itself does not answer.
-            self.enter(now, Step::Latch);
-            return Happened::Nothing;
-        }
-        if answers.iter().any(nobody) && !may_be_zero {
+        if let Some(missing) = context.missing.filter(|_| !may_be_zero) {
             self.silent += 1;
-            if self.silent >= SILENT || matches!(self.step, Step::Look) {
+            if matches!(self.step, Step::Look | Step::There(_) | Step::Refused(_)) {
                 self.absent(now);
+            } else if self.silent >= SILENT {
+                self.silent(now, missing);
             }
             return Happened::Nothing;
         }
         self.silent = 0;
         match self.step {
-            Step::Look => return self.looked(now, answers),
-            Step::SiiOwner => self.enter(now, Step::sii()),
+            Step::Look => return self.looked(context, answers),
+            Step::Refused(pause) => self.looked_again(now, pause, answers),
+            Step::Twin { place, .. } => self.counted(now, place, first.working_counter),
+            Step::Unaddress => self.enter(now, Step::Look),
+            Step::Unmap(done) => self.unmapped(now, done.saturating_add(FMMUS_AT_ONCE)),
+            Step::There(missing) => {
+                self.is_there(now, missing, answers[1].map_or(&[], |station| station.data));
+            }
+            Step::SiiForce => self.enter(now, Step::SiiTake { looks: 0 }),
+            Step::SiiTake { looks } => self.took_sii(now, looks, answers[1]),
             Step::Sii(mut reader) => match reader.receive(answers) {
                 Reading::Busy | Reading::On => self.step = Step::Sii(reader),
-                Reading::Done => self.identified(now, &reader.head, reader.content),
-                Reading::Failed => self.refuse(now, Note::Sii),
+                Reading::Done => {
+                    let refused = self.contradiction(&reader.head, reader.content);
+                    self.enter(now, Step::SiiBack { refused: refused.unwrap_or_default() });
+                }
+                Reading::Failed(fault) => self.enter(now, Step::SiiBack { refused: Note::Sii(fault) }),
             },
+            Step::SiiBack { .. } if self.ending => self.start_over(now, 0, self.note),
+            Step::SiiBack { refused: Note::None } => self.identified(now),
+            Step::SiiBack { refused } => self.refuse(now, refused),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
             Step::Join => self.join(now),
@@ -69,10 +80,10 @@ impl Slave {
                 // The last ones are followed by one that is not counted.
                 let over = done >= self.fmmus.max(self.managers);
                 let next = done.saturating_add(FMMUS_AT_ONCE);
-                self.enter(now, if over { Step::Address { joins: false } } else { Step::Clear(next) });
+                self.enter(now, if over { Step::Free { joins: false } } else { Step::Clear(next) });
             }
-            Step::Address { joins } => self.enter(now, Step::AddressCheck { joins }),
-            Step::AddressCheck { joins } => self.was_addressed(now, first, joins),
+            Step::Free { joins } => self.enter(now, Step::Address { joins }),
+            Step::Address { joins } => self.was_addressed(now, answers[1], joins),
             Step::Mailbox => self.enter(now, Step::to(AlState::PreOp)),
             Step::Watchdog => self.enter(now, Step::WatchdogCheck),
             Step::WatchdogCheck => {
@@ -81,19 +92,16 @@ impl Slave {
                     .iter()
                     .zip(values)
                     .all(|(answer, value)| answer.is_some_and(|answer| answer.data == value));
-                self.checked(now, is_set, Step::SyncManagers);
+                self.checked(now, is_set, Step::SyncManagers(0));
             }
-            Step::SyncManagers => self.enter(now, Step::SyncManagersCheck),
-            Step::SyncManagersCheck => {
-                let is_set = answers.iter().flatten().zip(self.managers()).all(|(answer, (_, wanted))| {
-                    let bytes = answer.data.first_chunk::<{ SyncManager::SIZE }>();
-                    bytes.is_some_and(|bytes| SyncManager::new(*bytes) == wanted)
-                });
-                self.checked(now, is_set, Step::Fmmus);
+            Step::SyncManagers(from) => self.enter(now, Step::SyncManagersCheck(from)),
+            Step::SyncManagersCheck(from) => {
+                let (is_set, next) = self.managers_read(from, answers);
+                self.checked(now, is_set, next);
             }
             Step::Fmmus => {
                 self.way.mapped = Mapped::All;
-                self.enter(now, if self.plan.sync { Step::Latch } else { Step::to(AlState::SafeOp) });
+                self.enter(now, self.step_of_clock());
             }
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
@@ -109,112 +117,15 @@ impl Slave {
     fn receive_clock(&mut self, context: &Context<'_>, first: &[u8], second: &[u8]) {
         let now = context.cycle.grid;
         match self.step {
-            Step::Latch => {
-                let segment_ns = context.clock.shows(context.cycle, context.sent_at);
-                self.enter(now, Step::ReferenceTimes { segment_ns });
-            }
-            Step::ReferenceTimes { segment_ns } => self.referred(now, context, segment_ns, first, second),
-            Step::OwnTimes { segment_ns, reference_loop_ns } => {
-                self.timed(now, context, segment_ns, reference_loop_ns, first, second);
-            }
-            Step::Offset { .. } => self.offset_set(now),
-            Step::Filter if self.is_reference(context) => self.enter(now, Step::SegmentTime),
-            Step::Filter => self.enter(now, Step::Settle { good: 0, next: now }),
+            Step::Time => self.timed(context, first),
+            Step::Offset(setting) => self.offset_set(context, setting),
+            Step::Correct(setting) => self.corrected(context, setting, first),
             Step::Settle { good, .. } => self.settled(context, good, first),
             Step::SegmentTime => self.segment_time(now, context, second),
             Step::SyncStart { segment_ns, .. } => self.enter(now, Step::SyncOn { segment_ns }),
             Step::SyncOn { segment_ns } => self.sync_on(now, context, segment_ns),
             _ => {}
         }
-    }
-
-    fn looked(&mut self, now: Time, answers: &Answers<'_>) -> Happened {
-        let [Some(status), Some(look)] = answers else { return Happened::Nothing };
-        let (Some((status, _)), Some(look)) = (al(status.data), look.data.first_chunk::<LOOK>()) else {
-            return Happened::Nothing;
-        };
-        self.way.al = status.state();
-        (self.fmmus, self.managers) = (look[4], look[5]);
-        self.features = Features(u16::from_le_bytes([look[8], look[9]]));
-        let station = u16::from_le_bytes([look[0x10], look[0x11]]);
-        self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
-        self.note = Note::Starting;
-        // In OP nothing is taken by force; and the time that it runs on comes first.
-        let runs = self.way.al == Some(AlState::Op);
-        let has_time = runs && self.features.has_clock();
-        (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
-        if let Some(note) = self.unusable(station) {
-            self.refuse(now, note);
-            return Happened::Nothing;
-        }
-        let restarted = self.known && (station != self.station() || self.way.al == Some(AlState::Init));
-        self.known &= !restarted;
-        if restarted {
-            (self.clock_set, self.ours, self.refused) = (false, false, Note::None);
-        }
-        if !self.goes_on(now) {
-            self.known = false;
-            self.enter(
-                now,
-                match runs {
-                    _ if has_time => Step::FoundClock,
-                    true => Step::sii(),
-                    false => Step::SiiOwner,
-                },
-            );
-        }
-        if restarted { Happened::Restarted } else { Happened::Nothing }
-    }
-
-    /// Why a slave with this station address cannot be used here.
-    fn unusable(&self, station: u16) -> Option<Note> {
-        let other = station.checked_sub(FIRST_STATION).filter(|place| *place != self.plan.place);
-        match other {
-            _ if self.lrw && self.features.lacks_lrw() => Some(Note::NoLrw),
-            _ if self.plan.sync && !self.features.has_clock() => Some(Note::NoClock),
-            _ if usize::from(self.fmmus) < self.wanted_fmmus() => Some(Note::Fmmus(self.fmmus)),
-            // It was given this address at another position, and works there.
-            Some(place) if self.way.al.is_some_and(|al| al >= AlState::SafeOp) => {
-                Some(Note::WrongPlace(place))
-            }
-            _ => None,
-        }
-    }
-
-    fn identified(&mut self, now: Time, head: &Head, delivered: Managers) {
-        self.delivered = delivered;
-        let (expected, found) = (&self.plan.identity, head.identity);
-        let differs = |expected: Option<u32>, found: u32| expected.is_some_and(|expected| expected != found);
-        let note = match () {
-            () if differs(expected.vendor, found.vendor) => Some(Note::Vendor(found.vendor)),
-            () if differs(expected.product, found.product) => Some(Note::Product(found.product)),
-            () if differs(expected.revision, found.revision) => Some(Note::Revision(found.revision)),
-            () if self.plan.check_sii && !head.is_blank() => self.contradicts(head),
-            () => None,
-        };
-        if let Some(note) = note {
-            return self.refuse(now, note);
-        }
-        let is_found = self.way.al == Some(AlState::Op) && !self.is_device();
-        self.enter(now, if is_found { Step::Found } else { Step::to(AlState::Init) });
-    }
-
-    fn was_addressed(&mut self, now: Time, read: Answer<'_>, joins: bool) {
-        if read.working_counter > 1 {
-            return self.refuse(now, Note::AddressTwice);
-        }
-        if read.data != self.station().to_le_bytes() {
-            return self.absent(now);
-        }
-        self.way.addressed = true;
-        self.enter(
-            now,
-            match self.plan.mailbox {
-                _ if joins => Step::Join,
-                Some(_) => Step::Mailbox,
-                None => Step::to(AlState::PreOp),
-            },
-        );
     }
 
     /// The settings were read back.
@@ -230,12 +141,15 @@ impl Slave {
     fn went(&mut self, now: Time, mut change: Change, answers: &Answers<'_>) -> Happened {
         let Some(first) = answers[0] else { return Happened::Nothing };
         if !change.said {
-            change.said = first.working_counter > 0;
+            let is_there = first.working_counter > 0;
+            (change.said, change.looks) = (is_there && !change.looks, !is_there);
             self.step = Step::State(change);
             return Happened::Nothing;
         }
         let Some((status, code)) = al(first.data) else { return Happened::Nothing };
-        if status.error() {
+        // A mirrored bit is no error; nor is one without a code in the state that was requested.
+        let is_reached = code == AlCode::NONE && status.state() == Some(change.to);
+        if status.error() && !self.emulated && !is_reached {
             return self.refused_state(now, change, status, code);
         }
         if change.acknowledge.take().is_some() {
@@ -258,7 +172,7 @@ impl Slave {
             // The firmware has not read the acknowledgement yet.
             return Happened::Nothing;
         }
-        let note = Note::State { to: change.to, code };
+        let note = self.refusal(change.to, code);
         if change.errors >= ERRORS {
             self.refuse(now, note);
             return Happened::Error;
@@ -279,11 +193,12 @@ impl Slave {
             }
             AlState::SafeOp => {
                 (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
-                self.enter(now, Step::Lock);
+                let settles = self.plan.sync;
+                self.enter(now, if settles { Step::Settle { good: 0, next: now } } else { Step::Lock });
             }
             AlState::Op => {
                 (self.way.al, self.way.was_operational) = (Some(AlState::Op), true);
-                (self.note, self.refused) = (Note::None, Note::None);
+                (self.note, self.refused, self.refusals) = (Note::None, Note::None, 0);
                 self.enter(now, Step::Up);
                 return Happened::Operational;
             }
@@ -309,19 +224,23 @@ impl Slave {
             Some(AlState::SafeOp) if self.way.joined => self.set_up(now),
             Some(AlState::Op | AlState::SafeOp) => {
                 self.note = Note::State { to: AlState::Op, code };
-                let acknowledge = status.error().then(|| acknowledging(status));
                 // By way of SAFEOP, where the grid has to be locked first.
-                let change = Change { to: AlState::SafeOp, said: false, errors: 0, acknowledge };
-                self.enter(now, Step::State(change));
+                self.enter(now, Step::acknowledged(AlState::SafeOp, self.acknowledgement(status, code)));
             }
             _ => self.start_over(now, 0, Note::Starting),
         }
         if status.error() { Happened::Error } else { Happened::Nothing }
     }
+
+    /// What acknowledges the error in this status; `None`: it is none.
+    pub(super) fn acknowledgement(&self, status: AlStatus, code: AlCode) -> Option<AlStatus> {
+        let is_error = status.error() && !self.emulated && code != AlCode::NONE;
+        is_error.then(|| acknowledging(status))
+    }
 }
 
 /// AL status and its code.
-fn al(data: &[u8]) -> Option<(AlStatus, AlCode)> {
+pub(super) fn al(data: &[u8]) -> Option<(AlStatus, AlCode)> {
     let [low, high, _, _, code_low, code_high] = *data.first_chunk::<AL_LOOK>()?;
     Some((AlStatus(u16::from_le_bytes([low, high])), AlCode(u16::from_le_bytes([code_low, code_high]))))
 }

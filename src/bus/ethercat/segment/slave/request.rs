@@ -1,23 +1,21 @@
 //! The request of each step.
 
-use super::{Change, Context, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Note, Slave, Step};
+use super::{Change, Context, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Note, Pause, Setting, Slave, Step};
 use crate::bus::ethercat::plan::Owner;
 use crate::bus::ethercat::slot::Ask;
 use crate::bus::ethercat::wire::frame::Command;
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
 use crate::bus::ethercat::wire::sii;
-use crate::time::{S, Time};
+use crate::time::{MS, Time};
 
 use super::setup::WATCHDOG_DIVIDER;
-use super::sync::sync_ahead_ns;
+use super::sync::{TIME, sync_ahead_ns};
 
 /// Bytes from its type to its station address.
 pub(super) const LOOK: usize = 0x12;
-/// AL status and its code.
+/// AL status and its code; and up to the bit of device emulation.
 pub(super) const AL_LOOK: usize = 6;
-/// The time limit of a change of state; and of the last one, after which the drive synchronises.
-const STATE_NS: u64 = 3 * S;
-const OP_NS: u64 = 10 * S;
+pub(super) const EMULATION_AT: usize = (address::EMULATION - address::AL_STATUS) as usize;
 /// A drive for which OP is requested before it has seen regular cycles for a while goes into a fault (F28); how
 /// many it needs is assumed.
 const SYNCHRONISE_CYCLES: u64 = 200;
@@ -33,7 +31,8 @@ impl Slave {
     /// Writes its request for the next frame, if it has one.
     pub fn request(&mut self, context: &Context<'_>, ask: &mut Ask) {
         let now = context.cycle.grid;
-        if self.ending && !matches!(self.step, Step::State(Change { to: AlState::Init, .. })) {
+        let ends = matches!(self.step, Step::State(Change { to: AlState::Init, .. }) | Step::SiiBack { .. });
+        if self.ending && !ends {
             return;
         }
         match self.step {
@@ -43,14 +42,38 @@ impl Slave {
                     self.request(context, ask);
                 }
             }
-            Step::Look => {
-                ask.read(self.reads(address::AL_STATUS), AL_LOOK);
+            Step::Refused(Pause { until, .. }) if now >= until => {
+                self.enter(now, Step::Look);
+                self.request(context, ask);
+            }
+            Step::Refused(Pause { next, .. }) if now < next => {}
+            Step::Look | Step::Refused(_) => {
+                ask.read(self.reads(address::AL_STATUS), EMULATION_AT + 1);
                 ask.read(self.reads(address::TYPE), LOOK);
             }
+            Step::Twin { station, .. } => {
+                ask.read(Command::Fprd(station, address::STATION), 2);
+            }
+            Step::Unaddress => {
+                ask.write(self.writes(address::STATION), &[0; 2]);
+                // If it was set up with this address, it must not carry out the outputs of the one that has it now.
+                self.request_unmap(0, ask);
+            }
+            Step::There(_) => self.request_there(ask),
+            Step::Unmap(done) => self.request_unmap(done, ask),
             Step::FoundClock => self.request_running(ask),
-            Step::SiiOwner => {
+            Step::SiiForce => {
                 ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
+            }
+            Step::SiiTake { .. } => {
                 ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
+                ask.read(self.reads(address::SII_OWNER), 2);
+            }
+            Step::SiiBack { refused } => {
+                ask.write(self.writes(address::SII_OWNER), &[sii::PROCESSOR]);
+                if refused == Note::None && !self.may_be_found() && !self.ending {
+                    ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
+                }
             }
             Step::Sii(reader) => {
                 reader.request(|register| self.reads(register), |register| self.writes(register), ask);
@@ -59,19 +82,13 @@ impl Slave {
             Step::FoundFmmus => self.request_found_fmmus(ask),
             Step::Join => self.request_join(ask),
             Step::Ports => {
-                // Each loop by itself; no alias; the event of AL control only.
-                ask.write(self.writes(address::PORT_LOOPS), &[0; 3]);
-                ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
+                // Each loop by itself; no alias.
+                ask.write(self.writes(address::PORT_LOOPS), &[0]);
+                ask.write(self.writes(address::ALIAS_ENABLE), &[0]);
             }
             Step::Clear(done) => self.request_clear(done, ask),
-            Step::Address { .. } => {
-                // Whoever has it from another master, or from another position, loses it.
-                ask.write(Command::Fpwr(self.station(), address::STATION), &[0; 2]);
-                ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
-            }
-            Step::AddressCheck { .. } => {
-                ask.read(Command::Fprd(self.station(), address::STATION), 2);
-            }
+            Step::Free { .. } => self.request_free(ask),
+            Step::Address { .. } => self.request_address(ask),
             Step::Mailbox => {
                 for (number, manager) in self.mailbox_managers() {
                     ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
@@ -86,13 +103,13 @@ impl Slave {
                 ask.read(self.reads(address::WATCHDOG_DIVIDER), 2);
                 ask.read(self.reads(address::WATCHDOG), 2);
             }
-            Step::SyncManagers => {
-                for (number, manager) in self.managers() {
+            Step::SyncManagers(from) => {
+                for (number, manager) in self.managers_from(from) {
                     ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
                 }
             }
-            Step::SyncManagersCheck => {
-                for (number, _) in self.managers() {
+            Step::SyncManagersCheck(from) => {
+                for (number, _) in self.managers_from(from) {
                     ask.read(self.reads(address::sync_manager(number)), SyncManager::SIZE);
                 }
             }
@@ -121,12 +138,17 @@ impl Slave {
 
     /// The steps of its clock.
     fn request_clock(&mut self, context: &Context<'_>, ask: &mut Ask) {
-        let (register, length) = Slave::TIMES;
         match self.step {
-            Step::Latch => {
+            Step::Time if context.other_time.is_some() && self.way.mapped == Mapped::None => {
+                // Its mailbox can be used meanwhile.
+                self.continue_timed(context.cycle.grid);
+                self.request(context, ask);
+            }
+            Step::Time => {
                 let is_there = context.timed || self.is_reference(context) && context.may_begin;
-                if !context.timing_taken && is_there {
-                    ask.write(Command::Bwr(address::DC_PORTS), &[0; 4]);
+                if self.delay_ns.is_some() && is_there {
+                    ask.read(self.reads(address::DC_TIME), TIME);
+                    ask.write(self.writes(address::DC_FILTER), &FILTER_DEPTHS.to_le_bytes());
                 }
                 self.note = match context.other_time {
                     _ if !ask.is_empty() => Note::Starting,
@@ -134,22 +156,15 @@ impl Slave {
                     None => Note::WaitsForClock,
                 };
             }
-            Step::ReferenceTimes { .. } => {
-                let reference = context.reference.unwrap_or_else(|| self.station());
-                ask.read(Command::Fprd(reference, register), length);
-                ask.read(Command::Fprd(reference, address::LINKS), 2);
-            }
-            Step::OwnTimes { .. } => {
-                ask.read(self.reads(register), length);
-                ask.read(self.reads(address::LINKS), 2);
-            }
-            Step::Offset { offset, delay_ns } => {
-                ask.write(self.writes(address::DC_OFFSET), &offset.to_le_bytes());
-                ask.write(self.writes(address::DC_DELAY), &delay_ns.to_le_bytes());
-            }
-            Step::Filter => {
-                ask.write(self.writes(address::DC_FILTER), &FILTER_DEPTHS.to_le_bytes());
+            Step::Offset(Setting { offset, delay_ns, .. }) => {
+                let mut bytes = [0; 12];
+                bytes[..8].copy_from_slice(&offset.to_le_bytes());
+                bytes[8..].copy_from_slice(&delay_ns.to_le_bytes());
+                ask.write(self.writes(address::DC_OFFSET), &bytes);
                 ask.write(self.writes(address::DC_SPEED), &SPEED_START.to_le_bytes());
+            }
+            Step::Correct(_) => {
+                ask.read(self.reads(address::DC_DIFFERENCE), 4);
             }
             Step::Settle { next, .. } if context.cycle.grid >= next => {
                 ask.read(self.reads(address::DC_DIFFERENCE), 4);
@@ -172,14 +187,19 @@ impl Slave {
         }
     }
 
-    fn request_clear(&self, done: u8, ask: &mut Ask) {
+    fn request_unmap(&self, done: u8, ask: &mut Ask) {
         const ZERO: [u8; FMMUS_AT_ONCE as usize * Fmmu::SIZE] = [0; FMMUS_AT_ONCE as usize * Fmmu::SIZE];
-        let left = |count: u8, at_once: u8| usize::from(count.saturating_sub(done).min(at_once));
-        let fmmus = left(self.fmmus, FMMUS_AT_ONCE);
-        if fmmus > 0 {
-            ask.write(self.writes(address::fmmu(done.into())), &ZERO[..fmmus * Fmmu::SIZE]);
+        let left = usize::from(self.fmmus.saturating_sub(done).min(FMMUS_AT_ONCE));
+        ask.write(self.writes(address::fmmu(done.into())), &ZERO[..left * Fmmu::SIZE]);
+    }
+
+    fn request_clear(&self, done: u8, ask: &mut Ask) {
+        const ZERO: [u8; MANAGERS_AT_ONCE as usize * SyncManager::SIZE] =
+            [0; MANAGERS_AT_ONCE as usize * SyncManager::SIZE];
+        if done < self.fmmus {
+            self.request_unmap(done, ask);
         }
-        let managers = left(self.managers, MANAGERS_AT_ONCE);
+        let managers = usize::from(self.managers.saturating_sub(done).min(MANAGERS_AT_ONCE));
         if managers > 0 {
             let register = address::sync_manager(done.into());
             ask.write(self.writes(register), &ZERO[..managers * SyncManager::SIZE]);
@@ -213,20 +233,17 @@ impl Slave {
     }
 
     fn request_state(&mut self, now: Time, change: Change, ask: &mut Ask) {
-        let limit = if change.to == AlState::Op { OP_NS } else { STATE_NS };
-        if now.since(self.since) > limit {
-            return self.refuse(now, Note::Slow(change.to));
+        let times = if change.to == AlState::Op { 2 } else { 1 };
+        let limit_ns = self.plan.state_timeout_ns.saturating_mul(times);
+        if now.since(self.since) > limit_ns {
+            let within_ms = u32::try_from(limit_ns / MS).unwrap_or(u32::MAX);
+            return self.refuse(now, Note::Slow { to: change.to, within_ms });
         }
-        if change.said {
+        if change.said || change.looks {
             ask.read(self.reads(address::AL_STATUS), AL_LOOK);
             return;
         }
-        // INIT is requested together with the acknowledgement of any present error.
-        let wanted = match change.to {
-            AlState::Init => AlStatus::request(AlState::Init).acknowledge(),
-            to => AlStatus::request(to),
-        };
-        let control = change.acknowledge.unwrap_or(wanted);
+        let control = change.acknowledge.unwrap_or(AlStatus::request(change.to));
         ask.write(self.writes(address::AL_CONTROL), &control.0.to_le_bytes());
     }
 

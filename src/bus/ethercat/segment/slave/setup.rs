@@ -1,85 +1,143 @@
 //! SyncManagers, FMMUs and watchdog of a slave, as the configuration has them.
 
-use super::Slave;
+use super::{MANAGERS_SET, Slave, Step};
 use crate::bus::ethercat::image::AL_SIZE;
-use crate::bus::ethercat::plan::Area;
+use crate::bus::ethercat::plan::{Area, MOST_AREAS, SlavePlan, Start, Watchdog};
 use crate::bus::ethercat::segment::note::Note;
 use crate::bus::ethercat::sii::Head;
-use crate::bus::ethercat::wire::registers::{Fmmu, SyncManager, address};
+use crate::bus::ethercat::slot::Answers;
+use crate::bus::ethercat::wire::registers::{AlCode, AlState, Fmmu, SyncManager, address};
 use crate::bus::ethercat::wire::sii::Use;
 
 /// Of a watchdog, 100 us.
 pub(super) const WATCHDOG_DIVIDER: u16 = 0x09C2;
 const WATCHDOG_TICK_NS: u64 = 100_000;
 /// FMMUs of one slave: outputs, inputs, AL status.
-pub(super) const FMMUS: usize = 3;
+pub(super) const FMMUS: usize = 2 * MOST_AREAS + 1;
 
 impl Slave {
     /// The number of FMMUs that it needs for its process data.
     pub(super) fn wanted_fmmus(&self) -> usize {
-        usize::from(self.plan.outputs.length > 0) + usize::from(self.plan.inputs.length > 0)
+        self.output_fmmus() + Area::joined(&self.plan.inputs).count()
+    }
+
+    /// The first step of setting up its process data.
+    pub(super) fn process_data(&self) -> Step {
+        let SlavePlan { outputs, inputs, watchdog, .. } = &self.plan;
+        match () {
+            () if !outputs.is_empty() && *watchdog != Watchdog::AsDelivered => Step::Watchdog,
+            () if !outputs.is_empty() || !inputs.is_empty() => Step::SyncManagers(0),
+            // A coupler's head exchanges only its state.
+            () if self.fmmus().1 > 0 => Step::Fmmus,
+            () => Step::to(AlState::SafeOp),
+        }
+    }
+
+    /// The number of those of its outputs, which come first.
+    pub(super) fn output_fmmus(&self) -> usize {
+        Area::joined(&self.plan.outputs).count()
     }
 
     /// Its FMMUs one after the other, and their length in bytes.
     pub(super) fn fmmus(&self) -> ([u8; FMMUS * Fmmu::SIZE], usize) {
         let logical = self.offsets.logical;
-        let area = |at, area: Area, output| {
-            (area.length > 0).then(|| Fmmu::bytes(at, area.length, area.start, output))
-        };
-        let al = self.has_al.then(|| Fmmu::bytes(logical.al, AL_SIZE as u16, address::AL_STATUS, false));
-        let all = [
-            area(logical.outputs, self.plan.outputs, true),
-            area(logical.inputs, self.plan.inputs, false),
-            al,
-        ];
         let (mut bytes, mut length) = ([0; FMMUS * Fmmu::SIZE], 0);
-        for fmmu in all.into_iter().flatten() {
-            bytes[length..length + Fmmu::SIZE].copy_from_slice(&fmmu.to_bytes());
-            length += Fmmu::SIZE;
+        let mut push = |fmmu: Fmmu| {
+            if let Some(place) = bytes.get_mut(length..length + Fmmu::SIZE) {
+                place.copy_from_slice(&fmmu.to_bytes());
+                length += Fmmu::SIZE;
+            }
+        };
+        let areas = [(logical.outputs, &self.plan.outputs, true), (logical.inputs, &self.plan.inputs, false)];
+        for (mut at, areas, output) in areas {
+            for Area { start, length } in Area::joined(areas) {
+                push(Fmmu::bytes(at, length, start, output));
+                at += u32::from(length);
+            }
+        }
+        if self.has_al {
+            push(Fmmu::bytes(logical.al, AL_SIZE as u16, address::AL_STATUS, false));
         }
         (bytes, length)
     }
 
-    /// The SyncManager of its outputs or inputs, and its number.
-    pub(super) fn manager(&self, usage: Use) -> Option<(u16, SyncManager)> {
-        let (area, control, number) = match usage {
-            Use::Outputs => (self.plan.outputs, SyncManager::OUTPUTS, 2),
-            _ => (self.plan.inputs, SyncManager::INPUTS, 3),
-        };
-        if area.length == 0 {
-            return None;
-        }
-        // Without a mailbox they come first.
-        let number = match (self.plan.mailbox, usage) {
-            (Some(_), _) => number,
-            (None, Use::Outputs) => 0,
-            (None, _) => u16::from(self.plan.outputs.length > 0),
-        };
-        let said = self.delivered.of(usage).filter(|_| self.plan.check_sii);
-        let (number, control) = said.map_or((number, control), |(number, manager)| (number, manager.control));
-        let watched = self.plan.watchdog_ns.is_some() && usage == Use::Outputs;
-        let watchdog = if watched { SyncManager::WATCHDOG } else { 0 };
-        let control = control & !SyncManager::WATCHDOG | watchdog;
-        Some((number, SyncManager { start: area.start, length: area.length, control, activate: 1 }))
+    /// The SyncManager of its SII for this use and this start, and its number; `None`: it has none, or does not count.
+    fn said(&self, usage: Use, start: u16) -> Option<(u16, SyncManager)> {
+        let mut said = self.delivered.of(usage).filter(|_| self.plan.check_sii);
+        said.find(|(_, manager)| manager.start == start)
     }
 
-    /// Those of outputs and inputs, if there are any.
+    /// Why it refuses a state: where it depends on the control byte of its outputs, and the configuration has another
+    /// one than its SII, that is the likely cause.
+    pub(super) fn refusal(&self, to: AlState, code: AlCode) -> Note {
+        let differs = |area: &Area| {
+            let (_, set) = self.manager(Use::Outputs, *area, 0);
+            let own =
+                self.said(Use::Outputs, area.start).map_or(SyncManager::OUTPUTS, |(_, own)| own.control);
+            (set.control != own).then_some((set.control, own))
+        };
+        match self.plan.outputs.iter().find_map(differs) {
+            Some((set, own)) if code.is_of_managers() => Note::Control { to, code, set, own },
+            _ => Note::State { to, code },
+        }
+    }
+
+    /// The SyncManager of an area of its outputs or inputs, and its number: `usual`, or as its SII has it.
+    fn manager(&self, usage: Use, area: Area, usual: usize) -> (u16, SyncManager) {
+        let control = if usage == Use::Outputs { SyncManager::OUTPUTS } else { SyncManager::INPUTS };
+        let said = self.said(usage, area.start);
+        let (number, control) =
+            said.map_or((usual as u16, control), |(number, manager)| (number, manager.control));
+        let control = match self.plan.watchdog {
+            Watchdog::After(_) if usage == Use::Outputs => control | SyncManager::WATCHDOG,
+            Watchdog::Off if usage == Use::Outputs => control & !SyncManager::WATCHDOG,
+            _ => control,
+        };
+        (number, SyncManager { start: area.start, length: area.length, control, activate: 1 })
+    }
+
+    /// Those of outputs and inputs, if there are any. Behind a mailbox inputs are never in the place of outputs.
     pub(super) fn managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
-        [Use::Outputs, Use::Inputs].into_iter().filter_map(|usage| self.manager(usage))
+        let SlavePlan { outputs, inputs, mailbox, .. } = &self.plan;
+        let (first, behind) = match mailbox {
+            Some(_) => (2, 2 + outputs.len().max(1)),
+            None => (0, outputs.len()),
+        };
+        let of_outputs = (first..).zip(outputs).map(|(usual, area)| self.manager(Use::Outputs, *area, usual));
+        let of_inputs = (behind..).zip(inputs).map(|(usual, area)| self.manager(Use::Inputs, *area, usual));
+        of_outputs.chain(of_inputs)
+    }
+
+    /// Those of a slot.
+    pub(super) fn managers_from(&self, from: u8) -> impl Iterator<Item = (u16, SyncManager)> {
+        self.managers().skip(from.into()).take(MANAGERS_SET.into())
+    }
+
+    /// They were read: whether they are as they were written, and the step behind that.
+    pub(super) fn managers_read(&self, from: u8, answers: &Answers<'_>) -> (bool, Step) {
+        let mut all = answers.iter().flatten().zip(self.managers_from(from));
+        let is_set = all.all(|(answer, (_, wanted))| {
+            let bytes = answer.data.first_chunk::<{ SyncManager::SIZE }>();
+            bytes.is_some_and(|bytes| SyncManager::new(*bytes) == wanted)
+        });
+        let next = from.saturating_add(MANAGERS_SET);
+        let is_last = usize::from(next) >= self.managers().count();
+        (is_set, if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
     }
 
     /// Those of its mailboxes.
     pub(super) fn mailbox_managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
-        let controls = [SyncManager::MAILBOX_OUT, SyncManager::MAILBOX_IN];
-        let areas = self.plan.mailbox.into_iter().flatten().zip(controls);
-        (0..).zip(areas).map(|(number, (area, control))| {
+        let uses = [(Use::MailboxOut, SyncManager::MAILBOX_OUT), (Use::MailboxIn, SyncManager::MAILBOX_IN)];
+        let areas = self.plan.mailbox.into_iter().flatten().zip(uses);
+        (0..).zip(areas).map(|(number, (area, (usage, usual)))| {
+            let control = self.said(usage, area.start).map_or(usual, |(_, manager)| manager.control);
             (number, SyncManager { start: area.start, length: area.length, control, activate: 1 })
         })
     }
 
     /// Its watchdog in ticks; 0: off.
     pub(super) fn watchdog(&self) -> u16 {
-        let ticks = self.plan.watchdog_ns.map_or(0, |ns| ns / WATCHDOG_TICK_NS);
+        let ticks = self.plan.watchdog.ns().map_or(0, |ns| ns / WATCHDOG_TICK_NS);
         u16::try_from(ticks).unwrap_or(u16::MAX)
     }
 
@@ -94,13 +152,43 @@ impl Slave {
                 && named.start != 0
                 && own != named
             {
-                return Some(Note::SyncManager { usage, start: named.start, length: named.length });
+                return Some(differing(usage, own, named));
             }
         }
-        let areas = [(3, Use::Outputs, self.plan.outputs), (4, Use::Inputs, self.plan.inputs)];
-        areas.into_iter().find_map(|(usage, kind, area)| {
-            let (_, SyncManager { start, length, .. }) = self.delivered.of(kind)?;
-            (area.length > 0 && start != area.start).then_some(Note::SyncManager { usage, start, length })
-        })
+        let kinds = [(3, Use::Outputs, &self.plan.outputs), (4, Use::Inputs, &self.plan.inputs)];
+        kinds.into_iter().find_map(|(usage, kind, areas)| self.differs_in(usage, kind, areas))
+    }
+
+    /// The same of its areas of one direction: each has a SyncManager, and each SyncManager an area.
+    fn differs_in(&self, usage: u8, kind: Use, areas: &[Area]) -> Option<Note> {
+        let delivered = || {
+            self.delivered.of(kind).map(|(_, manager)| Area { start: manager.start, length: manager.length })
+        };
+        // The process data of a drive are selected, and a start-up may do that, too. Without a length there is none in
+        // the SII.
+        let is_free = !self.is_device() || self.plan.start_up.iter().any(Start::selects);
+        let is_named = |area: &Area| areas.iter().any(|own| own.start == area.start);
+        let unlisted = delivered().find(|area| area.length > 0 && !is_named(area));
+        for area in areas {
+            match delivered().find(|named| named.start == area.start) {
+                Some(named) if is_free || matches!(named.length, 0) || named.length == area.length => {}
+                Some(named) => return Some(differing(usage, *area, named)),
+                None if self.delivered.is_empty() => {}
+                None => {
+                    let other = unlisted.or_else(|| delivered().find(|area| !is_named(area)));
+                    return Some(differing(usage, *area, other.unwrap_or_default()));
+                }
+            }
+        }
+        unlisted.filter(|_| !is_free).map(|area| differing(usage, Area::default(), area))
+    }
+}
+
+/// What the configuration has there and what the SII has; at 0 the one has none, or the other.
+fn differing(usage: u8, own: Area, named: Area) -> Note {
+    if own.start == named.start {
+        Note::Length { usage, start: own.start, own: own.length, named: named.length }
+    } else {
+        Note::Start { usage, own: own.start, named: named.start, length: named.length }
     }
 }

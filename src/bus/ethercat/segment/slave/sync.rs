@@ -1,21 +1,26 @@
 //! The clock of a slave: set to the segment's, left to synchronise to it, and SYNC0 made of it.
 //!
-//! Delays are those of a straight line, whichever port it continues at: behind a branch they are too long by half
-//! of the time in the other one. They are relative to the reference of that time. When a slave behind it becomes
-//! the reference, all others stay ahead of it by its own delay, about 1 us for each slave between the two, until
-//! they are set up again.
+//! Its time is compared with that of the reference in the same frame, so that no lateness of a frame counts. While it
+//! is far from the segment's time its compensation runs at its limit, so its offset is corrected by what the
+//! difference is then: the compensation alone takes some thousand frames for that. It has those while the slave goes
+//! on to SAFEOP, and waits for the rest there.
+//!
+//! Delays are relative to the first slave with SYNC0. While one behind it is the reference, all others are ahead of it
+//! by its own delay, about 1 us for each slave between the two.
 
-use super::{Context, Note, Slave, Step};
-use crate::bus::ethercat::segment::clock::delay_ns;
+use super::{Context, Mapped, Note, Setting, Slave, Step};
+use crate::bus::ethercat::segment::clock::window_ns;
 use crate::bus::ethercat::segment::running::near;
-use crate::bus::ethercat::wire::registers::{AlState, Difference, Links, address};
-use crate::time::{MS, S, Time};
+use crate::bus::ethercat::wire::registers::{AlState, Difference, address};
+use crate::time::{MS, S, Time, US};
 
-/// It is synchronised when its difference is not larger, for so many looks, each so long after the other; the wait
-/// is limited to so long, and to so many cycles: each frame removes a part of the difference.
-const SETTLED_NS: i64 = 1_000;
+/// It is synchronised when its difference is not larger than this part of what a drive tolerates, 5 us at 1 ms (masters
+/// wait for about 1 us at any period; but while the reference itself still settles to the grid, the others are some us
+/// behind it for some thousand frames more). That is for so many looks, each so long after the other; the wait is
+/// limited to so long, and to so many cycles: each frame removes a part of the difference.
+const SETTLED: i64 = 64;
 const SETTLED_LOOKS: u8 = 3;
-const SETTLE_LOOK_NS: u64 = 10 * MS;
+const SETTLE_LOOK_NS: u64 = 100 * MS;
 const SETTLE_NS: u64 = 10 * S;
 const SETTLE_CYCLES: u64 = 20_000;
 /// SYNC0 begins so long after it was set up, and at least so long after it was switched on.
@@ -24,8 +29,16 @@ const SYNC_AHEAD_NS: u64 = 100 * MS;
 const SYNC_TURNS: u64 = 4;
 const SYNC_LEFT_NS: u64 = 5 * MS;
 
-/// The offset of its offset register behind the times of its ports.
-const OFFSET_AT: usize = (address::DC_OFFSET - address::DC_PORTS) as usize;
+/// A difference that the drift alone does not make: this, or this part of the period if that is more; while it settles
+/// eight times as much. Its offset is corrected by that so often at most.
+const COARSE_NS: i64 = 50 * US as i64;
+const COARSE: u64 = 20;
+const SETTLING: i64 = 8;
+const CORRECTIONS: u8 = 5;
+
+/// From its time to the end of its offset.
+pub(super) const TIME: usize = OFFSET_AT + 8;
+const OFFSET_AT: usize = (address::DC_OFFSET - address::DC_TIME) as usize;
 
 impl Slave {
     /// Its clock is the segment's.
@@ -33,58 +46,81 @@ impl Slave {
         context.reference == Some(self.station())
     }
 
-    /// The times of the reference at the latch; `segment_ns`: the segment's, as the master has it.
-    pub(super) fn referred(
-        &mut self,
-        now: Time,
-        context: &Context<'_>,
-        segment_ns: u64,
-        times: &[u8],
-        links: &[u8],
-    ) {
-        let offset = times.get(OFFSET_AT..).and_then(<[u8]>::first_chunk::<8>);
-        let segment_ns = match (received_ns(times), offset) {
-            // The reference itself is set to the master's value.
-            _ if self.is_reference(context) && !context.timed => segment_ns,
-            // Its upper half may be missing.
-            (Some(received), Some(offset)) => {
-                near(segment_ns, received.wrapping_add(u64::from_le_bytes(*offset)) as u32)
-            }
-            _ => return,
-        };
-        self.enter(now, Step::OwnTimes { segment_ns, reference_loop_ns: loop_ns(times, links) });
+    /// Where it goes on once it is set up: its clock is to be set first, if it could not be before.
+    pub(super) fn step_of_clock(&self) -> Step {
+        match self.plan.sync {
+            true if self.clock_set => Step::SegmentTime,
+            true => Step::Time,
+            false => Step::to(AlState::SafeOp),
+        }
     }
 
-    /// Its own times at the same latch.
-    pub(super) fn timed(
-        &mut self,
-        now: Time,
-        context: &Context<'_>,
-        segment_ns: u64,
-        reference_loop_ns: u32,
-        times: &[u8],
-        links: &[u8],
-    ) {
-        let Some(received) = received_ns(times) else { return };
-        let own_loop_ns = loop_ns(times, links);
-        let is_reference = self.is_reference(context);
-        let delay_ns = if is_reference { 0 } else { delay_ns(reference_loop_ns, own_loop_ns) };
-        let offset = segment_ns.wrapping_add(delay_ns.into()).wrapping_sub(received);
-        self.enter(now, Step::Offset { offset: self.whole(offset), delay_ns });
+    /// Its clock is set, or cannot be yet: it goes on.
+    pub(super) fn continue_timed(&mut self, now: Time) {
+        let next = match self.plan.mailbox {
+            _ if self.way.mapped == Mapped::All => self.step_of_clock(),
+            Some(_) => Step::Mailbox,
+            None => Step::to(AlState::PreOp),
+        };
+        self.enter(now, next);
+    }
+
+    /// Its own time and offset, as this frame read them.
+    pub(super) fn timed(&mut self, context: &Context<'_>, data: &[u8]) {
+        let long = |at: usize| data.get(at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
+        let (Some(shown), Some(before), Some(own_ns)) = (long(0), long(OFFSET_AT), self.delay_ns) else {
+            return;
+        };
+        let delay_ns = own_ns.saturating_sub(context.first_delay_ns.unwrap_or(0));
+        let segment_ns = context.clock.shows(context.cycle, context.sent_at);
+        let ahead = shown.wrapping_sub(segment_ns.wrapping_add(delay_ns.into()));
+        let offset = self.whole(before.wrapping_sub(ahead));
+        self.enter(context.cycle.grid, Step::Offset(Setting { offset, delay_ns, corrected: 0 }));
+    }
+
+    /// The values written to its delay and offset were accepted.
+    pub(super) fn offset_set(&mut self, context: &Context<'_>, setting: Setting) {
+        self.clock_set = true;
+        match self.is_reference(context) {
+            true => self.continue_timed(context.cycle.grid),
+            false => self.enter(context.cycle.grid, Step::Correct(setting)),
+        }
+    }
+
+    /// Its difference to the reference with that offset.
+    pub(super) fn corrected(&mut self, context: &Context<'_>, setting: Setting, data: &[u8]) {
+        let now = context.cycle.grid;
+        let Some(off) = difference_ns(data) else { return };
+        // It ran at its limit until its offset was set for the first time.
+        let most = if setting.corrected == 0 { settled_ns(context) } else { coarse_ns(context) };
+        if off.abs() <= most {
+            return self.continue_timed(now);
+        }
+        if setting.corrected >= CORRECTIONS {
+            return self.refuse(now, Note::Unsettled);
+        }
+        let offset = self.whole(setting.offset.wrapping_sub(off as u64));
+        self.enter(now, Step::Offset(Setting { offset, corrected: setting.corrected + 1, ..setting }));
     }
 
     pub(super) fn settled(&mut self, context: &Context<'_>, good: u8, data: &[u8]) {
         let now = context.cycle.grid;
         let limit_ns = SETTLE_NS.max(context.cycle.period_ns.saturating_mul(SETTLE_CYCLES));
-        let Some(bytes) = data.first_chunk::<4>() else { return };
-        let off = Difference(u32::from_le_bytes(*bytes)).ns();
-        let good = if off.abs() <= SETTLED_NS { good + 1 } else { 0 };
-        if good >= SETTLED_LOOKS {
-            self.enter(now, Step::SegmentTime);
+        let Some(off) = difference_ns(data) else { return };
+        let good = if off.abs() <= settled_ns(context) { good + 1 } else { 0 };
+        if good >= SETTLED_LOOKS || self.is_reference(context) {
+            // It has received regular cycles and SYNC0 since it is in SAFEOP.
+            self.step = Step::Lock;
         } else if now.since(self.since) > limit_ns {
             self.refuse(now, Note::Unsettled);
+        } else if off.abs() > SETTLING * coarse_ns(context) && self.way.set_anew < CORRECTIONS {
+            // Another time than it was set to.
+            self.way.set_anew += 1;
+            self.enter(now, Step::Time);
         } else {
-            self.step = Step::Settle { good, next: now + SETTLE_LOOK_NS };
+            // The others have looks, too.
+            let next = now + SETTLE_LOOK_NS.max(2 * context.turn_ns);
+            self.step = Step::Settle { good, next };
         }
     }
 
@@ -113,15 +149,6 @@ impl Slave {
     fn whole(&self, ns: u64) -> u64 {
         if self.features.has_long_clock() { ns } else { u64::from(ns as u32) }
     }
-
-    /// The values written to its delay and offset were accepted.
-    pub(super) fn offset_set(&mut self, now: Time) {
-        self.clock_set = true;
-        self.enter(now, Step::Filter);
-    }
-
-    /// The registers of its clock at the latch: to the end of its offset.
-    pub(super) const TIMES: (u16, usize) = (address::DC_PORTS, OFFSET_AT + 8);
 }
 
 /// How long before its begin SYNC0 is set up.
@@ -129,43 +156,17 @@ pub(super) fn sync_ahead_ns(context: &Context<'_>) -> u64 {
     SYNC_AHEAD_NS + SYNC_TURNS * context.turn_ns
 }
 
-/// When the processing unit received the latch, by the slave's own clock.
-fn received_ns(times: &[u8]) -> Option<u64> {
-    let at = usize::from(address::DC_RECEIVED - address::DC_PORTS);
-    times.get(at..)?.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes))
+/// Its difference to the reference, as its register has it.
+fn difference_ns(data: &[u8]) -> Option<i64> {
+    data.first_chunk().map(|bytes| Difference(u32::from_le_bytes(*bytes)).ns())
 }
 
-/// From the first port to the last open one: how long a frame is under way behind this slave; 0: there is no slave.
-fn loop_ns(times: &[u8], links: &[u8]) -> u32 {
-    let links = Links(links.first_chunk::<2>().map_or(0, |bytes| u16::from_le_bytes(*bytes)));
-    let port = |n: u8| {
-        let bytes = times.get(4 * usize::from(n)..)?.first_chunk::<4>();
-        bytes.map(|bytes| u32::from_le_bytes(*bytes))
-    };
-    let Some(first) = port(0) else { return 0 };
-    let behind = (1..4).filter(|n| links.link(*n) && links.open(*n));
-    behind.filter_map(port).map(|back| back.wrapping_sub(first)).max().unwrap_or(0)
+/// The most that a synchronised clock is off.
+fn settled_ns(context: &Context<'_>) -> i64 {
+    window_ns(context.cycle.period_ns) / SETTLED
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_frame_is_under_way_behind_a_slave_until_it_is_back_at_the_last_open_port() {
-        let mut times = [0; 0x28];
-        for (n, time) in [(0, u32::MAX - 99), (1, 200_u32), (2, 777), (3, 900)] {
-            times[4 * n..4 * n + 4].copy_from_slice(&time.to_le_bytes());
-        }
-        let links = |open: &[u16]| {
-            let closed = [0, 1, 2, 3].into_iter().filter(|n| !open.contains(n)).map(|n| 1 << (8 + 2 * n));
-            (open.iter().map(|n| 1 << (4 + n)).sum::<u16>() | closed.sum::<u16>()).to_le_bytes()
-        };
-        for (open, wanted) in
-            [(&[0_u16][..], 0), (&[0, 1], 300), (&[0, 2], 877), (&[0, 3], 1_000), (&[0, 1, 3], 1_000)]
-        {
-            assert_eq!(loop_ns(&times, &links(open)), wanted, "{open:?}");
-        }
-        assert_eq!(loop_ns(&times[..3], &links(&[0, 1])) + loop_ns(&times, &[]), 0);
-    }
+/// The least difference that its offset is corrected by.
+fn coarse_ns(context: &Context<'_>) -> i64 {
+    COARSE_NS.max((context.cycle.period_ns / COARSE) as i64)
 }

@@ -69,13 +69,13 @@ fn a_drive_that_is_refused_and_runs_keeps_its_time() {
 
 #[test]
 fn a_drive_that_runs_and_cannot_be_used_keeps_a_time_that_is_not_read() {
-    let (plan, whole) = running(2, &[1], 2);
+    let (plan, mut whole) = running(2, &[1], 2);
+    whole.settings.fmmus = vec![8, 1];
     let mut rig = Rig::on(&plan, whole);
     rig.run(1);
-    rig.poke(1, address::STATION, &(FIRST_STATION + 7).to_le_bytes());
     let before = rig.time_off(1);
     rig.run(3_000);
-    assert_eq!([rig.note(0), rig.note(1)], [Note::OtherTime(1), Note::WrongPlace(7)]);
+    assert_eq!([rig.note(0), rig.note(1)], [Note::OtherTime(1), Note::Fmmus(1)]);
     assert_eq!((rig.time_off(1), rig.al(1)), (before, AlState::Op));
 }
 

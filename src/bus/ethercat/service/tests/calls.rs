@@ -11,7 +11,7 @@ fn objects_of_every_length_are_read_and_counted_whole_in_every_mailbox() {
             let address = Target::parse("device-name").unwrap().pack();
             let calls: Vec<Call> = [(object::READ, 0), (object::SIZE, 0)]
                 .into_iter()
-                .chain((1..8).map(|part| (object::PART, 8 * part)))
+                .chain((1..KEPT as u64 / 8).map(|part| (object::PART, 8 * part)))
                 .map(|(service, value)| Call { service, address, value })
                 .collect();
             let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
@@ -46,16 +46,80 @@ fn a_whole_text_and_a_whole_object_come_through_the_carrier() {
     assert_eq!(none, Err(CallError::Refused(AbortCode::NO_OBJECT.0)));
 }
 
+/// A series of calls, and how each of them ended.
+fn series(bench: &mut Bench, calls: &[Call]) -> Vec<Result<u64, CallError>> {
+    let tickets = bench.acyclic.post_series(calls, LIMIT).unwrap();
+    tickets.into_iter().map(|ticket| bench.wait(ticket)).collect()
+}
+
 #[test]
-fn a_longer_value_is_written_in_segments_if_it_has_to_be() {
-    for length in [16, 20, 24, 128] {
-        let (mut bench, server) = Bench::server(length, &[(NAME, b"")]);
-        for text in ["a", "abcd", "abcde", "abcdefgh"] {
-            let raw = long::raw(text.as_bytes());
-            assert_eq!(bench.call(WRITE, "device-name", raw), Ok(raw), "{length} {text}");
-            assert_eq!(server.shared().objects[0].1, text.as_bytes(), "{length}");
+fn a_longer_value_is_written_at_once_or_in_segments_as_the_mailbox_holds_it() {
+    let target = Target::parse("0x1008:0.octets").unwrap();
+    for length in [17, 20, 24, 32, 64, 128, 300] {
+        for bytes in [1, 4, 5, 8, 9, 15, 16, 40, 100, KEPT] {
+            let data: Vec<u8> = (0..bytes).map(|byte| byte as u8).collect();
+            let (mut bench, server) = Bench::server(length, &[(NAME, b"")]);
+            let ends = series(&mut bench, &long::write(target, &data));
+            assert_eq!(ends.last(), Some(&Ok(bytes as u64)), "{length} {bytes}");
+            let shared = server.shared();
+            assert_eq!(shared.objects[0].1, data, "{length} {bytes}");
+            let first = shared.requests[0][8];
+            assert_eq!(first == 0x21, bytes > 4, "normal where it is not expedited: {first:#x}");
+            let room = usize::from(length) - 16;
+            let segments = data.len().saturating_sub(room).div_ceil(usize::from(length) - 9);
+            assert_eq!(shared.requests.len(), 1 + if bytes > 4 { segments } else { 0 }, "{length} {bytes}");
+            drop(shared);
+            // The same at start-up.
+            bench.service.begin_long(NAME, &data[..bytes.min(3)]);
+            bench.steps(6);
+            assert!(bench.service.take_end().is_some_and(|end| end.is_ok()));
+            bench.service.begin_long(NAME, &data);
+            bench.steps(400);
+            assert!(bench.service.take_end().is_some_and(|end| end.is_ok()));
+            assert_eq!(server.shared().objects[0].1, data);
         }
     }
+}
+
+#[test]
+fn a_mailbox_of_one_sdo_takes_no_longer_value() {
+    let (mut bench, server) = Bench::server(16, &[(NAME, b"")]);
+    let refused = CallError::Refused(object::EXPEDITED);
+    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap(), b"abcdefghi"));
+    assert_eq!(ends, [Ok(long::raw(b"abcdefgh")), Ok(u64::from(b'i')), Err(refused)]);
+    bench.service.begin_long(NAME, b"abcde");
+    assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Unusable(object::EXPEDITED))));
+    bench.steps(20);
+    assert!(server.shared().requests.is_empty(), "nothing of it was sent");
+    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap(), b"abcd"));
+    assert_eq!((ends.last(), &server.shared().objects[0].1[..]), (Some(&Ok(4)), &b"abcd"[..]));
+}
+
+#[test]
+fn a_value_that_was_not_handed_over_whole_is_not_written() {
+    let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
+    let calls = long::write(Target::parse("device-name").unwrap(), b"abcdefghijkl");
+    let not_loaded = Err(CallError::Refused(object::NOT_LOADED));
+    // The pieces of another series, of another object, too few of them, too many.
+    series(&mut bench, &calls[..2]);
+    assert_eq!(series(&mut bench, &calls[2..]), [not_loaded]);
+    let other = Call { address: Target::parse("0x1009:0.text").unwrap().pack(), ..calls[0] };
+    assert_eq!(series(&mut bench, &[calls[0], other, calls[2]])[2], not_loaded);
+    assert_eq!(series(&mut bench, &[calls[0], calls[2]])[1], not_loaded);
+    assert_eq!(series(&mut bench, &[calls[0], calls[0], calls[0], calls[2]])[3], not_loaded);
+    assert_eq!(bench.wait(bench.acyclic.post(calls[2], LIMIT).unwrap()), not_loaded);
+    assert!(server.shared().requests.is_empty());
+}
+
+#[test]
+fn a_long_write_that_commands_waits_for_power_like_any_other() {
+    let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
+    let calls = long::write(Target::parse("device-name").unwrap(), b"abcdefghijkl");
+    let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
+    bench.guarded = true;
+    let ends: Vec<_> = tickets.into_iter().map(|ticket| bench.wait(ticket)).collect();
+    assert_eq!(ends[2], Err(CallError::Commands));
+    assert!(server.shared().requests.is_empty());
 }
 
 #[test]

@@ -34,6 +34,8 @@ fn an_emergency_that_nobody_asked_for_is_seen_and_too_many_are_counted() {
 #[test]
 fn what_answers_something_else_is_a_stray_and_never_a_value() {
     let (mut bench, server) = Bench::server(16, &[(MODE, &[7])]);
+    // It returns counts.
+    assert_eq!((bench.read(MODE), bench.read(MODE)), (Ok(7), Ok(7)));
     server.shared().twist = Some(Box::new(|answer| {
         let other = |place: usize, byte: u8| {
             let mut other = answer.clone();

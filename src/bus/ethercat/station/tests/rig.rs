@@ -43,6 +43,7 @@ pub(super) fn planned(outputs: u16, inputs: u16) -> KollmorgenDrive {
         }
     }
     plan.fit();
+    plan.slave.watchdog = Watchdog::After(100 * MS);
     plan
 }
 

@@ -1,0 +1,199 @@
+//! The transfer under way: its owner, its time limits, and how it ends.
+
+use super::sdo::{Failure, KEPT, Sdo};
+use crate::axis::acyclic::{Answer, Call, CallError, Posted};
+use crate::bus::ethercat::object::{self, Type, long};
+use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
+use crate::time::Time;
+
+/// The most times that an SDO is sent.
+pub(in crate::bus::ethercat) const ATTEMPTS: u8 = 3;
+/// The same of one that nobody waits for: others wait behind it.
+const PROBES: u8 = 2;
+
+/// An SDO of the master itself, of eight bytes at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transfer {
+    /// Reads an object: its bits, of a longer one the first four bytes.
+    Read(Object),
+    /// Writes the lowest `bytes` bytes of `raw`.
+    Write {
+        /// The object.
+        object: Object,
+        /// Its value.
+        raw: u64,
+        /// Its size.
+        bytes: u8,
+    },
+}
+
+/// Why an SDO failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SdoFailure {
+    /// The slave refused.
+    Abort(AbortCode),
+    /// What it answered cannot be used, or it does not empty its mailbox: one of the statuses of the master.
+    Unusable(u32),
+    /// It did not answer, or the mailbox was closed.
+    Silent,
+}
+
+/// Bytes of a call.
+const STEP: usize = size_of::<u64>();
+
+/// The transfer under way.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Active {
+    pub(super) by: By,
+    pub(super) sdo: Sdo,
+    /// It began then, and has to end within this time, ns.
+    begun: Time,
+    limit_ns: u64,
+    /// Its present request is under way since then.
+    pub(super) since: Time,
+    /// How often it was begun.
+    pub(super) attempts: u8,
+    /// A frame with its first request was built.
+    pub(super) gone_out: bool,
+}
+
+impl Active {
+    /// Begins. `answer_ns`: the time that the slave may take for an answer.
+    pub(super) fn new(now: Time, by: By, sdo: Sdo, answer_ns: u64) -> Active {
+        let limit_ns = match by {
+            By::Master => u64::from(ATTEMPTS) * answer_ns,
+            By::Nobody => u64::from(PROBES) * answer_ns,
+            By::Call(posted, _) => posted.limit_ns,
+        };
+        Active { by, sdo, begun: now, limit_ns, since: now, attempts: 1, gone_out: false }
+    }
+
+    /// Nobody waits for it.
+    pub(super) fn is_nobodys(&self) -> bool {
+        matches!(self.by, By::Nobody)
+    }
+
+    /// Its whole time has passed.
+    pub(super) fn is_over(&self, now: Time) -> bool {
+        now.since(self.begun) > self.limit_ns
+    }
+
+    /// An answer is late, and the same may be requested again. What the application writes is not: it has given the
+    /// time that this may take.
+    pub(super) fn is_late(&self, now: Time, answer_ns: u64) -> bool {
+        let most = match self.by {
+            By::Call(..) if self.sdo.writes() => 1,
+            By::Master | By::Call(..) => ATTEMPTS,
+            By::Nobody => PROBES,
+        };
+        self.attempts < most && now.since(self.since) > answer_ns
+    }
+
+    /// It begins anew: its answer was lost, or is late.
+    ///
+    /// The slave may have carried out the request already. A read changes nothing. A download gives an object a value:
+    /// the same value again leaves it as it is, and since a slave works in the order of its requests no other value
+    /// comes between the two, whether they are answered or not.
+    pub(super) fn repeat(&mut self, now: Time) {
+        self.sdo.restart();
+        self.attempts += 1;
+        self.since = now;
+    }
+}
+
+/// Its owner.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum By {
+    Master,
+    Call(Posted, Option<Type>),
+    /// Nobody waits for it: its answer shows that the drive has answered all requests before it, and carried them out.
+    Nobody,
+}
+
+/// How a transfer ends.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum End {
+    Done,
+    Failed(Failure),
+    GivenUp(CallError),
+}
+
+/// The data of a series of calls: what its last one has read, or what it has handed over to be written.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kept {
+    pub(super) series: u64,
+    pub(super) address: u32,
+    pub(super) size: usize,
+    pub(super) data: [u8; KEPT],
+}
+
+impl Default for Kept {
+    fn default() -> Kept {
+        Kept { series: 0, address: 0, size: 0, data: [0; KEPT] }
+    }
+}
+
+impl Kept {
+    fn is_of(&self, posted: &Posted) -> bool {
+        posted.series != 0 && (self.series, self.address) == (posted.series, posted.call.address)
+    }
+
+    /// Takes the next eight bytes.
+    pub(super) fn load(&mut self, posted: &Posted) -> Result<Answer, CallError> {
+        let Call { address, value, .. } = posted.call;
+        if !self.is_of(posted) {
+            *self = Kept { series: posted.series, address, ..Kept::default() };
+        }
+        let end = self.size + STEP;
+        let place = self.data.get_mut(self.size..end).ok_or(CallError::Refused(object::NOT_LOADED))?;
+        place.copy_from_slice(&value.to_le_bytes());
+        self.size = end;
+        Ok(Answer { status: 0, address, value })
+    }
+
+    /// What was handed over, of the length that the call says; `None`: it is not there.
+    pub(super) fn whole(&self, posted: &Posted) -> Option<&[u8]> {
+        let length = usize::try_from(posted.call.value).ok()?;
+        let pieces = length.div_ceil(STEP) * STEP;
+        self.data.get(..length).filter(|_| self.is_of(posted) && length > 0 && pieces == self.size)
+    }
+
+    /// The answer to a call for a part of it.
+    pub(super) fn answer(&self, posted: &Posted) -> Result<Answer, CallError> {
+        let Call { service, address, value } = posted.call;
+        let done = |value| Ok(Answer { status: 0, address, value });
+        let at = usize::try_from(value).unwrap_or(usize::MAX);
+        let is_that = self.is_of(posted);
+        match service {
+            object::SIZE if is_that => done(self.size as u64),
+            object::PART if is_that && at < self.size.min(KEPT) => {
+                let part = self.data.get(at..).unwrap_or_default();
+                done(long::raw(part))
+            }
+            _ => Err(CallError::Refused(object::NOT_READ)),
+        }
+    }
+}
+
+/// A value of `size` bytes as the bits of its type, which may be longer.
+pub(super) fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
+    let raw = long::raw(data.get(..size).unwrap_or(data));
+    match kind {
+        Some(kind) if kind.is_signed() && (1..kind.bytes()).contains(&size) => {
+            let above = 64 - 8 * size as u32;
+            kind.raw((raw << above) as i64 >> above)
+        }
+        _ => raw,
+    }
+}
+
+/// The abort to a slave in the middle of a transfer that ends: it would wait for the next segment.
+pub(super) fn farewell(sdo: &Sdo, end: End) -> Option<AbortCode> {
+    let code = match end {
+        End::Failed(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,
+        End::Failed(Failure::Unusable(_)) => AbortCode::GENERAL,
+        End::GivenUp(_) => AbortCode::TIMED_OUT,
+        End::Done | End::Failed(Failure::Abort(_)) => return None,
+    };
+    sdo.is_begun().then_some(code)
+}

@@ -1,0 +1,112 @@
+//! The clocks of a segment: while the host of its master is busy, behind another master, and of several kinds.
+
+use fieldbeat::CyclePlan;
+use fieldbeat::axis::{Command, Link};
+use fieldbeat::bus::ethercat::{Area, Device, SlavePlan};
+use fieldbeat::sim::ethercat::{ClockKind, EthercatSegment, EthercatSim, SlaveSettings};
+use fieldbeat::sim::{FaultPlan, WorldOptions};
+use fieldbeat::time::{S, US};
+
+use super::drives::left;
+use super::{LINE, Machine, jog, plan};
+
+/// One of four cycles of a busy host is stolen, in bursts of two to five: they are late, or their frames are, after
+/// they were stamped.
+fn stolen(turn: u64) -> Option<u64> {
+    let burst = turn / 12;
+    let length = 2 + burst % 3;
+    (turn % 12 < length).then(|| (200 + turn * 7_919 % 700) * US)
+}
+
+/// Cycles of a busy host until this is so.
+fn busy_until(machine: &mut Machine, most: u64, done: impl Fn(&Machine) -> bool) {
+    let mut turn = 0;
+    while !done(machine) {
+        assert!(turn < most, "{:?}", machine.feedback(0));
+        let late_ns = stolen(turn);
+        let delay = if late_ns.is_some() { 1.0 } else { 0.0 };
+        let faults = FaultPlan { delay, delay_ns: late_ns.unwrap_or(0), ..FaultPlan::default() };
+        assert!(machine.sim.world().set_segment_faults(LINE, faults));
+        if let Some(late_ns) = late_ns.filter(|_| turn % 2 == 0) {
+            machine.sim.world().delay_next_wake(late_ns / 2);
+        }
+        machine.run(1);
+        turn += 1;
+    }
+}
+
+#[test]
+fn a_segment_that_was_switched_off_and_on_locks_again_on_a_busy_host() {
+    for (leads, settling, most) in [(false, 32, 3_000), (true, 32, 3_000), (false, 1_024, 8_000)] {
+        let mut segment = EthercatSegment::from(plan(3));
+        segment.settings.settling = settling;
+        segment.settings.drift_ppm = vec![40.0, -30.0, 10.0];
+        let mut machine = Machine::with(segment, leads, WorldOptions::default());
+        let online = |machine: &Machine| (0..3).all(|n| machine.feedback(n).link == Link::Online);
+        machine.until("online", 20_000, online);
+        for place in 0..3 {
+            machine.sim.world().restart_slave(LINE, place);
+        }
+        busy_until(&mut machine, 100, |machine| !online(machine));
+        busy_until(&mut machine, most, online);
+    }
+}
+
+#[test]
+fn a_segment_that_runs_on_the_time_of_another_master_is_up_as_soon_as_a_fresh_one() {
+    let mut segment = EthercatSegment::from(plan(3));
+    segment.settings.settling = 1_024;
+    segment.settings.drift_ppm = vec![30.0, -30.0, 10.0];
+    let online = |machine: &Machine| (0..3).all(|n| machine.feedback(n).link == Link::Online);
+    let mut first = Machine::new(segment.clone());
+    let fresh = first.until("online", 20_000, online);
+    // Its watchdogs have stopped them, their clocks run on, and the next master's time is another one.
+    let line = first.look(|line| std::mem::replace(line, EthercatSim::new(&segment)));
+    let start = first.sim.world().now() + 3 * S + 456_789;
+    let options = WorldOptions { start, ..WorldOptions::default() };
+    let mut machine = Machine::on(Box::new(segment.plan), left(line), CyclePlan::default(), options);
+    let took = machine.until("online", 20_000, online);
+    assert!(took < fresh + 500, "{took} cycles, {fresh} of a fresh one");
+}
+
+/// 2024-01-01, when the clock of each world is 0, ns since 2000-01-01.
+const BEGUN_NS: u64 = 757_382_400 * S;
+
+#[test]
+fn clocks_of_64_and_32_bits_and_none_have_one_time_and_it_is_the_date() {
+    let mut segment = EthercatSegment::from(plan(4));
+    let mut terminals = SlavePlan::new(4);
+    terminals.inputs = vec![Area { start: 0x1000, length: 1 }];
+    segment.plan.devices.push(Device { name: "io".into(), slave: terminals });
+    let mut segment = EthercatSegment::from(segment.plan);
+    segment.settings.drift_ppm = vec![40.0, -30.0, 10.0, 0.0, 20.0];
+    let kinds = [ClockKind::Short, ClockKind::Long, ClockKind::Short, ClockKind::Long, ClockKind::None];
+    for kinds in
+        [kinds, [ClockKind::Long, ClockKind::Short, ClockKind::Long, ClockKind::Long, ClockKind::None]]
+    {
+        for (place, kind) in (0..).zip(kinds) {
+            let slave = SlaveSettings { clock: Some(kind), ..SlaveSettings::default() };
+            segment.settings.slaves.insert(place, slave);
+        }
+        let mut machine = Machine::new(segment.clone());
+        machine.online();
+        // Clocks of 32 bits go round meanwhile.
+        machine.run(9_000);
+        let now = machine.sim.world().now();
+        let times =
+            machine.look(|line| [0, 1, 2, 3].map(|place| line.slave(place).unwrap().system_time(now)));
+        for (time, kind) in times.into_iter().zip(kinds) {
+            let date = BEGUN_NS + now.0;
+            if kind == ClockKind::Long {
+                assert!(time.abs_diff(date) < S / 10, "{time}, and it is {date}");
+            } else {
+                assert_eq!(time >> 32, 0);
+            }
+            assert!((time as u32).wrapping_sub(times[0] as u32).cast_signed().abs() < 1_000, "{times:?}");
+        }
+        machine.each(Command::Enable);
+        machine.post(3, jog(2.0));
+        machine.run(300);
+        machine.assert_turns(3, 2.0);
+    }
+}

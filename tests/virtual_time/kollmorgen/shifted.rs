@@ -1,0 +1,103 @@
+//! Drives that change their places while the master runs: some are taken out, others put in, cables cut and repaired,
+//! at any time. Whatever comes of it, an axis moves its own drive, or none.
+
+use fieldbeat::CyclePlan;
+use fieldbeat::axis::{Command, Link};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
+use fieldbeat::sim::ethercat::EthercatSegment;
+use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
+
+use super::{LINE, Machine, drive, jog};
+
+const DRIVES: usize = 4;
+const AXES: usize = 3;
+
+/// Numbers without a pattern, the same in each run.
+struct Any(u64);
+
+impl Any {
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % end
+    }
+}
+
+/// Drives, and a master that knows of the first ones that are there.
+fn machine(absent: usize, watched: bool) -> Machine {
+    let drives = (0..DRIVES as u16).map(|place| {
+        let mut drive = drive(place, Family::S700);
+        if !watched {
+            (drive.slave.watchdog, drive.accept_no_watchdog) = (Watchdog::Off, true);
+        }
+        drive
+    });
+    let whole = EthercatPlan::new(LINE, drives.collect());
+    let plan = EthercatPlan { drives: whole.drives[..AXES].to_vec(), ..whole.clone() };
+    let segment = SimPlan::from(EthercatSegment::from(&whole)).build();
+    let machine = Machine::on(Box::new(plan), segment, CyclePlan::default(), WorldOptions::default());
+    machine.look(|line| line.deafen(absent, true));
+    machine
+}
+
+/// The drives that turn while this axis alone shall turn.
+fn turning(machine: &mut Machine, axis: usize) -> Vec<usize> {
+    for command in [Command::Reset, Command::Enable] {
+        machine.post(axis, command);
+        machine.run(400);
+    }
+    // It is refused if the axis is not in operation.
+    let _ = machine.sim.axis(axis).post(jog(1.0));
+    machine.run(150);
+    let turns = |place: &usize| machine.drive(*place, |drive| drive.rpm().abs() > 20.0);
+    let turning = (0..DRIVES).filter(turns).collect();
+    let _ = machine.sim.axis(axis).post(super::STOP);
+    machine.run(100);
+    machine.post(axis, Command::Disable);
+    machine.run(50);
+    turning
+}
+
+#[test]
+fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
+    for seed in 0..5 {
+        let mut any = Any(seed);
+        let absent = any.below(DRIVES as u64) as usize;
+        let mut machine = machine(absent, any.below(2) == 0);
+        machine.online();
+        machine.each(Command::Enable);
+        let own: Vec<_> = (0..DRIVES).filter(|place| *place != absent).collect();
+        for round in 0..3 {
+            // The cable is out for so long, while one is taken out or put in; or it is so without that.
+            if any.below(4) > 0 {
+                let cut = any.below(DRIVES as u64) as usize;
+                machine.look(|line| line.cut(Some(cut)));
+                machine.run([5, 50, 300][any.below(3) as usize]);
+            }
+            let (place, deaf) = (any.below(DRIVES as u64) as usize, any.below(2) == 0);
+            let place = if round == 0 { absent } else { place };
+            machine.look(|line| line.deafen(place, deaf && round > 0));
+            machine.look(|line| line.cut(None));
+            machine.run(any.below(4_000));
+            let mut moved = Vec::new();
+            for axis in 0..AXES {
+                let turning = turning(&mut machine, axis);
+                assert!(turning.len() <= 1, "seed {seed}, round {round}: axis {axis} turns {turning:?}");
+                // One that had no axis may have one now.
+                let is_own = turning.iter().all(|one| *one == own[axis] || *one == absent);
+                assert!(is_own || round > 0, "seed {seed}: axis {axis} of {own:?} turns {turning:?}");
+                moved.extend(turning);
+            }
+            let once = (0..DRIVES).all(|place| moved.iter().filter(|one| **one == place).count() <= 1);
+            assert!(once, "seed {seed}, round {round}: {moved:?}");
+        }
+        machine.look(|line| (0..DRIVES).for_each(|place| line.deafen(place, place == absent)));
+        machine.run(500);
+        machine.until("as it was", 70_000, |machine| {
+            (0..AXES).all(|axis| machine.feedback(axis).link == Link::Online)
+        });
+        for (axis, place) in own.into_iter().enumerate() {
+            machine.recover(axis);
+            assert_eq!(turning(&mut machine, axis), [place], "seed {seed}: {:?}", machine.feedback(axis));
+        }
+    }
+}
