@@ -28,6 +28,7 @@ pub(crate) mod desired;
 pub(crate) mod drives;
 mod error;
 pub mod ethercat;
+pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
 mod plan;

@@ -1,0 +1,186 @@
+//! What passes between the session of a drive on the link thread and its station on the loop: two wait-free queues.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::plan::{Layout, Version};
+use crate::rt::{self, Regions};
+use crate::sync::{Consumer, Producer};
+
+/// Room of each queue: more than a session can cause between two looks of the loop.
+const ROOM: usize = 16;
+
+/// From the session to the loop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum News {
+    /// A connection is open.
+    Opened(Connection),
+    /// The connection of this generation is closed, and will not be used again.
+    Closed {
+        /// Which one.
+        generation: u32,
+    },
+    /// What was read of the drive outside its process data; again after each opening of a session.
+    Read(Facts),
+}
+
+/// A class 1 connection that is open.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Connection {
+    /// Counts the connections of this drive, from 1.
+    pub generation: u32,
+    /// The id of our packets.
+    pub outgoing: u32,
+    /// The id of the drive's packets.
+    pub incoming: u32,
+    /// Where our packets go.
+    pub destination: SocketAddrV4,
+    /// Where the drive's packets come from.
+    pub source: Ipv4Addr,
+    /// The drive expects our packets at this interval, ns.
+    pub outgoing_api_ns: u64,
+    /// The drive's packets come at this interval, ns.
+    pub incoming_api_ns: u64,
+    /// Without an accepted packet of the drive for so long it has timed out, ns.
+    pub timeout_ns: u64,
+    /// What our packets carry.
+    pub outputs: Outputs,
+    /// What the drive's packets carry.
+    pub version: Version,
+    /// The order of 0x65.
+    pub layout: Layout,
+}
+
+/// What our packets carry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outputs {
+    /// The run/idle header and assembly 0x70.
+    Owned,
+    /// A heartbeat of this connection size: 2, 6 or 0.
+    Heartbeat(u8),
+}
+
+/// What was read of a drive by explicit messages, as far as its enable depends on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Facts {
+    /// The drive stops by itself after so long, ns; `None`: not read, or it does not.
+    pub watchdog_ns: Option<u64>,
+    /// What the drive then does (ZA).
+    pub watchdog_action: Option<u8>,
+    /// Whether the register of the plan says that it has its reference.
+    pub homed: Option<bool>,
+}
+
+/// From the loop to the session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wish {
+    /// The drive's packets of this generation have ended: it is to be opened anew, after a pause.
+    TimedOut {
+        /// Which one.
+        generation: u32,
+    },
+    /// The orderly end: close it, and open nothing any more.
+    Close {
+        /// Which one; 0 = none is open.
+        generation: u32,
+    },
+}
+
+/// What both sides look at in each step.
+#[derive(Debug, Default)]
+struct Flags {
+    /// The power of the drive is on, or may come on: calls that command it are refused.
+    guarded: AtomicBool,
+    /// A call that commands the drive is under way.
+    commanded: AtomicBool,
+}
+
+/// The loop's end.
+#[derive(Debug)]
+pub struct LoopEnd {
+    news: Consumer<News>,
+    wishes: Producer<Wish>,
+    flags: Arc<Flags>,
+    regions: Regions,
+}
+
+/// The session's end.
+#[derive(Debug)]
+pub struct SessionEnd {
+    news: Producer<News>,
+    wishes: Consumer<Wish>,
+    flags: Arc<Flags>,
+}
+
+/// Both ends.
+pub fn both() -> (LoopEnd, SessionEnd) {
+    let mut regions = Regions::new();
+    let (news_in, news) = rt::ring(ROOM, &mut regions);
+    let (wishes, wishes_out) = rt::ring(ROOM, &mut regions);
+    let flags = Arc::new(Flags::default());
+    let session = SessionEnd { news: news_in, wishes: wishes_out, flags: Arc::clone(&flags) };
+    (LoopEnd { news, wishes, flags, regions }, session)
+}
+
+impl LoopEnd {
+    /// The next news.
+    #[inline]
+    pub fn news(&mut self) -> Option<News> {
+        if self.news.is_empty() { None } else { self.news.pop().ok() }
+    }
+
+    /// Tells the session; false if there is no room: again in a later cycle.
+    pub fn wish(&mut self, wish: Wish) -> bool {
+        self.wishes.push(wish).is_ok()
+    }
+
+    /// From now on calls that command the drive are refused, or not. Returns whether one is under way: its telegram
+    /// may have left before the session could see this.
+    #[inline]
+    pub fn guard(&self, on: bool) -> bool {
+        // Each side writes its own flag and then reads the other one: one of them sees both (SeqCst).
+        if self.flags.guarded.load(Ordering::Relaxed) != on {
+            self.flags.guarded.store(on, Ordering::SeqCst);
+        }
+        self.flags.commanded.load(Ordering::SeqCst)
+    }
+
+    /// Adds what it touches, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.extend(&self.regions);
+        regions.add(&*self.flags);
+    }
+}
+
+impl SessionEnd {
+    /// Tells the loop; false if there is no room: again later.
+    pub fn tell(&mut self, news: News) -> bool {
+        self.news.push(news).is_ok()
+    }
+
+    /// The next wish.
+    pub fn wish(&mut self) -> Option<Wish> {
+        self.wishes.pop().ok()
+    }
+
+    /// The loop is gone.
+    pub fn is_abandoned(&self) -> bool {
+        self.wishes.is_abandoned()
+    }
+
+    /// Before a call that commands the drive is sent: false if it must not be.
+    pub fn begin_commanding(&self) -> bool {
+        self.flags.commanded.store(true, Ordering::SeqCst);
+        let may = !self.flags.guarded.load(Ordering::SeqCst);
+        if !may {
+            self.end_commanding();
+        }
+        may
+    }
+
+    /// Its end is known.
+    pub fn end_commanding(&self) {
+        self.flags.commanded.store(false, Ordering::SeqCst);
+    }
+}

@@ -1,0 +1,18 @@
+//! EtherNet/IP to MOONS' (Applied Motion) STF and SSDC: class 1 packets on UDP 2222, sessions on TCP 44818.
+//!
+//! | file | what |
+//! |---|---|
+//! | `wire` | bytes <-> values |
+//! | `plan` | the bus as configured |
+//! | `exchange` | what passes between session and loop |
+
+pub(crate) mod exchange;
+pub(crate) mod plan;
+
+pub use plan::{
+    Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
+    MoonsDrive, Originator, PORT, Version, Watchdog,
+};
+
+/// The protocol's name in configurations.
+pub const PROTOCOL: &str = "ethernet-ip";

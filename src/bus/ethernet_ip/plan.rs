@@ -1,0 +1,262 @@
+//! An EtherNet/IP bus as configured and checked.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use crate::axis::{AxisPlan, Unit, Units};
+use crate::net::SendMode;
+use crate::time::{MS, S};
+
+/// The UDP port of class 1 packets, in both directions.
+pub const IO_PORT: u16 = 2222;
+/// The TCP and UDP port of explicit messages.
+pub const PORT: u16 = 44_818;
+
+/// One UDP socket and its drives, each with a session of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EthernetIpPlan {
+    /// Its name in messages.
+    pub name: String,
+    /// Where packets leave and arrive. Sessions leave from its address, too: a drive compares both.
+    pub bind: SocketAddrV4,
+    /// Who opens the connections. It stays the same after a crash: a drive lets only its owner of before open anew.
+    pub originator: Originator,
+    /// The mark of class 1 packets for switches and routers (DSCP, 0 ... 63).
+    pub dscp: u8,
+    /// One system call for all packets, or one each.
+    pub send: SendMode,
+    /// The drives; one address each.
+    pub drives: Vec<MoonsDrive>,
+}
+
+/// An originator of connections.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Originator {
+    /// Its vendor.
+    pub vendor: u16,
+    /// Its serial number: unique among all originators of this vendor on the network.
+    pub serial: u32,
+}
+
+/// One MOONS' STF or SSDC.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MoonsDrive {
+    /// What every protocol's axis has. Counts are motor steps, as the drive's EG sets them.
+    pub axis: AxisPlan,
+    /// Where it takes sessions.
+    pub address: SocketAddrV4,
+    /// What the connection may do.
+    pub connection: Access,
+    /// Which assemblies the drive has; `None`: as its profile code says.
+    pub version: Option<Version>,
+    /// The order of the elements of the input assembly 0x65.
+    pub layout: Layout,
+    /// How its packets come.
+    pub delivery: Delivery,
+    /// The interval of the drive's own packets, ns; `None`: that of ours.
+    pub input_rpi_ns: Option<u64>,
+    /// The connection times out after 4 << this many packets: 0 ... 7. `None`: the least with 100 ms.
+    pub multiplier: Option<u8>,
+    /// A packet counts for so long, ns; `None`: two of the drive's intervals.
+    pub fresh_within_ns: Option<u64>,
+    /// The first packet of the drive has to come within this time, ns.
+    pub first_within_ns: u64,
+    /// The bytes of the configuration assembly 0x66; `None`: without them, then with two zero bytes.
+    pub configuration: Option<Vec<u8>>,
+    /// The connection size of heartbeats; `None`: 2, then what the drive wants.
+    pub heartbeat: Option<u8>,
+    /// How explicit messages go.
+    pub explicit: Explicit,
+    /// A command word is held, and idle after it, for at least so many packets.
+    pub hold: u8,
+    /// A command whose effect is not seen within this time was not taken, ns.
+    pub effect_within_ns: u64,
+    /// What stops the drive if the master dies.
+    pub watchdog: Watchdog,
+    /// The input that is its hardware enable; `None`: none is wired.
+    pub enable_input: Option<EnableInput>,
+    /// How it homes; `None`: homing is refused.
+    pub homing: Option<Homing>,
+    /// The Q register that is not 0 while the drive has its reference; `None`: only what this master saw counts.
+    pub homed_register: Option<u8>,
+    /// It has an encoder: its position is the encoder's, else that of the commanded steps.
+    pub encoder: bool,
+    /// Encoder counts of a revolution, if it has one.
+    pub encoder_counts_per_step: f64,
+    /// Jogs are taken: the drive's own watchdog ends them if the master dies.
+    pub jog: bool,
+}
+
+/// What a connection may do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Access {
+    /// It owns the outputs.
+    #[default]
+    Owner,
+    /// It only reads, and is alone in that.
+    InputOnly,
+    /// It reads what another connection has requested.
+    ListenOnly,
+}
+
+/// The assemblies of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Version {
+    /// Input assembly 0x64, no outputs.
+    V1,
+    /// Input assembly 0x65, output assembly 0x70.
+    V2,
+}
+
+/// The order of the elements of input assembly 0x65.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// Of the Host Command Reference, with the position error.
+    #[default]
+    Manual,
+    /// Of the vendor's page, without it.
+    Page,
+}
+
+/// How the packets of a drive come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Delivery {
+    /// To this master only.
+    #[default]
+    PointToPoint,
+    /// To a group that the drive chooses.
+    Multicast,
+}
+
+/// How explicit messages go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Explicit {
+    /// Unconnected.
+    #[default]
+    Unconnected,
+    /// On a class 3 connection.
+    Connected,
+}
+
+/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Watchdog {
+    /// Whether ZS and ZA are read before the drive is enabled. Without that they are taken on trust.
+    pub verify: bool,
+    /// The longest ZS that is accepted, ns.
+    pub within_ns: u64,
+    /// Motion is taken although the drive does not stop by itself.
+    pub accept_none: bool,
+}
+
+/// An input that is the hardware enable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EnableInput {
+    /// 1 ... 12.
+    pub number: u8,
+    /// The drive is enabled while the input is closed, else while it is open.
+    pub closed: bool,
+}
+
+/// How a drive homes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Homing {
+    /// The command.
+    pub method: HomingMethod,
+    /// Its condition and input, as the drive counts them: 0x4CB2 is input 2, low.
+    pub input: u16,
+    /// Velocity, user units/s.
+    pub velocity: f64,
+    /// Acceleration and deceleration, user units/s².
+    pub acceleration: f64,
+    /// Which way, and how far at most, user units: the sign is the direction.
+    pub distance: f64,
+}
+
+/// A homing command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HomingMethod {
+    /// SH: to the input, ended by the limit inputs.
+    Seek,
+    /// FH: the drive's own homing.
+    Find,
+}
+
+impl Default for Watchdog {
+    /// The drive's own default: 500 ms.
+    fn default() -> Watchdog {
+        Watchdog { verify: true, within_ns: 500 * MS, accept_none: false }
+    }
+}
+
+impl EthernetIpPlan {
+    /// A bus of these drives, with the master at the usual port of `bind`.
+    pub fn new(bind: Ipv4Addr, drives: Vec<MoonsDrive>) -> EthernetIpPlan {
+        EthernetIpPlan {
+            name: super::PROTOCOL.into(),
+            bind: SocketAddrV4::new(bind, IO_PORT),
+            originator: Originator { vendor: 0xFB, serial: bind.to_bits() },
+            dscp: 47,
+            send: SendMode::default(),
+            drives,
+        }
+    }
+}
+
+impl MoonsDrive {
+    /// A drive at this address with 20 000 steps a revolution, with everything else as it is when a configuration says
+    /// nothing of it.
+    pub fn new(name: impl Into<String>, address: Ipv4Addr) -> MoonsDrive {
+        let units = Units { unit: Unit::Revolution, counts_per_unit: 20_000.0, offset: 0.0, modulo: None };
+        MoonsDrive {
+            axis: AxisPlan::new(name, units),
+            address: SocketAddrV4::new(address, PORT),
+            connection: Access::Owner,
+            version: None,
+            layout: Layout::Manual,
+            delivery: Delivery::PointToPoint,
+            input_rpi_ns: None,
+            multiplier: None,
+            fresh_within_ns: None,
+            first_within_ns: S,
+            configuration: None,
+            heartbeat: None,
+            explicit: Explicit::Unconnected,
+            hold: 2,
+            effect_within_ns: 200 * MS,
+            watchdog: Watchdog::default(),
+            enable_input: None,
+            homing: None,
+            homed_register: None,
+            encoder: false,
+            encoder_counts_per_step: 1.0,
+            jog: true,
+        }
+    }
+
+    /// The interval of our packets, ns, in a cycle of `period_ns`.
+    pub fn rpi_ns(&self, period_ns: u64) -> u64 {
+        period_ns.saturating_mul(u64::from(self.axis.divisor))
+    }
+
+    /// The interval that the drive's packets are requested with, ns.
+    pub fn input_rpi_ns(&self, period_ns: u64) -> u64 {
+        self.input_rpi_ns.unwrap_or(self.rpi_ns(period_ns))
+    }
+
+    /// How long one of its packets counts, ns.
+    pub fn fresh_within_ns(&self, period_ns: u64) -> u64 {
+        self.fresh_within_ns.unwrap_or(2 * self.input_rpi_ns(period_ns))
+    }
+
+    /// The code of the timeout multiplier: the time-out is 4 << this many intervals.
+    pub fn multiplier(&self, period_ns: u64) -> u8 {
+        let enough =
+            |code: &u8| self.rpi_ns(period_ns).min(self.input_rpi_ns(period_ns)) << (2 + code) >= 100 * MS;
+        self.multiplier.unwrap_or((0..7).find(enough).unwrap_or(7))
+    }
+
+    /// After how long the drive ends a connection on which nothing comes, ns.
+    pub fn timeout_ns(&self, period_ns: u64) -> u64 {
+        self.rpi_ns(period_ns) << (2 + self.multiplier(period_ns))
+    }
+}
