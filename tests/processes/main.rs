@@ -55,7 +55,7 @@ use std::time::Duration;
 
 use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
-use support::{Ended, LONG, PROGRAM, Program, served, simulated, until};
+use support::{Ended, LONG, PROGRAM, Program, bound, served, simulated, until};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -141,7 +141,7 @@ fn assert_powered_off(summary: &Value) {
 }
 
 fn socket(address: SocketAddrV4) -> UdpSocket {
-    UdpSocket::bind(address).unwrap_or_else(|error| panic!("{address}: {error}"))
+    bound(|| UdpSocket::bind(address))
 }
 
 /// Nothing was sent to the drive whose socket this is.

@@ -9,7 +9,7 @@ pub mod forward;
 pub mod hold;
 pub mod onlooker;
 
-use std::io::{ErrorKind, Read};
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -97,22 +97,27 @@ pub fn until(limit: Duration, mut done: impl FnMut() -> bool) -> bool {
     true
 }
 
-/// Serves `simulated` on real sockets.
-///
-/// An address of an earlier server of this process may be in use for a while longer: a child that another test has just
-/// forked holds its sockets until it is executed, which takes long on a busy host.
+/// Opens what has an address, and waits for an address that an earlier socket of this process still has: a child that
+/// another test has just forked holds it until it is executed, which takes long on a busy host.
 #[track_caller]
-pub fn served(simulated: impl Fn() -> Simulated) -> SimServer {
-    let mut server = None;
-    assert!(until(LONG, || match SimServer::start(simulated(), ServerOptions::default()) {
-        Ok(started) => {
-            server = Some(started);
+pub fn bound<T>(open: impl Fn() -> io::Result<T>) -> T {
+    let mut opened = None;
+    let is_open = until(LONG, || match open() {
+        Ok(what) => {
+            opened = Some(what);
             true
         }
-        Err(error) if error.kind() == ErrorKind::AddrInUse => false,
+        Err(error) if error.kind() == io::ErrorKind::AddrInUse => false,
         Err(error) => panic!("{error}"),
-    }));
-    server.unwrap()
+    });
+    assert!(is_open, "the address stays in use");
+    opened.unwrap()
+}
+
+/// Serves `simulated` on real sockets.
+#[track_caller]
+pub fn served(simulated: impl Fn() -> Simulated) -> SimServer {
+    bound(|| SimServer::start(simulated(), ServerOptions::default()))
 }
 
 /// A network of its own on loopback, and a directory for its configurations that goes with it.
