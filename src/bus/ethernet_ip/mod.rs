@@ -8,6 +8,7 @@
 
 pub(crate) mod exchange;
 pub(crate) mod plan;
+pub(crate) mod wire;
 
 pub use plan::{
     Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,

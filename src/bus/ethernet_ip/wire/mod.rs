@@ -1,0 +1,61 @@
+//! EtherNet/IP to MOONS' drives, the scanner's side: bytes <-> values.
+//!
+//! Knows no state, clock or socket, and does not interpret a message. What the loop uses (`io`, `assembly`) allocates
+//! nothing; requests of a session are appended to a buffer of its own.
+//!
+//! | file | what |
+//! |---|---|
+//! | `encapsulation` | the header of 24 bytes, sessions, who is there |
+//! | `cpf` | items: what a message is addressed with, and socket addresses |
+//! | `cip` | requests and replies to an object, paths, status codes by name |
+//! | `connection` | opening and closing of connections |
+//! | `io` | class 1 packets |
+//! | `assembly` | what class 1 packets of these drives carry |
+//! | `message`, `opcodes` | these drives' own messages, and what they can say |
+//!
+//! Everything is little-endian, except socket addresses, the drives' own messages and their profile code.
+#![allow(dead_code, reason = "the station and the session that use it come with the next commits")]
+
+pub mod assembly;
+pub mod cip;
+pub mod connection;
+pub mod cpf;
+pub mod encapsulation;
+pub mod io;
+pub mod message;
+pub mod opcodes;
+
+/// Takes values from the front of a message.
+#[derive(Clone, Copy, Debug)]
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    #[inline]
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (head, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*head)
+    }
+
+    #[inline]
+    fn byte(&mut self) -> Option<u8> {
+        self.array().map(|[byte]| byte)
+    }
+
+    #[inline]
+    fn word(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    #[inline]
+    fn long(&mut self) -> Option<u32> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    #[inline]
+    fn bytes(&mut self, size: usize) -> Option<&'a [u8]> {
+        let (head, rest) = self.0.split_at_checked(size)?;
+        self.0 = rest;
+        Some(head)
+    }
+}
