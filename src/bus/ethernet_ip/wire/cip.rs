@@ -231,7 +231,7 @@ impl fmt::Display for Status {
                     write!(f, ": the drive wants {size} bytes")
                 }
                 (Status::CONFIGURATION_SIZE, Some(words)) => {
-                    write!(f, ": the drive takes at most {words} words")
+                    write!(f, ", whose 16-bit words are at most {words}")
                 }
                 _ => Ok(()),
             };

@@ -13,7 +13,7 @@ pub const HEADER: usize = 24;
 /// The most data behind a header that is taken. The longest message of a drive is a tenth of it; a length beyond it
 /// would only make the receiver wait for bytes that never come.
 pub const DATA_MAX: usize = 4096;
-/// A datagram or the front of a stream has room for any message in so many bytes.
+/// The longest message that is taken, bytes.
 pub const FRAME_MAX: usize = HEADER + DATA_MAX;
 
 /// The version of the encapsulation.
@@ -144,8 +144,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Appends a message whose data `fill` appends. It never passes [`DATA_MAX`] by far: what is too long for the field of
-/// the length is a mistake of the caller.
+/// Appends a message whose data `fill` appends: at most 65535 bytes, or the length in the header is wrong.
 pub fn frame(out: &mut Vec<u8>, header: Header, fill: impl FnOnce(&mut Vec<u8>)) {
     let start = out.len();
     out.extend(header.command.to_le_bytes());

@@ -113,7 +113,7 @@ pub fn parameter(name: &str) -> Option<Parameter> {
 }
 
 /// The registers with a meaning of their own. '0' ... '9' are the user's.
-pub const REGISTERS: [(u8, &str); 19] = [
+pub const REGISTERS: [(u8, &str); 20] = [
     (b'A', "acceleration"),
     (b'B', "deceleration"),
     (b'C', "distance of a speed change"),
@@ -133,4 +133,5 @@ pub const REGISTERS: [(u8, &str); 19] = [
     (b'u', "supply voltage"),
     (b'q', "actual current"),
     (b'i', "inputs"),
+    (b'y', "inputs"),
 ];

@@ -1,0 +1,189 @@
+//! The codes and messages of these drives.
+
+use std::collections::HashSet;
+
+use super::super::assembly::{self, Condition, IoCode, Letters, alarms, command, status};
+use super::super::cip;
+use super::super::encapsulation::{self, Unconnected};
+use super::super::message::{
+    Answer, AnswerError, Buffered, Deceleration, Immediate, PATH, PROFILE_PATH, ProfileCode,
+};
+use super::super::opcodes::{OPCODES, PARAMETERS, opcode, parameter};
+use super::*;
+
+fn buffered(name: &str, value: i64) -> Buffered {
+    Buffered { opcode: opcode(name).expect(name), field: 0, value }
+}
+
+#[test]
+fn hcr_examples_of_buffered_commands() {
+    let io = |text: &str| text.parse::<IoCode>().unwrap().code().into();
+    for (name, value, golden) in [
+        ("AC", 600, "00 01 00 1E 00 00 02 58"),
+        ("DE", 600, "00 01 00 1F 00 00 02 58"),
+        ("VE", 1200, "00 01 00 1D 00 00 04 B0"),
+        ("DI", 100_000, "00 01 00 B6 00 01 86 A0"),
+        ("DI", -1, "00 01 00 B6 FF FF FF FF"),
+        ("FL", 0, "00 01 00 66 00 00 00 00"),
+        ("ME", 0, "00 01 00 9F 00 00 00 00"),
+        ("SO", io("2L"), "00 01 00 8B 00 00 4C B2"),
+        ("FS", io("2R"), "00 01 00 6B 00 00 52 B2"),
+        ("QX", 12, "00 01 00 78 00 00 00 0C"),
+        // A negative operand of 16 bits is not extended.
+        ("JS", -2, "00 01 00 1A 00 00 FF FE"),
+        ("FD", io("3R") << 16 | io("2L"), "00 01 00 69 52 B3 4C B2"),
+    ] {
+        assert_eq!(buffered(name, value).encode().expect(name)[..], hex(golden), "{name}");
+    }
+    let register = Buffered { field: b'3', ..buffered("RX", -5) };
+    assert_eq!(register.encode().unwrap()[..], hex("00 01 33 AE FF FF FF FB"));
+}
+
+#[test]
+fn operands_that_a_command_does_not_have_are_refused() {
+    for (name, low, high) in [
+        ("FL", 0, 0),
+        ("QX", 0, 255),
+        ("AC", -32768, 65535),
+        ("SO", 0, 65535),
+        ("DI", -2_147_483_648, 2_147_483_647),
+    ] {
+        for value in [low, high] {
+            assert!(buffered(name, value).encode().is_some(), "{name} {value}");
+        }
+        for value in [low - 1, high + 1, i64::MIN, i64::MAX] {
+            assert_eq!(buffered(name, value).encode(), None, "{name} {value}");
+        }
+        assert_eq!(Buffered { field: 1, ..buffered(name, 0) }.encode(), None, "{name}");
+    }
+    let field = Buffered { field: b'5', ..buffered("WD", 0) };
+    assert_eq!(field.encode().unwrap()[..], hex("00 01 35 BF 00 00 00 00"));
+    assert_eq!(opcode("SJ"), None);
+}
+
+#[test]
+fn tshark_unconnected_ac100() {
+    let golden = hex(
+        "6F 00 20 00 01 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 | 00 00 00 00 00 00 02 00 00 00 00 \
+         00 B2 00 10 00 3C 03 20 64 24 01 30 01 00 01 00 1E 00 00 02 58",
+    );
+    let ac = buffered("AC", 600);
+    let request = with(|out| cip::request(out, cip::service::VENDOR, &PATH, &ac.encode().unwrap()));
+    assert_eq!(with(|out| encapsulation::send_rr_data(out, SESSION, 0, &request, None)), golden);
+    let answer = hex("BC 00 00 00 00 01 00 1E 00 09 00 00");
+    let frame = with(|out| encapsulation::send_rr_data(out, SESSION, 0, &answer, None));
+    let message = Unconnected::parse(whole(&frame).data).unwrap().message;
+    let answer = reply(message);
+    assert_eq!((answer.service, answer.status), (cip::service::VENDOR, Status::default()));
+    assert_eq!(ac.answer(answer.data), Ok(status::ENABLED | status::IN_POSITION));
+    assert_eq!(buffered("DE", 600).answer(answer.data), Err(AnswerError::Other));
+    assert_eq!(ac.answer(&answer.data[1..]), Err(AnswerError::Length(7)));
+}
+
+#[test]
+fn hcr_examples_of_immediate_commands() {
+    let ac = parameter("AC").unwrap().index;
+    for (message, golden) in [
+        (Immediate::ReadParameter(ac), "00 02 84 1E 00 00 00 00"),
+        (Immediate::ReadAbsolute, "00 02 88 01 00 00 00 00"),
+        (Immediate::ReadEncoder, "00 02 88 00 00 00 00 00"),
+        (Immediate::ReadRegister(b'3'), "00 02 9F 33 00 00 00 00"),
+        (Immediate::Kill(Deceleration::Largest), "00 02 98 00 00 00 00 00"),
+        (Immediate::Stop(Deceleration::Set), "00 02 A3 01 00 00 00 00"),
+        (Immediate::WriteParameter { index: ac, value: 600, flash: false }, "00 02 83 1E 02 58 00 00"),
+        (Immediate::WriteParameter { index: ac, value: 600, flash: true }, "00 02 83 9E 02 58 00 00"),
+        (Immediate::WriteRegister { register: b'3', value: -2 }, "00 02 9E 33 FF FF FF FE"),
+        (Immediate::SetOutput { index: 1, closed: true }, "00 02 8B 81 00 00 00 00"),
+        (Immediate::SetOutput { index: 1, closed: false }, "00 02 8B 01 00 00 00 00"),
+        (Immediate::ResetAlarm, "00 02 8E 00 00 00 00 00"),
+        (Immediate::ReadAlarmHistory, "00 02 87 00 00 00 00 00"),
+        (Immediate::LoadProgram, "00 02 A1 00 00 00 00 00"),
+        (Immediate::SaveSegment(12), "00 02 A2 0C 00 00 00 00"),
+    ] {
+        assert_eq!(message.encode()[..], hex(golden), "{message:?}");
+    }
+    let answer = |message: Immediate, text: &str| message.answer(&hex(text));
+    assert_eq!(answer(Immediate::ReadParameter(ac), "00 02 84 1E 02 58 00 00"), Ok(Answer::Word(600)));
+    let position = Answer::Long(0x8765_4321_u32 as i32);
+    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21"), Ok(position));
+    assert_eq!(answer(Immediate::ResetAlarm, "00 02 8E 00 02 00 00 00"), Ok(Answer::Status(status::ALARM)));
+    // Of the encoder, of a buffered command, too short, too long.
+    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 00 87 65 43 21"), Err(AnswerError::Other));
+    assert_eq!(answer(Immediate::ReadAbsolute, "00 01 88 01 87 65 43 21"), Err(AnswerError::Other));
+    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43"), Err(AnswerError::Length(7)));
+    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21 00"), Err(AnswerError::Length(9)));
+}
+
+#[test]
+fn hcr_profile_code() {
+    let request = with(|out| cip::request(out, cip::service::GET_ATTRIBUTE_SINGLE, &PROFILE_PATH, &[]));
+    assert_eq!(request, hex("0E 03 20 64 24 00 30 01"));
+    let mut data = hex("00 75 00 07 41 5F 00 01 03 4A");
+    let code =
+        ProfileCode { board: (117, 7), profile: b'A', model: 95, sub_model: 0, firmware: (1, 3, b'J') };
+    assert_eq!(ProfileCode::parse(&data), Some(code));
+    assert_eq!(code.version(), Version::V1);
+    data[1] = 251;
+    assert_eq!(ProfileCode::parse(&data).unwrap().version(), Version::V2);
+    data[..4].copy_from_slice(&[0, 250, 0xFF, 0xFF]);
+    assert_eq!(ProfileCode::parse(&data).unwrap().version(), Version::V1);
+    assert_eq!(ProfileCode::parse(&data[..9]), None);
+}
+
+#[test]
+fn tables_name_everything_once() {
+    assert!(OPCODES.is_sorted_by(|a, b| a.name < b.name));
+    assert_eq!(OPCODES.iter().map(|opcode| opcode.code).collect::<HashSet<_>>().len(), OPCODES.len());
+    assert_eq!(PARAMETERS.iter().map(|one| one.name).collect::<HashSet<_>>().len(), PARAMETERS.len());
+    // CP is printed with the index of CI; where a command and a parameter share a name they share the number, too.
+    assert_eq!(PARAMETERS.iter().map(|one| one.index).collect::<HashSet<_>>().len(), PARAMETERS.len() - 1);
+    for parameter in PARAMETERS {
+        assert_eq!(parameter.read_only, parameter.index >= 0x80, "{}", parameter.name);
+        if let Some(opcode) = opcode(parameter.name) {
+            assert_eq!(opcode.code, parameter.index, "{}", parameter.name);
+        }
+    }
+}
+
+#[test]
+fn io_codes_in_both_directions() {
+    assert_eq!("2L".parse::<IoCode>().unwrap().code(), 0x4CB2);
+    assert_eq!("3R".parse::<IoCode>().unwrap().code(), 0x52B3);
+    assert_eq!("12F".parse::<IoCode>().unwrap().code(), 0x46BC);
+    for condition in [Condition::High, Condition::Low, Condition::Rising, Condition::Falling] {
+        for number in 0..=IoCode::MAX {
+            let code = IoCode::new(number, condition).unwrap();
+            assert_eq!(code.to_string().parse(), Ok(code));
+            assert_eq!(IoCode::from_code(code.code()), Some(code));
+        }
+        assert_eq!(IoCode::new(13, condition), None);
+    }
+    for text in ["", "L", "2", "2X", "13L", "-1L", "+1L", "123L", "2l", " 2L", "ÄL", "99H"] {
+        assert!(text.parse::<IoCode>().is_err(), "{text}");
+    }
+    assert_eq!((0..=u16::MAX).filter(|code| IoCode::from_code(*code).is_some()).count(), 4 * 13);
+}
+
+#[test]
+fn letters_of_host_commands() {
+    assert_eq!(Letters::new("SO"), Some(Letters(0x534F)));
+    for text in ["", "S", "SOS", "so", "S1", "Ä"] {
+        assert_eq!(Letters::new(text), None, "{text}");
+    }
+}
+
+#[test]
+fn bits_are_those_of_the_manual() {
+    assert_eq!(status::NAMES[status::HOMING.trailing_zeros() as usize], "homing");
+    assert_eq!(status::NAMES[status::INITIALIZING.trailing_zeros() as usize], "initialising");
+    assert_eq!((command::STOP_FAST, command::STOP, command::HOST), (0x4000, 0x8000, 0x4_0000));
+    assert_eq!((command::RESET_ALARM, command::CURRENT), (0x10_0000, 0x20_0000));
+    let faults: u32 = (0..16).filter(|bit| assembly::ALARMS[*bit].fault).map(|bit| 1 << bit).sum();
+    assert_eq!(faults, 0x0001 | 0x0008 | 0x0010 | 0x0020 | 0x0080 | 0x0100 | 0x0200);
+    let names = |word| alarms(word).map(|alarm| alarm.name).collect::<Vec<_>>();
+    assert_eq!(
+        names(assembly::ALARM_NO_MOVE | 0x0008),
+        ["over temperature", "no move: the motor is disabled"]
+    );
+    assert!(names(0xFFFF_0000).is_empty() && names(u32::MAX).len() == 16);
+}
