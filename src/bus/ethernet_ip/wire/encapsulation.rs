@@ -113,8 +113,8 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// The message at the front of a stream, and its size; `None` while it is incomplete. A fault is reported as soon as
-    /// its field has arrived.
+    /// The message at the front of a stream, and its size; `None` while it is incomplete. A fault is reported as soon
+    /// as its field has arrived.
     pub fn next(stream: &'a [u8]) -> Result<Option<(Frame<'a>, usize)>, Malformed> {
         let mut reader = Reader(stream);
         let Some(command) = reader.word() else { return Ok(None) };

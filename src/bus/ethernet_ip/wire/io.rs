@@ -1,4 +1,4 @@
-//! Class 1 packets: process data on UDP 2222, without a header of the encapsulation (EtherNet/IP, volume 2, 2-6 and 3-2).
+//! Class 1 packets: process data on UDP 2222, without a header of the encapsulation (EtherNet/IP, volume 2, 2-6).
 //!
 //! | bytes | field |
 //! |---|---|
@@ -75,8 +75,8 @@ impl Outgoing {
         self.bytes[field::CONNECTION].copy_from_slice(&connection.to_le_bytes());
     }
 
-    /// Both sequence numbers: of each packet, and of new data. Some drives swallow data with the count 0 of a connection
-    /// that has just been opened: begin with 1.
+    /// Both sequence numbers: of each packet, and of new data. Some adapters swallow the first data if its count is 0:
+    /// begin with 1.
     #[inline]
     pub fn set_sequence(&mut self, sequence: u32, count: u16) {
         self.bytes[field::SEQUENCE].copy_from_slice(&sequence.to_le_bytes());

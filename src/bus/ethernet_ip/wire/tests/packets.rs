@@ -104,8 +104,8 @@ fn tshark_packet_of_a_drive() {
 #[test]
 fn both_orders_of_the_inputs_and_no_other_size() {
     let data: Vec<u8> =
-        (1..=14_u32).flat_map(|element| (element << 16 | 100 + element).to_le_bytes()).collect();
-    let value = |element: u32| element << 16 | 100 + element;
+        (1..=14_u32).flat_map(|element| ((element << 16) | (100 + element)).to_le_bytes()).collect();
+    let value = |element: u32| (element << 16) | (100 + element);
     let manual = Inputs::parse(&data, Version::V2, Layout::Manual).unwrap();
     assert_eq!((manual.status, manual.alarm, manual.voltage), (101, value(2), value(3)));
     assert_eq!((manual.position_error, manual.velocity), (Some(value(8) as i32), value(9) as i32));
