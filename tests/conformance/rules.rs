@@ -216,6 +216,13 @@ const PARTS: usize = 8;
 /// What is reported as new is what the drive said in answer to a request that left at `since` or later.
 pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     let units = drive.axis.units;
+    if !tape.packets.is_empty() {
+        let mut newer = tape.packets.iter().rev().take_while(|packet| packet.at >= since);
+        let given =
+            newer.any(|packet| packet.said.is_some_and(|said| is_as_told(&slot.status, said, &units)));
+        assert!(given, "reported as new, but not said since {since}: {:?}", slot.status);
+        return;
+    }
     // Of an answer that says a part, the rest is of those before it.
     let before = if can.whole { 0 } else { PARTS };
     let newer = tape.received.iter().rev().take_while(|received| received.at >= since).count();

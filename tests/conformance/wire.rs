@@ -13,7 +13,7 @@ use fieldbeat::internals::net::{
     Broken, Carriers, Datagrams, Frames, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::internals::rt::Regions;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated, World};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
 use fieldbeat::{OpenError, Time};
 
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
@@ -33,13 +33,24 @@ pub struct Delivery {
     pub reported: Option<Said>,
 }
 
+/// One packet of a drive that sends by its own clock, as it left.
+#[derive(Clone, Debug)]
+pub struct Packet {
+    pub at: Time,
+    pub bytes: Vec<u8>,
+    pub said: Option<Said>,
+}
+
 /// One drive's end of the wire.
 #[derive(Debug)]
 pub struct Tape {
+    /// That of its process data.
     pub address: SocketAddrV4,
     /// Its wire at its best: a slow drive is no fault.
     pub usual: FaultPlan,
     pub received: Vec<Delivery>,
+    /// What it sent by its own clock and was not lost.
+    pub packets: Vec<Packet>,
     /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
     /// come back; a single one hears nothing.
     pub mute: bool,
@@ -64,11 +75,17 @@ pub struct Tape {
 impl Tape {
     /// What the drive last said.
     pub fn said(&self) -> Said {
+        if let Some(said) = self.packets.iter().rev().find_map(|packet| packet.said) {
+            return said;
+        }
         self.received.iter().rev().find_map(|received| received.said).expect("the drive has answered")
     }
 
     /// The last answer that it gave, as it left.
     pub fn reply(&self) -> Vec<u8> {
+        if let Some(packet) = self.packets.last() {
+            return packet.bytes.clone();
+        }
         let last = self.received.iter().rev().find(|received| !received.reply.is_empty());
         last.expect("the drive has answered").reply.clone()
     }
@@ -106,7 +123,7 @@ impl Wire {
         let Simulated { drives: simulated, mut segments, .. } = subject.simulated(drives);
         let line = segments.pop();
         let ends: Vec<_> = match &line {
-            None => simulated.iter().map(|drive| (drive.address(), drive.faults())).collect(),
+            None => simulated.iter().map(|drive| (process_data(&**drive).1, drive.faults())).collect(),
             // Nobody has an address.
             Some(line) => {
                 vec![(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0), line.faults()); drives.len()]
@@ -116,6 +133,7 @@ impl Wire {
             address,
             usual,
             received: Vec::new(),
+            packets: Vec::new(),
             mute: false,
             unplugged: false,
             jammed: false,
@@ -129,9 +147,9 @@ impl Wire {
         let log = Log { drives: ends.into_iter().map(tape).collect(), ..Log::default() };
         let interface = line.as_ref().map(|line| line.interface().into());
         let wire = Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface };
-        let tap = |(index, drive)| {
-            let wire = wire.clone();
-            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, reported: None })
+        let tap = |(index, drive): (usize, Box<dyn SimDrive>)| {
+            let (wire, (socket, _)) = (wire.clone(), process_data(&*drive));
+            Box::new(TappedDrive { drive, index, socket, wire, part: Vec::new(), said: None, reported: None })
                 as Box<dyn SimDrive>
         };
         let tap_line = |line| {
@@ -337,9 +355,19 @@ impl SimSegment for TappedLine {
     }
 }
 
+/// The number and the address of the socket of a drive's process data: the last one of those with datagrams, if it has
+/// several.
+fn process_data(drive: &dyn SimDrive) -> (usize, SocketAddrV4) {
+    let more = drive.more_sockets();
+    let datagrams = more.iter().zip(1..).filter(|((carrier, _), _)| *carrier == Carrier::Datagrams);
+    datagrams.last().map_or((0, drive.address()), |((_, address), number)| (number, *address))
+}
+
 struct TappedDrive {
     drive: Box<dyn SimDrive>,
     index: usize,
+    /// The number of the socket of its process data.
+    socket: usize,
     wire: Wire,
     /// On a stream, the begin of a request.
     part: Vec<u8>,
@@ -358,7 +386,7 @@ impl TappedDrive {
         let Some(bytes) = log.drives[self.index].meddled.take() else { return };
         drop(log);
         if !self.wire.subject.can().stream {
-            self.drive.receive(now, from, &bytes, &mut Vec::new());
+            self.drive.receive_at(self.socket, now, from, &bytes, &mut Vec::new());
             return;
         }
         assert!(self.drive.connect(now, from), "there is room for another master");
@@ -387,6 +415,43 @@ impl TappedDrive {
 impl SimDrive for TappedDrive {
     crate::forward_sim_drive!(drive);
 
+    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
+        self.drive.more_sockets()
+    }
+
+    fn next_due(&self) -> Option<Time> {
+        self.drive.next_due()
+    }
+
+    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+        let Wire { subject, log, .. } = &self.wire;
+        let tape = &mut log.lock().unwrap().drives[self.index];
+        self.drive.run(now, &mut |socket, to, bytes| {
+            if socket == self.socket {
+                if tape.mute {
+                    return;
+                }
+                let said = subject.said(None, &[], bytes);
+                tape.packets.push(Packet { at: now, bytes: bytes.to_vec(), said });
+            }
+            send(socket, to, bytes);
+        });
+    }
+
+    fn receive_at(
+        &mut self,
+        socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        if socket == self.socket {
+            return self.receive(now, from, bytes, reply);
+        }
+        self.drive.receive_at(socket, now, from, bytes, reply)
+    }
+
     fn receive(
         &mut self,
         now: Time,
@@ -396,7 +461,7 @@ impl SimDrive for TappedDrive {
     ) -> Option<SocketAddrV4> {
         self.meddle(now);
         let request = self.request(from, bytes);
-        let to = self.drive.receive(now, from, bytes, reply);
+        let to = self.drive.receive_at(self.socket, now, from, bytes, reply);
         let reply = if to.is_some() { reply.clone() } else { Vec::new() };
         let subject = self.wire.subject;
         let mut log = self.wire.log.lock().unwrap();
@@ -431,6 +496,10 @@ impl Carriers for Tapped<'_> {
     }
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        if !self.wire.subject.can().stream {
+            // Sessions, with nothing cyclic in them.
+            return self.carriers.streams(peers);
+        }
         let addresses: Vec<_> = peers.iter().map(|peer| peer.address).collect();
         let expected: Vec<_> = self.wire.log().drives.iter().map(|tape| tape.address).collect();
         assert_eq!(addresses, expected, "connections are in slot order");
@@ -587,7 +656,7 @@ impl Datagrams for TappedCarrier {
             if outbox.sent(index) == Sent::Posted {
                 log.sends += 1;
                 let peer = outbox.peer(index);
-                if log.drives.iter().any(|tape| tape.jammed && tape.address == peer) {
+                if log.drives.iter().any(|tape| tape.jammed && tape.address.ip() == peer.ip()) {
                     outbox.note(index, Sent::Failed(NO_BUFFER));
                 }
             }
