@@ -10,10 +10,7 @@ pub(crate) mod exchange;
 pub(crate) mod plan;
 pub(crate) mod wire;
 
-pub use plan::{
-    Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
-    MoonsDrive, Originator, PORT, Version, Watchdog,
-};
+pub(crate) use plan::{Access, Layout, Version};
 
 /// The protocol's name in configurations.
-pub const PROTOCOL: &str = "ethernet-ip";
+pub(crate) const PROTOCOL: &str = "ethernet-ip";

@@ -14,7 +14,6 @@
 //! | `message`, `opcodes` | these drives' own messages, and what they can say |
 //!
 //! Everything is little-endian, except socket addresses, the drives' own messages and their profile code.
-#![allow(dead_code, reason = "the station and the session that use it come with the next commits")]
 
 pub mod assembly;
 pub mod cip;
