@@ -82,6 +82,13 @@ pub enum Motion {
         /// Its profile.
         profile: Profile,
     },
+    /// At a velocity, made by the drive; another one is another intent.
+    Velocity {
+        /// Signed, user units/s; not 0.
+        velocity: f64,
+        /// User units/s², up and down.
+        acceleration: f64,
+    },
     /// To standstill along a ramp, made by the drive.
     Ramp {
         /// User units/s².
@@ -306,14 +313,27 @@ pub struct Capabilities {
 /// What makes the setpoints of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Generator {
-    /// The drive, along profiles. A velocity is a target that rolls at most so far ahead, user units; `None`: no
-    /// velocities.
+    /// The drive, along profiles.
     Drive {
-        /// User units.
-        leash: Option<f64>,
+        /// How it comes to a velocity; `None`: it has none.
+        velocities: Option<Velocities>,
     },
     /// The master: this quantity goes out in each request.
     Master(Quantity),
+}
+
+/// How a drive that makes its own setpoints comes to a velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Velocities {
+    /// By moves to a target that rolls at most so far ahead, user units: the drive stands at the target if nothing
+    /// comes any more.
+    Leash(f64),
+    /// By a motion of its own, [`Motion::Velocity`]. From the report of a place to the begin of a ramp that it causes
+    /// there may be so much time, ns.
+    Own {
+        /// ns.
+        reaction_ns: u64,
+    },
 }
 
 /// The quantity of a setpoint.

@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn each_state_has_one_next_transition_and_none_is_requested_twice() {
-        let all = Capabilities::of(Generator::Drive { leash: None });
+        let all = Capabilities::of(Generator::Drive { velocities: None });
         let steps = Capabilities { switches_on_at_once: false, ..all };
         let stays = Capabilities { leaves_quick_stop: false, ..all };
         let (operate, shutdown) = (Some(Power::EnableOperation), Some(Power::Shutdown));

@@ -17,7 +17,7 @@ use crate::axis::command::NativeOwner;
 use crate::axis::units::Units;
 use crate::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
-    Setpoint,
+    Setpoint, Velocities,
 };
 use crate::time::{Time, nanos};
 
@@ -139,7 +139,7 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
     let ends = [i32::MIN, i32::MAX].map(|count| f64::from(count) / drive.axis.units.counts_per_unit);
     let least = |count: f64| (1.0 / (scale * count), f64::from(u32::MAX) / (scale * count));
     Capabilities {
-        generator: Generator::Drive { leash: drive.leash },
+        generator: Generator::Drive { velocities: drive.leash.map(Velocities::Leash) },
         lacks: Lacks {
             rows: drive.stream.is_none().then_some("no streaming command fits its cycle (stream = \"off\")"),
             velocities: drive.leash.is_none().then_some(
@@ -250,6 +250,8 @@ impl Profile {
             )),
             Motion::Ramp { deceleration } => Some(MotionCommand::vai_stop(self.acceleration(deceleration))),
             Motion::EndStream => Some(MotionCommand::stream_end()),
+            // Its velocities are moves.
+            Motion::Velocity { .. } => None,
             Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
         };
         self.is_command = command.is_some();

@@ -14,7 +14,7 @@ use crate::axis::{
     Units, cell,
 };
 use crate::bus::Exchange;
-use crate::bus::desired::Generator;
+use crate::bus::desired::{Generator, Velocities};
 use crate::drive::record::measured;
 use crate::rt::ring;
 use crate::time::MS;
@@ -43,7 +43,7 @@ pub(in crate::drive) fn plan() -> AxisPlan {
 
 /// What a drive can do that makes its own setpoints.
 fn can() -> Capabilities {
-    Capabilities::of(Generator::Drive { leash: Some(1.0) })
+    Capabilities::of(Generator::Drive { velocities: Some(Velocities::Leash(1.0)) })
 }
 
 impl DriveController {

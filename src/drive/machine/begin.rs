@@ -106,7 +106,8 @@ impl State {
 
     /// In operation, without a motion.
     pub(super) fn operate(&mut self, view: &View) {
-        if self.power.value != Power::EnableOperation || !self.course.leads() {
+        let leads = self.course.leads() || view.drive_makes_setpoints();
+        if self.power.value != Power::EnableOperation || !leads {
             self.hold(view.evidence.position);
         }
     }
@@ -172,9 +173,9 @@ impl State {
         None
     }
 
-    /// The drive may be in motion with its power on.
+    /// The drive may be in motion with its power on: a report that may be an older one does not deny it.
     fn can_brake(&self, view: &View) -> bool {
-        view.status.state == Cia402::OperationEnabled || !view.evidence.outputs_count
+        view.status.state == Cia402::OperationEnabled || view.status.suspect || !view.evidence.outputs_count
     }
 
     /// As fast as the drive is configured for it, with its power on.
@@ -249,7 +250,11 @@ impl State {
             // What has only just left may begin after this report.
             let runs = matches!(
                 self.motion.value,
-                Motion::Move { .. } | Motion::Follow | Motion::EndStream | Motion::Home
+                Motion::Move { .. }
+                    | Motion::Velocity { .. }
+                    | Motion::Follow
+                    | Motion::EndStream
+                    | Motion::Home
             );
             if self.runs(view) && (runs || view.status.moving) {
                 self.brake(deceleration, view);

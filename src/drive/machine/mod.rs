@@ -27,7 +27,7 @@ mod tests;
 mod view;
 
 use self::begin::OTHER_MODE;
-use self::motion::Rolling;
+use self::motion::{Jogging, Rolling};
 use self::setpoint::{Course, Turning};
 pub use self::view::{Input, NumberedRow};
 use self::view::{Rules, View};
@@ -36,7 +36,9 @@ use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
 use crate::axis::{AxisPlan, Command, Failure, Lacks, Move, Row, State as Cia402, Target, Units};
 use crate::bus::Slot;
-use crate::bus::desired::{Capabilities, Desired, Follows, Intent, Mode, ModeIs, Motion, Power, Setpoint};
+use crate::bus::desired::{
+    Capabilities, Desired, Follows, Generator, Intent, Mode, ModeIs, Motion, Power, Setpoint, Velocities,
+};
 use crate::time::Time;
 
 /// How a command has ended; `None`: it is under way.
@@ -68,6 +70,8 @@ struct Waiting {
     since: Time,
     /// The prepared request is built for it.
     is_proposed: bool,
+    /// The command before it failed before anything of that left: what that had replaced still has to end.
+    quits: bool,
 }
 
 /// What a command asks of the machine.
@@ -133,6 +137,8 @@ enum Step {
     Moving(Option<f64>),
     /// A velocity as a target of the drive that rolls ahead.
     Rolling(Rolling),
+    /// At a velocity that the drive makes by itself.
+    Jogging(Jogging),
     /// At a velocity or a torque of the master, towards a position limit if there is one ahead.
     Turning(Turning),
     /// A position limit is near: it stops before it.
@@ -192,7 +198,8 @@ impl Machine {
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
     pub fn start(&mut self, now: Time, command: Option<Command>) {
         let start = command.map_or(Start::TakeOver, Start::Command);
-        self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false });
+        let quits = self.waiting.is_some_and(|before| before.quits || before.command.is_none());
+        self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false, quits });
         (self.command, self.end) = (command, None);
         // The others begin without a velocity or torque, until they are given one.
         let level = if let Some(Command::Jog(jog)) = command { jog.velocity } else { 0.0 };
@@ -246,6 +253,9 @@ impl Machine {
             self.proposed.clone_from(state);
             state = &mut self.proposed;
             state.is_new = true;
+            if waiting.quits {
+                state.quit(&view);
+            }
             let end = waiting.command.and_then(|start| state.begin(start, waiting.since, &view));
             // What is to be taken over may not be known yet: then it waits on.
             let unknown = view.status.state == Cia402::Unknown;
@@ -434,10 +444,15 @@ impl State {
 
     fn begin_velocity(&mut self, acceleration: f64, view: &View) -> End {
         self.end_halt(view);
-        if view.drive_makes_setpoints() {
-            self.begin_rolling(acceleration, view)
-        } else {
-            self.begin_turning(acceleration, view)
+        let velocities = match view.rules.can.generator {
+            Generator::Drive { velocities } => velocities,
+            Generator::Master(_) => return self.begin_turning(acceleration, view),
+        };
+        match velocities {
+            Some(Velocities::Leash(leash)) => self.begin_rolling(acceleration, leash, view),
+            Some(Velocities::Own { .. }) => self.begin_jogging(acceleration, view),
+            // Refused on submission.
+            None => None,
         }
     }
 

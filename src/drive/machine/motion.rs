@@ -3,7 +3,7 @@
 use super::view::View;
 use super::{End, State, Step, near};
 use crate::axis::{Failure, Profile, RangeError, Row};
-use crate::bus::desired::{Generator, Motion, Ranges, Setpoint};
+use crate::bus::desired::{Generator, Motion, Ranges, Setpoint, Velocities};
 use crate::drive::planner::Point;
 
 /// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
@@ -13,6 +13,23 @@ const LAST_ROWS: u32 = 3;
 const MOST_LAST_ROWS: u32 = 50;
 /// The next target of a velocity is sent when so much of its leash is left.
 const LEASH_LEFT: f64 = 0.75;
+
+/// A velocity that the drive makes by itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Jogging {
+    /// Signed, user units/s; 0 = braking, or at standstill.
+    velocity: f64,
+    acceleration: f64,
+    /// A position limit may be ahead: it is watched with each report.
+    watched: bool,
+}
+
+impl Jogging {
+    /// Nothing is to be done: no other velocity is `wanted`, and no limit to be watched.
+    pub(super) fn goes_on(&self, wanted: f64) -> bool {
+        wanted == self.velocity && self.velocity != 0.0 && !self.watched
+    }
+}
 
 /// A velocity as a target that rolls ahead of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,9 +90,7 @@ impl State {
         view.rules.braking(requested, from, lost)
     }
 
-    pub(super) fn begin_rolling(&mut self, acceleration: f64, view: &View) -> End {
-        let Generator::Drive { leash } = view.rules.can.generator else { return None };
-        let leash = leash.unwrap_or_default();
+    pub(super) fn begin_rolling(&mut self, acceleration: f64, leash: f64, view: &View) -> End {
         self.roll_on(
             Rolling { velocity: view.input.level, acceleration, leash, target: 0.0, at_limit: false },
             view,
@@ -134,6 +149,68 @@ impl State {
         self.move_by_drive(rolling.target, &profile, Step::Rolling(rolling), view)
     }
 
+    pub(super) fn begin_jogging(&mut self, acceleration: f64, view: &View) -> End {
+        let watched = view.rules.limits.position.is_some();
+        self.jog_on(Jogging { velocity: view.input.level, acceleration, watched }, view)
+    }
+
+    /// Another velocity; for 0 a ramp.
+    fn jog_on(&mut self, jogging: Jogging, view: &View) -> End {
+        let Jogging { velocity, acceleration, .. } = jogging;
+        if velocity == 0.0 {
+            self.brake_by_drive(acceleration, view);
+            self.begin_step(view.now, Step::Jogging(jogging));
+            return None;
+        }
+        if let Err(range) = view.rules.can.ranges.check_velocity(velocity.abs(), acceleration) {
+            return self.refuse(range.into(), view);
+        }
+        if let Some((low, high)) = view.rules.limits.position.filter(|_| view.status.homed)
+            && self.is_limit_near(velocity, acceleration, view)
+        {
+            let value = view.evidence.demand;
+            return self.refuse(Failure::Limit { what: "position", value, low, high }, view);
+        }
+        self.want_motion(Motion::Velocity { velocity, acceleration });
+        self.begin_step(view.now, Step::Jogging(jogging));
+        None
+    }
+
+    /// With each report: the newest velocity once the one before was accepted, and no limit is passed.
+    pub(super) fn jog(&mut self, jogging: Jogging, settled: bool, view: &View) -> End {
+        let Jogging { velocity, acceleration, .. } = jogging;
+        let demand = view.evidence.demand_velocity;
+        // What counts is its present direction, whatever is wanted.
+        let present = if demand == 0.0 { velocity } else { demand };
+        if velocity != 0.0 && view.status.homed && self.is_limit_near(present, acceleration, view) {
+            let (low, high) = view.rules.limits.position.unwrap_or_default();
+            self.brake_by_drive(acceleration, view);
+            self.begin_step(view.now, Step::Limited(if present > 0.0 { high } else { low }));
+            return None;
+        }
+        if !self.is_accepted(view) {
+            return None;
+        }
+        if view.input.level != velocity {
+            return self.jog_on(Jogging { velocity: view.input.level, ..jogging }, view);
+        }
+        // Nothing of the master has ended it: a limit of the drive's own, or something else that commands it.
+        if settled && velocity != 0.0 { self.refuse(Failure::NotArrived, view) } else { None }
+    }
+
+    /// At this velocity it could not be stopped any more before its position limit, with the time that a ramp takes to
+    /// begin.
+    fn is_limit_near(&self, velocity: f64, acceleration: f64, view: &View) -> bool {
+        let Some((low, high)) = view.rules.limits.position else { return false };
+        let Generator::Drive { velocities: Some(Velocities::Own { reaction_ns }) } = view.rules.can.generator
+        else {
+            return false;
+        };
+        let room = if velocity > 0.0 { high - view.evidence.demand } else { view.evidence.demand - low };
+        let left = room - velocity.abs() * reaction_ns as f64 * 1e-9;
+        left <= 0.0 || velocity * velocity >= 2.0 * acceleration * left
+    }
+
     /// One row a send. A row that came before, in a slot that was passed over, is not counted twice.
     pub(super) fn follow_by_drive(&mut self, view: &View) -> End {
         let next = view.input.row?;
@@ -187,6 +264,11 @@ impl Ranges {
         within(profile.velocity, self.velocity, "units/s")?;
         within(profile.acceleration, self.acceleration, "units/s2")?;
         within(profile.deceleration, self.acceleration, "units/s2")
+    }
+
+    fn check_velocity(&self, velocity: f64, acceleration: f64) -> Result<(), RangeError> {
+        within(velocity, self.velocity, "units/s")?;
+        within(acceleration, self.acceleration, "units/s2")
     }
 
     fn check_row(&self, position: f64, row: &Row) -> Result<(), RangeError> {

@@ -141,7 +141,7 @@ impl Course {
 
     /// In another mode no setpoint counts: it is neutral there, and so is the first one after it.
     fn watch_mode(&mut self, view: &View) {
-        if view.evidence.mode != ModeIs::Own {
+        if view.is_in_another_mode() {
             self.away = true;
         } else if self.away {
             self.away = false;

@@ -62,6 +62,7 @@ impl State {
             Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
             Step::Moving(_) => status.moving && self.agree == 0,
             Step::Rolling(rolling) => rolling.goes_on(input.level, evidence.demand),
+            Step::Jogging(jogging) => jogging.goes_on(input.level) && status.moving,
             _ => false,
         };
         goes_on
@@ -103,8 +104,11 @@ impl State {
                 return self.fail(failure);
             }
             let own = evidence.mode == ModeIs::Own && evidence.ready && evidence.is_set_up;
-            let there =
-                own && state == Cia402::OperationEnabled && self.power.value == Power::EnableOperation;
+            // A ramp that brakes what was refused before has to arrive: with the end of this it is desired no longer.
+            let there = own
+                && state == Cia402::OperationEnabled
+                && self.power.value == Power::EnableOperation
+                && self.is_accepted(view);
             if self.agrees(there, view.rules.can.power_reports, view) {
                 return self.done();
             }
@@ -170,7 +174,7 @@ impl State {
                 | Step::FollowEnding { .. }
         );
         // No setpoint has led it since the mode changed under it, and the end of that is not the end of its motion.
-        if follows && view.evidence.mode != ModeIs::Own {
+        if follows && view.is_in_another_mode() {
             return self.refuse(OTHER_MODE, view);
         }
         if !view.fresh || view.status.suspect {
@@ -209,6 +213,7 @@ impl State {
                 self.fail(Failure::Limit { what: "position", value: limit, low, high })
             }
             Step::Rolling(rolling) => self.roll(rolling, settled, view),
+            Step::Jogging(jogging) => self.jog(jogging, settled, view),
             Step::FollowEnding { .. } => self.end_rows(settled, view),
             _ => None,
         }

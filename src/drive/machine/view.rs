@@ -2,7 +2,7 @@
 
 use crate::axis::{AxisPlan, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
 use crate::bus::Slot;
-use crate::bus::desired::{Capabilities, Evidence, Generator, Quantity};
+use crate::bus::desired::{Capabilities, Evidence, Generator, ModeIs, Quantity};
 use crate::time::{Time, nanos};
 
 /// What does not change.
@@ -89,6 +89,11 @@ impl<'a> View<'a> {
     /// It reports that it is in operation, and what is written counts there.
     pub fn operates(&self) -> bool {
         self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
+    }
+
+    /// Not in the mode of its setpoint; a report that may be an older one does not show that.
+    pub fn is_in_another_mode(&self) -> bool {
+        self.evidence.mode != ModeIs::Own && !self.status.suspect
     }
 
     pub fn failed(&self) -> Failure {

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use crate::axis::{Cannot, DriveStatus, Lacks, State};
 use crate::bus::desired::{
     Accepted, Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Homing, Mode, ModeIs, Motion,
-    Power, Quantity, Reference, Refused, Resettable, Setpoint,
+    Power, Quantity, Reference, Refused, Resettable, Setpoint, Velocities,
 };
 use crate::bus::ethercat::cia402::{ControlCommand, ControlWord, Transition};
 use crate::drive::planner::{Point, Trajectory};
@@ -73,7 +73,7 @@ pub struct Drive {
 const NO: Cannot = Some("it has none");
 
 /// One kind of drive for each generator, like those of the protocols.
-pub fn kinds() -> [Capabilities; 4] {
+pub fn kinds() -> [Capabilities; 5] {
     let can = |generator, lacks| Capabilities {
         lacks,
         switches_on_at_once: false,
@@ -89,7 +89,7 @@ pub fn kinds() -> [Capabilities; 4] {
             power_reports: 2,
             still_reports: 2,
             arrival: 0.01,
-            ..can(Generator::Drive { leash: Some(20.0) }, lacks)
+            ..can(Generator::Drive { velocities: Some(Velocities::Leash(20.0)) }, lacks)
         },
         can(Generator::Master(Quantity::Position), lacks),
         Capabilities {
@@ -99,6 +99,13 @@ pub fn kinds() -> [Capabilities; 4] {
             ..can(Generator::Master(Quantity::Velocity), Lacks { torques: NO, homing: NO, ..few })
         },
         can(Generator::Master(Quantity::Torque), Lacks { velocities: NO, ..few }),
+        Capabilities {
+            arrival: 0.01,
+            ..can(
+                Generator::Drive { velocities: Some(Velocities::Own { reaction_ns: 3 * T }) },
+                Lacks { rows: NO, ..lacks },
+            )
+        },
     ]
 }
 
@@ -208,6 +215,9 @@ impl Drive {
             (Motion::Move { position, profile: p }, _) if is_new => {
                 let motion = Trajectory::go_to(from, position, p.velocity, p.acceleration, p.deceleration);
                 self.motion = own(motion);
+            }
+            (Motion::Velocity { velocity, acceleration }, _) if is_new => {
+                self.motion = own(Trajectory::run(from, velocity, acceleration));
             }
             (Motion::Ramp { deceleration }, _) if is_new => {
                 self.motion = own(Trajectory::run(from, 0.0, deceleration));

@@ -84,6 +84,11 @@ fn movers() -> impl Iterator<Item = Capabilities> {
     kinds().into_iter().filter(|can| matches!(quantity(can), None | Some(Quantity::Position)))
 }
 
+/// Those of them that follow rows.
+fn followers() -> impl Iterator<Item = Capabilities> {
+    movers().filter(|can| can.lacks.rows.is_none())
+}
+
 fn to(position: f64) -> Command {
     Command::Move(Move { target: Target::Absolute(position), profile: PROFILE })
 }

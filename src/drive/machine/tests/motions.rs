@@ -206,7 +206,7 @@ fn rows(rig: &Rig, from: usize) -> Vec<u64> {
 
 #[test]
 fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
-    for can in movers() {
+    for can in followers() {
         let mut rig = Rig::enabled(can);
         let from = rig.gone.len();
         // The first one comes with the command.
@@ -256,7 +256,7 @@ fn streaming(rig: &mut Rig) -> u64 {
 
 #[test]
 fn a_row_whose_send_was_passed_over_goes_out_no_more_once_the_drive_is_stopped() {
-    for can in movers() {
+    for can in followers() {
         for stop in [STOP, Command::QuickStop, Command::Disable] {
             let mut rig = Rig::enabled(can);
             let number = streaming(&mut rig);
@@ -282,7 +282,7 @@ fn a_row_whose_send_was_passed_over_goes_out_no_more_once_the_drive_is_stopped()
 
 #[test]
 fn a_command_that_is_refused_brakes_a_stream_from_its_last_row() {
-    for can in movers() {
+    for can in followers() {
         let mut rig = Rig::within(can, 0.0, 60.0);
         streaming(&mut rig);
         rig.start(by(100.0));
@@ -305,7 +305,7 @@ fn a_command_that_is_refused_brakes_a_stream_from_its_last_row() {
 #[test]
 fn a_row_that_is_no_number_or_does_not_fit_ends_the_stream_at_standstill() {
     let ranges = Ranges { position: (-100.0, 100.0), ..Ranges::UNLIMITED };
-    for can in movers() {
+    for can in followers() {
         let profiles = quantity(&can).is_none();
         for bad in [f64::NAN, f64::INFINITY, 200.0] {
             if bad == 200.0 && !profiles {

@@ -223,7 +223,7 @@ impl Judge {
 
 fn run(seed: u64) {
     let mut dice = Dice(seed);
-    let mut rig = Rig::with(kinds()[seed as usize % 4], |plan| {
+    let mut rig = Rig::with(kinds()[seed as usize % kinds().len()], |plan| {
         plan.limits.acceleration = Some(STEEPEST);
         plan.limits.position = [None, Some((-3.0, 4.0))][seed as usize / 4 % 2];
     });
