@@ -23,7 +23,7 @@ pub fn exchanges_are_missed_once_the_newest_packet_is_too_old(subject: &'static 
         return;
     }
     let mut line = Line::made_ready(subject, 2);
-    let fresh_within = line.wire.fresh_within_ns(0).expect("the plan says how long a packet counts");
+    let fresh_within = line.wire.fresh_within_ns(0, PERIOD).expect("the plan says how long a packet counts");
     for _ in 0..5 {
         line.mute(0, true);
         line.turn();
