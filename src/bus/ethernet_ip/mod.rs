@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `wire` | bytes <-> values |
 //! | `plan` | the bus as configured |
+//! | `target` | what an acyclic call does, as numbers |
 //! | `exchange` | what passes between session and loop |
 
 pub(crate) mod exchange;
 pub(crate) mod plan;
+pub(crate) mod target;
 pub(crate) mod wire;
 
 pub(crate) use plan::{Access, Layout, Version};
