@@ -8,7 +8,7 @@
 //! | `bus_plan` | the plan as every protocol's |
 //! | `config` | its keys in a configuration |
 //! | `notation` | how people write addresses and values of a drive |
-//! | `tools` | `fieldbeat ethernet-ip` |
+//! | `target` | what an acyclic call does, as numbers |
 //! | `exchange` | what passes between session and loop |
 
 pub(crate) mod bus;
@@ -21,6 +21,8 @@ pub(crate) mod exchange;
 pub(crate) mod notation;
 pub(crate) mod plan;
 mod profile;
+#[allow(dead_code, reason = "the session and the bus that use it follow")]
+pub(crate) mod target;
 #[allow(dead_code, reason = "the session and the bus that use it follow")]
 pub(crate) mod wire;
 
