@@ -5,7 +5,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::internals::bus::Exchange;
 use fieldbeat::telemetry::Counters;
 
-use crate::conformance::line::{LATENCY, Line};
+use crate::conformance::line::{LATENCY, Line, PERIOD};
 use crate::conformance::machine::Machine;
 use crate::conformance::rules;
 use crate::conformance::subject::{Subject, not_applicable};

@@ -7,11 +7,12 @@ use super::plan::{
     MULTIPLIER_MAX, MoonsDrive, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS,
 };
 use super::wire::assembly::IoCode;
+use super::wire::cip::Configuration;
 use crate::axis::{HeldBy, Load, PlanFault};
 use crate::time::{Ns, S, US};
 
 /// The most bytes of the configuration assembly that are sent.
-pub(super) const CONFIGURATION_MAX: usize = 64;
+pub(super) const CONFIGURATION_MAX: usize = Configuration::MAX;
 /// The highest number of an input that a drive can have.
 pub(super) const INPUT_MAX: u8 = IoCode::MAX;
 /// EG is half of the steps of a revolution, in 16 bits.
@@ -205,12 +206,8 @@ impl MoonsDrive {
         if self.heartbeat.is_some_and(|size| !matches!(size, 0 | 2 | 6)) {
             wrong("heartbeat", "must be 2, 6 or 0 bytes");
         }
-        if self
-            .configuration
-            .as_ref()
-            .is_some_and(|bytes| bytes.len() > CONFIGURATION_MAX || bytes.len() % 2 != 0)
-        {
-            wrong("configuration", "must be an even number of bytes, at most 64: it goes in words");
+        if self.configuration.as_ref().is_some_and(|bytes| bytes.len() > CONFIGURATION_MAX) {
+            wrong("configuration", "must be at most 256 bytes");
         }
         if !self.takes_commands() && self.homing.is_some() {
             wrong("homing", "needs outputs: connection = \"owner\", and a drive of version \"v2\"");
