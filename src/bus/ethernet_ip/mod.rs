@@ -8,6 +8,7 @@
 //! | `bus_plan` | the plan as every protocol's |
 //! | `config` | its keys in a configuration |
 //! | `notation` | how people write addresses and values of a drive |
+//! | `tools`, `scan` | `fieldbeat ethernet-ip` |
 //! | `target` | what an acyclic call does, as numbers |
 //! | `exchange` | what passes between session and loop |
 
@@ -21,8 +22,12 @@ pub(crate) mod exchange;
 pub(crate) mod notation;
 pub(crate) mod plan;
 mod profile;
+#[cfg(feature = "cli")]
+mod scan;
 #[allow(dead_code, reason = "the session and the bus that use it follow")]
 pub(crate) mod target;
+#[cfg(feature = "cli")]
+mod tools;
 #[allow(dead_code, reason = "the session and the bus that use it follow")]
 pub(crate) mod wire;
 
@@ -42,5 +47,5 @@ pub(super) const REGISTERED: Protocol = Protocol {
     #[cfg(feature = "config")]
     read: config::bus,
     #[cfg(feature = "cli")]
-    tools: &[],
+    tools: tools::TOOLS,
 };
