@@ -76,7 +76,7 @@ fn advance(cycle: &mut Cycle) -> Time {
 
 /// The machine of drive `index`.
 fn machine(plan: &dyn BusPlan, index: usize) -> Machine {
-    Machine::new(plan.axes()[index], plan.capabilities(index), PERIOD_NS)
+    Machine::new(plan.axes()[index], plan.capabilities(index, PERIOD_NS), PERIOD_NS)
 }
 
 /// A request has gone out.

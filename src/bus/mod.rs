@@ -28,11 +28,7 @@ pub(crate) mod desired;
 pub(crate) mod drives;
 mod error;
 pub mod ethercat;
-#[allow(
-    dead_code,
-    reason = "begun with its bytes: session, profile and bus follow, and nothing opens it yet"
-)]
-mod ethernet_ip;
+pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
 mod plan;
@@ -66,4 +62,5 @@ pub struct Protocol {
 
 /// All protocols; the next one is a folder, and one line more.
 #[doc(hidden)]
-pub const PROTOCOLS: [Protocol; 3] = [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED];
+pub const PROTOCOLS: [Protocol; 4] =
+    [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED, ethernet_ip::REGISTERED];

@@ -39,9 +39,9 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
-    /// How long a packet of drive `index` counts, which sends by its own clock, ns. Requests to it are due by divisor
+    /// How long a packet of drive `index` counts, which sends by its own clock, in a cycle of `period_ns`, ns. Requests to it are due by divisor
     /// and phase whatever its link, since its watchdog needs them. `None`: it answers requests.
-    fn fresh_within_ns(&self, _index: usize) -> Option<u64> {
+    fn fresh_within_ns(&self, _index: usize, _period_ns: u64) -> Option<u64> {
         None
     }
 
@@ -99,7 +99,7 @@ pub trait BusPlan: Any + Debug + Send + Sync {
 
     /// What drive `index` can do, in a cycle of `period_ns`.
     #[doc(hidden)]
-    fn capabilities(&self, index: usize) -> Capabilities;
+    fn capabilities(&self, index: usize, period_ns: u64) -> Capabilities;
 
     /// Its drives have a common clock that can lead the grid.
     fn has_clock(&self) -> bool {

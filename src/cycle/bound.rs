@@ -37,7 +37,8 @@ impl<'a> Paced<'a> {
         let connection = bus.reply_within_ns(index).map(|ns| Pace::Connection(behind(ns)));
         let half_duplex = bus.turn_within_ns(index).map(|ns| Pace::HalfDuplex(behind(ns)));
         // Its age counts from a packet that may have come in the window, to a later grid point.
-        let own_clock = bus.fresh_within_ns(index).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
+        let own_clock =
+            bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
         Paced { axis, pace: connection.or(half_duplex).or(own_clock).unwrap_or(Pace::Cycle) }
     }
 

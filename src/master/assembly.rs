@@ -125,7 +125,7 @@ pub fn assemble<C: Clock>(
             let first_probe = (entries.len() / PROBES_A_CYCLE) as u64;
             let paced = Paced::of(&plan.cycle, &**bus_plan, index, axis);
             let silence = bound::silence(&paced, plan.cycle.overrun);
-            let can = bus_plan.capabilities(index);
+            let can = bus_plan.capabilities(index, period_ns);
             let lacks = can.lacks;
             let controller = DriveController::new(
                 axis.clone(),
@@ -134,7 +134,7 @@ pub fn assemble<C: Clock>(
                 period_ns,
                 first_probe,
                 silence,
-                match bus_plan.fresh_within_ns(index) {
+                match bus_plan.fresh_within_ns(index, period_ns) {
                     Some(_) => Probes::AtOwnRate,
                     None if bus.is_one_frame() => Probes::Carried,
                     None => Probes::Spaced,

@@ -107,7 +107,8 @@ impl Line {
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
         let world = World::new(simulated, options).expect("each drive has its own address");
         let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
-        let machine = |index: usize| Machine::new(&drives[index].axis, wire.capabilities(index), PERIOD);
+        let machine =
+            |index: usize| Machine::new(&drives[index].axis, wire.capabilities(index, PERIOD), PERIOD);
         let machines = (0..count).map(machine).collect();
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {

@@ -5,7 +5,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::internals::bus::Exchange;
 use fieldbeat::telemetry::Counters;
 
-use crate::conformance::line::{LATENCY, Line};
+use crate::conformance::line::{LATENCY, Line, PERIOD};
 use crate::conformance::machine::Machine;
 use crate::conformance::rules;
 use crate::conformance::subject::{Subject, not_applicable};
@@ -23,7 +23,7 @@ pub fn exchanges_are_missed_once_the_newest_packet_is_too_old(subject: &'static 
         return;
     }
     let mut line = Line::made_ready(subject, 2);
-    let fresh_within = line.wire.fresh_within_ns(0).expect("the plan says how long a packet counts");
+    let fresh_within = line.wire.fresh_within_ns(0, PERIOD).expect("the plan says how long a packet counts");
     for _ in 0..5 {
         line.mute(0, true);
         line.turn();

@@ -29,8 +29,8 @@ macro_rules! forward_bus_plan {
             self.$field.turn_within_ns(index)
         }
 
-        fn fresh_within_ns(&self, index: usize) -> Option<u64> {
-            self.$field.fresh_within_ns(index)
+        fn fresh_within_ns(&self, index: usize, period_ns: u64) -> Option<u64> {
+            self.$field.fresh_within_ns(index, period_ns)
         }
 
         fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
@@ -61,8 +61,12 @@ macro_rules! forward_bus_plan {
             self.$field.own_counters()
         }
 
-        fn capabilities(&self, index: usize) -> fieldbeat::internals::bus::desired::Capabilities {
-            self.$field.capabilities(index)
+        fn capabilities(
+            &self,
+            index: usize,
+            period_ns: u64,
+        ) -> fieldbeat::internals::bus::desired::Capabilities {
+            self.$field.capabilities(index, period_ns)
         }
 
         fn fault_names(&self) -> fieldbeat::internals::axis::feedback::FaultNames {

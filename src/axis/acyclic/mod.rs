@@ -7,9 +7,11 @@
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
 //! | `notation` | what a protocol adds: how its drives write addresses and values, and lists of their parameters |
 //! | `parameter` | typed values at addresses in the drive's own notation |
+//! | `long` | values that are longer than the value of a call |
 //!
 //! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
+pub(crate) mod long;
 mod notation;
 mod parameter;
 mod port;

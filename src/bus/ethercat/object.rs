@@ -23,35 +23,20 @@
 //! [`STORE`]: [`long::write`].
 
 pub mod catalogue;
-pub mod long;
 mod notation;
 pub(crate) mod number;
 pub mod pdo;
 
 use crate::axis::acyclic::{Call, CallError, Commanding};
 
+pub(crate) use crate::axis::acyclic::long;
+pub use crate::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, WRITE};
+
 pub use super::wire::sdo::Object;
 pub use catalogue::{Access, Drives, Known};
 pub use notation::Objects;
 #[cfg(feature = "config")]
 pub(super) use notation::string;
-
-/// The service of a call that reads.
-pub const READ: u32 = 1;
-/// The service of a call that writes.
-pub const WRITE: u32 = 2;
-
-/// The service of a call that returns how many bytes the preceding [`READ`] of the same target in its series has
-/// read.
-pub const SIZE: u32 = 3;
-/// The service of a call that returns eight of those bytes, of the first [`long::MOST`], starting at `value`.
-pub const PART: u32 = 4;
-
-/// The service of a call that hands over the next eight bytes of a value, to be written later in its series. Nothing is
-/// sent.
-pub const LOAD: u32 = 5;
-/// The service of a call that writes the first `value` bytes handed over before it in its series.
-pub const STORE: u32 = 6;
 
 /// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far
 /// above.

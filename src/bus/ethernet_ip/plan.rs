@@ -2,7 +2,10 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use crate::axis::{AxisPlan, Unit, Units};
+use super::wire::assembly::Inputs;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::bus::variant::{self, Variant};
 use crate::net::SendMode;
 use crate::time::{MS, S};
 
@@ -10,6 +13,22 @@ use crate::time::{MS, S};
 pub const IO_PORT: u16 = 2222;
 /// The TCP and UDP port of explicit messages.
 pub const PORT: u16 = 44_818;
+
+/// Velocities on the wire are in 1/240 rev/s (0.25 rpm) ...
+pub const VELOCITY_PER_REV: f64 = 240.0;
+/// ... and accelerations in 1/6 rev/s² (10 rpm/s).
+pub const ACCELERATION_PER_REV: f64 = 6.0;
+/// The most of either (Host Command Reference, AC and VE); the least is 1.
+pub const MOST_PER_REV: f64 = 32_000.0;
+
+/// The interval of packets, ns. The range of these drives is not published; shorter ones would be bursts.
+pub const RPI_RANGE_NS: (u64, u64) = (MS, 10 * S);
+/// The highest code of the timeout multiplier: 512 intervals.
+pub const MULTIPLIER_MAX: u8 = 7;
+/// The least time-out of a connection that is chosen where none is given, ns (Schneider M580, table of multipliers).
+const USUAL_TIMEOUT_NS: u64 = 100 * MS;
+/// The longest time that the drive's own watchdog (ZS) can be set to, ns.
+pub const WATCHDOG_MAX_NS: u64 = 10 * S;
 
 /// One UDP socket and its drives, each with a session of its own.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +61,8 @@ pub struct Originator {
 pub struct MoonsDrive {
     /// What every protocol's axis has. Counts are motor steps, as the drive's EG sets them.
     pub axis: AxisPlan,
+    /// Motor steps of a revolution, as the drive's EG sets them: velocities are revolutions on the wire.
+    pub steps_per_revolution: f64,
     /// Where it takes sessions.
     pub address: SocketAddrV4,
     /// What the connection may do.
@@ -54,7 +75,8 @@ pub struct MoonsDrive {
     pub delivery: Delivery,
     /// The interval of the drive's own packets, ns; `None`: that of ours.
     pub input_rpi_ns: Option<u64>,
-    /// The connection times out after 4 << this many packets: 0 ... 7. `None`: the least with 100 ms.
+    /// The connection times out after 4 << this many packets: 0 ... 7. `None`: the least with 100 ms in both directions,
+    /// and behind the stop request that follows a loss.
     pub multiplier: Option<u8>,
     /// A packet counts for so long, ns; `None`: two of the drive's intervals.
     pub fresh_within_ns: Option<u64>,
@@ -76,11 +98,12 @@ pub struct MoonsDrive {
     pub enable_input: Option<EnableInput>,
     /// How it homes; `None`: homing is refused.
     pub homing: Option<Homing>,
-    /// The Q register that is not 0 while the drive has its reference; `None`: only what this master saw counts.
+    /// The Q register, as its character, that is not 0 while the drive has its reference; `None`: only what this master
+    /// saw counts.
     pub homed_register: Option<u8>,
     /// It has an encoder: its position is the encoder's, else that of the commanded steps.
     pub encoder: bool,
-    /// Encoder counts of a revolution, if it has one.
+    /// Encoder counts of a motor step, if it has one.
     pub encoder_counts_per_step: f64,
     /// Jogs are taken: the drive's own watchdog ends them if the master dies.
     pub jog: bool,
@@ -194,21 +217,64 @@ impl EthernetIpPlan {
         EthernetIpPlan {
             name: super::PROTOCOL.into(),
             bind: SocketAddrV4::new(bind, IO_PORT),
-            originator: Originator { vendor: 0xFB, serial: bind.to_bits() },
-            dscp: 47,
+            originator: Originator::at(bind),
+            dscp: EthernetIpPlan::DSCP,
             send: SendMode::default(),
             drives,
         }
     }
+
+    /// The usual mark of class 1 packets with the priority "scheduled" (QoS object).
+    pub const DSCP: u8 = 47;
+
+    /// This bus in another machine. Another host is another originator, unless it was named.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<EthernetIpPlan> {
+        let mut plan = self.clone();
+        plan.bind.set_ip(wanted.address(*plan.bind.ip()));
+        if self.originator == Originator::at(*self.bind.ip()) {
+            plan.originator = Originator::at(*plan.bind.ip());
+        }
+        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
+            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
+            drive.address = variant::address_behind(drive.address, ahead);
+        });
+        for drive in &mut plan.drives {
+            drive.address.set_ip(wanted.address(*drive.address.ip()));
+            wanted.schedule(&mut drive.axis, RPI_RANGE_NS.0);
+            if !drive.outlives_a_loss(wanted.period_ns) {
+                drive.multiplier = None;
+            }
+        }
+        Some(plan)
+    }
+}
+
+impl Originator {
+    /// The vendor id of originators that name none.
+    pub const VENDOR: u16 = 0xFB;
+
+    /// That of a master at this address: another address is another serial number.
+    pub fn at(bind: Ipv4Addr) -> Originator {
+        Originator { vendor: Originator::VENDOR, serial: bind.to_bits() }
+    }
 }
 
 impl MoonsDrive {
+    /// The usual steps of a revolution (EG).
+    pub const STEPS_PER_REVOLUTION: f64 = 20_000.0;
+
     /// A drive at this address with 20 000 steps a revolution, with everything else as it is when a configuration says
     /// nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> MoonsDrive {
-        let units = Units { unit: Unit::Revolution, counts_per_unit: 20_000.0, offset: 0.0, modulo: None };
+        let units = Units {
+            unit: Unit::Revolution,
+            counts_per_unit: MoonsDrive::STEPS_PER_REVOLUTION,
+            offset: 0.0,
+            modulo: None,
+        };
         MoonsDrive {
             axis: AxisPlan::new(name, units),
+            steps_per_revolution: MoonsDrive::STEPS_PER_REVOLUTION,
             address: SocketAddrV4::new(address, PORT),
             connection: Access::Owner,
             version: None,
@@ -250,13 +316,104 @@ impl MoonsDrive {
 
     /// The code of the timeout multiplier: the time-out is 4 << this many intervals.
     pub fn multiplier(&self, period_ns: u64) -> u8 {
-        let enough =
-            |code: &u8| self.rpi_ns(period_ns).min(self.input_rpi_ns(period_ns)) << (2 + code) >= 100 * MS;
-        self.multiplier.unwrap_or((0..7).find(enough).unwrap_or(7))
+        let least_ns = USUAL_TIMEOUT_NS.max(self.loss_to_stop_ns(period_ns).saturating_add(1));
+        let usual =
+            || (0..MULTIPLIER_MAX).find(|code| self.shortest_timeout_ns(period_ns, *code) >= least_ns);
+        self.multiplier.unwrap_or_else(|| usual().unwrap_or(MULTIPLIER_MAX))
     }
 
     /// After how long the drive ends a connection on which nothing comes, ns.
     pub fn timeout_ns(&self, period_ns: u64) -> u64 {
-        self.rpi_ns(period_ns) << (2 + self.multiplier(period_ns))
+        times(self.rpi_ns(period_ns), self.multiplier(period_ns))
+    }
+
+    /// After how long the master ends a connection on which nothing comes, ns.
+    pub fn input_timeout_ns(&self, period_ns: u64) -> u64 {
+        times(self.input_rpi_ns(period_ns), self.multiplier(period_ns))
+    }
+
+    /// The shorter one of both with this code.
+    fn shortest_timeout_ns(&self, period_ns: u64, code: u8) -> u64 {
+        times(self.rpi_ns(period_ns).min(self.input_rpi_ns(period_ns)), code)
+    }
+
+    /// Whether the connection lasts until a loss has led to a stop request.
+    pub fn outlives_a_loss(&self, period_ns: u64) -> bool {
+        self.shortest_timeout_ns(period_ns, self.multiplier(period_ns)) > self.loss_to_stop_ns(period_ns)
+    }
+
+    /// From the last packet of the drive to the stop request on the wire, ns: its misses as the loop judges them, the
+    /// next own slot, and one more where the command that the stop replaces has to go first.
+    pub fn loss_to_stop_ns(&self, period_ns: u64) -> u64 {
+        let slots = u64::from(self.axis.health.bucket).saturating_add(2);
+        let counts_ns = self.fresh_within_ns(period_ns).div_ceil(period_ns.max(1)).saturating_mul(period_ns);
+        slots.saturating_mul(self.rpi_ns(period_ns)).saturating_add(counts_ns)
+    }
+
+    /// The shortest time between two commands, ns: each is held, and then idle is. Velocities of a jog come no faster.
+    pub fn command_every_ns(&self, period_ns: u64) -> u64 {
+        self.rpi_ns(period_ns).saturating_mul(2 * u64::from(self.hold.max(1)))
+    }
+
+    /// Whether its outputs are this master's.
+    pub fn is_owned(&self) -> bool {
+        self.connection == Access::Owner
+    }
+
+    /// It takes commands: its outputs are this master's, and it has some.
+    pub fn takes_commands(&self) -> bool {
+        self.is_owned() && self.version != Some(Version::V1)
+    }
+
+    /// Revolutions of the motor in a user unit; negative if the axis is inverted.
+    pub fn revolutions_per_unit(&self) -> f64 {
+        self.axis.units.counts_per_unit / self.steps_per_revolution
+    }
+
+    /// User units/s as velocities are on the wire, not rounded.
+    pub fn velocity_on_wire(&self, velocity: f64) -> f64 {
+        velocity * self.revolutions_per_unit() * VELOCITY_PER_REV
+    }
+
+    /// User units/s² as accelerations are on the wire, not rounded.
+    pub fn acceleration_on_wire(&self, acceleration: f64) -> f64 {
+        acceleration * self.revolutions_per_unit() * ACCELERATION_PER_REV
+    }
+
+    /// What it shows besides, in the order of [`monitor`](Self::monitor).
+    pub fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        let channel = |name: &str, unit| Some(MonitorChannel { name: name.to_owned(), unit });
+        let has_error = self.layout == Layout::Manual && self.version != Some(Version::V1);
+        [
+            channel("supply-voltage", "V"),
+            channel("temperature", "°C"),
+            channel("inputs", ""),
+            if has_error { channel("position-error", "counts") } else { None },
+        ]
+    }
+
+    /// The values of that.
+    #[inline]
+    pub(crate) fn monitor(inputs: &Inputs) -> [Option<f64>; MONITOR_CHANNELS] {
+        [
+            Some(f64::from(inputs.voltage) / 10.0),
+            Some(f64::from(inputs.temperature) / 10.0),
+            Some(f64::from(inputs.main_inputs)),
+            inputs.position_error.map(f64::from),
+        ]
     }
 }
+
+/// A time-out: so many intervals.
+const fn times(rpi_ns: u64, code: u8) -> u64 {
+    rpi_ns.saturating_mul(4 << code)
+}
+
+impl Access {
+    /// Its words in the configuration.
+    pub const WORDS: [(&'static str, Access); 3] =
+        [("owner", Access::Owner), ("input-only", Access::InputOnly), ("listen-only", Access::ListenOnly)];
+}
+
+#[cfg(test)]
+mod tests;

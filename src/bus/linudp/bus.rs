@@ -261,7 +261,7 @@ impl BusPlan for LinUdpPlan {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
     }
 
-    fn capabilities(&self, index: usize) -> Capabilities {
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
         profile::capabilities(&self.drives[index])
     }
 

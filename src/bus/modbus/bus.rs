@@ -276,7 +276,7 @@ impl BusPlan for ModbusPlan {
         &OWN
     }
 
-    fn capabilities(&self, index: usize) -> Capabilities {
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
         profile::capabilities(&self.drives[index])
     }
 

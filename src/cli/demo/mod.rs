@@ -194,7 +194,9 @@ fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
         let buses = plan.buses.iter();
         let axes = buses.flat_map(|bus| {
             let axes = bus.axes().into_iter().enumerate();
-            axes.filter(move |(index, _)| bus.capabilities(*index).lacks.moves.is_none() == moves)
+            axes.filter(move |(index, _)| {
+                bus.capabilities(*index, plan.cycle.period_ns).lacks.moves.is_none() == moves
+            })
         });
         axes.map(|(_, axis)| axis.name.clone()).collect()
     };

@@ -307,7 +307,7 @@ impl BusPlan for ToyPlan {
         (self.wire == ToyWire::HalfDuplex).then(|| half_duplex::turn_within_ns(self.drives.len()))
     }
 
-    fn fresh_within_ns(&self, _index: usize) -> Option<u64> {
+    fn fresh_within_ns(&self, _index: usize, _period_ns: u64) -> Option<u64> {
         let known = self.wire == ToyWire::OwnClock && self.defect != Some(Defect::IsProbed);
         known.then_some(own_clock::FRESH_WITHIN)
     }
@@ -349,7 +349,7 @@ impl BusPlan for ToyPlan {
         }))
     }
 
-    fn capabilities(&self, index: usize) -> Capabilities {
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
         let no_more = Some("a toy can move and stop, no more");
         let none = Lacks::default();
         Capabilities {

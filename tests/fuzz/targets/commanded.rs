@@ -31,7 +31,7 @@ impl Commanded {
     /// The machine of drive `index`.
     pub fn new(plan: &dyn BusPlan, index: usize, period_ns: u64) -> Commanded {
         Commanded {
-            machine: Machine::new(plan.axes()[index], plan.capabilities(index), period_ns),
+            machine: Machine::new(plan.axes()[index], plan.capabilities(index, period_ns), period_ns),
             proposed: Desired::default(),
             grid: Time(0),
             gone: Desired::default(),

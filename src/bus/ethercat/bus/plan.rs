@@ -107,7 +107,7 @@ impl BusPlan for EthercatPlan {
         &OWN
     }
 
-    fn capabilities(&self, index: usize) -> Capabilities {
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
         profile::capabilities(&self.drives[index])
     }
 

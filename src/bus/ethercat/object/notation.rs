@@ -133,7 +133,7 @@ impl Notation for Objects {
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
         let is_long = |target: &Target| target.complete || target.kind.is_some_and(Type::is_string);
         let target = Target::parse(address).filter(is_long)?;
-        let read = long::read(carrier, target, self.limit(&target.read()));
+        let read = long::read(carrier, target.pack(), self.limit(&target.read()));
         Some(read.map(|bytes| {
             let text =
                 if target.kind == Some(Type::Text) { long::text(&bytes) } else { long::octets(&bytes) };
@@ -144,7 +144,7 @@ impl Notation for Objects {
     fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
         let target = Target::parse(address)?;
         let bytes = string(target.kind.filter(|kind| kind.is_string())?, text)?;
-        Some(long::write(target, &bytes))
+        Some(long::write(target.pack(), &bytes))
     }
 
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {

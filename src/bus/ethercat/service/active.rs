@@ -1,7 +1,7 @@
 //! The transfer under way: its owner, its time limits, and how it ends.
 
-use super::sdo::{Failure, KEPT, Sdo};
-use crate::axis::acyclic::{Answer, Call, CallError, Posted};
+use super::sdo::{Failure, Sdo};
+use crate::axis::acyclic::{CallError, Posted};
 use crate::bus::ethercat::object::{self, Type, long};
 use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
 use crate::time::Time;
@@ -37,9 +37,6 @@ pub enum SdoFailure {
     /// It did not answer, or the mailbox was closed.
     Silent,
 }
-
-/// Bytes of a call.
-const STEP: usize = size_of::<u64>();
 
 /// The transfer under way.
 #[derive(Clone, Copy, Debug)]
@@ -116,63 +113,6 @@ pub(super) enum End {
     Done,
     Failed(Failure),
     GivenUp(CallError),
-}
-
-/// The data of a series of calls: what its last one has read, or what it has handed over to be written.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Kept {
-    pub(super) series: u64,
-    pub(super) address: u32,
-    pub(super) size: usize,
-    pub(super) data: [u8; KEPT],
-}
-
-impl Default for Kept {
-    fn default() -> Kept {
-        Kept { series: 0, address: 0, size: 0, data: [0; KEPT] }
-    }
-}
-
-impl Kept {
-    fn is_of(&self, posted: &Posted) -> bool {
-        posted.series != 0 && (self.series, self.address) == (posted.series, posted.call.address)
-    }
-
-    /// Takes the next eight bytes.
-    pub(super) fn load(&mut self, posted: &Posted) -> Result<Answer, CallError> {
-        let Call { address, value, .. } = posted.call;
-        if !self.is_of(posted) {
-            *self = Kept { series: posted.series, address, ..Kept::default() };
-        }
-        let end = self.size + STEP;
-        let place = self.data.get_mut(self.size..end).ok_or(CallError::Refused(object::NOT_LOADED))?;
-        place.copy_from_slice(&value.to_le_bytes());
-        self.size = end;
-        Ok(Answer { status: 0, address, value })
-    }
-
-    /// What was handed over, of the length that the call says; `None`: it is not there.
-    pub(super) fn whole(&self, posted: &Posted) -> Option<&[u8]> {
-        let length = usize::try_from(posted.call.value).ok()?;
-        let pieces = length.div_ceil(STEP) * STEP;
-        self.data.get(..length).filter(|_| self.is_of(posted) && length > 0 && pieces == self.size)
-    }
-
-    /// The answer to a call for a part of it.
-    pub(super) fn answer(&self, posted: &Posted) -> Result<Answer, CallError> {
-        let Call { service, address, value } = posted.call;
-        let done = |value| Ok(Answer { status: 0, address, value });
-        let at = usize::try_from(value).unwrap_or(usize::MAX);
-        let is_that = self.is_of(posted);
-        match service {
-            object::SIZE if is_that => done(self.size as u64),
-            object::PART if is_that && at < self.size.min(KEPT) => {
-                let part = self.data.get(at..).unwrap_or_default();
-                done(long::raw(part))
-            }
-            _ => Err(CallError::Refused(object::NOT_READ)),
-        }
-    }
 }
 
 /// A value of `size` bytes as the bits of its type, which may be longer.

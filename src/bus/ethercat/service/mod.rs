@@ -28,7 +28,7 @@ mod mailbox;
 mod sdo;
 
 pub(super) use self::active::ATTEMPTS;
-use self::active::{Active, By, End, Kept, bits, farewell};
+use self::active::{Active, By, End, bits, farewell};
 pub use self::active::{SdoFailure, Transfer};
 use self::emergencies::Emergencies;
 use self::mailbox::{Mailbox, Post, Received};
@@ -41,6 +41,7 @@ use super::slot::{Answers, Ask};
 use super::wire::mailbox::{Emergency, Message, counter, is_answer, parse};
 use super::wire::sdo::{AbortCode, Object, Request};
 use crate::axis::Link;
+use crate::axis::acyclic::long::Kept;
 use crate::axis::acyclic::{Answer, Call, CallError, Port, Posted};
 use crate::bus::Counters;
 use crate::rt::Regions;
@@ -272,10 +273,13 @@ impl Service {
                 }
             }
             (object::LOAD, _) => {
-                let loaded = self.loaded.load(&posted);
+                let loaded = self.loaded.load(&posted).ok_or(CallError::Refused(object::NOT_LOADED));
                 return self.end_call(&posted, loaded);
             }
-            (object::SIZE | object::PART, _) => return self.end_call(&posted, self.kept.answer(&posted)),
+            (object::SIZE | object::PART, _) => {
+                let part = self.kept.answer(&posted).ok_or(CallError::Refused(object::NOT_READ));
+                return self.end_call(&posted, part);
+            }
             _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
         };
         if self.mailbox.as_ref().is_some_and(|mailbox| !mailbox.takes(&sdo.0)) {
@@ -443,7 +447,7 @@ impl Service {
                 let Call { service, address, value } = posted.call;
                 let reads = service == object::READ;
                 if reads && matches!(end, End::Done) {
-                    self.kept = Kept { series: posted.series, address, size, data: *data };
+                    self.kept = Kept::of_read(&posted, size, data);
                 }
                 let value = if reads { bits(kind, size, data) } else { value };
                 self.end_call(

@@ -33,7 +33,7 @@ fn a_whole_text_and_a_whole_object_come_through_the_carrier() {
         Bench::server(128, &[(NAME, name), (Object::new(0x1C12, 0), &assignment), (MODE, &[7])]);
     let acyclic = bench.acyclic.clone();
     let reader = std::thread::spawn(move || {
-        let read = |text: &str| long::read(&acyclic, Target::parse(text).unwrap(), LIMIT);
+        let read = |text: &str| long::read(&acyclic, Target::parse(text).unwrap().pack(), LIMIT);
         [read("device-name"), read("0x1C12:ca"), read("mode"), read("0x5FFF:0")]
     });
     while !reader.is_finished() {
@@ -59,7 +59,7 @@ fn a_longer_value_is_written_at_once_or_in_segments_as_the_mailbox_holds_it() {
         for bytes in [1, 4, 5, 8, 9, 15, 16, 40, 100, KEPT] {
             let data: Vec<u8> = (0..bytes).map(|byte| byte as u8).collect();
             let (mut bench, server) = Bench::server(length, &[(NAME, b"")]);
-            let ends = series(&mut bench, &long::write(target, &data));
+            let ends = series(&mut bench, &long::write(target.pack(), &data));
             assert_eq!(ends.last(), Some(&Ok(bytes as u64)), "{length} {bytes}");
             let shared = server.shared();
             assert_eq!(shared.objects[0].1, data, "{length} {bytes}");
@@ -85,20 +85,20 @@ fn a_longer_value_is_written_at_once_or_in_segments_as_the_mailbox_holds_it() {
 fn a_mailbox_of_one_sdo_takes_no_longer_value() {
     let (mut bench, server) = Bench::server(16, &[(NAME, b"")]);
     let refused = CallError::Refused(object::EXPEDITED);
-    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap(), b"abcdefghi"));
+    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghi"));
     assert_eq!(ends, [Ok(long::raw(b"abcdefgh")), Ok(u64::from(b'i')), Err(refused)]);
     bench.service.begin_long(NAME, b"abcde");
     assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Unusable(object::EXPEDITED))));
     bench.steps(20);
     assert!(server.shared().requests.is_empty(), "nothing of it was sent");
-    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap(), b"abcd"));
+    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap().pack(), b"abcd"));
     assert_eq!((ends.last(), &server.shared().objects[0].1[..]), (Some(&Ok(4)), &b"abcd"[..]));
 }
 
 #[test]
 fn a_value_that_was_not_handed_over_whole_is_not_written() {
     let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
-    let calls = long::write(Target::parse("device-name").unwrap(), b"abcdefghijkl");
+    let calls = long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghijkl");
     let not_loaded = Err(CallError::Refused(object::NOT_LOADED));
     // The pieces of another series, of another object, too few of them, too many.
     series(&mut bench, &calls[..2]);
@@ -114,7 +114,7 @@ fn a_value_that_was_not_handed_over_whole_is_not_written() {
 #[test]
 fn a_long_write_that_commands_waits_for_power_like_any_other() {
     let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
-    let calls = long::write(Target::parse("device-name").unwrap(), b"abcdefghijkl");
+    let calls = long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghijkl");
     let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
     bench.guarded = true;
     let ends: Vec<_> = tickets.into_iter().map(|ticket| bench.wait(ticket)).collect();
