@@ -516,16 +516,22 @@ impl State {
 
     /// The command is over, and so is its motion: what the drive does from now on is no part of it.
     fn done(&mut self) -> End {
-        self.want_motion(Motion::Hold);
-        self.enter(Step::Idle);
+        self.rest();
         Some(Ok(()))
     }
 
     /// The command is over. A motion that has failed for the application must not run once the drive can accept it.
     fn fail(&mut self, failure: Failure) -> End {
-        self.want_motion(Motion::Hold);
-        self.enter(Step::Idle);
+        self.rest();
         Some(Err(failure))
+    }
+
+    /// No motion is wanted. A ramp to standstill stays: the drive may not have it yet.
+    fn rest(&mut self) {
+        if !matches!(self.motion.value, Motion::Ramp { .. }) {
+            self.want_motion(Motion::Hold);
+        }
+        self.enter(Step::Idle);
     }
 
     /// The drive has the newest power and motion.
