@@ -5,10 +5,12 @@
 //! | `wire` | bytes <-> values |
 //! | `plan` | the bus as configured |
 //! | `target` | what an acyclic call does, as numbers |
+//! | `session` | the session of a drive on the link thread, and its acyclic calls |
 //! | `exchange` | what passes between session and loop |
 
 pub(crate) mod exchange;
 pub(crate) mod plan;
+pub(crate) mod session;
 pub(crate) mod target;
 pub(crate) mod wire;
 
