@@ -7,35 +7,43 @@
 //! | `check` | what is wrong with the plan of a drive, and what `check` says of it |
 //! | `bus_plan` | the plan as every protocol's |
 //! | `config` | its keys in a configuration |
-//! | `notation` | how people write addresses and values of a drive |
+//! | `notation`, `target` | how people write addresses and values of a drive; what an acyclic call does, as numbers |
 //! | `tools`, `scan` | `fieldbeat ethernet-ip` |
-//! | `target` | what an acyclic call does, as numbers |
+//! | `session` | the session of one drive on the link thread: it opens connections, and carries out acyclic calls |
 //! | `exchange` | what passes between session and loop |
+//! | `profile`, `edges` | what is desired as outputs, and what the packets prove; the command word as a machine of edges |
+//! | `station` | the master's view of one drive: its connection, its packets, its report |
+//! | `native`, `counters` | native process data, counts |
+//! | `bus` | stations, sessions and one socket as one bus |
 
 pub(crate) mod bus;
 mod bus_plan;
 mod check;
 #[cfg(feature = "config")]
 mod config;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
+mod counters;
+mod edges;
 pub(crate) mod exchange;
+mod native;
 pub(crate) mod notation;
 pub(crate) mod plan;
 mod profile;
 #[cfg(feature = "cli")]
 mod scan;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
+pub(crate) mod session;
+mod station;
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
 pub(crate) mod wire;
 
 use super::Protocol;
+pub use native::{Native, NativeInputs, NativeOutput, NativeProfile};
 pub use plan::{
     Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
     MoonsDrive, Originator, PORT, Version, Watchdog,
 };
+pub use wire::assembly::{Condition, Inputs, IoCode, Letters, NoIoCode, Outputs};
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "ethernet-ip";
