@@ -45,6 +45,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
+    /// So many requests of drive `index` may have to leave before one with a stop can: the command that the stop
+    /// replaces has to end first.
+    fn before_stop(&self, _index: usize) -> u32 {
+        0
+    }
+
     /// What `check` prints of each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
     /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;

@@ -27,6 +27,8 @@ pub struct Paced<'a> {
     pub axis: &'a AxisPlan,
     /// When its exchanges end.
     pub pace: Pace,
+    /// So many requests leave before one with a stop.
+    pub before_stop: u32,
 }
 
 impl<'a> Paced<'a> {
@@ -39,7 +41,8 @@ impl<'a> Paced<'a> {
         // Its age counts from a packet that may have come in the window, to a later grid point.
         let own_clock =
             bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
-        Paced { axis, pace: connection.or(half_duplex).or(own_clock).unwrap_or(Pace::Cycle) }
+        let pace = connection.or(half_duplex).or(own_clock).unwrap_or(Pace::Cycle);
+        Paced { axis, pace, before_stop: bus.before_stop(index) }
     }
 
     fn divisor(&self) -> u64 {
@@ -78,7 +81,12 @@ impl<'a> Paced<'a> {
     /// The most cycles from the loss to the stop request on the wire.
     fn stops(&self) -> u64 {
         let next = if let Pace::OwnClock(_) = self.pace { self.divisor() } else { 1 };
-        next.saturating_add(self.queued())
+        next.saturating_add(self.queued()).saturating_add(self.ahead_of_stop())
+    }
+
+    /// The cycles of the requests that leave before one with a stop.
+    fn ahead_of_stop(&self) -> u64 {
+        u64::from(self.before_stop).saturating_mul(self.turn())
     }
 }
 
@@ -115,7 +123,7 @@ pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
 
 /// The same for `axis` among `all`, whose replies come in the cycle that asks.
 pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
-    let in_cycle = |axis| Paced { axis, pace: Pace::Cycle };
+    let in_cycle = |axis| Paced { axis, pace: Pace::Cycle, before_stop: 0 };
     let all: Vec<Paced<'_>> = all.iter().map(|axis| in_cycle(*axis)).collect();
     bound(&in_cycle(axis), &all)
 }
@@ -130,7 +138,7 @@ pub fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
 /// The same, for one drive among all.
 pub fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
     let others = group(drive, all).filter(|one| one.axis.name != drive.axis.name);
-    let others = others.map(|one| one.turn().saturating_add(one.queued())).max().unwrap_or(0);
+    let others = others.map(|one| one.turn().saturating_add(one.queued()).saturating_add(one.ahead_of_stop())).max().unwrap_or(0);
     drive.filled().saturating_add(others.max(drive.stops()))
 }
 

@@ -41,6 +41,11 @@ impl BusPlan for EthernetIpPlan {
         self.drives.get(index).map(|drive| drive.fresh_within_ns(period_ns))
     }
 
+    fn before_stop(&self, _index: usize) -> u32 {
+        // An idle packet, so that the stop is an edge.
+        1
+    }
+
     fn describe(&self, period_ns: u64) -> Vec<String> {
         self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
     }

@@ -1,0 +1,439 @@
+//! The master's view of one drive: its connection, which of its packets count, what it reports, and the next packet to
+//! it. It takes times and slices, and knows no socket.
+//!
+//! Packets answer nothing. Those to the drive leave at the rate that was agreed, whatever comes back; they end only with
+//! the connection: when the drive's own have ended, or when the session says so. In most cycles nothing new is desired,
+//! and the drive says the same as before but for its positions: then only those are computed anew.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use super::counters::Own;
+use super::exchange::{Connection, LoopEnd, News, Outputs as Sends, Wish};
+use super::native::{Native, NativePort, native};
+use super::plan::{EnableInput, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
+use super::profile::{Profile, Seen};
+use super::wire::assembly::{Inputs, status};
+use super::wire::io::{OUTGOING_MAX, Outgoing, Packet, PacketError};
+use crate::axis::units::Unwrap;
+use crate::axis::{State, Units};
+use crate::bus::desired::{Motion, Power};
+use crate::bus::{Cycle, Exchange, Slot};
+use crate::rt::Regions;
+use crate::time::Time;
+
+/// The session is waited for so long at the orderly end, ns: it looks at its queues in turns.
+const CLOSE_WITHIN_NS: u64 = crate::time::S;
+
+/// One drive. What each exchange touches comes first.
+#[derive(Debug)]
+#[repr(C, align(64))]
+pub(super) struct Station {
+    /// The slot that the prepared packet is for.
+    grid: Time,
+    /// The newest accepted packet counts until then. 0 = none was accepted on this connection.
+    fresh_until: Time,
+    fresh_within_ns: u64,
+    /// The connection has ended if no packet is accepted by then.
+    ends_at: Time,
+    /// Our packets on this connection.
+    sent: u32,
+    /// The sequence number and the count of the last accepted packet of the drive.
+    sequence: u32,
+    count: u16,
+    any: bool,
+    /// A packet is in the outbox for the next send.
+    is_built: bool,
+    connection: Option<Connection>,
+    packet: Outgoing,
+    seen: Seen,
+    track: Track,
+    units: Units,
+    /// Of the velocity in a packet, in user units/s; of an encoder.
+    velocity_per_count: f64,
+    steps_per_encoder_count: Option<f64>,
+    /// No drive makes more steps in a ns.
+    fastest: f64,
+    profile: Profile,
+    native: NativePort,
+    end: LoopEnd,
+    enable_input: Option<EnableInput>,
+    first_within_ns: u64,
+    opened_before: bool,
+    /// A wish that the session could not take yet.
+    wish: Option<Wish>,
+    closing: Option<Closing>,
+}
+
+/// How far the orderly end is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Closing {
+    /// The session has been told, and is waited for until then.
+    Waiting(Time),
+    Done,
+}
+
+/// The positions since the connection was opened.
+#[derive(Clone, Copy, Debug, Default)]
+struct Track {
+    demand: Unwrap,
+    encoder: Unwrap,
+    /// Of the encoder, so that both agree where they were last set to the same place, steps.
+    shift: f64,
+    last: Option<Last>,
+}
+
+/// Of the last accepted packet: its number, when its values were taken, and its positions in steps.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    sequence: u32,
+    demand: i64,
+    actual: f64,
+}
+
+impl Station {
+    /// The station of `drive`, and the application's end of its native process data.
+    pub(super) fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
+        let (application, native) = native();
+        let station = Station {
+            grid: Time(0),
+            fresh_until: Time(0),
+            fresh_within_ns: drive.fresh_within_ns(period_ns),
+            ends_at: Time(0),
+            sent: 0,
+            sequence: 0,
+            count: 0,
+            any: false,
+            is_built: false,
+            connection: None,
+            packet: Outgoing::heartbeat(0, 0),
+            seen: Seen::default(),
+            track: Track::default(),
+            units: drive.axis.units,
+            velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
+            steps_per_encoder_count: drive.encoder.then(|| 1.0 / drive.encoder_counts_per_step),
+            fastest: MOST_PER_REV / VELOCITY_PER_REV * drive.steps_per_revolution * 1e-9,
+            profile: Profile::new(drive),
+            native,
+            end,
+            enable_input: drive.enable_input,
+            first_within_ns: drive.first_within_ns,
+            opened_before: false,
+            wish: None,
+            closing: None,
+        };
+        (station, application)
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.native.memory(regions);
+        self.end.memory(regions);
+    }
+
+    /// The connection of this id from this address is open here.
+    #[inline]
+    pub(super) fn is(&self, source: Ipv4Addr, incoming: u32) -> bool {
+        matches!(&self.connection, Some(open) if open.incoming == incoming && open.source == source)
+    }
+
+    /// Takes in what the session has to say. Returns where packets go from now on, if that is new.
+    #[inline]
+    pub(super) fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {
+        let mut destination = None;
+        while let Some(news) = self.end.news() {
+            destination = self.learn(cycle, news, slot).or(destination);
+        }
+        destination
+    }
+
+    #[cold]
+    fn learn(&mut self, cycle: &Cycle, news: News, slot: &mut Slot) -> Option<SocketAddrV4> {
+        match news {
+            News::Opened(connection) => {
+                self.open(cycle, connection, slot);
+                return Some(connection.destination);
+            }
+            News::Closed { generation } => {
+                if self.connection.is_some_and(|open| open.generation == generation) {
+                    self.give_up();
+                }
+                if self.closing.is_some() {
+                    self.closing = Some(Closing::Done);
+                }
+            }
+            News::Read(facts) => self.profile.read(facts),
+        }
+        None
+    }
+
+    fn open(&mut self, cycle: &Cycle, connection: Connection, slot: &mut Slot) {
+        self.packet = match connection.outputs {
+            Sends::Owned => Outgoing::owner(connection.outgoing),
+            Sends::Heartbeat(size) => Outgoing::heartbeat(connection.outgoing, size),
+        };
+        // A drive acts on the change of its command word; idle is what it had before, and says so.
+        self.packet.set_run(true);
+        (self.sent, self.any, self.fresh_until) = (0, false, Time(0));
+        self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
+        self.connection = Some(connection);
+        (self.seen, self.track) = (Seen::default(), Track::default());
+        self.profile.connected();
+        slot.reachable = true;
+        if std::mem::replace(&mut self.opened_before, true) {
+            Own::Reopened.count(&mut slot.counters);
+        }
+    }
+
+    /// The connection is over: nothing is sent on it any more.
+    fn give_up(&mut self) {
+        self.connection = None;
+        self.is_built = false;
+        self.profile.disconnected();
+    }
+
+    /// What the session is to do, as soon as it has room for it; and the end of a connection on which no packet comes.
+    #[inline]
+    pub(super) fn watch(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        if let Some(open) = &self.connection
+            && cycle.grid > self.ends_at
+        {
+            let generation = open.generation;
+            Own::TimedOut.count(&mut slot.counters);
+            self.give_up();
+            self.wish = self.wish.or(Some(Wish::TimedOut { generation }));
+        }
+        if let Some(wish) = self.wish
+            && self.end.wish(wish)
+        {
+            self.wish = None;
+        }
+    }
+
+    /// Builds the packet of the next send in `out` and returns its length; `None`: there is no connection.
+    #[inline]
+    pub(super) fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
+        self.grid = cycle.grid;
+        slot.commanded = self.end.guard(slot.guarded);
+        let owned = matches!(self.connection.as_ref()?.outputs, Sends::Owned);
+        if owned && !self.profile.repeats(&slot.desired) {
+            let Station { profile, native, seen, packet, .. } = self;
+            packet.set_outputs(profile.encode(cycle.grid, &slot.desired, seen, native));
+        }
+        // Both begin with 1: some adapters swallow the first data if its count is 0.
+        let next = self.sent.wrapping_add(1);
+        self.packet.set_sequence(next, next as u16);
+        self.is_built = true;
+        let bytes = self.packet.bytes();
+        let room = out.get_mut(..bytes.len())?;
+        room.copy_from_slice(bytes);
+        Some(bytes.len())
+    }
+
+    /// Whether the prepared packet may leave.
+    #[inline]
+    pub(super) fn is_built(&self) -> bool {
+        self.is_built
+    }
+
+    /// The packet has gone out.
+    #[inline]
+    pub(super) fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
+        self.sent = self.sent.wrapping_add(1);
+        self.is_built = false;
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::OwnClock { sent_at, fresh_until: self.fresh_until };
+        slot.gone.grid = Some(self.grid);
+        if !self.profile.is_steady() {
+            self.profile.sent(&mut self.native);
+        }
+    }
+
+    /// There is no connection, or the operating system refused to send.
+    pub(super) fn unsent(&mut self, slot: &mut Slot) {
+        slot.counters.unsent += 1;
+        slot.exchange = Exchange::Unsent;
+    }
+
+    /// A packet on the connection of this drive.
+    #[inline]
+    pub(super) fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
+        let Some(open) = &self.connection else { return };
+        let (version, layout, timeout_ns) = (open.version, open.layout, open.timeout_ns);
+        let Some(inputs) = Inputs::parse(packet.data, version, layout) else {
+            slot.counters.malformed += 1;
+            Own::WrongLength.count(&mut slot.counters);
+            return;
+        };
+        let ahead = packet.sequence.wrapping_sub(self.sequence).cast_signed();
+        if self.any && ahead <= 0 {
+            let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
+            *counter += 1;
+            return;
+        }
+        let unchanged = self.any && packet.count == self.count;
+        (self.any, self.sequence, self.count) = (true, packet.sequence, packet.count);
+        self.fresh_until = at + self.fresh_within_ns;
+        self.ends_at = at + timeout_ns;
+        if let Exchange::OwnClock { fresh_until, .. } = &mut slot.exchange {
+            *fresh_until = self.fresh_until;
+        }
+        if unchanged {
+            Own::Unchanged.count(&mut slot.counters);
+            return;
+        }
+        self.report(at, packet, &inputs, slot);
+        self.native.publish(at, version, layout, packet.data);
+    }
+
+    /// The values of an accepted packet.
+    #[inline]
+    fn report(&mut self, at: Time, packet: &Packet<'_>, inputs: &Inputs, slot: &mut Slot) {
+        let steady =
+            self.profile.is_steady() && (inputs.status, inputs.alarm) == (self.seen.status, self.seen.alarm);
+        let inhibited = self.inhibits(inputs);
+        let steady = steady && inhibited == self.seen.inhibited;
+        // Only a rotary axis wraps around; on any other one a wrong value must not shift all later ones.
+        let wraps = self.units.modulo.is_some();
+        let unwrap = |track: &mut Unwrap, count: i32| if wraps { track.next(count) } else { count.into() };
+        let demand = unwrap(&mut self.track.demand, inputs.absolute);
+        let encoder = self.steps_per_encoder_count.map(|steps| {
+            let count = unwrap(&mut self.track.encoder, inputs.encoder);
+            count as f64 * steps
+        });
+        self.seen = Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited };
+        if !steady {
+            self.prove(inputs, slot);
+        }
+        if self.profile.take_rehomed() {
+            // The position was set: that was no motion, and the encoder is where the steps are.
+            self.track.shift = demand as f64 - encoder.unwrap_or_default();
+            self.track.last = None;
+        }
+        let actual = encoder.map_or(demand as f64, |steps| steps + self.track.shift);
+        let Slot { status: report, notices, evidence, .. } = slot;
+        let interval_ns = self.connection.as_ref().map_or(1, |open| open.incoming_api_ns);
+        let most = self.fastest * interval_ns as f64;
+        // What no motor makes is another origin: the position was set.
+        let jumps = |last: &Last| {
+            let intervals = packet.sequence.wrapping_sub(last.sequence);
+            (demand - last.demand).unsigned_abs() as f64 > most * (f64::from(intervals) + 1.0)
+        };
+        if let Some(last) = self.track.last.filter(|last| !jumps(last)) {
+            // By the drive's clock: its packets count its intervals, however they travel.
+            let intervals = packet.sequence.wrapping_sub(last.sequence);
+            let rate = 1e9 / (interval_ns as f64 * f64::from(intervals.max(1)));
+            evidence.demand_velocity = self.units.distance((demand - last.demand) as f64 * rate);
+            let measured = f64::from(inputs.velocity) * self.velocity_per_count;
+            report.velocity = match encoder {
+                Some(_) if inputs.velocity != 0 => measured,
+                _ => self.units.distance((actual - last.actual) * rate),
+            };
+        } else {
+            (evidence.demand_velocity, report.velocity) =
+                (0.0, f64::from(inputs.velocity) * self.velocity_per_count);
+        }
+        self.track.last = Some(Last { sequence: packet.sequence, demand, actual });
+        let place = |steps: f64| self.units.distance(steps) + self.units.offset;
+        (evidence.position, evidence.demand) = (place(actual), place(demand as f64));
+        report.at = at;
+        report.position = self.units.folded(evidence.position);
+        report.demand = self.units.folded(evidence.demand);
+        report.current = match self.connection.as_ref().map(|open| open.version) {
+            Some(Version::V1) => f64::from(inputs.current) * 1e-2,
+            _ => f64::from(inputs.current) * 1e-3,
+        };
+        report.monitor = MoonsDrive::monitor(inputs);
+        notices.monitor_fresh = true;
+        notices.fresh = true;
+    }
+
+    /// What the states of a packet report and prove.
+    #[inline(never)]
+    fn prove(&mut self, inputs: &Inputs, slot: &mut Slot) {
+        let Slot { status: report, notices, evidence, desired, .. } = slot;
+        let starts = inputs.status & status::INITIALIZING != 0;
+        if starts && report.state != State::NotReadyToSwitchOn && report.state != State::Unknown {
+            notices.restarted = true;
+            self.profile.drive_restarted();
+        }
+        let owned = self.connection.as_ref().is_some_and(|open| open.outputs == Sends::Owned);
+        self.profile.take(&self.seen, evidence);
+        evidence.outputs_count = owned;
+        report.state = drive_state(&self.seen, desired.power.value, desired.motion.value);
+        report.homed = self.profile.is_homed();
+        report.moving = self.seen.moves();
+        report.in_target = inputs.status & status::IN_POSITION != 0;
+        report.inhibited = self.seen.inhibited;
+        report.suspect = false;
+        let fault = inputs.status & status::FAULT != 0;
+        // A fault has a code: that of a drive without an alarm in its word is the status bit.
+        report.fault = if fault { inputs.alarm.max(u32::from(inputs.alarm == 0)) } else { 0 };
+        report.warning = if fault { 0 } else { inputs.alarm };
+    }
+
+    /// Its hardware enable is missing, where one is wired. A closed input is 0.
+    fn inhibits(&self, inputs: &Inputs) -> bool {
+        self.enable_input.is_some_and(|input| {
+            let bit = input.number.saturating_sub(1).min(31);
+            let open = inputs.main_inputs >> bit & 1 != 0;
+            open == input.closed
+        })
+    }
+
+    /// Starts or continues the orderly end: true once nothing more has to be sent to this drive.
+    pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
+        match self.closing {
+            None => {
+                // Outputs do not count from here on.
+                self.packet.set_run(false);
+                let generation = self.connection.as_ref().map_or(0, |open| open.generation);
+                self.wish = Some(Wish::Close { generation });
+                self.closing = Some(Closing::Waiting(cycle.grid + CLOSE_WITHIN_NS));
+                false
+            }
+            Some(Closing::Waiting(until)) => cycle.grid > until,
+            Some(Closing::Done) => true,
+        }
+    }
+
+    /// For a datagram from the drive that is no packet of its connection.
+    #[cold]
+    pub(super) fn refuse(why: Option<PacketError>, slot: &mut Slot) {
+        match why {
+            None => {
+                slot.counters.foreign += 1;
+                Own::WrongConnection.count(&mut slot.counters);
+            }
+            Some(PacketError::Length { .. }) => {
+                slot.counters.malformed += 1;
+                Own::WrongLength.count(&mut slot.counters);
+            }
+            Some(_) => {
+                slot.counters.malformed += 1;
+                Own::NoPacket.count(&mut slot.counters);
+            }
+        }
+    }
+}
+
+/// The longest packet to a drive, bytes.
+pub(super) const ROOM: usize = OUTGOING_MAX;
+
+/// Maps the drive's status onto the states of CiA 402.
+fn drive_state(seen: &Seen, power: Power, motion: Motion) -> State {
+    let has = |bits: u16| seen.status & bits != 0;
+    match () {
+        () if has(status::INITIALIZING) => State::NotReadyToSwitchOn,
+        () if has(status::FAULT) && seen.is_enabled() => State::FaultReactionActive,
+        () if has(status::FAULT) => State::Fault,
+        () if seen.is_enabled() && power == Power::QuickStop && motion != Motion::Halt => {
+            State::QuickStopActive
+        }
+        () if seen.is_enabled() => State::OperationEnabled,
+        () if seen.inhibited => State::SwitchOnDisabled,
+        () => State::ReadyToSwitchOn,
+    }
+}
+
+#[cfg(test)]
+mod tests;
