@@ -32,7 +32,7 @@ pub mod ethercat;
     dead_code,
     reason = "begun with its bytes: session, profile and bus follow, and nothing opens it yet"
 )]
-mod ethernet_ip;
+pub(crate) mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
 mod plan;

@@ -1,0 +1,1 @@
+//! The keys of `simulate` of a drive with `protocol = "ethernet-ip"`.
