@@ -11,8 +11,9 @@
 
 use super::assembly::Outputs;
 use super::drive::Drive;
-use super::motion::{Entry, Io, Move, Sensor};
+use super::motion::{Entry, Io, Move, Profile};
 use super::parameters::{Name, is_host_command};
+use super::search::Sensor;
 use super::settings::{Edges, Idle, Kind};
 
 /// Bits of the command word.
@@ -105,10 +106,9 @@ impl Drive {
             word::RESET => return self.reset(),
             word::JOG => return self.jog(outputs),
             word::JOG_SPEED => {
-                if self.parameters.set((*b"JS", 0), outputs.jog_speed) {
-                    return self.update_jog(outputs.jog_speed);
+                if self.write_jog_speed(outputs.jog_speed) {
+                    self.update_jog(outputs.jog_speed);
                 }
-                self.refused.out_of_range += 1;
                 return;
             }
             word::HOST => return self.host(outputs.letters, outputs.registers),
@@ -122,7 +122,8 @@ impl Drive {
                 return;
             }
             word::CURRENT if self.kind == Kind::StepServo && outputs.current.abs() <= 2_000 => {
-                return self.write((*b"GC", 0), outputs.current);
+                self.write((*b"GC", 0), outputs.current);
+                return;
             }
             word::RELATIVE => Some(Move::Relative),
             word::ABSOLUTE => Some(Move::Absolute),
@@ -148,27 +149,28 @@ impl Drive {
         ] {
             self.write((*name, 0), value);
         }
-        self.start(kind);
+        let profile = self.profile();
+        self.start(kind, profile);
     }
 
     fn jog(&mut self, outputs: &Outputs) {
-        for (name, value) in
-            [(b"JS", outputs.jog_speed), (b"JA", outputs.jog_acceleration), (b"JL", outputs.jog_deceleration)]
-        {
-            self.write((*name, 0), value);
-        }
-        self.start(Move::Jog);
+        self.write_jog_speed(outputs.jog_speed);
+        self.write((*b"JA", 0), outputs.jog_acceleration);
+        self.write((*b"JL", 0), outputs.jog_deceleration);
+        let profile = self.jog_profile(outputs.jog_speed);
+        self.start(Move::Jog, profile);
+    }
+
+    /// JS has no sign: that is the direction. False: out of its range.
+    fn write_jog_speed(&mut self, signed: i32) -> bool {
+        self.write((*b"JS", 0), signed.checked_abs().unwrap_or(i32::MAX))
     }
 
     /// A move with the parameters of now, whenever its turn comes.
-    fn start(&mut self, kind: Move) {
+    fn start(&mut self, kind: Move, profile: Profile) {
         if !self.enabled {
             return self.raise(super::drive::alarm::NO_MOVE);
         }
-        let profile = match kind {
-            Move::Jog => self.jog_profile(true),
-            _ => self.profile(),
-        };
         self.push(Entry::Move(kind, Some(profile)));
     }
 
@@ -191,16 +193,21 @@ impl Drive {
                 let known = u8::try_from(first).is_ok_and(|code| self.write_register(code, second));
                 self.refused.out_of_range += u64::from(!known);
             }
-            b"HA" | b"HL" | b"HV" => match index.filter(|index| (1..=3).contains(index)) {
-                Some(index) => self.write((letters, index), second),
-                None => self.refused.out_of_range += 1,
-            },
-            b"MO" if self.kind == Kind::Stepper => match index.filter(|index| (1..=3).contains(index)) {
-                Some(index) => self.write((letters, index), second),
-                None => self.refused.out_of_range += 1,
-            },
+            b"HA" | b"HL" | b"HV" => self.write_one_of_three(letters, index, second),
+            b"MO" if self.kind == Kind::Stepper => self.write_one_of_three(letters, index, second),
             b"EH" | b"AZ" | b"FX" => self.refused.unsupported += 1,
-            _ => self.write((letters, 0), first),
+            _ => {
+                self.write((letters, 0), first);
+            }
+        }
+    }
+
+    fn write_one_of_three(&mut self, name: Name, index: Option<u8>, value: i32) {
+        match index.filter(|index| (1..=3).contains(index)) {
+            Some(index) => {
+                self.write((name, index), value);
+            }
+            None => self.refused.out_of_range += 1,
         }
     }
 }

@@ -11,14 +11,13 @@
 
 use std::collections::VecDeque;
 
-use super::assembly::{Outputs, Report};
+use super::assembly::Outputs;
 use super::motion::{Entry, Io, Motion};
 use super::parameters::{Key, Parameters};
 use super::settings::{FirmwareSettings, Kind, MoonsMotorSettings, MoonsSettings};
 use super::wiring::Wiring;
-use crate::sim::Truth;
 use crate::sim::physics::PlantPlan;
-use crate::sim::power::{Aim, PowerDrive, PowerPlan, RPM, set_bits};
+use crate::sim::power::{Aim, PowerDrive, PowerPlan};
 use crate::time::{MS, S, Time};
 
 /// Bits of the alarm.
@@ -85,12 +84,13 @@ pub(super) struct Drive {
     /// The command word and what a host command goes by, as they came last.
     pub last: Outputs,
     pub refused: Refused,
-    encoder_zero: f64,
+    pub encoder_zero: f64,
     /// ZS and ZA as they were at power-up.
     watchdog: (u64, u8),
     /// The last message; `None`: the watchdog is not armed.
     fed_at: Option<Time>,
-    warmth: f64,
+    /// Over its temperature at rest, 0.1 °C.
+    pub warmth: f64,
 }
 
 impl Drive {
@@ -282,15 +282,17 @@ impl Drive {
         self.aim = Aim::GoTo { place: self.power.demand(), speed: 1.0, up: most, down: most };
     }
 
-    /// Writes a parameter, if the value is in its range.
-    pub(super) fn write(&mut self, key: Key, value: i32) {
+    /// Writes a parameter; false: the value is out of its range.
+    pub(super) fn write(&mut self, key: Key, value: i32) -> bool {
         // Positions are kept where they are, in steps of the new length.
         let zero = self.power.zero / self.step_rad();
-        if !self.parameters.set(key, value) {
+        let fits = self.parameters.set(key, value);
+        if !fits {
             self.refused.out_of_range += 1;
         } else if key.0 == *b"EG" {
             self.power.zero = zero * self.step_rad();
         }
+        fits
     }
 
     /// Begins a Q program.
@@ -325,85 +327,6 @@ impl Drive {
             self.refused.unsupported += 1;
         }
     }
-
-    /// The input word of the main board.
-    pub(super) fn inputs(&self) -> u16 {
-        self.wiring.main(self.power.place() / self.step_rad(), self.power.is_enabled())
-    }
-
-    /// The status code.
-    pub(super) fn status(&self) -> u16 {
-        let homing = match self.motion {
-            Motion::Going { homing, .. } => homing,
-            Motion::Searching(search) => search.is_homing(),
-            Motion::Stopping { back, .. } => back.is_some(),
-            _ => false,
-        };
-        let stopping = matches!(self.motion, Motion::Stopping { .. });
-        let jogging = matches!(self.motion, Motion::Jogging | Motion::Stopping { jogging: true, .. });
-        let moving = self.motion != Motion::Idle && !jogging;
-        let there = self.enabled && self.motion == Motion::Idle && self.kind == Kind::StepServo;
-        set_bits([
-            (self.enabled, 0x0001),
-            (self.alarms & alarm::FAULTS != 0, 0x0004),
-            (there, 0x0008),
-            (moving || jogging && self.firmware.moving_while_jogging, 0x0010),
-            (jogging, 0x0020),
-            (stopping, 0x0040),
-            (self.saving_ns.is_some(), 0x0100),
-            (self.alarms != 0, 0x0200),
-            (homing, 0x0400),
-            (self.program_ns.is_some(), 0x4000),
-        ])
-    }
-
-    /// Position error, encoder counts; 0 without an encoder.
-    pub(super) fn error(&self) -> i32 {
-        let error = (self.power.demand() - self.power.place()) / self.step_rad();
-        self.motor.encoder.map_or(0, |ratio| (error * ratio).round() as i32)
-    }
-
-    /// The commanded position, steps.
-    pub(super) fn absolute(&self) -> i32 {
-        wrapped((self.power.demand() - self.power.zero) / self.step_rad())
-    }
-
-    /// What it reports.
-    pub(super) fn report(&self) -> Report {
-        let ratio = self.motor.encoder;
-        let turns = self.motion != Motion::Idle;
-        let current = match (self.enabled, turns) {
-            (false, _) => 0,
-            (true, false) => self.motor.current_ma / 2,
-            (true, true) => self.motor.current_ma,
-        };
-        let counts = (self.power.place() - self.encoder_zero) / self.step_rad();
-        Report {
-            status: self.status(),
-            alarm: self.alarms,
-            voltage: self.motor.voltage.saturating_sub(if turns { 2 } else { 0 }),
-            current: current.min(i16::MAX as u16) as i16,
-            temperature: self.motor.temperature.saturating_add(self.warmth.round() as i16),
-            encoder: ratio.map_or(0, |ratio| wrapped(counts * ratio)),
-            absolute: self.absolute(),
-            error: self.error(),
-            velocity: ratio.map_or(0, |_| (self.power.speed() / RPM * 4.0).round() as i32),
-            extended: 0,
-            main: self.inputs(),
-            outputs: self.wiring.outputs(),
-            analog: self.motor.analog,
-        }
-    }
-
-    /// What the motor really does, in steps.
-    pub(super) fn truth(&self) -> Truth {
-        self.power.truth(self.enabled, self.step_rad())
-    }
-}
-
-/// A count of 32 bits that goes round.
-fn wrapped(count: f64) -> i32 {
-    count.round() as i64 as i32
 }
 
 /// Takes `dt_ns` from the rest, which ends with nothing left.

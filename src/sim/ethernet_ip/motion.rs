@@ -5,16 +5,14 @@
 //! | case | what the drive does |
 //! |---|---|
 //! | a move while another one runs | waits in the buffer, and starts behind it |
-//! | FS, FY, FM | run in the direction of DI until the input has its condition, then stop with DE; FY ends after DI at the latest, FM looks from DC on |
-//! | FD | runs at VE up to the first input, at VC up to the second one |
 //! | FC, FO | a relative move that goes on at VC after DC; that sets its output at the end |
-//! | SH, FH | run in the direction of DI to the input, stop, and come back to where it was met; they turn round at one limit and end at the second one. FH goes to the home switch as it is wired, with HV1, HA1 and HL1 |
 //! | FE | nothing |
 
 use std::f64::consts::TAU;
 
 use super::drive::{Drive, alarm};
 use super::parameters::{Key, Name};
+use super::search::{Search, Sensor};
 use crate::sim::power::{Aim, RPM};
 
 /// A condition at an input.
@@ -33,7 +31,7 @@ impl Io {
     }
 
     /// Whether it is met, with the input open now and before.
-    fn is_met(self, open: bool, before: bool) -> bool {
+    pub(super) fn is_met(self, open: bool, before: bool) -> bool {
         match self.condition {
             b'H' => open,
             b'L' => !open,
@@ -41,19 +39,6 @@ impl Io {
             _ => !open && before,
         }
     }
-}
-
-/// What ends a search.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Sensor {
-    /// FS.
-    Stop,
-    /// FM.
-    Mask,
-    /// FY.
-    Safety,
-    /// SH.
-    Home,
 }
 
 /// What the motor can be told.
@@ -96,21 +81,6 @@ pub(super) enum Entry {
     Nothing,
 }
 
-/// A search for an input.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Search {
-    ends_at: Io,
-    /// From there on it runs at VC.
-    slows_at: Option<Io>,
-    begun_at: f64,
-    /// It looks only after so much, and ends after so much, rad.
-    mask: f64,
-    most: f64,
-    homing: bool,
-    turned: bool,
-    profile: Profile,
-}
-
 /// What the motor does.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Motion {
@@ -143,29 +113,22 @@ pub(super) fn rate(value: i32) -> f64 {
     f64::from(value) * 10.0 * RPM
 }
 
-impl Search {
-    /// It looks for the home switch.
-    pub(super) fn is_homing(&self) -> bool {
-        self.homing
-    }
-}
-
 impl Profile {
     /// The aim of a move to this place.
-    fn to(self, place: f64) -> Aim {
+    pub(super) fn to(self, place: f64) -> Aim {
         self.at(self.velocity, place)
     }
 
-    fn at(self, velocity: i32, place: f64) -> Aim {
+    pub(super) fn at(self, velocity: i32, place: f64) -> Aim {
         let (up, down) = (rate(self.acceleration), rate(self.deceleration));
         Aim::GoTo { place, speed: speed(velocity), up, down }
     }
 
-    fn direction(self) -> f64 {
+    pub(super) fn direction(self) -> f64 {
         if self.distance < 0 { -1.0 } else { 1.0 }
     }
 
-    fn run(self, velocity: i32, direction: f64) -> Aim {
+    pub(super) fn run(self, velocity: i32, direction: f64) -> Aim {
         let (up, down) = (rate(self.acceleration), rate(self.deceleration));
         Aim::Velocity { speed: speed(velocity) * direction, up, down }
     }
@@ -188,15 +151,14 @@ impl Drive {
         }
     }
 
-    /// The profile of a jog: the sign of its speed is the direction, or that of DI.
-    pub(super) fn jog_profile(&self, signed: bool) -> Profile {
+    /// The profile of a jog in the direction that the sign of `direction` says.
+    pub(super) fn jog_profile(&self, direction: i32) -> Profile {
         let get = |name: &Name| self.parameters.get(name);
-        let jog_speed = get(b"JS");
         Profile {
-            velocity: jog_speed.abs(),
+            velocity: get(b"JS"),
             acceleration: get(b"JA"),
             deceleration: get(b"JL"),
-            distance: if signed { jog_speed } else { get(b"DI") },
+            distance: direction,
         }
     }
 
@@ -231,7 +193,9 @@ impl Drive {
     fn carry_out(&mut self, entry: Entry) {
         match entry {
             Entry::Move(kind, profile) => self.begin(kind, profile),
-            Entry::Write(key, value) => self.write(key, value),
+            Entry::Write(key, value) => {
+                self.write(key, value);
+            }
             Entry::Enable(on) => self.enable(on),
             Entry::Reset => self.reset(),
             Entry::Position(steps) => self.set_position(steps),
@@ -252,7 +216,7 @@ impl Drive {
             return self.raise(alarm::NO_MOVE);
         }
         let profile = match kind {
-            Move::Jog => profile.unwrap_or_else(|| self.jog_profile(false)),
+            Move::Jog => profile.unwrap_or_else(|| self.jog_profile(self.parameters.get(b"DI"))),
             Move::FindHome => self.find_profile(),
             _ => profile.unwrap_or_else(|| self.profile()),
         };
@@ -284,51 +248,6 @@ impl Drive {
             return self.raise(limit);
         }
         (self.aim, self.motion) = (aim, motion);
-    }
-
-    fn find_profile(&self) -> Profile {
-        let get = |name: &Name| self.parameters.indexed(name, 1);
-        Profile {
-            velocity: get(b"HV"),
-            acceleration: get(b"HA"),
-            deceleration: get(b"HL"),
-            distance: self.parameters.get(b"DI"),
-        }
-    }
-
-    fn search(&mut self, kind: Move, profile: Profile) -> Option<Search> {
-        let step = self.step_rad();
-        let mut search = Search {
-            ends_at: Io { number: 0, condition: b'L' },
-            slows_at: None,
-            begun_at: self.power.demand(),
-            mask: 0.0,
-            most: f64::INFINITY,
-            homing: false,
-            turned: false,
-            profile,
-        };
-        match kind {
-            Move::Double(first, second) => (search.slows_at, search.ends_at) = (Some(first), second),
-            Move::Sensor(sensor, io) => {
-                search.ends_at = io;
-                match sensor {
-                    Sensor::Stop => {}
-                    Sensor::Mask => search.mask = f64::from(self.parameters.get(b"DC")).abs() * step,
-                    Sensor::Safety => search.most = f64::from(profile.distance).abs() * step,
-                    Sensor::Home => search.homing = true,
-                }
-            }
-            _ => {
-                let Some(home) = self.motor.home else {
-                    self.refused.unsupported += 1;
-                    return None;
-                };
-                let condition = if home.at.closed { b'L' } else { b'H' };
-                (search.ends_at, search.homing) = (Io { number: home.at.input, condition }, true);
-            }
-        }
-        Some(search)
     }
 
     /// Which way it is to go.
@@ -375,7 +294,7 @@ impl Drive {
         self.brake(rate(self.parameters.get(name)), jogging, None, disables);
     }
 
-    fn brake(&mut self, down: f64, jogging: bool, back: Option<(f64, Profile)>, disables: bool) {
+    pub(super) fn brake(&mut self, down: f64, jogging: bool, back: Option<(f64, Profile)>, disables: bool) {
         self.aim = Aim::Velocity { speed: 0.0, up: down, down };
         self.motion = Motion::Stopping { jogging, back, disables };
     }
@@ -444,25 +363,6 @@ impl Drive {
             if self.firmware.homing_zeroes {
                 self.set_position(0);
             }
-        }
-    }
-
-    /// The search ends, or slows down.
-    fn look(&mut self, search: Search, before: u16) {
-        let inputs = self.inputs();
-        let open = |word: u16, io: Io| io.number > 0 && word >> (io.number - 1).min(15) & 1 == 1;
-        let met = |io: Io| (1..=8).contains(&io.number) && io.is_met(open(inputs, io), open(before, io));
-        let done = (self.power.place() - search.begun_at).abs();
-        let down = rate(search.profile.deceleration);
-        if done >= search.most {
-            self.brake(down, false, None, false);
-        } else if search.slows_at.is_some_and(met) {
-            let profile = search.profile;
-            self.aim = profile.run(self.parameters.get(b"VC"), profile.direction());
-            self.motion = Motion::Searching(Search { slows_at: None, ..search });
-        } else if search.slows_at.is_none() && done >= search.mask && met(search.ends_at) {
-            let back = search.homing.then(|| (self.power.place(), search.profile));
-            self.brake(down, false, back, false);
         }
     }
 }

@@ -2,8 +2,9 @@
 //!
 //! Facts: sheet, 5.7.
 
-use super::motion::{Entry, Io, Move, Sensor};
+use super::motion::{Entry, Io, Move};
 use super::parameters::Name;
+use super::search::Sensor;
 
 /// What the four bytes of an operand are.
 #[derive(Clone, Copy, Debug)]

@@ -24,7 +24,7 @@ pub(super) struct Parameters {
 fn range(name: &Name) -> RangeInclusive<i32> {
     match name {
         b"AC" | b"DE" | b"AM" | b"JA" | b"JL" | b"VE" | b"VC" | b"HA" | b"HL" | b"HV" => 1..=32_000,
-        b"JS" => -32_000..=32_000,
+        b"JS" => 0..=32_000,
         b"EG" => 200..=51_200,
         b"ZS" => 0..=10_000,
         b"ZA" => 1..=16,

@@ -1,6 +1,12 @@
 //! The simulated drive against the sheet, frame by frame, in its own time.
 
 mod frames;
+mod messages;
+mod motion;
+mod noise;
+mod opening;
+mod packets;
+mod sessions;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -324,3 +330,32 @@ impl Forward {
         bytes
     }
 }
+
+#[test]
+fn a_drive_is_wired_as_the_plan_expects_it() {
+    use crate::bus::ethernet_ip::plan::{EnableInput, Homing, HomingMethod};
+    let mut drive = MoonsDrive::new("x", *DRIVE.ip());
+    drive.axis.units.counts_per_unit = -1_600.0;
+    drive.enable_input = Some(EnableInput { number: 3, closed: false });
+    drive.homing = Some(Homing {
+        method: HomingMethod::Seek,
+        input: 0x4CB2,
+        velocity: 1.0,
+        acceleration: 1.0,
+        distance: 10.0,
+    });
+    drive.version = Some(Version::V1);
+    let settings = MoonsSettings::of(&drive);
+    assert_eq!((settings.address, settings.motor.steps), (DRIVE, 1_600));
+    assert_eq!(settings.motor.enable, Some(Wired { input: 3, closed: false }));
+    let home = HomeSwitch { at: Wired { input: 2, closed: true }, range: (-8_000, -8_160) };
+    assert_eq!(settings.motor.home, Some(home));
+    assert!(!settings.identity.has_outputs());
+    let bus = MoonsDrives::of(&EthernetIpPlan::new(*MASTER.ip(), vec![drive]));
+    let mut built = Simulated::default();
+    bus.build(&mut built);
+    assert_eq!(built.drives.len(), 1);
+    assert_eq!(built.drives[0].more_sockets()[0], (Carrier::Datagrams, MASTER_IO_OF_DRIVE));
+}
+
+const MASTER_IO_OF_DRIVE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 2), 2_222);
