@@ -4,7 +4,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `linudp`, `modbus`, `ethercat` | the drives of a protocol: its wire from the other end |
+//! | `linudp`, `modbus`, `ethercat`, `ethernet_ip` | the drives of a protocol: its wire from the other end |
 //! | `plan` | the simulated drives of a machine as configured |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `power` | a power drive: a motor on its setpoint generator, hardware enable, standing fault, the advance of time |
@@ -18,6 +18,7 @@
 
 mod drives;
 pub mod ethercat;
+pub mod ethernet_ip;
 pub(crate) mod fault;
 #[cfg(feature = "config")]
 pub(crate) mod keys;

@@ -3,6 +3,7 @@
 use std::any::Any;
 
 use super::ethercat::EthercatSegment;
+use super::ethernet_ip::MoonsDrives;
 use super::linudp::LinMots;
 use super::modbus::Unidrives;
 use super::{SimBus, Simulated};
@@ -25,16 +26,18 @@ type Fit = fn(&dyn BusPlan) -> Option<Box<dyn SimBus>>;
 type Read = fn(&mut Table<'_>, &dyn BusPlan, u64) -> Option<Box<dyn SimBus>>;
 
 /// One entry a protocol.
-const FITS: [Fit; 3] = [
+const FITS: [Fit; 4] = [
     |bus| of_plan(bus, LinMots::of),
     |bus| of_plan(bus, Unidrives::of),
     |bus| of_plan(bus, |plan: &EthercatPlan| EthercatSegment::from(plan.clone())),
+    |bus| of_plan(bus, MoonsDrives::of),
 ];
 #[cfg(feature = "config")]
-const READERS: [Read; 3] = [
+const READERS: [Read; 4] = [
     |table, bus, period_ns| of_plan(bus, |plan| super::linudp::config::read(table, plan, period_ns)),
     |table, bus, period_ns| of_plan(bus, |plan| super::modbus::config::read(table, plan, period_ns)),
     |table, bus, period_ns| of_plan(bus, |plan| super::ethercat::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| super::ethernet_ip::config::read(table, plan, period_ns)),
 ];
 
 /// Those of a bus, if its plan is of the type that `make` takes.
