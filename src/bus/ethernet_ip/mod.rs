@@ -11,6 +11,9 @@
 //! | `tools`, `scan` | `fieldbeat ethernet-ip` |
 //! | `target` | what an acyclic call does, as numbers |
 //! | `exchange` | what passes between session and loop |
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-ethernet-ip.md"))]
 
 pub(crate) mod bus;
 mod bus_plan;
