@@ -33,7 +33,8 @@ fn machine(section: &str, fragment: &str) -> String {
     )
 }
 
-/// The same with a Unidrive, a MOONS' drive or an EtherCAT line, in the sections that begin so; the whole file; and [`FOUR`] with it.
+/// The same with a Unidrive, a MOONS' drive or an EtherCAT line, in the sections that begin so; the whole file; and
+/// [`FOUR`] with it.
 fn any_machine(section: &str, fragment: &str) -> String {
     match section {
         "file" => return fragment.to_owned(),
@@ -1010,8 +1011,8 @@ fn addresses_of_moons_drives_are_hosts_of_their_own() {
         mistakes(&moons("", "").replace("127.0.0.1\"", bind).replace("127.0.0.31\"", address))
     };
     for bind in ["0.0.0.0", "224.0.0.1", "10.0.0.1:0", "adapter"] {
-        let hint = "must be the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; never \
-            0.0.0.0, since drives compare it";
+        let hint = "must be the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; \
+            never 0.0.0.0, since drives compare it";
         let bind_key = format!("{bind}\"");
         assert_eq!(with(&bind_key, "127.0.0.31\""), [format!("m.toml:4: bus.bind = \"{bind}\": {hint}")]);
     }
@@ -1029,8 +1030,8 @@ fn addresses_of_moons_drives_are_hosts_of_their_own() {
     assert_eq!(
         mistakes(&second),
         [
-            "m.toml:12: bus.drive.address = \"127.0.0.31:5000\": is already that of the drive of line 8; one drive per IP \
-          address"
+            "m.toml:12: bus.drive.address = \"127.0.0.31:5000\": is already that of the drive of line 8; one drive per \
+          IP address"
         ]
     );
     let group = moons("", "delivery = \"multicast\"").replace("127.0.0.1\"", "127.0.0.1:2223\"");
