@@ -39,8 +39,9 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
-    /// How long a packet of drive `index` counts, which sends by its own clock, in a cycle of `period_ns`, ns. Requests to it are due by divisor
-    /// and phase whatever its link, since its watchdog needs them. `None`: it answers requests.
+    /// How long a packet of drive `index` counts, which sends by its own clock, in a cycle of `period_ns`, ns. Requests
+    /// to it are due by divisor and phase whatever its link, since its watchdog needs them. `None`: it answers
+    /// requests.
     fn fresh_within_ns(&self, _index: usize, _period_ns: u64) -> Option<u64> {
         None
     }

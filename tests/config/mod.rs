@@ -33,12 +33,16 @@ fn machine(section: &str, fragment: &str) -> String {
     )
 }
 
-/// The same with a Unidrive or an EtherCAT line, in the sections that begin so; the whole file; and [`FOUR`] with it.
+/// The same with a Unidrive, a MOONS' drive or an EtherCAT line, in the sections that begin so; the whole file; and
+/// [`FOUR`] with it.
 fn any_machine(section: &str, fragment: &str) -> String {
     match section {
         "file" => return fragment.to_owned(),
         "group" => return format!("{FOUR}[[group]]\n{fragment}\n"),
         _ => {}
+    }
+    if let Some(rest) = section.strip_prefix("moons") {
+        return moons(rest.trim_start_matches('-'), fragment);
     }
     match (section.strip_prefix("unidrive"), section.strip_prefix("ethercat")) {
         (Some(rest), _) => unidrive(rest.trim_start_matches('-'), fragment),
@@ -53,6 +57,17 @@ fn unidrive(section: &str, fragment: &str) -> String {
     format!(
         "[cycle]\n[[bus]]\nprotocol = \"modbus-tcp\"\n{}\n\
          [[bus.drive]]\nname = \"u\"\naddress = \"127.0.0.21\"\n{}\n",
+        part("bus"),
+        part(""),
+    )
+}
+
+/// One MOONS' drive with a fragment in the section of its bus or in its own. The fragment begins in line 5 or 9.
+fn moons(section: &str, fragment: &str) -> String {
+    let part = |name: &str| if name == section { fragment } else { "" };
+    format!(
+        "[cycle]\n[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"127.0.0.1\"\n{}\n\
+         [[bus.drive]]\nname = \"m\"\naddress = \"127.0.0.31\"\n{}\n",
         part("bus"),
         part(""),
     )
@@ -646,6 +661,24 @@ fn the_unidrive_sample_tells_the_truth() {
     }
 }
 
+#[test]
+fn the_moons_sample_tells_the_truth() {
+    let sample = tells_the_truth("rt-config/moons.toml", 25);
+    let common = keys(&machine("drive", "no_such_key = 1"));
+    let of_its_own = |key: &String| !common.contains(key);
+    for key in keys(&moons("", "no_such_key = 1")).iter().filter(|key| of_its_own(key)) {
+        assert!(sample.contains(key.as_str()), "{key}");
+    }
+    for key in keys(&moons("bus", "no_such_key = 1")) {
+        assert!(sample.contains(key.as_str()), "{key}");
+    }
+    for table in ["watchdog", "homing", "enable_input"] {
+        for key in keys(&moons("", &format!("{table}.no_such_key = 1"))) {
+            assert!(sample.contains(&key), "{key}");
+        }
+    }
+}
+
 /// The keys that are said to be valid in the section of a mistaken one.
 fn keys(text: &str) -> Vec<String> {
     let error = mistakes(text).concat();
@@ -927,6 +960,86 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
     ] {
         assert!(reported.contains(part), "{part} in {reported}");
     }
+}
+
+#[test]
+fn values_of_a_moons_drive_arrive_where_they_belong() {
+    use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
+    let usual = MoonsDrive::new("m", [127, 0, 0, 31].into());
+    let bus = EthernetIpPlan::new([127, 0, 0, 1].into(), vec![usual]);
+    let plan = read(&moons("", ""));
+    assert!(format!("{plan:?}").contains(&format!("{bus:?}")), "{plan:?}");
+    let bus_keys = "originator = { vendor = 60, serial = 7 }\ndscp = 43\nsend = \"each\"";
+    let text = moons(
+        "",
+        "divisor = 10\nsteps_per_rev = 10000\nunits = \"mm\"\nscale = 0.2\ninvert = true\n\
+         version = \"v2\"\nlayout = \"page\"\ndelivery = \"multicast\"\ninput_rpi = \"5ms\"\n\
+         timeout_multiplier = 64\nfresh_within = \"20ms\"\nfirst_within = \"2s\"\nconfiguration = [1, 0]\n\
+         explicit = \"connected\"\nhold = 3\neffect_within = \"300ms\"\n\
+         watchdog = { verify = false, within = \"1s\" }\nno_drive_watchdog = \"accept\"\n\
+         enable_input = { input = 3, closed = false }\nhomed_register = \"3\"\nencoder = 4000\njog = false\n\
+         homing = { method = \"find\", input = \"2L\", velocity = 5, acceleration = 50, distance = -20 }",
+    )
+    .replace("bind = \"127.0.0.1\"\n", &format!("bind = \"127.0.0.1\"\n{bus_keys}\n"));
+    let reported = format!("{:?}", read(&text));
+    for part in [
+        "originator: Originator { vendor: 60, serial: 7 }, dscp: 43, send: Each",
+        // 0.2 revolutions of 10000 steps in a millimetre.
+        "counts_per_unit: -2000.0",
+        "steps_per_revolution: 10000.0, address: 127.0.0.31:44818",
+        "version: Some(V2), layout: Page, delivery: Multicast, input_rpi_ns: Some(5000000), multiplier: Some(4)",
+        "fresh_within_ns: Some(20000000), first_within_ns: 2000000000, configuration: Some([1, 0]), heartbeat: None",
+        "explicit: Connected, hold: 3, effect_within_ns: 300000000",
+        "Watchdog { verify: false, within_ns: 1000000000, accept_none: true }",
+        "enable_input: Some(EnableInput { number: 3, closed: false })",
+        "Homing { method: Find, input: 19634, velocity: 5.0, acceleration: 50.0, distance: -20.0 }",
+        "homed_register: Some(51), encoder: true, encoder_counts_per_step: 0.4, jog: false",
+    ] {
+        assert!(reported.contains(part), "{part} in {reported}");
+    }
+    let listening = format!("{:?}", read(&moons("", "connection = \"listen-only\"\nheartbeat = 6")));
+    assert!(listening.contains("connection: ListenOnly"), "{listening}");
+    assert!(
+        listening.contains("delivery: Multicast") && listening.contains("heartbeat: Some(6)"),
+        "{listening}"
+    );
+}
+
+#[test]
+fn addresses_of_moons_drives_are_hosts_of_their_own() {
+    let with = |bind: &str, address: &str| {
+        mistakes(&moons("", "").replace("127.0.0.1\"", bind).replace("127.0.0.31\"", address))
+    };
+    for bind in ["0.0.0.0", "224.0.0.1", "10.0.0.1:0", "adapter"] {
+        let hint = "must be the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; \
+            never 0.0.0.0, since drives compare it";
+        let bind_key = format!("{bind}\"");
+        assert_eq!(with(&bind_key, "127.0.0.31\""), [format!("m.toml:4: bus.bind = \"{bind}\": {hint}")]);
+    }
+    let own = "is the master's own address, bind; give that of the drive";
+    assert_eq!(
+        with("127.0.0.1\"", "127.0.0.1\""),
+        [format!("m.toml:8: bus.drive.address = \"127.0.0.1\": {own}")]
+    );
+    let far = "cannot be reached from bind = \"127.0.0.1\"; bind to the adapter of the drive's network";
+    assert_eq!(
+        with("127.0.0.1\"", "10.0.0.1\""),
+        [format!("m.toml:8: bus.drive.address = \"10.0.0.1\": {far}")]
+    );
+    let second = moons("", "") + "[[bus.drive]]\nname = \"n\"\naddress = \"127.0.0.31:5000\"\n";
+    assert_eq!(
+        mistakes(&second),
+        [
+            "m.toml:12: bus.drive.address = \"127.0.0.31:5000\": is already that of the drive of line 8; one drive per \
+          IP address"
+        ]
+    );
+    let group = moons("", "delivery = \"multicast\"").replace("127.0.0.1\"", "127.0.0.1:2223\"");
+    assert_eq!(
+        mistakes(&group),
+        ["m.toml:9: bus.drive.delivery = \"multicast\": needs the port 2222 in bind: packets of a group \
+          come to no other one"]
+    );
 }
 
 #[test]

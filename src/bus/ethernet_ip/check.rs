@@ -80,7 +80,7 @@ impl MoonsDrive {
     /// Packets of a group come to one port only.
     pub(super) fn delivery_fault(&self, bind: SocketAddrV4) -> Option<PlanFault> {
         let wrong = self.delivery == Delivery::Multicast && bind.port() != IO_PORT;
-        let why = "\"multicast\" needs the port 2222 in bind: packets of a group come to no other one";
+        let why = "needs the port 2222 in bind: packets of a group come to no other one";
         wrong.then(|| PlanFault::new("delivery", why))
     }
 
@@ -155,8 +155,7 @@ impl MoonsDrive {
         if !(1..=100).contains(&self.hold) {
             wrong("hold", "must be 1 ... 100 packets; 2 survive the loss of one".to_owned());
         }
-        // The packet with it, the drive's next one, and as much again for one that is lost.
-        let seen_ns = rpi.saturating_add(self.input_rpi_ns(period_ns)).saturating_mul(2);
+        let seen_ns = self.least_effect_ns(period_ns);
         if self.effect_within_ns < seen_ns || self.effect_within_ns > 10 * S {
             wrong(
                 "effect_within",
@@ -262,6 +261,7 @@ impl MoonsDrive {
                 continue;
             }
             let unit = axis.units.unit;
+            let (least, most) = (inside(least, f64::ceil), inside(most, f64::floor));
             let why = format!(
                 "{value} is outside the range of the drive, {least} ... {most} {unit}/{per}; change it or check scale \
                  and steps_per_rev"
@@ -281,8 +281,8 @@ impl MoonsDrive {
         }
         let counts = (homing.distance * self.axis.units.counts_per_unit).abs();
         if !(1.0..=f64::from(i32::MAX)).contains(&counts) {
-            let (unit, most) =
-                (self.axis.units.unit, f64::from(i32::MAX) / self.axis.units.counts_per_unit.abs());
+            let unit = self.axis.units.unit;
+            let most = inside(f64::from(i32::MAX) / self.axis.units.counts_per_unit.abs(), f64::floor);
             let why = format!(
                 "{} is no distance of the drive; use up to {most} {unit}, its sign is the direction",
                 homing.distance
@@ -377,8 +377,8 @@ impl MoonsDrive {
     fn describe_commands(&self, period_ns: u64) -> String {
         let rpi = self.rpi_ns(period_ns);
         format!(
-            "a command is held for {} and until its effect is seen, within {}, then idle for as long: two commands, and two \
-             velocities, are {} apart at least; a stop replaces one under way, and waits {} at most for that",
+            "a command is held for {} and until its effect is seen, within {}, then idle for as long: two commands, \
+             and two velocities, are {} apart at least; a stop replaces one under way, and waits {} at most for that",
             packets(self.hold),
             Ns(self.effect_within_ns),
             Ns(self.command_every_ns(period_ns)),
@@ -405,7 +405,7 @@ impl MoonsDrive {
                 .to_owned();
         }
         let how = if watchdog.verify {
-            "which is read before it is enabled"
+            "which are read before it is enabled"
         } else {
             "taken on trust (watchdog.verify = false)"
         };
@@ -420,6 +420,14 @@ impl MoonsDrive {
             Ns(watchdog.within_ns)
         )
     }
+}
+
+/// The end of a range with four digits, `rounded` into the range.
+fn inside(end: f64, rounded: fn(f64) -> f64) -> f64 {
+    // Whole powers of ten, so that the digits of the result are short.
+    let places = 3 - end.abs().log10().floor() as i32;
+    let (up, down) = (10_f64.powi(places.max(0)), 10_f64.powi((-places).max(0)));
+    rounded(end * up / down) * down / up
 }
 
 fn packets(number: u8) -> String {

@@ -86,7 +86,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
     let connection = table.word("connection", &Access::WORDS).unwrap_or(default.connection);
     let (least_ns, most_ns) = RPI_RANGE_NS;
     let encoder = encoder(table, steps);
-    let drive = MoonsDrive {
+    let mut drive = MoonsDrive {
         axis,
         steps_per_revolution: steps,
         address,
@@ -138,6 +138,13 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         jog: jog(table, connection).unwrap_or(default.jog),
     };
     table.later("simulate");
+    if !table.gives("effect_within") {
+        drive.effect_within_ns = default.effect_within_ns.max(drive.least_effect_ns(machine.period_ns));
+    }
+    if !table.gives("first_within") {
+        let two_ns = drive.input_rpi_ns(machine.period_ns).saturating_mul(2);
+        drive.first_within_ns = default.first_within_ns.max(two_ns);
+    }
     for fault in drive.faults(rpi_ns) {
         table.fault(fault.key, fault.message);
     }
@@ -199,11 +206,21 @@ fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
     Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
 }
 
-fn enable_input(table: &mut Table<'_>) -> Option<EnableInput> {
-    if !table.gives("enable_input") {
-        return None;
+/// What `read` makes of a sub-table; nothing if it is absent.
+fn optional<'a, T>(
+    table: &mut Table<'a>,
+    key: &'static str,
+    read: impl FnOnce(&mut Table<'a>) -> Option<T>,
+) -> Option<T> {
+    match table.read(key, |value| Ok(value.as_table().is_some()))? {
+        true => table.table(key, read),
+        // It has no keys that could be missing.
+        false => table.table(key, |_| None),
     }
-    table.table("enable_input", |table| {
+}
+
+fn enable_input(table: &mut Table<'_>) -> Option<EnableInput> {
+    optional(table, "enable_input", |table| {
         table.require("input", "the number of the input, 1 ... 12");
         let number = table.integer("input", 1..=i128::from(INPUT_MAX), "the number of the input");
         let closed = table.flag("closed").unwrap_or(true);
@@ -212,11 +229,7 @@ fn enable_input(table: &mut Table<'_>) -> Option<EnableInput> {
 }
 
 fn homing(table: &mut Table<'_>) -> Option<Homing> {
-    if !table.gives("homing") {
-        return None;
-    }
-    table.table("homing", |table| {
-        let units = "user units";
+    optional(table, "homing", |table| {
         for (key, why) in [
             ("method", "\"seek\" for SH, or \"find\" for FH"),
             ("input", "the input with its condition, like \"2L\""),
@@ -231,7 +244,7 @@ fn homing(table: &mut Table<'_>) -> Option<Homing> {
         let input = table.text("input", hint, |text| text.parse::<IoCode>().ok());
         let velocity = table.number("velocity", POSITIVE, "units/s");
         let acceleration = table.number("acceleration", POSITIVE, "units/s²");
-        let distance = table.number("distance", .., units);
+        let distance = table.number("distance", .., "user units; the sign is the direction");
         Some(Homing {
             method: method?,
             input: input?.code(),

@@ -15,6 +15,9 @@
 //! | `station` | the master's view of one drive: its connection, its packets, its report |
 //! | `native`, `counters` | native process data, counts |
 //! | `bus` | stations, sessions and one socket as one bus |
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-ethernet-ip.md"))]
 
 pub(crate) mod bus;
 mod bus_plan;

@@ -75,8 +75,8 @@ pub struct MoonsDrive {
     pub delivery: Delivery,
     /// The interval of the drive's own packets, ns; `None`: that of ours.
     pub input_rpi_ns: Option<u64>,
-    /// The connection times out after 4 << this many packets: 0 ... 7. `None`: the least with 100 ms in both directions,
-    /// and behind the stop request that follows a loss.
+    /// The connection times out after 4 << this many packets: 0 ... 7. `None`: the least with 100 ms in both
+    /// directions, and behind the stop request that follows a loss.
     pub multiplier: Option<u8>,
     /// A packet counts for so long, ns; `None`: two of the drive's intervals.
     pub fresh_within_ns: Option<u64>,
@@ -244,6 +244,7 @@ impl EthernetIpPlan {
             if !drive.outlives_a_loss(wanted.period_ns) {
                 drive.multiplier = None;
             }
+            drive.effect_within_ns = drive.effect_within_ns.max(drive.least_effect_ns(wanted.period_ns));
         }
         Some(plan)
     }
@@ -353,6 +354,12 @@ impl MoonsDrive {
     /// The shortest time between two commands, ns: each is held, and then idle is. Velocities of a jog come no faster.
     pub fn command_every_ns(&self, period_ns: u64) -> u64 {
         self.rpi_ns(period_ns).saturating_mul(2 * u64::from(self.hold.max(1)))
+    }
+
+    /// The effect of a command may take so long, ns: the packet with it, the drive's next one, and as much again for
+    /// one that is lost.
+    pub fn least_effect_ns(&self, period_ns: u64) -> u64 {
+        self.rpi_ns(period_ns).saturating_add(self.input_rpi_ns(period_ns)).saturating_mul(2)
     }
 
     /// Whether its outputs are this master's.

@@ -1,7 +1,7 @@
 //! Lists the devices of a network by ListIdentity, on a normal thread. It changes nothing in them.
 //!
 //! A device waits at random before it answers a broadcast, up to the time that the context of the request says
-//! (EtherNet/IP, volume 2, 2-4.2.3). The rest of the context is ours: an answer with another one was not requested here.
+//! (EtherNet/IP, volume 2). The rest of the context is ours: an answer with another one was not requested here.
 
 use std::io::{self, ErrorKind};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};

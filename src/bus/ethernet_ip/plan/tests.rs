@@ -110,7 +110,7 @@ fn the_range_of_the_wire_is_said_in_user_units() {
     let faults = drive.faults(10 * MS);
     let keys: Vec<_> = faults.iter().map(|fault| fault.key).collect();
     assert_eq!(keys, ["profile.velocity", "profile.deceleration", "stop.deceleration"]);
-    let why = "667 is outside the range of the drive, 0.020833333333333332 ... 666.6666666666666 mm/s; change it or \
+    let why = "667 is outside the range of the drive, 0.02084 ... 666.6 mm/s; change it or \
         check scale and steps_per_rev";
     assert_eq!(faults[0].message, why);
 }
@@ -201,8 +201,8 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
         "a packet to it every 10 ms, times out after 160 ms; one from it every 10 ms (to this master only), times \
          out after 160 ms (timeout_multiplier = 16); the first one within 1 s",
         "two commands, and two velocities, are 40 ms apart at least",
-        "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), which is read before \
-         it is enabled; ZA must leave it enabled, 13 or 14, since only the drive holds its load",
+        "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), which are read \
+         before it is enabled; ZA must leave it enabled, 13 or 14, since only the drive holds its load",
     ] {
         assert!(says.contains(part), "{part}\n{says}");
     }
