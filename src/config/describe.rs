@@ -301,7 +301,7 @@ mod tests {
     fn the_schedule_of_a_drive_says_when_its_exchanges_end_where_no_reply_ends_them_at_once() {
         let mut axis = AxisPlan::new("x", Units::millimetres(1.0));
         (axis.divisor, axis.phase) = (10, 3);
-        let says = |pace| schedule(&Paced { axis: &axis, pace }, MS);
+        let says = |pace| schedule(&Paced { axis: &axis, pace, before_stop: 0 }, MS);
         let every = "an exchange every 10 cycles (10 ms), phase 3";
         assert_eq!(says(Pace::Cycle), every);
         assert_eq!(says(Pace::Connection(20)), every);

@@ -138,7 +138,10 @@ pub fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
 /// The same, for one drive among all.
 pub fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
     let others = group(drive, all).filter(|one| one.axis.name != drive.axis.name);
-    let others = others.map(|one| one.turn().saturating_add(one.queued()).saturating_add(one.ahead_of_stop())).max().unwrap_or(0);
+    let others = others
+        .map(|one| one.turn().saturating_add(one.queued()).saturating_add(one.ahead_of_stop()))
+        .max()
+        .unwrap_or(0);
     drive.filled().saturating_add(others.max(drive.stops()))
 }
 
@@ -167,8 +170,9 @@ mod tests {
         let (x, y) = (axis("x", 4, Some(1)), axis("y", 2, Some(1)));
         let alone = axis("alone", 4, None);
         let bound_of = |pace, of_y| {
-            let (x, alone) = (Paced { axis: &x, pace }, Paced { axis: &alone, pace });
-            let all = [x, Paced { axis: &y, pace: of_y }, alone];
+            let paced = |axis, pace| Paced { axis, pace, before_stop: 0 };
+            let (x, alone) = (paced(&x, pace), paced(&alone, pace));
+            let all = [x, paced(&y, of_y), alone];
             [bound(&x, &all), bound(&alone, &all)]
         };
         // Three misses, each known in its own cycle; the stop of y leaves in its next turn, that of x in the next

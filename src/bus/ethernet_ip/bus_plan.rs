@@ -4,6 +4,7 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 
 use super::bus::EthernetIpBus;
+use super::counters::OWN;
 use super::notation::Addresses;
 use super::plan::{EthernetIpPlan, MoonsDrive};
 use super::profile;
@@ -13,7 +14,7 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
 use crate::bus::variant::Variant;
-use crate::bus::{Bus, BusPlan, OpenError, drives};
+use crate::bus::{Bus, BusPlan, OpenError, OwnCounter, drives};
 use crate::net::Carriers;
 
 impl BusPlan for EthernetIpPlan {
@@ -64,6 +65,10 @@ impl BusPlan for EthernetIpPlan {
 
     fn capabilities(&self, index: usize, period_ns: u64) -> Capabilities {
         profile::capabilities(&self.drives[index], period_ns)
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
     }
 
     fn fault_names(&self) -> FaultNames {

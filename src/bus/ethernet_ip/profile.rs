@@ -36,8 +36,7 @@ const NOT_WATCHED: &str = "it is not known to stop by itself if the master dies:
     watchdog.verify = false, or use no_drive_watchdog = \"accept\"";
 const TOO_LATE: &str = "its own watchdog (ZS) is off, or longer than watchdog.within: set ZS, and switch the drive off \
     and on";
-const NO_POWER: &str =
-    "its power is the master's in this native mode: give it a motion or a host command, or own the control word";
+const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, or own the control word";
 const FIRST: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
 
 /// The demand ends exactly at its target; a step is left to its rounding.
@@ -93,9 +92,7 @@ enum Step {
     /// Of a homing: its command was taken, and it runs.
     Runs,
     /// Of a homing: the position has to be set to zero; its host command is due, or held.
-    Zeroing {
-        held: bool,
-    },
+    Zeroing { held: bool },
 }
 
 /// Whose command is held.
@@ -558,7 +555,8 @@ impl Profile {
         match std::mem::take(&mut self.holder) {
             // Until it is seen it is repeated; the machine gives up an enable, and a reset.
             Holder::Power if self.power_step == Step::Held => {
-                self.power_step = if seen || self.power.value == Power::FaultReset { Step::Settled } else { Step::Due };
+                self.power_step =
+                    if seen || self.power.value == Power::FaultReset { Step::Settled } else { Step::Due };
             }
             Holder::Motion => self.motion_ended(seen),
             _ => {}
