@@ -200,6 +200,8 @@ impl Drive {
         let aim = if self.enabled { self.aim } else { Aim::Off };
         self.power.step(aim, dt_ns);
         self.follow(before);
+        // Between two moves of the buffer the motor is not idle.
+        self.next();
         let (most, constant) = WARM;
         let target = if self.enabled { most } else { 0.0 };
         let share = (dt_ns as f64 / S as f64 / constant).min(1.0);
