@@ -67,6 +67,9 @@ pub(super) struct Drive {
     pub firmware: FirmwareSettings,
     pub motor: MoonsMotorSettings,
     pub kind: Kind,
+    /// Of its firmware, and of its model.
+    pub letter: u8,
+    pub sub_model: u8,
     pub power: PowerDrive<()>,
     pub parameters: Parameters,
     pub registers: [i32; 10],
@@ -131,6 +134,8 @@ impl Drive {
             fed_at: None,
             warmth: 0.0,
             kind: settings.identity.kind,
+            letter: settings.identity.letter,
+            sub_model: settings.identity.model.1,
             firmware: settings.firmware.clone(),
             motor: settings.motor.clone(),
         };
