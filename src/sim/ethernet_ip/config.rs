@@ -35,7 +35,7 @@ fn settings(table: &mut Table<'_>, drive: &MoonsDrive, period_ns: u64, index: us
     };
     let interval_ns = drive.input_rpi_ns(period_ns);
     settings.clock.drift_ppm = table
-        .integer("drift", -100_000..=100_000, "how much too slow the drive's clock is, ppm")
+        .integer("drift_ppm", -100_000..=100_000, "how much too slow the drive's clock is, ppm")
         .unwrap_or(0);
     settings.clock.jitter_ns = table
         .time(
@@ -126,7 +126,9 @@ fn motor(table: &mut Table<'_>, drive: &MoonsDrive, default: MoonsMotorSettings)
     });
     let home = table.interval("home", "where the home switch acts, in user units");
     MoonsMotorSettings {
-        start: table.number("start", .., "where the motor stands at first").map_or(default.start, steps),
+        start: table
+            .number("start", .., "where the motor stands at first, in user units")
+            .map_or(default.start, steps),
         limits: limits.or(default.limits),
         home: match (home, default.home) {
             (Some((low, high)), found) => {

@@ -67,6 +67,9 @@ pub(super) struct Drive {
     pub firmware: FirmwareSettings,
     pub motor: MoonsMotorSettings,
     pub kind: Kind,
+    /// Of its firmware, and of its model.
+    pub letter: u8,
+    pub sub_model: u8,
     pub power: PowerDrive<()>,
     pub parameters: Parameters,
     pub registers: [i32; 10],
@@ -131,6 +134,8 @@ impl Drive {
             fed_at: None,
             warmth: 0.0,
             kind: settings.identity.kind,
+            letter: settings.identity.letter,
+            sub_model: settings.identity.model.1,
             firmware: settings.firmware.clone(),
             motor: settings.motor.clone(),
         };
@@ -200,6 +205,8 @@ impl Drive {
         let aim = if self.enabled { self.aim } else { Aim::Off };
         self.power.step(aim, dt_ns);
         self.follow(before);
+        // Between two moves of the buffer the motor is not idle.
+        self.next();
         let (most, constant) = WARM;
         let target = if self.enabled { most } else { 0.0 };
         let share = (dt_ns as f64 / S as f64 / constant).min(1.0);

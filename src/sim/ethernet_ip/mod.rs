@@ -100,9 +100,9 @@ impl MoonsSettings {
     /// encoder, layout, version, enable input, and a home switch half way along its homing.
     pub fn of(drive: &MoonsDrive) -> MoonsSettings {
         let mut settings = MoonsSettings::new(drive.address);
-        let steps = drive.axis.units.counts_per_unit.abs().round();
-        if (200.0..=51_200.0).contains(&steps) {
-            settings.motor.steps = steps as u16;
+        let steps = drive.steps_per_revolution.round();
+        if (1.0..=131_070.0).contains(&steps) {
+            settings.motor.steps = steps as u32;
         }
         settings.motor.encoder = drive.encoder.then_some(drive.encoder_counts_per_step);
         settings.firmware.layout = drive.layout;

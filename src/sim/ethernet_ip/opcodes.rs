@@ -3,7 +3,7 @@
 //! Facts: sheet, 5.7.
 
 use super::motion::{Entry, Io, Move};
-use super::parameters::Name;
+use super::parameters::{self, Name};
 use super::search::Sensor;
 
 /// What the four bytes of an operand are.
@@ -11,8 +11,8 @@ use super::search::Sensor;
 pub(super) struct Operand(pub [u8; 4]);
 
 impl Operand {
-    fn word(self) -> i32 {
-        i16::from_be_bytes([self.0[2], self.0[3]]).into()
+    fn word(self) -> u16 {
+        u16::from_be_bytes([self.0[2], self.0[3]])
     }
 
     fn long(self) -> i32 {
@@ -30,9 +30,10 @@ pub(super) fn entry(opcode: u8, register: u8, operand: Operand) -> Option<Entry>
     let sensor = |kind| Some(Entry::Move(Move::Sensor(kind, operand.io()?), None));
     let plain = |kind| Some(Entry::Move(kind, None));
     if let Some((name, is_long)) = written(opcode) {
-        let value = if is_long { operand.long() } else { operand.word() };
-        // The resolution is given in pairs of steps.
-        let value = if name == *b"EG" { value * 2 } else { value };
+        let value = match is_long {
+            true => operand.long(),
+            false => parameters::from_word(&name, operand.word()),
+        };
         return Some(Entry::Write((name, 0), value));
     }
     match opcode {

@@ -25,7 +25,7 @@ fn range(name: &Name) -> RangeInclusive<i32> {
     match name {
         b"AC" | b"DE" | b"AM" | b"JA" | b"JL" | b"VE" | b"VC" | b"HA" | b"HL" | b"HV" => 1..=32_000,
         b"JS" => 0..=32_000,
-        b"EG" => 200..=51_200,
+        b"EG" => 1..=131_070,
         b"ZS" => 0..=10_000,
         b"ZA" => 1..=16,
         _ => i32::MIN..=i32::MAX,
@@ -34,7 +34,7 @@ fn range(name: &Name) -> RangeInclusive<i32> {
 
 impl Parameters {
     pub(super) fn new(settings: &MoonsSettings) -> Parameters {
-        let revolution = i32::from(settings.motor.steps);
+        let revolution = settings.motor.steps.clamp(1, 131_070) as i32;
         let mut now: BTreeMap<Key, i32> = [
             (*b"AC", 600),
             (*b"DE", 600),
@@ -90,6 +90,16 @@ impl Parameters {
     pub(super) fn restart(&mut self) {
         self.now = self.saved.clone();
     }
+}
+
+/// A value as 16 bits carry it: signed, but for the steps of a revolution, which are counted in pairs.
+pub(super) fn from_word(name: &Name, word: u16) -> i32 {
+    if name == b"EG" { 2 * i32::from(word) } else { i32::from(word as i16) }
+}
+
+/// The 16 bits of a value.
+pub(super) fn to_word(name: &Name, value: i32) -> u16 {
+    if name == b"EG" { (value / 2) as u16 } else { value as u16 }
 }
 
 /// The parameter with this index in table 3. CP is printed with the index of CI.

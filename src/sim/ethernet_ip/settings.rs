@@ -299,8 +299,8 @@ pub enum Idle {
 /// Motor, encoder, and what is wired.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MoonsMotorSettings {
-    /// Steps of a revolution as delivered (EG). Default 20 000.
-    pub steps: u16,
+    /// Steps of a revolution as delivered (EG), 1 ... 131 070. Default 20 000.
+    pub steps: u32,
     /// Encoder counts of a step; `None`: there is no encoder.
     pub encoder: Option<f64>,
     /// Where the motor stands at first, steps.

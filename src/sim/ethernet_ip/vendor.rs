@@ -57,8 +57,8 @@ impl Drive {
         match (opcode, operand) {
             (0x83, index) => {
                 let Some(name) = parameters::by_index(index & 0x7F) else { return unknown };
-                let value = i32::from(i16::from_be_bytes([data[0], data[1]]));
-                self.write((name, 0), if name == *b"EG" { value * 2 } else { value });
+                let word = u16::from_be_bytes([data[0], data[1]]);
+                self.write((name, 0), parameters::from_word(&name, word));
                 if index & 0x80 != 0 {
                     self.parameters.save_one((name, 0));
                 }
@@ -102,8 +102,7 @@ impl Drive {
     /// The value at an index of table 3.
     fn indexed(&self, index: u8) -> Option<u16> {
         if let Some(name) = parameters::by_index(index) {
-            let value = self.parameters.get(&name);
-            return Some(if name == *b"EG" { value / 2 } else { value } as u16);
+            return Some(parameters::to_word(&name, self.parameters.get(&name)));
         }
         let report = self.report();
         Some(match index {
@@ -121,8 +120,9 @@ impl Drive {
             0x8B => report.velocity as u16,
             0x8C => self.target_velocity() as u16,
             0x8D => report.extended,
-            0x8E => b'J'.into(),
-            0x90 | 0x92 => 0,
+            0x8E => self.letter.into(),
+            0x90 => self.sub_model.into(),
+            0x92 => 0,
             0x91 => u16::from(self.kind == Kind::StepServo),
             0x94 => (self.firmware.buffer - self.buffer.len().min(self.firmware.buffer)) as u16,
             0x95 => report.outputs,

@@ -335,7 +335,8 @@ impl Forward {
 fn a_drive_is_wired_as_the_plan_expects_it() {
     use crate::bus::ethernet_ip::plan::{EnableInput, Homing, HomingMethod};
     let mut drive = MoonsDrive::new("x", *DRIVE.ip());
-    drive.axis.units.counts_per_unit = -1_600.0;
+    drive.axis.units.counts_per_unit = -800.0;
+    drive.steps_per_revolution = 1_600.0;
     drive.enable_input = Some(EnableInput { number: 3, closed: false });
     drive.homing = Some(Homing {
         method: HomingMethod::Seek,
@@ -348,7 +349,7 @@ fn a_drive_is_wired_as_the_plan_expects_it() {
     let settings = MoonsSettings::of(&drive);
     assert_eq!((settings.address, settings.motor.steps), (DRIVE, 1_600));
     assert_eq!(settings.motor.enable, Some(Wired { input: 3, closed: false }));
-    let home = HomeSwitch { at: Wired { input: 2, closed: true }, range: (-8_000, -8_160) };
+    let home = HomeSwitch { at: Wired { input: 2, closed: true }, range: (-4_000, -4_160) };
     assert_eq!(settings.motor.home, Some(home));
     assert!(!settings.identity.has_outputs());
     let bus = MoonsDrives::of(&EthernetIpPlan::new(*MASTER.ip(), vec![drive]));

@@ -93,7 +93,7 @@ fn tcp_stays_while_another_connection_of_the_originator_lives() {
     bench.pass(200 * MS);
     assert_eq!((bench.sim.connections(), bench.sim.hangs_up(MASTER)), ((1, 1), false));
     // And ends with the last one.
-    bench.pass(10 * S);
+    bench.pass(32 * S);
     assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
 }
 
