@@ -157,9 +157,11 @@ mod tests {
         for piece in [0x0807_0605_0403_0201, 9] {
             assert!(kept.load(&posted(1, LOAD, piece)).is_some());
         }
-        let whole = |kept: &Kept, series, length| kept.whole(&posted(series, STORE, length)).map(<[u8]>::to_vec);
+        let whole =
+            |kept: &Kept, series, length| kept.whole(&posted(series, STORE, length)).map(<[u8]>::to_vec);
         assert_eq!(whole(&kept, 1, 9), Some((1..10).collect()));
-        for (series, length) in [(1, 0), (1, 8), (1, 17), (1, MOST as u64 + 1), (1, u64::MAX), (2, 9), (0, 9)] {
+        for (series, length) in [(1, 0), (1, 8), (1, 17), (1, MOST as u64 + 1), (1, u64::MAX), (2, 9), (0, 9)]
+        {
             assert_eq!(whole(&kept, series, length), None, "{series} {length}");
         }
         // There is room for so many and no more.
