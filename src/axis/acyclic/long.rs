@@ -99,8 +99,9 @@ impl Kept {
     /// What was handed over, of the length that the call says; `None`: it is not there.
     pub fn whole(&self, posted: &Posted) -> Option<&[u8]> {
         let length = usize::try_from(posted.call.value).ok()?;
-        let pieces = length.div_ceil(STEP) * STEP;
-        self.data.get(..length).filter(|_| self.is_of(posted) && length > 0 && pieces == self.size)
+        // Any value may be in a call: what is longer has no place.
+        let data = self.data.get(..length)?;
+        (self.is_of(posted) && length > 0 && length.next_multiple_of(STEP) == self.size).then_some(data)
     }
 
     /// The answer to a call for a part of it; `None`: there is no such part.
@@ -145,6 +146,28 @@ pub fn octets(bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_value_is_whole_if_all_of_it_was_handed_over_in_its_series() {
+        let posted = |series, service, value| {
+            let call = Call { service, address: 7, value };
+            Posted { series, call, ..Posted::default() }
+        };
+        let mut kept = Kept::default();
+        for piece in [0x0807_0605_0403_0201, 9] {
+            assert!(kept.load(&posted(1, LOAD, piece)).is_some());
+        }
+        let whole =
+            |kept: &Kept, series, length| kept.whole(&posted(series, STORE, length)).map(<[u8]>::to_vec);
+        assert_eq!(whole(&kept, 1, 9), Some((1..10).collect()));
+        for (series, length) in [(1, 0), (1, 8), (1, 17), (1, MOST as u64 + 1), (1, u64::MAX), (2, 9), (0, 9)]
+        {
+            assert_eq!(whole(&kept, series, length), None, "{series} {length}");
+        }
+        // There is room for so many and no more.
+        let loaded = (2..).take_while(|_| kept.load(&posted(1, LOAD, 0)).is_some()).count();
+        assert_eq!(2 + loaded, MOST / STEP);
+    }
 
     #[test]
     fn bytes_are_shown_as_what_they_are() {

@@ -169,6 +169,11 @@ impl SessionEnd {
         self.wishes.is_abandoned()
     }
 
+    /// Calls that command the drive are refused at present.
+    pub fn is_guarded(&self) -> bool {
+        self.flags.guarded.load(Ordering::SeqCst)
+    }
+
     /// Before a call that commands the drive is sent: false if it must not be.
     pub fn begin_commanding(&self) -> bool {
         self.flags.commanded.store(true, Ordering::SeqCst);

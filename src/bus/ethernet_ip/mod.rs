@@ -10,6 +10,7 @@
 //! | `notation` | how people write addresses and values of a drive |
 //! | `tools`, `scan` | `fieldbeat ethernet-ip` |
 //! | `target` | what an acyclic call does, as numbers |
+//! | `session` | the session of a drive on the link thread, and its acyclic calls |
 //! | `exchange` | what passes between session and loop |
 //!
 //! What follows is the reference of docs/ for its configuration.
@@ -20,18 +21,20 @@ mod bus_plan;
 mod check;
 #[cfg(feature = "config")]
 mod config;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
+#[allow(dead_code, reason = "the bus that uses it follows")]
 pub(crate) mod exchange;
 pub(crate) mod notation;
 pub(crate) mod plan;
 mod profile;
 #[cfg(feature = "cli")]
 mod scan;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
+#[allow(dead_code, reason = "the bus that uses it follows")]
+pub(crate) mod session;
+#[allow(dead_code, reason = "the bus that uses it follows")]
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;
-#[allow(dead_code, reason = "the session and the bus that use it follow")]
+#[allow(dead_code, reason = "the bus that uses it follows")]
 pub(crate) mod wire;
 
 use super::Protocol;
