@@ -19,6 +19,7 @@
 //! | `unidrive` | Unidrives beside LinMots, and their parameters |
 //! | `kollmorgen` | a line of Kollmorgens, and their objects |
 //! | `ethercat` | the scan of an EtherCAT line |
+//! | `ethernet_ip` | the scan of EtherNet/IP devices |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -29,6 +30,7 @@ mod churn;
 mod deaths;
 mod doctor;
 mod ethercat;
+mod ethernet_ip;
 #[path = "../support/fuse.rs"]
 mod fuse;
 mod kollmorgen;

@@ -405,9 +405,9 @@ impl MoonsDrive {
                 .to_owned();
         }
         let how = if watchdog.verify {
-            "which are read before it is enabled"
+            "and is enabled only if these were read (watchdog.verify)"
         } else {
-            "taken on trust (watchdog.verify = false)"
+            "taken on trust: no message of the manual reads them"
         };
         let held = match self.axis.load {
             Load::Vertical(HeldBy::Drive) => {

@@ -197,7 +197,7 @@ fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
             .time(
                 "within",
                 MS..=WATCHDOG_MAX_NS,
-                "the longest ZS that is accepted; the drive's own default is 500ms",
+                "what ZS of the drive is set to at most; 500ms as delivered",
             )
             .unwrap_or(default.within_ns),
         accept_none: default.accept_none,

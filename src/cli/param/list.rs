@@ -16,12 +16,13 @@ use super::{Drive, failed};
 pub struct List {
     #[command(flatten)]
     drive: Drive,
-    /// The menu of a Unidrive, 06, or of the module in one of its slots, 4.15. All its parameters are read.
+    /// The menu of a Unidrive, 06, or of the module in one of its slots, 4.15. All its parameters are read. For a
+    /// MOONS': parameters, registers or commands.
     menu: Option<String>,
     /// For a LinMot: list only parameters whose value in flash is not the default, with that value.
     #[arg(long)]
     modified: bool,
-    /// For a LinMot or a drive on EtherCAT: also read the current value of each.
+    /// For a LinMot, a MOONS' or a drive on EtherCAT: also read the current value of each.
     #[arg(long, conflicts_with = "modified")]
     values: bool,
     /// Begin with this parameter of a LinMot [default: 0x0000], or this object of a drive on EtherCAT [default:

@@ -27,7 +27,7 @@ fn a_drive_as_it_is_without_a_word_has_no_faults() {
 }
 
 #[test]
-fn the_bound_of_the_loop_and_one_slot_for_the_idle_packet_are_what_a_connection_has_to_outlive() {
+fn the_bound_of_the_loop_is_what_a_connection_has_to_outlive() {
     for (divisor, bucket, fresh_within_ns) in [(10, 5, None), (4, 1, Some(5 * MS + 1)), (1, 7, Some(30 * MS))]
     {
         let mut drive = drive();
@@ -38,9 +38,9 @@ fn the_bound_of_the_loop_and_one_slot_for_the_idle_packet_are_what_a_connection_
         let cycle = CyclePlan::default();
         let axes = bus.axes();
         let paced = Paced::of(&cycle, &bus, 0, axes[0]);
-        assert_eq!(expected, (bound(&paced, &[paced]) + u64::from(divisor)) * MS);
+        assert_eq!(expected, bound(&paced, &[paced]) * MS);
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
-        assert_eq!(expected, (stop_bound(&plan, 0) + u64::from(divisor)) * MS);
+        assert_eq!(expected, stop_bound(&plan, 0) * MS);
     }
 }
 
@@ -201,8 +201,8 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
         "a packet to it every 10 ms, times out after 160 ms; one from it every 10 ms (to this master only), times \
          out after 160 ms (timeout_multiplier = 16); the first one within 1 s",
         "two commands, and two velocities, are 40 ms apart at least",
-        "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), which are read \
-         before it is enabled; ZA must leave it enabled, 13 or 14, since only the drive holds its load",
+        "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), taken on \
+         trust: no message of the manual reads them; ZA must leave it enabled, 13 or 14, since only the drive holds its load",
     ] {
         assert!(says.contains(part), "{part}\n{says}");
     }

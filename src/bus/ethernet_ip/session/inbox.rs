@@ -6,11 +6,11 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::opening::Next;
 use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
 use crate::axis::acyclic::CallError;
-use crate::bus::ethernet_ip::exchange::{News, Outputs};
+use crate::bus::ethernet_ip::exchange::{Connection, News, Outputs};
 use crate::bus::ethernet_ip::plan::{Access, Delivery, IO_PORT, Version};
 use crate::bus::ethernet_ip::target;
 use crate::bus::ethernet_ip::wire::cip::{Reply, Status, service};
-use crate::bus::ethernet_ip::wire::connection::{ConnectionError, Opened};
+use crate::bus::ethernet_ip::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::bus::ethernet_ip::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
 use crate::bus::ethernet_ip::wire::message::{Answer, Immediate, ProfileCode};
 use crate::time::Time;
@@ -161,7 +161,7 @@ impl Session {
                 Ok(opened) => self.opened(now, open, outputs, &opened, addresses),
                 Err(ConnectionError::Refused(status)) => self.opening_refused(now, &status),
                 Err(why) => {
-                    self.bury(open);
+                    self.close_later(open);
                     self.pause(now, 0, |pause_ns| words::unusable(&why, pause_ns));
                 }
             },
@@ -171,12 +171,12 @@ impl Session {
                     self.calls.end(Err(CallError::Refused(target::refusal(status))));
                 }
                 Opening::Useless(_) => {
-                    self.bury(open);
+                    self.close_later(open);
                     self.calls.end(Err(CallError::Refused(target::BROKEN)));
                 }
             },
             // Closed, or not there: nothing is left of it.
-            What::Close => self.forget(),
+            What::Close => self.end_close(),
             What::Call => self.calls.answer(&self.end, &reply),
         }
         Ok(())
@@ -191,8 +191,8 @@ impl Session {
             What::Profile | What::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
             What::Homed(_) => reply.service == service::VENDOR,
             What::Open(open, _) | What::OpenConnected(open) => opens(open),
-            What::Close => self.dead.front().is_some_and(|open| {
-                let closed = crate::bus::ethernet_ip::wire::connection::closed(reply, open.triad);
+            What::Close => self.to_close.front().is_some_and(|open| {
+                let closed = connection::closed(reply, open.triad);
                 closed != Err(ConnectionError::Other)
             }),
             What::Call => self.calls.fits(reply),
@@ -207,7 +207,7 @@ impl Session {
         if self.drive.version.is_some() || self.life != Life::Serving {
             self.phase = Phase::Up;
         } else {
-            self.ask_profile(now, out);
+            self.request_profile(now, out);
         }
     }
 
@@ -230,7 +230,7 @@ impl Session {
         let group = match self.join(addresses.incoming) {
             Ok(group) => group,
             Err(why) => {
-                self.bury(open);
+                self.close_later(open);
                 return self.pause(now, 0, |_| words::no_group(&why));
             }
         };
@@ -294,6 +294,32 @@ impl Session {
             }
             Err(ConnectionError::Refused(status)) => Opening::Refused(status),
             Err(why) => Opening::Useless(why),
+        }
+    }
+
+    /// What the loop gets of a connection that was opened.
+    fn connection(
+        &self,
+        opened: &Opened,
+        outputs: Outputs,
+        version: Version,
+        destination: SocketAddrV4,
+        generation: u32,
+    ) -> Connection {
+        let incoming_api_ns = u64::from(opened.incoming_api_us) * 1_000;
+        let factor = timeout_factor(self.drive.multiplier(self.period_ns));
+        Connection {
+            generation,
+            outgoing: opened.outgoing_id,
+            incoming: opened.incoming_id,
+            destination,
+            source: *self.drive.address.ip(),
+            outgoing_api_ns: u64::from(opened.outgoing_api_us) * 1_000,
+            incoming_api_ns,
+            timeout_ns: incoming_api_ns * u64::from(factor),
+            outputs,
+            version,
+            layout: self.drive.layout,
         }
     }
 }

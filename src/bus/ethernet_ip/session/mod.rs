@@ -4,6 +4,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the state of the session, and the next request |
+//! | `requests` | what is sent |
 //! | `inbox` | what arrives: matched to the request under way, or counted and dropped |
 //! | `opening` | the form in which a connection is requested |
 //! | `calls` | the acyclic calls |
@@ -16,18 +17,17 @@
 mod calls;
 mod inbox;
 mod opening;
+mod requests;
 mod words;
 
 use std::collections::VecDeque;
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::SocketAddrV4;
 use std::sync::Arc;
 
-use super::exchange::{self, Facts, News, Outputs, SessionEnd, Wish};
-use super::plan::{Access, Delivery, EthernetIpPlan, Explicit, IO_PORT, MoonsDrive, Originator, Version};
-use super::wire::cip::{self, Configuration, Segment, class, service};
-use super::wire::connection::{Direction, ForwardOpen, Route, Target, Triad, forward_close, incoming_size};
-use super::wire::message::{self, Immediate};
-use super::wire::{encapsulation, io};
+use super::exchange::{Facts, News, Outputs, SessionEnd, Wish};
+use super::plan::{Access, EthernetIpPlan, Explicit, MoonsDrive, Originator, Version};
+use super::wire::connection::{Target, Triad, forward_close};
+use super::wire::encapsulation;
 use crate::axis::acyclic::{CallError, Port};
 use crate::net::{Groups, Handshake, HandshakeState, LinkNotes};
 use crate::time::{MS, S, Time};
@@ -45,23 +45,12 @@ const LOOK_NS: u64 = 50 * MS;
 const IDLE_NS: u64 = 30 * S;
 /// The same of a class 3 connection: it times out after 32 intervals of 1 s.
 const CONNECTED_IDLE_NS: u64 = 10 * S;
-const CONNECTED_RPI_US: u32 = 1_000_000;
-/// 32 intervals.
-const CONNECTED_MULTIPLIER: u8 = 3;
-/// The largest message on a class 3 connection, with its sequence number: every device has it.
-const CONNECTED_SIZE: u16 = 500;
 /// The pause before a connection that has timed out or was refused is opened anew; it doubles with each refusal ...
 const LEAST_PAUSE_NS: u64 = S;
 /// ... up to this.
 const MOST_PAUSE_NS: u64 = 16 * S;
 /// So many connections that may still be open in the drive are remembered, to be closed.
-const MOST_DEAD: usize = 4;
-
-/// Where the identity is.
-const IDENTITY: [Segment<'static>; 2] = [Segment::Class(class::IDENTITY), Segment::Instance(1)];
-/// The vendor: a request that every device answers.
-const VENDOR_ID: [Segment<'static>; 3] =
-    [Segment::Class(class::IDENTITY), Segment::Instance(1), Segment::Attribute(1)];
+const MOST_TO_CLOSE: usize = 4;
 
 /// How far the session on the present TCP connection is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,7 +182,7 @@ pub(crate) struct Session {
     pause_ns: u64,
     connected: Connected,
     /// May still be open in the drive.
-    dead: VecDeque<Open>,
+    to_close: VecDeque<Open>,
     /// The last connection serial number; `None`: there was none yet.
     serial: Option<u16>,
     generation: u32,
@@ -242,7 +231,7 @@ impl Session {
             form: Form::new(&drive),
             pause_ns: LEAST_PAUSE_NS,
             connected: Connected::Closed,
-            dead: VecDeque::new(),
+            to_close: VecDeque::new(),
             serial: None,
             generation: 0,
             news: VecDeque::new(),
@@ -311,7 +300,7 @@ impl Session {
         if *generation != timed_out || self.life != Life::Serving {
             return;
         }
-        self.bury(*opened);
+        self.close_later(*opened);
         self.io = Io::Closed { from: now + LEAST_PAUSE_NS };
         self.facts_due = true;
         self.note(Some("the drive's packets have ended: the connection is opened anew".into()));
@@ -319,17 +308,17 @@ impl Session {
     }
 
     /// Remembers a connection that may still be open in the drive.
-    fn bury(&mut self, open: Open) {
-        if self.dead.len() == MOST_DEAD {
+    fn close_later(&mut self, open: Open) {
+        if self.to_close.len() == MOST_TO_CLOSE {
             // Not the first one: its close may be under way.
-            self.dead.remove(1);
+            self.to_close.remove(1);
         }
-        self.dead.push_back(open);
+        self.to_close.push_back(open);
     }
 
     /// The first of them is closed, as far as can be known. At the orderly end it was the loop's.
-    fn forget(&mut self) {
-        self.dead.pop_front();
+    fn end_close(&mut self) {
+        self.to_close.pop_front();
         self.tell_end();
     }
 
@@ -345,7 +334,7 @@ impl Session {
         self.disconnect();
         let generation = match std::mem::replace(&mut self.io, Io::Closed { from: Time(0) }) {
             Io::Open { generation, opened, .. } => {
-                self.dead.push_front(opened);
+                self.to_close.push_front(opened);
                 generation
             }
             Io::Closed { .. } | Io::Opening => 0,
@@ -369,10 +358,10 @@ impl Session {
     fn drop_pending(&mut self) {
         match self.pending.take().map(|pending| pending.what) {
             Some(What::Open(open, _)) => {
-                self.bury(open);
+                self.close_later(open);
                 self.io = Io::Closed { from: Time(0) };
             }
-            Some(What::OpenConnected(open)) => self.bury(open),
+            Some(What::OpenConnected(open)) => self.close_later(open),
             _ => {}
         }
     }
@@ -380,7 +369,7 @@ impl Session {
     /// The class 3 connection is not used any more.
     fn disconnect(&mut self) {
         if let Connected::Open { opened, .. } = self.connected {
-            self.bury(opened);
+            self.close_later(opened);
             self.connected = Connected::Closed;
         }
     }
@@ -402,8 +391,8 @@ impl Session {
 
     /// The next request, or something that needs none; false if there is nothing to do now.
     fn step(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
-        if let Some(open) = self.dead.front().copied() {
-            self.ask(now, out, What::Close, |message| forward_close(message, open.triad, &open.target));
+        if let Some(open) = self.to_close.front().copied() {
+            self.request(now, out, What::Close, |message| forward_close(message, open.triad, &open.target));
             return true;
         }
         match self.life {
@@ -438,149 +427,10 @@ impl Session {
         self.keep_alive(now, out)
     }
 
-    /// Sends a request of the session's own, whose message `fill` appends.
-    fn ask(&mut self, now: Time, out: &mut Vec<u8>, what: What, fill: impl FnOnce(&mut Vec<u8>)) {
-        let mut message = Vec::new();
-        fill(&mut message);
-        self.send(now, out, what, now + ANSWER_NS, &message, None);
-    }
-
-    /// Sends an unconnected message.
-    fn send(
-        &mut self,
-        now: Time,
-        out: &mut Vec<u8>,
-        what: What,
-        until: Time,
-        message: &[u8],
-        incoming: Option<SocketAddrV4>,
-    ) {
-        let context = self.next_context();
-        encapsulation::send_rr_data(out, self.handle, context, message, incoming);
-        self.last_sent = now;
-        self.pending = Some(Pending { what, way: Way::Unconnected { context }, sent: now, until });
-    }
-
-    /// Sends a message on the class 3 connection; false if there is none.
-    fn send_connected(
-        &mut self,
-        now: Time,
-        out: &mut Vec<u8>,
-        what: What,
-        until: Time,
-        message: Vec<u8>,
-    ) -> bool {
-        let Connected::Open { outgoing, sequence, used, .. } = &mut self.connected else { return false };
-        // Some adapters do not answer number 0.
-        *sequence = sequence.checked_add(1).unwrap_or(1);
-        *used = now;
-        encapsulation::send_unit_data(out, self.handle, *outgoing, *sequence, &message);
-        let way = Way::Connected { sequence: *sequence, repeat: Some(message) };
-        self.last_sent = now;
-        self.pending = Some(Pending { what, way, sent: now, until });
-        true
-    }
-
-    /// Never used twice: an answer that comes late, after its request was given up, answers nothing.
-    fn next_context(&mut self) -> u64 {
-        self.context = self.context.wrapping_add(1);
-        self.context
-    }
-
-    fn probe(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.ask(now, out, What::Probe, |message| {
-            cip::request(message, service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]);
-        });
-    }
-
-    fn identify(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.ask(now, out, What::Identity, |message| {
-            cip::request(message, service::GET_ATTRIBUTES_ALL, &IDENTITY, &[]);
-        });
-    }
-
-    fn ask_profile(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.ask(now, out, What::Profile, |message| {
-            cip::request(message, service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]);
-        });
-    }
-
-    /// Reads what the loop has to know of the drive.
-    fn read_facts(&mut self, now: Time, out: &mut Vec<u8>) {
-        match self.drive.homed_register {
-            Some(register) => self.ask(now, out, What::Homed(register), |out| {
-                let payload = Immediate::ReadRegister(register).encode();
-                cip::request(out, service::VENDOR, &message::PATH, &payload);
-            }),
-            None => self.facts(None),
-        }
-    }
-
     /// ZS and ZA are in no table of what explicit messages, registers or attributes read: they stay unknown.
     fn facts(&mut self, homed: Option<bool>) {
         self.facts_due = false;
         self.tell(News::Read(Facts { homed, ..Facts::default() }));
-    }
-
-    /// Another connection serial number. The first one is taken from the clock: a drive that still has the connections
-    /// of a master that has crashed sees that they are others.
-    fn next_serial(&mut self, now: Time) -> u16 {
-        let serial = self.serial.map_or((now.0 / MS) as u16, |serial| serial.wrapping_add(1));
-        self.serial = Some(serial);
-        serial
-    }
-
-    fn triad(&mut self, now: Time) -> Triad {
-        let Originator { vendor, serial: originator } = self.originator;
-        Triad { serial: self.next_serial(now), vendor, originator }
-    }
-
-    /// The id of a connection's packets from the drive: unique among all drives of the bus.
-    fn incoming_id(&self, triad: Triad) -> u32 {
-        u32::from(self.index) << 16 | u32::from(triad.serial)
-    }
-
-    /// Opens the class 1 connection.
-    fn open(&mut self, now: Time, out: &mut Vec<u8>, version: Version) {
-        let access = self.access(version);
-        let triad = self.triad(now);
-        let us = |ns: u64| u32::try_from(ns / 1_000).unwrap_or(u32::MAX);
-        let (route, incoming_id) = match self.drive.delivery {
-            Delivery::PointToPoint => (Route::PointToPoint, self.incoming_id(triad)),
-            // The drive chooses.
-            Delivery::Multicast => (Route::Multicast, 0),
-        };
-        let (outputs, size) = match access {
-            Access::Owner => (Outputs::Owned, io::OWNER_SIZE),
-            Access::InputOnly | Access::ListenOnly => {
-                let size = self.form.heartbeat();
-                (Outputs::Heartbeat(size), size.into())
-            }
-        };
-        let request = ForwardOpen {
-            outgoing_id: 0,
-            incoming_id,
-            triad,
-            multiplier: self.drive.multiplier(self.period_ns),
-            outgoing: Direction::cyclic(us(self.drive.rpi_ns(self.period_ns)), size, Route::PointToPoint),
-            incoming: Direction::cyclic(
-                us(self.drive.input_rpi_ns(self.period_ns)),
-                incoming_size(version),
-                route,
-            ),
-            key: None,
-            target: Target::assemblies(access, version, self.form.configuration()),
-            large: self.form.is_large(),
-        };
-        let mut message = Vec::new();
-        request.emit(&mut message);
-        let target = Target::assemblies(access, version, Configuration::NONE);
-        let elsewhere = route == Route::PointToPoint && self.bind.port() != IO_PORT;
-        // The drive takes the port only.
-        let incoming = elsewhere.then(|| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, self.bind.port()));
-        self.io = Io::Opening;
-        let what = What::Open(Open { triad, target }, outputs);
-        self.send(now, out, what, now + ANSWER_NS, &message, incoming);
     }
 
     /// After a refusal, in words that get the pause.
@@ -589,25 +439,6 @@ impl Session {
         self.pause_ns = (2 * self.pause_ns).min(MOST_PAUSE_NS);
         self.io = Io::Closed { from: now + pause_ns };
         self.note(Some(words(pause_ns)));
-    }
-
-    /// Opens the class 3 connection.
-    fn connect(&mut self, now: Time, out: &mut Vec<u8>) {
-        let triad = self.triad(now);
-        let direction = Direction::explicit(CONNECTED_RPI_US, CONNECTED_SIZE);
-        let request = ForwardOpen {
-            outgoing_id: 0,
-            incoming_id: self.incoming_id(triad),
-            triad,
-            multiplier: CONNECTED_MULTIPLIER,
-            outgoing: direction,
-            incoming: direction,
-            key: None,
-            target: Target::Messages,
-            large: false,
-        };
-        let what = What::OpenConnected(Open { triad, target: Target::Messages });
-        self.ask(now, out, what, |message| request.emit(message));
     }
 
     /// Sends the next call, or opens the connection for it.
@@ -635,9 +466,7 @@ impl Session {
         if let Connected::Open { used, .. } = self.connected
             && now.since(used) >= CONNECTED_IDLE_NS
         {
-            let mut message = Vec::new();
-            cip::request(&mut message, service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]);
-            return self.send_connected(now, out, What::Probe, now + 2 * ANSWER_NS, message);
+            return self.probe_connected(now, out);
         }
         if now.since(self.last_sent) >= IDLE_NS {
             self.probe(now, out);
@@ -674,18 +503,18 @@ impl Session {
             What::Homed(_) => return silent("a request for a register"),
             What::Probe if !connected => return silent("a request that every device answers"),
             What::Close => {
-                self.forget();
+                self.end_close();
                 if self.life == Life::Serving {
                     return silent("the closing of a connection");
                 }
             }
             // It may be open all the same.
             What::Open(open, _) => {
-                self.bury(open);
+                self.close_later(open);
                 self.pause(now, 0, |_| words::unanswered(waited_ns));
             }
             What::OpenConnected(open) => {
-                self.bury(open);
+                self.close_later(open);
                 self.calls.silent();
             }
             What::Call => {
@@ -708,7 +537,7 @@ impl Handshake for Session {
         self.pending = None;
         self.handle = 0;
         if let Life::Ending { .. } = self.life
-            && self.dead.is_empty()
+            && self.to_close.is_empty()
         {
             self.tell_end();
             self.life = Life::Ended;
@@ -761,34 +590,6 @@ impl Handshake for Session {
         self.phase = Phase::Absent;
         self.calls.refuse_all(CallError::NotOnline);
         self.tell_end();
-    }
-}
-
-impl Session {
-    /// What the loop gets of a connection that was opened.
-    fn connection(
-        &self,
-        opened: &super::wire::connection::Opened,
-        outputs: Outputs,
-        version: Version,
-        destination: SocketAddrV4,
-        generation: u32,
-    ) -> exchange::Connection {
-        let incoming_api_ns = u64::from(opened.incoming_api_us) * 1_000;
-        let factor = super::wire::connection::timeout_factor(self.drive.multiplier(self.period_ns));
-        exchange::Connection {
-            generation,
-            outgoing: opened.outgoing_id,
-            incoming: opened.incoming_id,
-            destination,
-            source: *self.drive.address.ip(),
-            outgoing_api_ns: u64::from(opened.outgoing_api_us) * 1_000,
-            incoming_api_ns,
-            timeout_ns: incoming_api_ns * u64::from(factor),
-            outputs,
-            version,
-            layout: self.drive.layout,
-        }
     }
 }
 

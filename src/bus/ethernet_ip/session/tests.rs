@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::*;
 use crate::axis::acyclic::{Acyclic, both_of};
 use crate::bus::ethernet_ip::exchange::{Connection, LoopEnd, both};
-use crate::bus::ethernet_ip::plan::Layout;
+use crate::bus::ethernet_ip::plan::{Delivery, Layout};
 use crate::bus::ethernet_ip::target;
 
 mod acyclic;

@@ -114,7 +114,7 @@ proptest! {
                 bench.state = bench.session.begin(bench.now, &mut bench.out);
             }
             prop_assert!(bench.session.inbox.len() < FRAME_MAX);
-            prop_assert!(bench.session.dead.len() <= MOST_DEAD + 1);
+            prop_assert!(bench.session.to_close.len() <= MOST_TO_CLOSE + 1);
             bench.out.clear();
             for news in bench.news() {
                 match news {

@@ -396,6 +396,22 @@ fn a_message_that_answers_another_request_is_counted_and_dropped() {
 }
 
 #[test]
+fn messages_that_arrive_together_are_taken_one_after_the_other() {
+    let mut bench = Bench::of_drive(|_| ());
+    bench.register(SECOND);
+    bench.request(OPEN);
+    let context = bench.context;
+    let nothing = framed(0, 0, 0, &[]);
+    let together =
+        [nothing.clone(), rr(context - 1, SECOND), rr(context, OPENED), rr(context, OPENED), nothing]
+            .concat();
+    bench.state = bench.session.take(bench.now, &together, &mut bench.out);
+    assert_eq!(bench.news(), [READ_NOTHING, News::Opened(connection())]);
+    assert_eq!((bench.state.clone(), bench.session.unmatched), (HandshakeState::Kept, 2));
+    assert!(bench.session.inbox.is_empty());
+}
+
+#[test]
 fn a_refused_session_and_bytes_of_something_else_end_the_connection() {
     let mut bench = Bench::of_drive(|_| ());
     bench.state = bench.session.begin(bench.now, &mut bench.out);
