@@ -46,7 +46,7 @@ pub use plan::{
     Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
     MoonsDrive, Originator, PORT, Version, Watchdog,
 };
-pub use wire::assembly::{Condition, Inputs, IoCode, Letters, NoIoCode, Outputs};
+pub use wire::assembly::{Condition, Inputs, IoCode, Letters, NoIoCode, Outputs, command, status};
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "ethernet-ip";

@@ -38,7 +38,7 @@ pub struct Demo {
     /// Length of the whole demo, the wait for the drives included; without it, 10 s from then on.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// How many LinMot drives, next to two Unidrives, two Kollmorgens and a coupler with terminals.
+    /// How many LinMot drives, next to two Unidrives, Kollmorgens and MOONS' each, and a coupler with terminals.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
     /// The period of the cycle; without it, the shortest of 1, 2, 4, 8 and 16 ms that this host carries now.
@@ -67,13 +67,14 @@ impl Demo {
         let master = start(output.setup(plan), &interrupt)?;
         let output = output.serve(&master)?;
 
-        let (movers, turners) = names(master.plan());
-        let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
+        let [streamers, movers, turners] = names(master.plan());
+        let axes = streamers.iter().chain(&movers).chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
         let light = Light::of(&master, Duration::from_secs_f64(SWING_S)).map_err(Stop::failed)?;
         let handler = Handler::new(&master, &interrupt);
         let end = begun + self.duration.unwrap_or(PATIENCE);
-        let mut show = Show { master, axes, movers: movers.len(), end, handler, light };
+        let (streamers, movers) = (streamers.len(), streamers.len() + movers.len());
+        let mut show = Show { master, axes, streamers, movers, end, handler, light };
         let result = show.wait_online().and_then(|()| {
             if self.duration.is_none() {
                 show.end = Instant::now() + SHOW;
@@ -188,17 +189,20 @@ fn percent(share: f64) -> String {
     format!("{:.0} %", share * 100.0)
 }
 
-/// The names of the axes that take positions, and of those that take velocities only.
-fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
-    let of = |moves: bool| {
-        let buses = plan.buses.iter();
-        let axes = buses.flat_map(|bus| {
-            let axes = bus.axes().into_iter().enumerate();
-            axes.filter(move |(index, _)| {
-                bus.capabilities(*index, plan.cycle.period_ns).lacks.moves.is_none() == moves
-            })
-        });
-        axes.map(|(_, axis)| axis.name.clone()).collect()
-    };
-    (of(true), of(false))
+/// The names of the axes that follow streams, of those that only make moves, and of those that take velocities only.
+fn names(plan: &Plan) -> [Vec<String>; 3] {
+    let mut names = [const { Vec::new() }; 3];
+    for bus in &plan.buses {
+        for (index, axis) in bus.axes().into_iter().enumerate() {
+            let lacks = bus.capabilities(index, plan.cycle.period_ns).lacks;
+            let group = match (lacks.moves, lacks.rows) {
+                (Some(_), _) => 2,
+                // In a long period LinMots take none either.
+                (None, Some(_)) if plan.cycle.period_ns <= DEMO_STREAMS_UP_TO_NS => 1,
+                (None, _) => 0,
+            };
+            names[group].push(axis.name.clone());
+        }
+    }
+    names
 }

@@ -1,5 +1,6 @@
 //! What the demo's axes do: those that take positions are homed, follow a travelling wave as streamed setpoints and
-//! make one profile move each, the others turn there and back meanwhile; then all of them stop and are powered off.
+//! make one profile move each. Those that take no streams make moves there and back meanwhile, and those that take
+//! velocities only turn there and back. Then all of them stop and are powered off.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -37,7 +38,9 @@ const RAMP: Duration = Duration::from_millis(250);
 pub struct Show {
     pub master: Master,
     pub axes: Vec<Axis>,
-    /// So many of them, the first ones, take positions; the others velocities only.
+    /// So many of them, the first ones, follow streams.
+    pub streamers: usize,
+    /// So many, those included, take positions; the others velocities only.
     pub movers: usize,
     /// All that is shown has ended by then.
     pub end: Instant,
@@ -159,12 +162,12 @@ impl Show {
             return self.swing();
         }
         let period_s = period_ns as f64 / S as f64;
-        let movers = self.axes[..self.movers].iter().enumerate();
+        let streamers = self.axes[..self.streamers].iter().enumerate();
         let mut waves: Vec<Wave> =
-            movers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
+            streamers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
         let mut ids = Vec::new();
-        let mut ended = vec![None; self.movers];
-        let mut turning = Turning::default();
+        let mut ended = vec![None; self.streamers];
+        let (mut turning, mut moving) = (Turning::default(), Moving::default());
         while waves.iter().any(|wave| wave.next < wave.rows) {
             let left_s = self.left().as_secs_f64();
             for (axis, wave) in self.axes.iter_mut().zip(&mut waves) {
@@ -175,13 +178,15 @@ impl Show {
                     axis.push_row(row)?;
                 }
             }
-            let (movers, turners) = self.axes.split_at_mut(self.movers);
+            let (streamers, others) = self.axes.split_at_mut(self.streamers);
+            let (movers, turners) = others.split_at_mut(self.movers - self.streamers);
             if ids.is_empty() {
-                ids = movers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
+                ids = streamers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
                 self.light.iter_mut().for_each(Light::begin);
             }
             turning.go_on(turners)?;
-            for ((axis, id), ended) in movers.iter_mut().zip(&ids).zip(&mut ended) {
+            moving.go_on(movers)?;
+            for ((axis, id), ended) in streamers.iter_mut().zip(&ids).zip(&mut ended) {
                 while let Some(event) = axis.event() {
                     match event.kind {
                         EventKind::Ended { id: of, outcome, .. } if of == *id => *ended = Some(outcome),
@@ -222,6 +227,45 @@ impl Show {
             for end in [Swing::high, Swing::low] {
                 turning.go_on(&mut self.axes[self.movers..])?;
                 self.together("moves", &(0..self.movers), |axis| to(end(Swing::of(axis)), axis))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Moves there and back, for axes that take positions and no streams.
+#[derive(Debug, Default)]
+struct Moving {
+    /// The move of each that is under way, and whether it is the one to the high end.
+    under_way: Vec<(CommandId, bool)>,
+}
+
+impl Moving {
+    /// The next move of each axis whose last one has ended.
+    fn go_on(&mut self, axes: &mut [Axis]) -> Result<(), AxisError> {
+        if self.under_way.is_empty() {
+            let first = |axis: &mut Axis| Ok((axis.post(to(Swing::of(axis).high(), axis))?, true));
+            self.under_way = axes.iter_mut().map(first).collect::<Result<_, AxisError>>()?;
+        }
+        for (axis, (id, is_high)) in axes.iter_mut().zip(&mut self.under_way) {
+            let mut end = None;
+            while let Some(event) = axis.event() {
+                match event.kind {
+                    EventKind::Ended { id: of, outcome, .. } if of == *id => end = Some(outcome),
+                    _ => {}
+                }
+            }
+            // A stopped axis ends the show; how its command ended says why.
+            if let Some(outcome) = end
+                && outcome != Outcome::Done
+            {
+                let axis = axis.name().to_owned();
+                return Err(AxisError::Ended { axis, command: "moves", outcome, fault: None });
+            }
+            if end.is_some() {
+                *is_high = !*is_high;
+                let swing = Swing::of(axis);
+                *id = axis.post(to(if *is_high { swing.high() } else { swing.low() }, axis))?;
             }
         }
         Ok(())

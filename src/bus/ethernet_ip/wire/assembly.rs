@@ -282,9 +282,6 @@ const fn alarm(name: &'static str, fault: bool) -> Alarm {
     Alarm { name, fault }
 }
 
-/// A move was commanded while the motor had no current.
-pub const ALARM_NO_MOVE: u32 = 0x1000;
-
 /// The alarms, that of the lowest bit first. 0x2000 and 0x8000 are of the step-servos only.
 pub const ALARMS: [Alarm; 16] = [
     alarm("position limit", true),
