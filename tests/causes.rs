@@ -55,6 +55,8 @@ const TRIES: usize = 3;
 
 /// The row whose thread of samples is held up.
 const UNWATCHED: &str = "unwatched";
+/// The rows whose work is so short that the run time of quiet cycles varies as much on many a host.
+const SHORT: [&str; 2] = ["short work", "after quiet"];
 
 fn class(cause: Cause) -> usize {
     match cause {
@@ -445,8 +447,8 @@ fn what_is_found_is_what_was_done() {
         ("preempted", 0, ROUNDS, preempted),
         ("page fault", 1, ROUNDS, page_fault),
         ("work", 2, ROUNDS, work),
-        ("short work", 2, ROUNDS, short_work),
-        ("after quiet", 2, ROUNDS / 2, work_after_quiet),
+        (SHORT[0], 2, ROUNDS, short_work),
+        (SHORT[1], 2, ROUNDS / 2, work_after_quiet),
         (UNWATCHED, 2, ROUNDS / 2, unwatched_work),
         ("host", 3, 2 * ROUNDS, host),
         ("timer", 4, ROUNDS, timer),
@@ -472,13 +474,14 @@ fn what_is_found_is_what_was_done() {
             println!("{:>12} not judged: the host did too much by itself", "");
         } else if *name != UNWATCHED {
             right += found.row[*class];
-            wrong += found.wrong(*class, None);
+            wrong += found.wrong(*class, SHORT.contains(name).then_some(OTHER));
         }
     }
     println!("{right} on the diagonal, {wrong} wrong, {UNWATCHED} left out");
     for (name, class, _, found) in rows.iter().filter(|(_, _, quiet, _)| *quiet) {
-        // Without samples close to it, it may say that it does not know, but nothing wrong.
-        let expected_silence = (*name == UNWATCHED).then_some(OTHER);
+        // Without samples close to it, or with nothing that stands out, it may say that it does not know, but nothing
+        // wrong.
+        let expected_silence = (*name == UNWATCHED || SHORT.contains(name)).then_some(OTHER);
         let (right, wrong) = (found.row[*class], found.wrong(*class, expected_silence));
         let right = right + expected_silence.map_or(0, |class| found.row[class]);
         assert!(right >= ROUNDS / 4, "{name}: only {right} were found");

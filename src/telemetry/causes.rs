@@ -13,7 +13,7 @@
 //! | a sleep ended late, and the thread ran as soon as it was woken | its timer came late |
 //! | a drive that is online had not answered at the deadline, and the loop itself was in time | the drive, or several |
 //! | no sample around it, but page faults or involuntary switches since the look before | page fault, or preempted |
-//! | the samples around it are too far apart to assign their delays; or its record was lost | unknown |
+//! | the samples around it are too far apart to assign their delays, or the run time of quiet cycles varies by as much; or its record was lost | unknown |
 //!
 //! A bound of half, because the delay and what explains it are never measured between the same two instants.
 //!
@@ -92,6 +92,9 @@ const SLOWLY: f64 = 0.05;
 /// Up to so many times as long as usual a stage is only busy.
 const USUAL: f64 = 4.0;
 
+/// So many times the mean deviation of a quiet span a run time may be off by itself.
+const DOUBT: f64 = 3.0;
+
 /// In a longer span than this one delay cannot be separated from another.
 const LONGEST_SPAN_NS: u64 = 50 * MS;
 
@@ -126,6 +129,8 @@ pub struct Causes {
     /// What a cycle usually runs, waits for the core, and takes in each of its stages, ns.
     usual_ns: f64,
     usual_delay_ns: f64,
+    /// By how much the run time of a quiet cycle differs from that, as the mean of spans, ns.
+    deviation_ns: f64,
     usual_stage_ns: [f64; 6],
     /// There is an in-loop task.
     task: bool,
@@ -142,6 +147,8 @@ struct Span {
     delay_ns: u64,
     /// Ran beyond the usual, ns.
     run_ns: u64,
+    /// So much of that may be missing, since cycles do not all run equally long, ns.
+    doubt_ns: u64,
     /// The newest counts at its begin.
     counts: ThreadCounts,
     /// By how much the steal time was found risen at its end, ms.
@@ -181,6 +188,7 @@ impl Causes {
             late: false,
             usual_ns: 0.0,
             usual_delay_ns: 0.0,
+            deviation_ns: 0.0,
             last: CycleRecord::default(),
             usual_stage_ns: [0.0; 6],
             task,
@@ -300,6 +308,10 @@ impl Causes {
             let cycles = self.cycles as f64;
             let usual = [self.usual_ns, self.usual_delay_ns].map(|each_ns| (each_ns * cycles) as u64);
             if !self.late && self.cycles > 0 {
+                if self.usual_ns != 0.0 {
+                    let differs_ns = (ran_ns as f64 / cycles - self.usual_ns).abs();
+                    self.deviation_ns += SLOWLY * (differs_ns - self.deviation_ns);
+                }
                 for (usual, ns) in [(&mut self.usual_ns, ran_ns), (&mut self.usual_delay_ns, delay_ns)] {
                     // The first undisturbed span sets it.
                     let weight = if *usual == 0.0 { 1.0 } else { SLOWLY };
@@ -314,6 +326,7 @@ impl Causes {
                 to: sample.at,
                 delay_ns: delay_ns.saturating_sub(usual[1]),
                 run_ns: ran_ns.saturating_sub(usual[0]),
+                doubt_ns: (DOUBT * self.deviation_ns * cycles) as u64,
                 counts: before.counts,
                 steal_ms: sample.counts.steal_ms.saturating_sub(before.counts.steal_ms),
             });
@@ -409,14 +422,21 @@ impl Causes {
         if usual || calls && self.explains(late, |span| &mut span.run_ns) {
             return Some(Cause::Work(stage));
         }
-        // Over many cycles what is usual is not known so well.
-        Some(if calls && self.longest_span_ns(late) > LONGEST_SPAN_NS { Cause::Unknown } else { Cause::Host })
+        // Over many cycles what is usual is not known so well, nor on a host whose cores change their speed.
+        let is_open = calls && (self.longest_span_ns(late) > LONGEST_SPAN_NS || self.is_in_doubt(late));
+        Some(if is_open { Cause::Unknown } else { Cause::Host })
     }
 
     /// Whether a run delay was counted around `late` that may as well be another one's.
     fn is_blurred(&self, late: &Late) -> bool {
         let delay_ns: u64 = self.spans.range(self.around(late)).map(|span| span.delay_ns).sum();
         self.longest_span_ns(late) > LONGEST_SPAN_NS && delay_ns >= late.lateness.ns() / 2
+    }
+
+    /// Whether the thread may have run for at least half of the delay, by how much quiet spans differ.
+    fn is_in_doubt(&self, late: &Late) -> bool {
+        let most_ns = |span: &Span| span.run_ns + span.doubt_ns;
+        self.spans.range(self.around(late)).map(most_ns).sum::<u64>() >= late.lateness.ns() / 2
     }
 
     fn longest_span_ns(&self, late: &Late) -> u64 {

@@ -227,6 +227,22 @@ fn a_stage_that_is_always_long_is_work_and_one_that_never_is_is_not() {
 }
 
 #[test]
+fn a_run_time_that_always_varies_as_much_shows_no_host() {
+    for (varies_us, cause) in [(0, Cause::Host), (1, Cause::Host), (100, Cause::Unknown)] {
+        let mut one = Loop::new();
+        for span in 0..100 {
+            (0..5).for_each(|_| one.enter(one.cycle(), 0));
+            one.tick(span % 2 * varies_us * US, 0, 0, 0);
+        }
+        // The task took long, and as far as the kernel counts the thread did not run for it.
+        one.enter(took(&one, Stage::Commands, 250), 0);
+        (0..4).for_each(|_| one.enter(one.cycle(), 0));
+        one.tick(varies_us / 2 * US, 0, 0, 0);
+        assert_eq!(one.found(), [(cause, 1)], "{varies_us} us");
+    }
+}
+
+#[test]
 fn a_late_sleep_is_the_host_only_if_steal_rose_soon() {
     for (spans, steal_ms, cause) in
         [(0, 10, Cause::Host), (100, 10, Cause::Host), (100, 0, Cause::Timer), (300, 10, Cause::Timer)]
