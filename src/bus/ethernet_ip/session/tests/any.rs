@@ -80,7 +80,7 @@ fn right(session: &Session) -> Vec<u8> {
         What::Identity => IDENTITY_REPLY.to_owned(),
         What::Profile => SECOND.to_owned(),
         What::Homed(_) | What::Probe => PROBED.to_owned(),
-        What::Open(Open { triad, .. }, _) | What::OpenConnected(Open { triad, .. }) => {
+        What::Open(Open { triad, .. }, ..) | What::OpenConnected(Open { triad, .. }) => {
             let serial = of(triad.serial);
             let ids = format!("13 00 01 5A {serial} 01 00 {serial}");
             format!("D4 00 00 00 {ids} 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00")
