@@ -162,8 +162,8 @@ impl Calls {
         self.port.guard(on);
     }
 
-    /// Ends what was cancelled, and takes up the next call. True if there is one to be sent.
-    pub(super) fn advance(&mut self, now: Time) -> bool {
+    /// Ends the call under way if it was cancelled.
+    pub(super) fn look(&mut self) {
         if let Some(active) = &mut self.active
             && let Some(posted) = active.posted.take_if(|posted| self.port.is_cancelled(posted))
         {
@@ -171,6 +171,10 @@ impl Calls {
         }
         // What was sent stays until its answer: nothing else is mistaken for that.
         self.active.take_if(|active| !active.sent && active.posted.is_none());
+    }
+
+    /// Takes up the next call. True if there is one to be sent.
+    pub(super) fn advance(&mut self, now: Time) -> bool {
         if self.active.as_ref().is_some_and(|active| !active.sent && active.until <= now) {
             self.end(Err(CallError::TimedOut));
         }

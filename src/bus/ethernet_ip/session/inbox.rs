@@ -75,7 +75,9 @@ impl Session {
                     return self.message(now, message, Addresses { outgoing, incoming }, out);
                 }
             }
-            command::SEND_UNIT_DATA if header.session == self.handle => {
+            command::SEND_UNIT_DATA
+                if header.session == self.handle && header.status == encapsulation::Status::OK =>
+            {
                 if let Some(connected) = encapsulation::Connected::parse(frame.data)
                     && self.is_due_on(connected.connection, connected.sequence)
                 {
@@ -156,9 +158,9 @@ impl Session {
                 };
                 self.facts(homed);
             }
-            What::Open(open, outputs) => match Opened::parse(&reply, open.triad) {
+            What::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
                 // The triad was compared above.
-                Ok(opened) => self.opened(now, open, outputs, &opened, addresses),
+                Ok(opened) => self.opened(now, open, (outputs, version), &opened, addresses),
                 Err(ConnectionError::Refused(status)) => self.opening_refused(now, &status),
                 Err(why) => {
                     self.close_later(open);
@@ -190,7 +192,7 @@ impl Session {
             What::Identity => reply.service == service::GET_ATTRIBUTES_ALL,
             What::Profile | What::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
             What::Homed(_) => reply.service == service::VENDOR,
-            What::Open(open, _) | What::OpenConnected(open) => opens(open),
+            What::Open(open, ..) | What::OpenConnected(open) => opens(open),
             What::Close => self.to_close.front().is_some_and(|open| {
                 let closed = connection::closed(reply, open.triad);
                 closed != Err(ConnectionError::Other)
@@ -225,8 +227,14 @@ impl Session {
     }
 
     /// The class 1 connection is open.
-    fn opened(&mut self, now: Time, open: Open, outputs: Outputs, opened: &Opened, addresses: Addresses) {
-        let Some(version) = self.version else { return };
+    fn opened(
+        &mut self,
+        now: Time,
+        open: Open,
+        (outputs, version): (Outputs, Version),
+        opened: &Opened,
+        addresses: Addresses,
+    ) {
         let group = match self.join(addresses.incoming) {
             Ok(group) => group,
             Err(why) => {

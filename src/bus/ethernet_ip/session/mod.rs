@@ -129,8 +129,8 @@ enum What {
     Profile,
     /// The register that says whether the drive has its reference.
     Homed(u8),
-    /// The class 1 connection, with these outputs.
-    Open(Open, Outputs),
+    /// The class 1 connection, with these outputs, of a drive of this version.
+    Open(Open, Outputs, Version),
     /// The class 3 connection.
     OpenConnected(Open),
     /// The close of the first one of those that may still be open.
@@ -264,6 +264,7 @@ impl Session {
     fn look(&mut self, now: Time) {
         self.next_look = Time((now.0 / LOOK_NS + 1).saturating_mul(LOOK_NS));
         self.calls.guard(self.end.is_guarded());
+        self.calls.look();
         let abandoned = self.end.is_abandoned();
         while let Some(wish) = self.end.wish() {
             match wish {
@@ -281,6 +282,10 @@ impl Session {
     }
 
     fn tell(&mut self, news: News) {
+        // What was read before is outdated: a loop that stands still makes nothing grow.
+        if let (News::Read(_), Some(News::Read(_))) = (&news, self.news.back()) {
+            self.news.pop_back();
+        }
         self.news.push_back(news);
         self.flush();
     }
@@ -357,7 +362,7 @@ impl Session {
     /// Gives up the request under way.
     fn drop_pending(&mut self) {
         match self.pending.take().map(|pending| pending.what) {
-            Some(What::Open(open, _)) => {
+            Some(What::Open(open, ..)) => {
                 self.close_later(open);
                 self.io = Io::Closed { from: Time(0) };
             }
@@ -509,7 +514,7 @@ impl Session {
                 }
             }
             // It may be open all the same.
-            What::Open(open, _) => {
+            What::Open(open, ..) => {
                 self.close_later(open);
                 self.pause(now, 0, |_| words::unanswered(waited_ns));
             }

@@ -174,7 +174,7 @@ impl Session {
         // The drive takes the port only.
         let incoming = elsewhere.then(|| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, self.bind.port()));
         self.io = Io::Opening;
-        let what = What::Open(Open { triad, target }, outputs);
+        let what = What::Open(Open { triad, target }, outputs, version);
         self.send(now, out, what, now + ANSWER_NS, &message, incoming);
     }
 

@@ -246,6 +246,26 @@ fn calls_are_served_while_the_connection_is_refused_and_refused_without_a_sessio
     assert_eq!(bench.post(ac(false).read()).poll(), Some(Err(CallError::Gone)));
 }
 
+#[test]
+fn a_call_that_is_cancelled_ends_at_once_and_its_answer_is_awaited_by_nobody() {
+    let mut bench = Bench::running(|_| ());
+    let read = format!("{VENDOR} 00 02 84 1E 00 00 00 00");
+    let mut ticket = bench.post(ac(false).read());
+    bench.request(&read);
+    ticket.cancel();
+    bench.look();
+    assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
+    // The next one waits for that answer.
+    let mut ticket = bench.post(ac(false).read());
+    bench.silence();
+    bench.answer("BC 00 00 00 00 02 84 1E 00 01 00 00");
+    assert_eq!(ticket.poll(), None);
+    bench.request(&read);
+    bench.answer("BC 00 00 00 00 02 84 1E 00 02 00 00");
+    assert_eq!(ticket.poll().unwrap().unwrap().value, 2);
+    assert_eq!(bench.session.unmatched, 0);
+}
+
 /// Of class 3, with serial number 2.
 const CONNECT: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 \
                        F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
