@@ -1,7 +1,7 @@
 //! Values that are longer than the value of a call: read and written by several calls of one series.
 //!
-//! Such a value is read by [`READ`], followed by [`SIZE`] and [`PART`]s of the data read: [`read`] does it. It is written
-//! by [`LOAD`]s, followed by a [`STORE`]: [`write`].
+//! Such a value is read by [`READ`], followed by [`SIZE`] and [`PART`]s of the data read: [`read`] does it. It is
+//! written by [`LOAD`]s, followed by a [`STORE`]: [`write`].
 
 use std::time::Duration;
 

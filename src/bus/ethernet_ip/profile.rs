@@ -36,7 +36,8 @@ const NOT_WATCHED: &str = "it is not known to stop by itself if the master dies:
     watchdog.verify = false, or use no_drive_watchdog = \"accept\"";
 const TOO_LATE: &str = "its own watchdog (ZS) is off, or longer than watchdog.within: set ZS, and switch the drive off \
     and on";
-const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, or own the control word";
+const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, or own the \
+    control word";
 const FIRST: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
 
 /// The demand ends exactly at its target; a step is left to its rounding.
@@ -282,8 +283,8 @@ impl Profile {
         std::mem::take(&mut self.rehomed)
     }
 
-    /// The next packet is like the last one, and the next packet of the drive proves what the last one proved if it says
-    /// the same.
+    /// The next packet is like the last one, and the next packet of the drive proves what the last one proved if it
+    /// says the same.
     #[inline]
     pub(super) fn is_steady(&self) -> bool {
         self.steady

@@ -1,9 +1,9 @@
 //! The master's view of one drive: its connection, which of its packets count, what it reports, and the next packet to
 //! it. It takes times and slices, and knows no socket.
 //!
-//! Packets answer nothing. Those to the drive leave at the rate that was agreed, whatever comes back; they end only with
-//! the connection: when the drive's own have ended, or when the session says so. In most cycles nothing new is desired,
-//! and the drive says the same as before but for its positions: then only those are computed anew.
+//! Packets answer nothing. Those to the drive leave at the rate that was agreed, whatever comes back; they end only
+//! with the connection: when the drive's own have ended, or when the session says so. In most cycles nothing new is
+//! desired, and the drive says the same as before but for its positions: then only those are computed anew.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 

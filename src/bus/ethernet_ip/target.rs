@@ -204,8 +204,8 @@ pub(crate) fn commanding() -> Commanding {
     Commanding::new(commands, [])
 }
 
-/// Why a call of the application is refused while the power of its drive is on: it writes something that is not known to
-/// be harmless.
+/// Why a call of the application is refused while the power of its drive is on: it writes something that is not known
+/// to be harmless.
 fn commands(call: &Call, _mapped: &[u32]) -> Option<CallError> {
     let writes = matches!(call.service, WRITE | STORE);
     let target = Target::unpack(call.address).filter(|_| writes)?;

@@ -357,7 +357,7 @@ impl BusPlan for ToyPlan {
             leaves_quick_stop: false,
             // Its answers are whole counts.
             arrival: 1.0 / self.drives[index].axis.units.counts_per_unit.abs(),
-            ..Capabilities::of(SetpointsBy::Drive { leash: None })
+            ..Capabilities::of(SetpointsBy::Drive { velocities: None })
         }
     }
 

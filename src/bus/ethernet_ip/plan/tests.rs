@@ -202,7 +202,8 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
          out after 160 ms (timeout_multiplier = 16); the first one within 1 s",
         "two commands, and two velocities, are 40 ms apart at least",
         "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), taken on \
-         trust: no message of the manual reads them; ZA must leave it enabled, 13 or 14, since only the drive holds its load",
+         trust: no message of the manual reads them; ZA must leave it enabled, 13 or 14, since only the drive holds \
+         its load",
     ] {
         assert!(says.contains(part), "{part}\n{says}");
     }

@@ -197,8 +197,8 @@ pub(crate) struct Session {
 }
 
 impl Session {
-    /// The session of drive `index` of `plan`, which has one of this index. `groups`: for a drive whose packets come to a
-    /// group.
+    /// The session of drive `index` of `plan`, which has one of this index. `groups`: for a drive whose packets come to
+    /// a group.
     pub(crate) fn new(
         plan: &EthernetIpPlan,
         index: usize,

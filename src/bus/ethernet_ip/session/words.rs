@@ -71,7 +71,7 @@ pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
 /// It has no profile code.
 pub(super) fn no_profile(device: &str, why: &str) -> String {
     format!(
-        "{device} does not say which assemblies it has ({why}): if it is a MOONS' -IP drive, set `version` to \"v1\" or \
-         \"v2\""
+        "{device} does not say which assemblies it has ({why}): if it is a MOONS' -IP drive, set `version` to \"v1\" \
+         or \"v2\""
     )
 }
