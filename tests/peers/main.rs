@@ -7,6 +7,7 @@
 //! |---|---|
 //! | `capture` | a capture by tshark, and what its dissectors make of it |
 //! | `ethercat` | frames of EtherCAT, and masters of the crate ethercrab and of SOEM |
+//! | `ethernet_ip` | explicit messages of pycomm3 and cpppo to a simulated MOONS' drive |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
 //! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |
@@ -15,6 +16,7 @@
 
 mod capture;
 mod ethercat;
+mod ethernet_ip;
 mod linudp;
 mod modbus;
 mod readers;

@@ -214,7 +214,7 @@ fn the_two_stops_stop_with_their_own_decelerations() {
     let (ms, way) = stop(STOP);
     assert!(ms <= 4 && (40..200).contains(&way), "{ms} {way}");
     let (ms, way) = stop(STOP_GENTLY);
-    assert!((50..=53).contains(&ms) && (2_480..2_650).contains(&way), "{ms} {way}");
+    assert!((50..=53).contains(&ms) && (2_440..2_650).contains(&way), "{ms} {way}");
 }
 
 #[test]
