@@ -6,7 +6,9 @@
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::Terminals;
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::sim::WorldOptions;
+use fieldbeat::internals::bus::ethercat::wire::frame::{Builder, Command as Frame};
+use fieldbeat::sim::{SimSegment, WorldOptions};
+use fieldbeat::time::MS;
 use fieldbeat::{Master, Simulation};
 
 use super::{LINE, Machine};
@@ -193,7 +195,7 @@ fn slaves_with_two_fmmus_are_enough_and_with_one_are_refused_by_name() {
 #[test]
 fn a_segment_that_another_master_left_is_taken_over() {
     let (_, fresh) = drive_up("");
-    for left in ["op", "safeop", "watchdog"] {
+    for left in ["op", "safeop", "watchdog", "unwatched"] {
         let (_, took) = drive_up(&format!("left = \"{left}\""));
         assert!(took < 2 * fresh + 1_000, "{left}: {took} cycles, and {fresh} of a fresh one");
         // All of them, and each has the station address of its neighbour.
@@ -209,6 +211,36 @@ fn a_segment_that_another_master_left_is_taken_over() {
             0xFF,
         );
     }
+}
+
+/// The time of the watchdog, which that master has switched off, is part of what it left.
+#[test]
+fn outputs_that_another_master_left_without_a_watchdog_go_off_when_this_one_dies() {
+    let left = |keys: &str| format!(", left = \"unwatched\"{keys}");
+    let mut machine = machine(
+        &[
+            device("coupler", "EK1100", "", &left("")),
+            device("in", "EL1008", IN, &left("")),
+            device("out", "EL2008", OUT, &left(", wired_to = \"in\"")),
+        ]
+        .concat(),
+    );
+    let mut out = outputs(&mut machine, "out");
+    out.write(&[0x5A]).unwrap();
+    machine.run(10);
+    let now = machine.sim.world().now();
+    let driven = [90, 110].map(|ms| {
+        machine.look(|line| {
+            // Of anybody, with nothing in it.
+            let mut frame = vec![0; 64];
+            let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
+            builder.push(Frame::Nop, 0, 1).unwrap();
+            builder.finish();
+            line.pass(now + ms * MS, &mut frame);
+            line.slave(2).unwrap().driven().to_vec()
+        })
+    });
+    assert_eq!(driven, [vec![0x5A], vec![]], "100 ms, as its SII and power-on have it");
 }
 
 #[test]

@@ -12,6 +12,8 @@ use crate::bus::ethercat::wire::sii::Use;
 /// Of a watchdog, 100 us.
 pub(super) const WATCHDOG_DIVIDER: u16 = 0x09C2;
 const WATCHDOG_TICK_NS: u64 = 100_000;
+/// Its time at power-on, 100 ms (ETG.1000.4, 6.2).
+const WATCHDOG_DELIVERED: u16 = 1_000;
 /// FMMUs of one slave: outputs, inputs, AL status.
 pub(super) const FMMUS: usize = 2 * MOST_AREAS + 1;
 
@@ -23,9 +25,9 @@ impl Slave {
 
     /// The first step of setting up its process data.
     pub(super) fn process_data(&self) -> Step {
-        let SlavePlan { outputs, inputs, watchdog, .. } = &self.plan;
+        let SlavePlan { outputs, inputs, .. } = &self.plan;
         match () {
-            () if !outputs.is_empty() && *watchdog != Watchdog::AsDelivered => Step::Watchdog,
+            () if self.sets_watchdog() => Step::Watchdog,
             () if !outputs.is_empty() || !inputs.is_empty() => Step::SyncManagers(0),
             // A coupler's head exchanges only its state.
             () if self.fmmus().1 > 0 => Step::Fmmus,
@@ -135,10 +137,25 @@ impl Slave {
         })
     }
 
+    /// The time of its watchdog is written: the configured one; or that of power-on where its SII arms one, since
+    /// another master may have left it any.
+    pub(super) fn sets_watchdog(&self) -> bool {
+        !self.plan.outputs.is_empty() && (self.plan.watchdog != Watchdog::AsDelivered || self.is_armed())
+    }
+
+    /// The control byte of its outputs arms a watchdog.
+    fn is_armed(&self) -> bool {
+        let mut managers = self.managers();
+        managers.any(|(_, manager)| manager.is_output() && manager.control & SyncManager::WATCHDOG != 0)
+    }
+
     /// Its watchdog in ticks; 0: off.
     pub(super) fn watchdog(&self) -> u16 {
-        let ticks = self.plan.watchdog.ns().map_or(0, |ns| ns / WATCHDOG_TICK_NS);
-        u16::try_from(ticks).unwrap_or(u16::MAX)
+        match self.plan.watchdog {
+            Watchdog::AsDelivered => WATCHDOG_DELIVERED,
+            Watchdog::After(ns) => u16::try_from(ns / WATCHDOG_TICK_NS).unwrap_or(u16::MAX),
+            Watchdog::Off => 0,
+        }
     }
 
     /// A difference between the SII and the configuration.
