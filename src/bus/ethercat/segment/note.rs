@@ -101,6 +101,8 @@ pub enum Note {
     },
     /// Its watchdog does not read back as set.
     Watchdog,
+    /// This one of its SyncManagers does not read back as set.
+    Manager(u16),
     /// It waits for the clock of the segment.
     WaitsForClock,
     /// It waits until the grid is at its SYNC0; the distance, ns: positive is late. `None`: it is not known.
@@ -169,6 +171,7 @@ impl Note {
                 number(0x8d, memory(usage, start), u32::from(own) << 16 | u32::from(named))
             }
             Note::Fmmus(count) => number(0x85, 0, count.into()),
+            Note::Manager(manager) => number(0x92, 0, manager.into()),
             Note::State { to, code } => number(0x86, to.number().into(), code.0.into()),
             Note::Control { to, code, set, own } => {
                 let control = u32::from(set) << 8 | u32::from(own);
@@ -206,6 +209,7 @@ impl Note {
             0x84 => Note::Start { usage, own: high as u16, named: (low >> 16) as u16, length: low as u16 },
             0x8d => Note::Length { usage, start: high as u16, own: (low >> 16) as u16, named: low as u16 },
             0x85 => Note::Fmmus(low as u8),
+            0x92 => Note::Manager(low as u16),
             0x86 => Note::State { to: state(), code: AlCode(low as u16) },
             0x8e => Note::Control {
                 to: state(),
@@ -305,6 +309,9 @@ impl Note {
                 abort.name().unwrap_or("not known")
             ),
             Note::Watchdog => "its watchdog does not read back as set".into(),
+            Note::Manager(number) => {
+                format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
+            }
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
             Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
             Note::WaitsForLock(Some(error)) => {
@@ -408,6 +415,7 @@ mod tests {
             Note::StartUp { object: Object::new(0x1C12, 1), abort: AbortCode(0x0602_0000) },
             Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(object::FULL) },
             Note::Watchdog,
+            Note::Manager(3),
             Note::WaitsForClock,
             Note::WaitsForLock(None),
             Note::WaitsForLock(Some(-123_456)),

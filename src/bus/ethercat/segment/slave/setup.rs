@@ -115,16 +115,19 @@ impl Slave {
         self.managers().skip(from.into()).take(MANAGERS_SET.into())
     }
 
-    /// They were read: whether they are as they were written, and the step behind that.
-    pub(super) fn managers_read(&self, from: u8, answers: &Answers<'_>) -> (bool, Step) {
+    /// They were read: the step behind that; or the first that is not as it was written.
+    pub(super) fn managers_read(&self, from: u8, answers: &Answers<'_>) -> Result<Step, Note> {
         let mut all = answers.iter().flatten().zip(self.managers_from(from));
-        let is_set = all.all(|(answer, (_, wanted))| {
+        let other = all.find(|(answer, (_, wanted))| {
             let bytes = answer.data.first_chunk::<{ SyncManager::SIZE }>();
-            bytes.is_some_and(|bytes| SyncManager::new(*bytes) == wanted)
+            bytes.is_none_or(|bytes| SyncManager::new(*bytes) != *wanted)
         });
+        if let Some((_, (number, _))) = other {
+            return Err(Note::Manager(number));
+        }
         let next = from.saturating_add(MANAGERS_SET);
         let is_last = usize::from(next) >= self.managers().count();
-        (is_set, if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
+        Ok(if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
     }
 
     /// Those of its mailboxes.

@@ -95,3 +95,22 @@ fn a_refusal_names_the_watchdog_where_it_changes_the_control_byte() {
     let other = AlCode(0x1E);
     assert_eq!(refused(0x24, Watchdog::After(100 * MS), other.0), Note::State { to, code: other });
 }
+
+#[test]
+fn what_does_not_read_back_is_named_whether_watchdog_or_sync_manager() {
+    let refused = |step: &str, register, other: &[u8]| {
+        let mut rig = rig(0x64, Watchdog::AsDelivered, true, AlCode::NONE);
+        rig.until(step, 500, |rig| rig.line.slaves[0].at().contains(step));
+        rig.poke(0, register, other);
+        rig.run(2);
+        rig.note(0)
+    };
+    assert_eq!(refused("WatchdogCheck", address::WATCHDOG, &[7, 0]), Note::Watchdog);
+    assert_eq!(refused("WatchdogCheck", address::WATCHDOG_DIVIDER, &[7, 0]), Note::Watchdog);
+    for manager in [2, 3] {
+        let note = refused("SyncManagersCheck", address::sync_manager(manager), &[0; 8]);
+        assert_eq!(note, Note::Manager(manager));
+        let text = note.text(0).unwrap();
+        assert!(text.contains(&format!("SyncManager {manager} does not read back")), "{text}");
+    }
+}
