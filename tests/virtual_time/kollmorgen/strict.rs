@@ -174,15 +174,31 @@ fn an_sii_is_taken_read_and_given_back_however_slow_it_is() {
 }
 
 #[test]
-fn a_wrong_or_senseless_sii_is_no_other_slaves_data() {
-    for content in ["wrong-check", "garbage"] {
-        let mut machine = machine(&format!("{DRIVE}simulate.sii.content = \"{content}\"\n"));
-        machine.run(UP);
-        // It comes up by its configuration, or is refused with the reason; never in between.
-        let link = machine.feedback(0).link;
-        let refused = machine.sim.finish().drives[0].not_connected.clone();
-        assert_eq!(link == Link::Online, refused.is_none(), "{content}: {link:?} {refused:?}");
-    }
+fn an_sii_with_a_wrong_checksum_is_refused_by_name() {
+    let why = drive_refused("sii.content = \"wrong-check\"");
+    assert!(why.contains("checksum"), "{why}");
+}
+
+/// Its identity is that of the configuration, so it comes up by that. A watchdog that is left to its SII it has not.
+#[test]
+fn a_senseless_sii_costs_the_watchdog_that_is_left_to_it_which_is_named() {
+    let (machine, _) = drive_up("sii.content = \"garbage\"");
+    let remarks = machine.sim.remarks();
+    assert!(
+        matches!(&remarks[..], [one] if one.starts_with("drive k: place 0: its SII has no SyncManagers")),
+        "{remarks:?}"
+    );
+}
+
+#[test]
+fn a_watchdog_that_is_left_to_an_sii_without_one_is_named() {
+    let (machine, _) = drive_up("output_control = 0x24");
+    let remarks = machine.sim.remarks();
+    assert!(
+        matches!(&remarks[..], [one] if one.starts_with("drive k: place 0: its SII arms no watchdog")),
+        "{remarks:?}"
+    );
+    assert_eq!(drive_up("output_control = 0x64").0.sim.remarks(), [""; 0]);
 }
 
 #[test]

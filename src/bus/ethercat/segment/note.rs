@@ -103,6 +103,10 @@ pub enum Note {
     Watchdog,
     /// This one of its SyncManagers does not read back as set.
     Manager(u16),
+    /// It is in operation, and its SII arms no watchdog, to which the configuration leaves that.
+    Unarmed,
+    /// The same, and its SII has no SyncManagers.
+    NoManagers,
     /// It waits for the clock of the segment.
     WaitsForClock,
     /// It waits until the grid is at its SYNC0; the distance, ns: positive is late. `None`: it is not known.
@@ -140,7 +144,7 @@ pub enum Note {
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 11] = [
+    const PLAIN: [Note; 13] = [
         Note::None,
         Note::Absent,
         Note::NoClock,
@@ -152,6 +156,8 @@ impl Note {
         Note::Starting,
         Note::Unsettled,
         Note::AddressTwice,
+        Note::Unarmed,
+        Note::NoManagers,
     ];
 
     fn pack(self) -> u64 {
@@ -312,6 +318,16 @@ impl Note {
             Note::Manager(number) => {
                 format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
             }
+            Note::Unarmed => {
+                "its SII arms no watchdog: if the master dies, only the slave itself ends its outputs; give watchdog a \
+                time, or \"off\" if it shall have none"
+                    .into()
+            }
+            Note::NoManagers => {
+                "its SII has no SyncManagers, and so arms no watchdog: if the master dies, only the slave itself ends \
+                its outputs; give watchdog a time, or \"off\" if it shall have none"
+                    .into()
+            }
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
             Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
             Note::WaitsForLock(Some(error)) => {
@@ -416,6 +432,8 @@ mod tests {
             Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(object::FULL) },
             Note::Watchdog,
             Note::Manager(3),
+            Note::Unarmed,
+            Note::NoManagers,
             Note::WaitsForClock,
             Note::WaitsForLock(None),
             Note::WaitsForLock(Some(-123_456)),

@@ -127,6 +127,7 @@ impl Slave {
     /// All of it is as configured.
     pub(super) fn joined_whole(&mut self, now: Time) {
         (self.way.was_operational, self.note) = (true, Note::None);
+        self.remark = self.unarmed();
         (self.refused, self.refusals) = (Note::None, 0);
         self.enter(now, Step::Up);
     }

@@ -152,6 +152,18 @@ impl Slave {
         managers.any(|(_, manager)| manager.is_output() && manager.control & SyncManager::WATCHDOG != 0)
     }
 
+    /// Why its outputs have no watchdog although the configuration leaves that to its SII; `None`: they have one, or the
+    /// configuration says that they have none.
+    pub(super) fn unarmed(&self) -> Note {
+        let SlavePlan { outputs, watchdog, check_sii, .. } = &self.plan;
+        match () {
+            () if outputs.is_empty() || *watchdog != Watchdog::AsDelivered || !check_sii => Note::None,
+            () if self.delivered.is_empty() => Note::NoManagers,
+            () if !self.is_armed() => Note::Unarmed,
+            () => Note::None,
+        }
+    }
+
     /// Its watchdog in ticks; 0: off.
     pub(super) fn watchdog(&self) -> u16 {
         match self.plan.watchdog {

@@ -69,6 +69,30 @@ fn the_control_bytes_of_the_sii_stand_unless_the_watchdog_is_configured() {
         let set = [0, 1, 2, 3].map(|n| set_of(&mut rig, n));
         assert_eq!(set, [mailboxes[0], mailboxes[1], outputs, 0x20], "{control:#04x} {watchdog:?}");
         assert_eq!(rig.peek(0, address::WATCHDOG, 2), time.to_le_bytes(), "{control:#04x} {watchdog:?}");
+        let is_left_to_it = watchdog == Watchdog::AsDelivered && check_sii;
+        let remark = if is_left_to_it && control & 0x40 == 0 { Note::Unarmed } else { Note::None };
+        assert_eq!(rig.line.remarks.get(0), remark, "{control:#04x} {watchdog:?} {check_sii}");
+    }
+}
+
+#[test]
+fn an_sii_without_sync_managers_is_named_if_the_watchdog_is_left_to_it() {
+    for (watchdog, remark) in
+        [(Watchdog::AsDelivered, Note::NoManagers), (Watchdog::After(50 * MS), Note::None)]
+    {
+        let mut rig = rig(0x64, watchdog, true, AlCode::NONE);
+        let mut plan = drives(0);
+        plan.devices = vec![coupler(0)];
+        plan.devices[0].slave.watchdog = watchdog;
+        rig.line = Rig::new(&plan).line;
+        let contents = ethercat::sii::Contents {
+            identity: Identity { vendor: 2, ..Identity::default() },
+            ..ethercat::sii::Contents::default()
+        };
+        let settings = Settings { features: Features(0x0180), sii: contents.image(), ..Settings::default() };
+        *rig.sim.segment() = ethercat::Segment::new(vec![Esc::new(settings, Box::new(Strict(AlCode::NONE)))]);
+        rig.all_up(4_000);
+        assert_eq!(rig.line.remarks.get(0), remark);
     }
 }
 
