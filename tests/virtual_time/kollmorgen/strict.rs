@@ -36,7 +36,13 @@ fn drive_up(keys: &str) -> (Machine, u64) {
     let mut machine = machine(&format!("{DRIVE}simulate = {{ {keys} }}\n"));
     let took = machine.until(keys, UP, |machine| machine.feedback(0).link == Link::Online);
     machine.done(0, Command::Enable);
+    machine.assert_no_misuse();
     (machine, took)
+}
+
+/// The same, and to its orderly end: what the master does is what real hardware tolerates.
+fn drive_up_and_down(keys: &str) {
+    drive_up(keys).0.end_well();
 }
 
 /// Why the drive with these keys is not there in the end.
@@ -83,6 +89,7 @@ fn outputs_are_seen(tables: &str, mask: u8) {
     }
     machine.online();
     machine.done(0, Command::Enable);
+    machine.end_well();
 }
 
 #[test]
@@ -112,6 +119,7 @@ fn clocks_in_two_branches_have_one_time() {
     let now = machine.sim.world().now();
     let [first, last] = machine.look(|line| [3, 4].map(|place| line.slave(place).unwrap().system_time(now)));
     assert!(first.abs_diff(last) < 200, "{first} {last}");
+    machine.end_well();
 }
 
 #[test]
@@ -136,6 +144,7 @@ fn sixteen_outputs_behind_two_sync_managers_all_move() {
         machine.run(10);
         assert_eq!(seen.inputs().bytes(), bytes);
     }
+    machine.end_well();
 }
 
 #[test]
@@ -150,12 +159,13 @@ fn an_analogue_terminal_with_a_mailbox_comes_up_and_its_inputs_live() {
     let before = value(&terminal);
     machine.run(100);
     assert_eq!(value(&terminal).wrapping_sub(before), 100, "1 a millisecond");
+    machine.end_well();
 }
 
 #[test]
 fn a_processor_that_compares_its_sync_managers_gets_those_of_its_sii() {
-    drive_up("exact_managers = true, output_control = 0x24");
-    drive_up("exact_managers = true, output_control = 0x64");
+    drive_up_and_down("exact_managers = true, output_control = 0x24");
+    drive_up_and_down("exact_managers = true, output_control = 0x64");
 }
 
 #[test]
@@ -169,7 +179,7 @@ fn an_sii_is_taken_read_and_given_back_however_slow_it_is() {
         "sii.loading = \"200ms\"",
         "sii.slips = true",
     ] {
-        drive_up(keys);
+        drive_up_and_down(keys);
     }
 }
 
@@ -203,7 +213,7 @@ fn a_watchdog_that_is_left_to_an_sii_without_one_is_named() {
 
 #[test]
 fn slaves_with_two_fmmus_are_enough_and_with_one_are_refused_by_name() {
-    drive_up("fmmus = 2");
+    drive_up_and_down("fmmus = 2");
     let why = drive_refused("fmmus = 1");
     assert!(why.contains("FMMU"), "{why}");
 }
@@ -212,8 +222,9 @@ fn slaves_with_two_fmmus_are_enough_and_with_one_are_refused_by_name() {
 fn a_segment_that_another_master_left_is_taken_over() {
     let (_, fresh) = drive_up("");
     for left in ["op", "safeop", "watchdog", "unwatched"] {
-        let (_, took) = drive_up(&format!("left = \"{left}\""));
+        let (machine, took) = drive_up(&format!("left = \"{left}\""));
         assert!(took < 2 * fresh + 1_000, "{left}: {took} cycles, and {fresh} of a fresh one");
+        machine.end_well();
         // All of them, and each has the station address of its neighbour.
         let of = |keys: &str| format!(", left = \"{left}\"{keys}");
         outputs_are_seen(
@@ -268,14 +279,15 @@ fn a_slow_mailbox_is_waited_for_and_a_lost_answer_costs_no_new_start() {
         "mailbox = { lose_every = 4 }",
         "mailbox = { delay = \"2500ms\", delay_every = 6, resends = false }",
     ] {
-        drive_up(keys);
+        drive_up_and_down(keys);
     }
 }
 
 #[test]
 fn clocks_of_32_bits_and_none_take_part() {
-    drive_up("clock = \"short\"");
+    drive_up_and_down("clock = \"short\"");
     let mut machine = machine(&format!("{DRIVE}sync = false\nsimulate.clock = \"none\"\n"));
     machine.online();
     machine.done(0, Command::Enable);
+    machine.end_well();
 }
