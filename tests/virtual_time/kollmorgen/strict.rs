@@ -223,7 +223,9 @@ fn a_segment_that_another_master_left_is_taken_over() {
     let (_, fresh) = drive_up("");
     for left in ["op", "safeop", "watchdog", "unwatched"] {
         let (machine, took) = drive_up(&format!("left = \"{left}\""));
-        assert!(took < 2 * fresh + 1_000, "{left}: {took} cycles, and {fresh} of a fresh one");
+        // One in OP gives the segment its time, to which the grid is led by a 2000th: half a period at most.
+        let led = if matches!(left, "op" | "unwatched") { 1_000 } else { 0 };
+        assert!(took <= fresh + fresh / 10 + led, "{left}: {took} cycles, and {fresh} of a fresh one");
         machine.end_well();
         // All of them, and each has the station address of its neighbour.
         let of = |keys: &str| format!(", left = \"{left}\"{keys}");
