@@ -250,6 +250,12 @@ impl Simulation {
         &self.measured
     }
 
+    /// What is to be known of drives and devices although they are in operation; see
+    /// [`Monitor::remarks`](crate::telemetry::Monitor::remarks).
+    pub fn remarks(&self) -> Vec<String> {
+        self.gauges.remarks()
+    }
+
     /// One turn of the loop: one executed cycle, or slots passed over.
     pub fn step(&mut self) -> Flow {
         let flow = self.engine.step();

@@ -159,6 +159,17 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
+    /// What is to be known of drive `index` although it is in operation, since the configuration does not say it;
+    /// `None`: nothing.
+    fn remark(&self, _index: usize) -> Option<String> {
+        None
+    }
+
+    /// The same of device `index`, which is not a drive.
+    fn device_remark(&self, _index: usize) -> Option<String> {
+        None
+    }
+
     /// How many emergencies of device `index` were lost, since a queue for them was full.
     fn emergencies_lost(&self, _index: usize) -> u64 {
         0

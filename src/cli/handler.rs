@@ -39,6 +39,8 @@ pub struct Handler {
     links: Vec<Link>,
     drives: Vec<Known>,
     devices: Vec<Known>,
+    /// What was said of drives and devices that are in operation.
+    remarks: Vec<String>,
     /// All of them were online once.
     complete: bool,
     /// The number of the last file of the black box that was reported, and of the last emergency.
@@ -66,6 +68,7 @@ impl Handler {
             links: vec![Link::default(); master.observers().len()],
             drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
             devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
+            remarks: Vec::new(),
             complete: false,
             black_boxes: 0,
             emergencies: 0,
@@ -113,6 +116,7 @@ impl Handler {
             self.look_at_links(master);
             self.look_at_drives(master);
             self.look_at_devices(master);
+            self.look_at_remarks(master);
             self.look_at_emergencies(master);
             self.look_at_black_boxes(master);
             self.live.show(master, what, count);
@@ -193,6 +197,16 @@ impl Handler {
             let back = (was_reported && link == Link::Online).then(|| "in operation".to_owned());
             for news in news.into_iter().chain(back) {
                 self.live.say(&format!("device {}: {news}", device.name));
+            }
+        }
+    }
+
+    /// Says what is to be known of those that are in operation, once.
+    fn look_at_remarks(&mut self, master: &Master) {
+        for remark in master.remarks() {
+            if !self.remarks.contains(&remark) {
+                self.live.say(&remark);
+                self.remarks.push(remark);
             }
         }
     }

@@ -117,6 +117,12 @@ impl AxisInfo {
         notes.get(*index)
     }
 
+    /// What is to be known of it although it is in operation.
+    fn remark(&self) -> Option<String> {
+        let (notes, index) = self.connection.as_ref()?;
+        notes.remark(*index).map(|remark| format!("drive {}: {remark}", self.name))
+    }
+
     /// The axis in numbers.
     pub fn with(&self, feedback: Feedback, numbers: DriveNumbers) -> DriveEnd {
         let DriveNumbers { counters, losses, peaks, monitor } = numbers;
@@ -143,6 +149,14 @@ impl BusInfo {
         (self.name.clone(), Unmatched { dropped: unmatched.dropped + dropped, ..unmatched })
     }
 
+    /// What is to be known of its devices although they are in operation.
+    fn remarks(&self) -> impl Iterator<Item = String> {
+        self.devices.iter().enumerate().filter_map(|(index, name)| {
+            let remark = self.notes.as_ref()?.device_remark(index)?;
+            Some(format!("device {name}: {remark}"))
+        })
+    }
+
     /// Its devices that are not drives.
     pub fn devices(&self) -> impl Iterator<Item = DeviceEnd> {
         self.devices.iter().enumerate().map(|(index, name)| DeviceEnd {
@@ -162,6 +176,14 @@ pub struct Gauges {
     pub axes: Vec<AxisGauge>,
     /// Those of the buses, in the order of the plan.
     pub buses: Vec<BusGauge>,
+}
+
+impl Gauges {
+    /// What is to be known of drives and devices although they are in operation, a line each.
+    pub fn remarks(&self) -> Vec<String> {
+        let drives = self.axes.iter().filter_map(|axis| axis.info.remark());
+        drives.chain(self.buses.iter().flat_map(|bus| bus.info.remarks())).collect()
+    }
 }
 
 /// Readers of one axis.

@@ -83,6 +83,12 @@ impl Monitor {
         self.0.gauges.axes.get(index)?.info.not_connected()
     }
 
+    /// What is to be known of drives and devices although they are in operation, since the configuration does not say
+    /// it: a line each, with its name.
+    pub fn remarks(&self) -> Vec<String> {
+        self.0.gauges.remarks()
+    }
+
     /// Whether drive `index` is reached by a connection.
     pub fn has_connection(&self, index: usize) -> bool {
         self.0.gauges.axes.get(index).is_some_and(|axis| axis.info.connection.is_some())

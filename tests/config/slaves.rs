@@ -27,7 +27,7 @@ simulate = { type = "EL2008", wired_to = "in", emulated = false, sii = { slips =
 [[bus.device]]
 name = "in"
 inputs = { start = 0x1000, length = 1 }
-simulate = { type = "EL1008", behind = { slave = "k", port = 2 } }
+simulate = { type = "EL1008", left = "unwatched", behind = { slave = "k", port = 2 } }
 "#;
     let all = format!("{:?}", read_all(text).simulation.buses[0]);
     for part in [
@@ -42,6 +42,7 @@ simulate = { type = "EL1008", behind = { slave = "k", port = 2 } }
         "wired_to: Some(2)",
         "behind: Some(Behind { place: 0, port: 2 })",
         "2: SlaveSettings { model: Some(El1008), emulated: None",
+        "managers: [], unwatched: true, sync0_ns: Some(1000000)",
     ] {
         assert!(all.contains(part), "{part}\n{all}");
     }

@@ -194,12 +194,17 @@ subjects! {
     modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
     modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
     ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat {
-        positions: false, strict: false, defect: None
+        positions: false, slaves: crate::conformance::subjects::ethercat::Slaves::Plain, defect: None
     },
     ethercat_position: crate::conformance::subjects::ethercat::EtherCat {
-        positions: true, strict: false, defect: None
+        positions: true, slaves: crate::conformance::subjects::ethercat::Slaves::Plain, defect: None
     },
-    ethercat_strict: crate::conformance::subjects::ethercat::EtherCat { positions: true, strict: true, defect: None },
+    ethercat_strict: crate::conformance::subjects::ethercat::EtherCat {
+        positions: true, slaves: crate::conformance::subjects::ethercat::Slaves::Strict, defect: None
+    },
+    ethercat_terminals: crate::conformance::subjects::ethercat::EtherCat {
+        positions: false, slaves: crate::conformance::subjects::ethercat::Slaves::Terminals, defect: None
+    },
     toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
     toy_with_its_own_clock:
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),

@@ -212,3 +212,20 @@ fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_maste
     assert_eq!(device["name"], "io");
     assert!(device["not_operational"].as_str().is_some_and(|why| why.starts_with(refused)), "{device}");
 }
+
+#[test]
+fn outputs_without_a_watchdog_are_named_once_by_their_name() {
+    let (machine, _) = machine(185);
+    let io = "[[bus.device]]\nname = \"io\"\noutputs = { start = 0x1000, length = 1 }\n\
+              simulate.output_control = 0x24\n";
+    let config = machine.write("line.toml", text(&line(185)) + io);
+    let _sim = simulation(&config);
+    let mut master = master(&config, &["--json"]);
+    let what = "device io: place 2: its SII arms no watchdog";
+    master.await_text(what);
+    master.await_text("all drives online: 2");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    ended.expect(0);
+    assert_eq!(ended.err.matches(what).count(), 1, "{}", ended.err);
+}

@@ -59,6 +59,9 @@ pub const NOT_READ: u32 = 0x08;
 pub const NOT_LOADED: u32 = 0x09;
 /// Status of a call: the value is longer than the drive's mailbox can take.
 pub const EXPEDITED: u32 = 0x0A;
+/// Status of a call: the answer to what it writes was lost, and the slave does not send it again: it may have been
+/// written.
+pub const UNCERTAIN: u32 = 0x0B;
 /// Status of a call: the slave could not use the mailbox message; its [error](super::wire::mailbox::MailboxError) is added.
 pub const MAILBOX: u32 = 0x1_0000;
 
@@ -74,6 +77,7 @@ fn own_reason(status: u32) -> Option<&'static str> {
         ENDLESS => "the answer is longer than the slave announced, or has no end",
         NOT_READ => "there is no such part of the data read before",
         NOT_LOADED => "the value was not handed over whole; raise parameter_queue",
+        UNCERTAIN => "its answer was lost, and it may have been written: read it back, or write it again",
         EXPEDITED => "its mailbox of 16 bytes takes values of at most 4 bytes",
         _ => return None,
     })

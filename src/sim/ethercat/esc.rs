@@ -67,6 +67,7 @@ impl Esc {
         }
         let (status, code) = left.al;
         self.firmware.leave(&mut self.chip, AlStatus(status), AlCode(code));
+        self.chip.forget_misuse();
     }
 
     /// The state it is in.

@@ -3,6 +3,7 @@
 
 mod broken;
 mod strict;
+mod terminals;
 
 use std::any::Any;
 use std::ops::Range;
@@ -28,11 +29,29 @@ pub use broken::Defect;
 use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
-/// By what the drives are led, and whether their slaves are strict; sound, or with one thing wrong.
+/// By what the drives are led, and which slaves the segment is made of; sound, or with one thing wrong.
 pub struct EtherCat {
     pub positions: bool,
-    pub strict: bool,
+    pub slaves: Slaves,
     pub defect: Option<Defect>,
+}
+
+/// The slaves of the segment.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Slaves {
+    /// Drives.
+    Plain,
+    /// Strict ones: see `strict`.
+    Strict,
+    /// Drives behind a coupler with terminals: see `terminals`.
+    Terminals,
+}
+
+/// What is in front of the drives: slaves, bytes of their outputs, and of their inputs without AL status.
+struct Front {
+    slaves: usize,
+    outputs: usize,
+    inputs: usize,
 }
 
 const LINE: &str = "local:conformance";
@@ -102,8 +121,10 @@ impl EtherCat {
         // What moves by itself needs it.
         plan.slave.watchdog =
             if drive.jog || drive.follow { Watchdog::After(100 * MS) } else { Watchdog::Off };
-        if self.strict {
-            strict::fit(&mut plan);
+        match self.slaves {
+            Slaves::Plain => {}
+            Slaves::Strict => strict::fit(&mut plan),
+            Slaves::Terminals => terminals::fit(&mut plan),
         }
         let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
         plan.slave.start_up.push(Start::new(Object::new(0x6099, 1), Type::U32, raw));
@@ -123,24 +144,31 @@ impl EtherCat {
         let drive = |(index, drive)| self.drive(index, drives.len(), drive);
         let (plans, settings) = drives.iter().enumerate().map(drive).unzip();
         let mut segment = EthercatSegment { drives: settings, ..EthercatPlan::new(LINE, plans).into() };
-        if self.strict {
-            strict::surround(&mut segment);
+        match self.slaves {
+            Slaves::Plain => {}
+            Slaves::Strict => strict::surround(&mut segment),
+            Slaves::Terminals => terminals::surround(&mut segment),
         }
         segment
     }
 
     /// Slaves in front of the drives.
-    fn front(&self) -> usize {
-        if self.strict { strict::FRONT } else { 0 }
+    fn front(&self) -> Front {
+        match self.slaves {
+            Slaves::Plain => Front { slaves: 0, outputs: 0, inputs: 0 },
+            Slaves::Strict => Front { slaves: strict::FRONT, outputs: 0, inputs: 0 },
+            Slaves::Terminals => terminals::FRONT,
+        }
     }
 }
 
 impl Subject for EtherCat {
     fn name(&self) -> &'static str {
-        match (self.strict, self.positions) {
-            (true, _) => "ethercat with strict slaves",
-            (false, true) => "ethercat with positions",
-            (false, false) => "ethercat with velocities",
+        match (self.slaves, self.positions) {
+            (Slaves::Strict, _) => "ethercat with strict slaves",
+            (Slaves::Terminals, _) => "ethercat with terminals",
+            (Slaves::Plain, true) => "ethercat with positions",
+            (Slaves::Plain, false) => "ethercat with velocities",
         }
     }
 
@@ -161,7 +189,7 @@ impl Subject for EtherCat {
             own_clock: false,
             half_duplex: false,
             shared: true,
-            rearmed: !self.strict,
+            rearmed: self.slaves != Slaves::Strict,
         }
     }
 
@@ -189,15 +217,17 @@ impl Subject for EtherCat {
     }
 
     fn place(&self, index: usize, count: usize) -> usize {
-        self.front() + count - 1 - index
+        self.front().slaves + count - 1 - index
     }
 
     fn piece(&self, now: Time, frame: &[u8], index: usize, count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
         let mut all = datagrams(frame).ok()?.flatten();
         let image = all.find(|datagram| matches!(datagram.command(), Some(Command::Lrw(_))))?;
-        let place = self.place(index, count) - self.front();
-        let request = image.data.get(place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
-        let inputs = count * OUTPUTS + self.front() * AL + place * (AL + INPUTS);
+        let front = self.front();
+        let place = self.place(index, count) - front.slaves;
+        let request = image.data.get(front.outputs + place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
+        let behind = front.outputs + count * OUTPUTS + front.slaves * AL + front.inputs;
+        let inputs = behind + place * (AL + INPUTS);
         let reply = image.data.get(inputs..)?.first_chunk::<{ AL + INPUTS }>()?;
         let status = AlStatus(u16::from_le_bytes([reply[0], reply[1]]));
         // With few FMMUs it is not there, and the status word is never zero.
@@ -265,7 +295,11 @@ impl Subject for EtherCat {
         let free = Target { object: Object::new(0x6081, 0), kind: Some(Type::U32), complete: false };
         let missing = Target::parse("0x5FFF:0.u16").expect("a target");
         let refused = (missing.read(), AbortCode::NO_OBJECT.0);
-        let soon = if self.strict { strict::SOON } else { SOON };
+        let soon = match self.slaves {
+            Slaves::Plain => SOON,
+            Slaves::Strict => strict::SOON,
+            Slaves::Terminals => terminals::SOON,
+        };
         Calls { read: free.read(), write: free.write(77), refused, soon }
     }
 

@@ -7,6 +7,7 @@ use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan};
 
+use super::scan::scan;
 use super::{WIRE, at_master, cable, master, segment, serve, soem};
 use crate::support::{Cable, LONG, Machine, Program};
 
@@ -25,6 +26,10 @@ fn cycles_to_online(plan: EthercatPlan) -> u64 {
     master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
     let executed = master.numbers().status.executed;
     let mut axis = master.axis("d1").unwrap();
+    // One that was found running is stopped first.
+    if axis.feedback().stopped.is_some() {
+        axis.reset().unwrap();
+    }
     axis.enable().unwrap();
     axis.jog(1.0).unwrap();
     std::thread::sleep(Duration::from_millis(300));
@@ -35,7 +40,9 @@ fn cycles_to_online(plan: EthercatPlan) -> u64 {
     executed
 }
 
-fn is_taken_over(test: u8, peer: impl Fn(&str) -> Command) {
+/// The slaves are left by a peer that is killed: taken over at once, or after a while in which the drives have come to
+/// a state.
+fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) {
     let (_machine, cable) = (Machine::new(test), cable(test));
     let segment = || segment(Family::S700, 2, false);
     let online = || at_master(&cable, || cycles_to_online(segment().plan));
@@ -43,8 +50,13 @@ fn is_taken_over(test: u8, peer: impl Fn(&str) -> Command) {
     let mut holding = Program::spawn(&mut peer(&cable.master));
     holding.await_text("holding");
     holding.kill();
-    // Their watchdogs take the slaves to SAFEOP, with an error.
-    std::thread::sleep(Duration::from_millis(500));
+    if let Some(state) = state {
+        std::thread::sleep(FALLEN);
+        let ended = scan(&cable, &["--json"]);
+        ended.expect(0);
+        let slaves = ended.json()["slaves"].clone();
+        assert_eq!([1, 2].map(|place: usize| slaves[place]["state"].clone()), [state; 2], "{slaves}");
+    }
     let taken_over = online();
     drop(left);
     let _fresh = serve(&cable, segment());
@@ -53,19 +65,40 @@ fn is_taken_over(test: u8, peer: impl Fn(&str) -> Command) {
     eprintln!("{taken_over} cycles, {fresh} on a fresh segment");
 }
 
+/// The watchdogs of the slaves, 100 ms, have taken them to SAFEOP by then, with an error, if they have any.
+const FALLEN: Duration = Duration::from_millis(500);
+
+fn ethercrab(what: &str) -> impl Fn(&str) -> Command {
+    let peer = master::build();
+    move |namespace| {
+        let mut command = Cable::command(namespace, peer.to_str().unwrap());
+        command.args([WIRE, "2", what]);
+        command
+    }
+}
+
 #[test]
 #[ignore = "needs root, iproute2 and a package registry: builds the crate ethercrab"]
 fn a_segment_that_ethercrab_left_in_op_is_taken_over() {
-    let peer = master::build();
-    is_taken_over(50, |namespace| {
-        let mut command = Cable::command(namespace, peer.to_str().unwrap());
-        command.args([WIRE, "2", "hold"]);
-        command
-    });
+    is_taken_over(50, Some("SAFEOP"), ethercrab("hold"));
+    is_taken_over(50, None, ethercrab("hold"));
+}
+
+#[test]
+#[ignore = "needs root, iproute2 and a package registry: builds the crate ethercrab"]
+fn a_segment_that_ethercrab_left_turning_without_a_watchdog_is_taken_over() {
+    is_taken_over(52, Some("OP"), ethercrab("hold-unwatched"));
 }
 
 #[test]
 #[ignore = "needs root, iproute2, python3 and pysoem"]
 fn a_segment_that_soem_left_in_op_is_taken_over() {
-    is_taken_over(51, |namespace| soem::program(namespace, "hold"));
+    is_taken_over(51, Some("SAFEOP"), |namespace| soem::program(namespace, "hold"));
+    is_taken_over(51, None, |namespace| soem::program(namespace, "hold"));
+}
+
+#[test]
+#[ignore = "needs root, iproute2, python3 and pysoem"]
+fn a_segment_that_soem_left_turning_without_a_watchdog_is_taken_over() {
+    is_taken_over(53, Some("OP"), |namespace| soem::program(namespace, "hold-unwatched"));
 }

@@ -13,7 +13,7 @@ use super::{ETHERTYPE, WIRE, at_master, cable, capture, segment, serve};
 use crate::capture;
 use crate::support::{Cable, Ended, Machine, PROGRAM, Program, command};
 
-fn scan(cable: &Cable, options: &[&str]) -> Ended {
+pub fn scan(cable: &Cable, options: &[&str]) -> Ended {
     let mut scan = Command::new(PROGRAM);
     scan.args(["ethercat", "scan", WIRE]).args(options);
     Program::spawn(&mut Cable::enter(&cable.master, &scan)).end()

@@ -1,9 +1,9 @@
-"""A master made of SOEM, by its Python wrapper pysoem: soem.py INTERFACE turn|hold.
+"""A master made of SOEM, by its Python wrapper pysoem: soem.py INTERFACE turn|hold|hold-unwatched.
 
 It brings every slave of the segment to OP. Then `turn` turns the first drive, sets and resets the outputs of the
-terminals, and goes back to INIT; `hold` keeps the first drive turning until this process is killed. A line on standard
-output says what it saw, beginning with a word for what it is about. The end with another exit code than 0 is an
-exception of Python.
+terminals, and goes back to INIT; `hold` keeps the first drive turning until this process is killed, and so does
+`hold-unwatched`, with the watchdogs of all outputs switched off. A line on standard output says what it saw, beginning
+with a word for what it is about. The end with another exit code than 0 is an exception of Python.
 """
 
 import itertools
@@ -188,9 +188,12 @@ def main():
     segment = Segment(interface)
     segment.describe()
     segment.set_up()
+    if what == "hold-unwatched":
+        for slave in segment.slaves:
+            slave.set_watchdog("processdata", 0)
     segment.to_op()
     stop = segment.turn()
-    if what == "hold":
+    if what != "turn":
         say("holding")
         for _ in itertools.count():
             segment.cycle()

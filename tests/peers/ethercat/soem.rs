@@ -15,7 +15,7 @@ const COUNTER: u64 = 2 + 1 + 2 + 1 + 3 + 3;
 /// The abort of an object that does not exist.
 const NO_OBJECT: &str = "0x6020000";
 
-/// Its program: `turn` or `hold`.
+/// Its program: `turn`, `hold` or `hold-unwatched`.
 pub fn program(namespace: &str, what: &str) -> Command {
     let python = checkout("target/peers/python/bin/python");
     let mut command = Cable::command(namespace, python.to_str().unwrap());

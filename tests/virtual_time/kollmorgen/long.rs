@@ -39,6 +39,7 @@ fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
     machine.post(63, jog(3.0));
     machine.run(300);
     machine.assert_turns(63, 3.0);
+    machine.end_well();
 }
 
 /// Of AKD drives with all that they can tell, 40 bytes each, no frame has room for 40.
@@ -50,6 +51,7 @@ fn a_line_whose_process_data_take_more_than_one_frame_comes_up_whole() {
     machine.post(39, jog(3.0));
     machine.run(300);
     machine.assert_turns(39, 3.0);
+    machine.end_well();
 }
 
 /// 8 drives among 56 terminals, with EEPROMs, mailboxes and clocks as slow as real ones.
@@ -94,4 +96,5 @@ fn a_segment_of_64_slaves_as_slow_as_real_ones_is_up_within_10_seconds() {
     machine.until("all up", 8_000, all);
     let online = |machine: &Machine| (0..8).all(|n| machine.feedback(n).link == Link::Online);
     machine.until("online", 1_000, online);
+    machine.end_well();
 }

@@ -31,7 +31,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
 use fieldbeat::internals::bus::ethercat::object::pdo;
 use fieldbeat::internals::sim::ethercat::Drive;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Misuse};
 use fieldbeat::sim::{SimPlan, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::MS;
@@ -185,12 +185,34 @@ impl Machine {
         assert!((rpm - 60.0 * velocity).abs() < 20.0, "{rpm} rpm");
     }
 
+    /// Nothing was done that real hardware does not tolerate.
+    pub fn assert_no_misuse(&self) {
+        self.look(|line| {
+            let misuses = (0..).map_while(|place| line.slave(place).map(|slave| slave.misuse()));
+            for (place, misuse) in misuses.enumerate() {
+                assert_eq!(misuse, Misuse::default(), "at place {place}");
+            }
+        });
+    }
+
+    /// Goes to its orderly end; neither that nor what was before is a misuse of any slave.
+    pub fn end_well(mut self) {
+        self.assert_no_misuse();
+        self.stop();
+        self.assert_no_misuse();
+    }
+
     /// Goes to its orderly end, and gives what was counted of each drive.
     pub fn end(mut self) -> Vec<Counters> {
+        self.stop();
+        self.sim.finish().drives.into_iter().map(|drive| drive.counters).collect()
+    }
+
+    fn stop(&mut self) {
         self.sim.stop();
         for _ in 0..10_000 {
             if self.sim.step() == Flow::End {
-                return self.sim.finish().drives.into_iter().map(|drive| drive.counters).collect();
+                return;
             }
         }
         panic!("no end");

@@ -18,6 +18,7 @@ pub(super) const OTHER_MASTER: u8 = 3;
 #[derive(Debug)]
 pub(super) struct SlaveNotes {
     pub(super) notes: SegmentNotes,
+    pub(super) remarks: SegmentNotes,
     /// The slave of each drive, and its position.
     pub(super) drives: Vec<(usize, u16)>,
     /// The same of each device.
@@ -36,6 +37,16 @@ impl Notes for SlaveNotes {
 
     fn device(&self, index: usize) -> Option<String> {
         self.note(*self.devices.get(index)?)
+    }
+
+    fn remark(&self, index: usize) -> Option<String> {
+        let (slave, place) = *self.drives.get(index)?;
+        self.remarks.get(slave).text(place)
+    }
+
+    fn device_remark(&self, index: usize) -> Option<String> {
+        let (slave, place) = *self.devices.get(index)?;
+        self.remarks.get(slave).text(place)
     }
 
     fn emergencies_lost(&self, index: usize) -> u64 {

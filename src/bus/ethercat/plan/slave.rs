@@ -48,8 +48,8 @@ pub struct SlavePlan {
 /// The SyncManager watchdog of a slave: without outputs for its time it falls back by itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Watchdog {
-    /// As its SII has it: the control byte of its SyncManagers stands, and its registers are left as they are. Without
-    /// an SII, or without [`check_sii`](SlavePlan::check_sii), it is not armed.
+    /// As its SII has it: the control byte of its SyncManagers stands. If that arms a watchdog, its time is that of
+    /// power-on, 100 ms. Without an SII, or without [`check_sii`](SlavePlan::check_sii), it is not armed.
     #[default]
     AsDelivered,
     /// It is armed with this time, ns, whatever the SII has. Some slaves accept the control byte of their SII only.

@@ -20,7 +20,7 @@ use self::offsets::Offsets;
 pub(super) use self::offsets::reports_position;
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
-use super::plan::KollmorgenDrive;
+use super::plan::{KollmorgenDrive, Watchdog};
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
@@ -136,7 +136,7 @@ pub(super) struct Profile {
     wanted: Desired,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
-    /// The master arms its watchdog.
+    /// It may have a watchdog: the configuration does not switch it off.
     watched: bool,
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
@@ -185,7 +185,7 @@ impl Profile {
             scale,
             origin: drive.axis.units.offset,
             mode_bits: if mode == Some(Mode::INTERPOLATED) { ControlWord::START } else { 0 },
-            watched: drive.slave.watchdog.ns().is_some(),
+            watched: drive.slave.watchdog != Watchdog::Off,
             found_otherwise: false,
             mode_refused: false,
             native_owner: None,

@@ -133,6 +133,8 @@ pub struct Segment {
     pub lowered: bool,
     /// Why its slaves are not in operation.
     pub notes: Notes,
+    /// What is to be known of those that are.
+    pub remarks: Notes,
     ask: Ask,
 }
 
@@ -187,7 +189,7 @@ impl Segment {
             first..offsets.partition_point(|offsets| offsets.frame <= frame)
         };
         let ranges: Vec<_> = (0..count).map(frame).collect();
-        let notes = Notes::new(slaves.len());
+        let (notes, remarks) = (Notes::new(slaves.len()), Notes::new(slaves.len()));
         (0..slaves.len()).for_each(|index| notes.set(index, Note::Starting));
         let places = slaves.iter().map(|(_, slave)| usize::from(slave.place) + 1).max().unwrap_or(0);
         let slaves = Slaves::new(slaves.into_iter().zip(offsets).map(slave));
@@ -197,6 +199,7 @@ impl Segment {
             frames,
             clock: SegmentClock::new(period_ns, plan.ahead_of_sync_ns.unwrap_or(period_ns / 2)),
             notes,
+            remarks,
             topology: Topology::new(places),
             ..Segment::default()
         }
@@ -208,6 +211,7 @@ impl Segment {
         regions.add(&*self.frames);
         self.topology.memory(regions);
         self.notes.memory(regions);
+        self.remarks.memory(regions);
     }
 
     /// All slaves are in operation, and their outputs reach them.

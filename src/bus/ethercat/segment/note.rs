@@ -101,6 +101,12 @@ pub enum Note {
     },
     /// Its watchdog does not read back as set.
     Watchdog,
+    /// This one of its SyncManagers does not read back as set.
+    Manager(u16),
+    /// It is in operation, and its SII arms no watchdog, to which the configuration leaves that.
+    Unarmed,
+    /// The same, and its SII has no SyncManagers.
+    NoManagers,
     /// It waits for the clock of the segment.
     WaitsForClock,
     /// It waits until the grid is at its SYNC0; the distance, ns: positive is late. `None`: it is not known.
@@ -138,7 +144,7 @@ pub enum Note {
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 11] = [
+    const PLAIN: [Note; 13] = [
         Note::None,
         Note::Absent,
         Note::NoClock,
@@ -150,6 +156,8 @@ impl Note {
         Note::Starting,
         Note::Unsettled,
         Note::AddressTwice,
+        Note::Unarmed,
+        Note::NoManagers,
     ];
 
     fn pack(self) -> u64 {
@@ -169,6 +177,7 @@ impl Note {
                 number(0x8d, memory(usage, start), u32::from(own) << 16 | u32::from(named))
             }
             Note::Fmmus(count) => number(0x85, 0, count.into()),
+            Note::Manager(manager) => number(0x92, 0, manager.into()),
             Note::State { to, code } => number(0x86, to.number().into(), code.0.into()),
             Note::Control { to, code, set, own } => {
                 let control = u32::from(set) << 8 | u32::from(own);
@@ -206,6 +215,7 @@ impl Note {
             0x84 => Note::Start { usage, own: high as u16, named: (low >> 16) as u16, length: low as u16 },
             0x8d => Note::Length { usage, start: high as u16, own: (low >> 16) as u16, named: low as u16 },
             0x85 => Note::Fmmus(low as u8),
+            0x92 => Note::Manager(low as u16),
             0x86 => Note::State { to: state(), code: AlCode(low as u16) },
             0x8e => Note::Control {
                 to: state(),
@@ -305,6 +315,19 @@ impl Note {
                 abort.name().unwrap_or("not known")
             ),
             Note::Watchdog => "its watchdog does not read back as set".into(),
+            Note::Manager(number) => {
+                format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
+            }
+            Note::Unarmed => {
+                "its SII arms no watchdog: if the master dies, only the slave itself ends its outputs; give watchdog a \
+                time, or \"off\" if it shall have none"
+                    .into()
+            }
+            Note::NoManagers => {
+                "its SII has no SyncManagers, and so arms no watchdog: if the master dies, only the slave itself ends \
+                its outputs; give watchdog a time, or \"off\" if it shall have none"
+                    .into()
+            }
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
             Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
             Note::WaitsForLock(Some(error)) => {
@@ -408,6 +431,9 @@ mod tests {
             Note::StartUp { object: Object::new(0x1C12, 1), abort: AbortCode(0x0602_0000) },
             Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(object::FULL) },
             Note::Watchdog,
+            Note::Manager(3),
+            Note::Unarmed,
+            Note::NoManagers,
             Note::WaitsForClock,
             Note::WaitsForLock(None),
             Note::WaitsForLock(Some(-123_456)),

@@ -177,6 +177,7 @@ impl Segment {
         let owner = slave.owner;
         let (happened, running) = slave.receive(&context, answers);
         self.notes.set(index, slave.note());
+        self.remarks.set(index, slave.remark);
         if let Some(running) = running {
             self.take_time(index, &back.sent, &running);
         }

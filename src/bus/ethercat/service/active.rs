@@ -76,7 +76,7 @@ impl Active {
     }
 
     /// An answer is late, and the same may be requested again. What the application writes is not: it has given the
-    /// time that this may take.
+    /// time that this may take. (Nor is it when its answer was lost, which ends it.)
     pub(super) fn is_late(&self, now: Time, answer_ns: u64) -> bool {
         let most = match self.by {
             By::Call(..) if self.sdo.writes() => 1,
@@ -88,8 +88,8 @@ impl Active {
 
     /// It begins anew: its answer was lost, or is late.
     ///
-    /// The slave may have carried out the request already. A read changes nothing. A download gives an object a value:
-    /// the same value again leaves it as it is, and since a slave works in the order of its requests no other value
+    /// The slave may have carried out the request already. A read changes nothing. A download of the master gives an
+    /// object a value: the same value again leaves it as it is, and since a slave works in the order of its requests no other value
     /// comes between the two, whether they are answered or not.
     pub(super) fn repeat(&mut self, now: Time) {
         self.sdo.restart();

@@ -301,6 +301,18 @@ impl Service {
         }
     }
 
+    /// Its answer was lost, and does not come again. What the application writes is not written twice without its
+    /// knowledge: the same value may do something each time.
+    fn answer_lost(&mut self, now: Time) {
+        let awaits = self.mailbox.as_ref().is_some_and(Mailbox::awaits);
+        let is_write = matches!(&self.active, Some(Active { by: By::Call(..), sdo, .. }) if sdo.writes());
+        if awaits && is_write {
+            self.finish(End::GivenUp(CallError::Refused(object::UNCERTAIN)));
+        } else {
+            self.repeat(now);
+        }
+    }
+
     /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
     fn repeat(&mut self, now: Time) {
         let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) else { return };
@@ -342,7 +354,7 @@ impl Service {
                 counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
                 self.finish(End::Failed(Failure::Unusable(object::FULL)));
             }
-            Some(Received::Gone) => self.repeat(now),
+            Some(Received::Gone) => self.answer_lost(now),
             Some(Received::Message) => self.take(now, counters),
         }
     }

@@ -21,6 +21,11 @@ impl Chip {
         self.misuse
     }
 
+    /// What was before counts no longer: another master did it.
+    pub(in super::super) fn forget_misuse(&mut self) {
+        self.misuse = Misuse::default();
+    }
+
     /// Counts what is wrong with a write.
     pub(super) fn count_misuse(&mut self, at: u16, data: &[u8]) {
         let range = usize::from(at)..usize::from(at) + data.len();

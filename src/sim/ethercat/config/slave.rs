@@ -19,7 +19,13 @@ impl Names<'_> {
 
 /// Reads the keys of the slave at `place`; a device can be a model.
 pub(super) fn slave(table: &mut Table<'_>, place: u16, names: &Names<'_>, device: bool) -> SlaveSettings {
-    let left = table.word("left", &[("op", (0x08, 0)), ("safeop", (0x04, 0)), ("watchdog", (0x14, 0x001B))]);
+    let words = [
+        ("op", (false, (0x08, 0))),
+        ("safeop", (false, (0x04, 0))),
+        ("watchdog", (false, (0x14, 0x001B))),
+        ("unwatched", (true, (0x08, 0))),
+    ];
+    let left = table.word("left", &words);
     SlaveSettings {
         model: device.then(|| table.word("type", &Model::ALL)).flatten(),
         emulated: table.flag("emulated"),
@@ -38,7 +44,7 @@ pub(super) fn slave(table: &mut Table<'_>, place: u16, names: &Names<'_>, device
         mailbox: table.table("mailbox", mailbox),
         behind: behind(table, names),
         wired_to: device.then(|| named(table, "wired_to", names)).flatten(),
-        left: left.map(|al| Left::by_another(place, al)),
+        left: left.map(|(unwatched, al)| Left { unwatched, ..Left::by_another(place, al) }),
     }
 }
 

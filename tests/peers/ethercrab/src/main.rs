@@ -1,6 +1,7 @@
-//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES turn|hold`. The segment behind INTERFACE is a
+//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES turn|hold|hold-unwatched`. The segment behind INTERFACE is a
 //! coupler and DRIVES Kollmorgen S700. It brings all of them to OP and turns the first drive. `turn` stops it then and
-//! goes back to INIT; `hold` keeps it turning until this process is killed. A line on standard output says what it saw,
+//! goes back to INIT; `hold` keeps it turning until this process is killed, `hold-unwatched` too, with the watchdogs of
+//! all outputs switched off. A line on standard output says what it saw,
 //! and an error on standard error what it did not.
 
 use std::error::Error as StdError;
@@ -20,6 +21,8 @@ const CYCLE: Duration = Duration::from_millis(10);
 const CYCLES: usize = 3_000;
 /// So many cycles a speed is held.
 const HELD: usize = 50;
+/// The time of the watchdog of the outputs.
+const WATCHDOG: u16 = 0x0420;
 /// Counts of the velocity setpoint.
 const VELOCITY: i32 = 5_000;
 
@@ -29,7 +32,7 @@ fn main() -> Done<()> {
     let mut arguments = std::env::args().skip(1);
     let interface = arguments.next().ok_or("which interface?")?;
     let drives: usize = arguments.next().ok_or("how many drives?")?.parse()?;
-    let holds = arguments.next().ok_or("turn or hold?")? == "hold";
+    let what = arguments.next().ok_or("turn, hold or hold-unwatched?")?;
     let (tx, rx, pdus) = STORAGE.try_split().map_err(|()| "the storage is taken")?;
     let timeouts = Timeouts {
         state_transition: Duration::from_secs(20),
@@ -42,16 +45,19 @@ fn main() -> Done<()> {
     let config =
         MainDeviceConfig { dc_static_sync_iterations: 500, retry_behaviour: RetryBehaviour::Count(5) };
     smol::spawn(tx_rx_task(&interface, tx, rx)?).detach();
-    smol::block_on(run(MainDevice::new(pdus, timeouts, config), drives, holds))
+    smol::block_on(run(MainDevice::new(pdus, timeouts, config), drives, &what))
 }
 
-async fn run(master: MainDevice<'static>, drives: usize, holds: bool) -> Done<()> {
+async fn run(master: MainDevice<'static>, drives: usize, what: &str) -> Done<()> {
     let mut group = master.init_single_group::<SLAVES, IMAGE>(ethercat_now).await?;
     println!("slaves {}", group.len());
     for (place, mut slave) in group.iter_mut(&master).enumerate() {
         let identity = slave.identity();
         println!("identity {place} {:#x} {:#x}", identity.vendor_id, identity.product_id);
         println!("clock {place} {:?}", slave.dc_support());
+        if what == "hold-unwatched" {
+            slave.register_write(WATCHDOG, 0_u16).await?;
+        }
         if place == 0 {
             continue;
         }
@@ -92,7 +98,7 @@ async fn run(master: MainDevice<'static>, drives: usize, holds: bool) -> Done<()
     }
     println!("state OP");
     line.turn().await?;
-    if holds {
+    if what != "turn" {
         println!("holding");
         loop {
             line.cycle().await?;

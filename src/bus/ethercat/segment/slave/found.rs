@@ -15,7 +15,6 @@ use super::setup::WATCHDOG_DIVIDER;
 use super::{Context, List, Mapped, Note, Slave, Step, Way};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::cia402::StatusWord;
-use crate::bus::ethercat::plan::Watchdog;
 use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
@@ -72,7 +71,7 @@ impl Slave {
             let values = (word(0), word(WATCHDOGS - 2));
             self.managers().all(arms) && values == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()))
         };
-        self.watched = self.plan.watchdog == Watchdog::AsDelivered || is_armed();
+        self.watched = !self.sets_watchdog() || is_armed();
         let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
         if is_own && self.clock_fits {
             self.enter(now, Step::FoundFmmus);
@@ -128,6 +127,7 @@ impl Slave {
     /// All of it is as configured.
     pub(super) fn joined_whole(&mut self, now: Time) {
         (self.way.was_operational, self.note) = (true, Note::None);
+        self.remark = self.unarmed();
         (self.refused, self.refusals) = (Note::None, 0);
         self.enter(now, Step::Up);
     }

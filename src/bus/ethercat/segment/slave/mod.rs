@@ -209,6 +209,8 @@ pub struct Slave {
     /// A factor for the next object, from the object that was read before.
     factor: u32,
     note: Note,
+    /// What is to be known of it although it is in operation.
+    pub remark: Note,
     /// Why it was refused last.
     refused: Note,
     /// How often that was, in a row.
@@ -263,6 +265,7 @@ impl Slave {
             ending: false,
             factor: 1,
             note: Note::Starting,
+            remark: Note::None,
             refused: Note::None,
             refusals: 0,
             reported: None,

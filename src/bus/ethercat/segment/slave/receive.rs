@@ -92,12 +92,11 @@ impl Slave {
                     .iter()
                     .zip(values)
                     .all(|(answer, value)| answer.is_some_and(|answer| answer.data == value));
-                self.checked(now, is_set, Step::SyncManagers(0));
+                self.checked(now, if is_set { Ok(Step::SyncManagers(0)) } else { Err(Note::Watchdog) });
             }
             Step::SyncManagers(from) => self.enter(now, Step::SyncManagersCheck(from)),
             Step::SyncManagersCheck(from) => {
-                let (is_set, next) = self.managers_read(from, answers);
-                self.checked(now, is_set, next);
+                self.checked(now, self.managers_read(from, answers));
             }
             Step::Fmmus => {
                 self.way.mapped = Mapped::All;
@@ -129,11 +128,10 @@ impl Slave {
     }
 
     /// The settings were read back.
-    fn checked(&mut self, now: Time, is_set: bool, next: Step) {
-        if is_set {
-            self.enter(now, next);
-        } else {
-            self.refuse(now, Note::Watchdog);
+    fn checked(&mut self, now: Time, next: Result<Step, Note>) {
+        match next {
+            Ok(next) => self.enter(now, next),
+            Err(note) => self.refuse(now, note),
         }
     }
 
@@ -193,6 +191,7 @@ impl Slave {
             }
             AlState::SafeOp => {
                 (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
+                self.remark = self.unarmed();
                 let settles = self.plan.sync;
                 self.enter(now, if settles { Step::Settle { good: 0, next: now } } else { Step::Lock });
             }

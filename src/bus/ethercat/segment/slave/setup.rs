@@ -12,6 +12,8 @@ use crate::bus::ethercat::wire::sii::Use;
 /// Of a watchdog, 100 us.
 pub(super) const WATCHDOG_DIVIDER: u16 = 0x09C2;
 const WATCHDOG_TICK_NS: u64 = 100_000;
+/// Its time at power-on, 100 ms (ETG.1000.4, 6.2).
+const WATCHDOG_DELIVERED: u16 = 1_000;
 /// FMMUs of one slave: outputs, inputs, AL status.
 pub(super) const FMMUS: usize = 2 * MOST_AREAS + 1;
 
@@ -23,9 +25,9 @@ impl Slave {
 
     /// The first step of setting up its process data.
     pub(super) fn process_data(&self) -> Step {
-        let SlavePlan { outputs, inputs, watchdog, .. } = &self.plan;
+        let SlavePlan { outputs, inputs, .. } = &self.plan;
         match () {
-            () if !outputs.is_empty() && *watchdog != Watchdog::AsDelivered => Step::Watchdog,
+            () if self.sets_watchdog() => Step::Watchdog,
             () if !outputs.is_empty() || !inputs.is_empty() => Step::SyncManagers(0),
             // A coupler's head exchanges only its state.
             () if self.fmmus().1 > 0 => Step::Fmmus,
@@ -113,16 +115,19 @@ impl Slave {
         self.managers().skip(from.into()).take(MANAGERS_SET.into())
     }
 
-    /// They were read: whether they are as they were written, and the step behind that.
-    pub(super) fn managers_read(&self, from: u8, answers: &Answers<'_>) -> (bool, Step) {
+    /// They were read: the step behind that; or the first that is not as it was written.
+    pub(super) fn managers_read(&self, from: u8, answers: &Answers<'_>) -> Result<Step, Note> {
         let mut all = answers.iter().flatten().zip(self.managers_from(from));
-        let is_set = all.all(|(answer, (_, wanted))| {
+        let other = all.find(|(answer, (_, wanted))| {
             let bytes = answer.data.first_chunk::<{ SyncManager::SIZE }>();
-            bytes.is_some_and(|bytes| SyncManager::new(*bytes) == wanted)
+            bytes.is_none_or(|bytes| SyncManager::new(*bytes) != *wanted)
         });
+        if let Some((_, (number, _))) = other {
+            return Err(Note::Manager(number));
+        }
         let next = from.saturating_add(MANAGERS_SET);
         let is_last = usize::from(next) >= self.managers().count();
-        (is_set, if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
+        Ok(if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
     }
 
     /// Those of its mailboxes.
@@ -135,10 +140,37 @@ impl Slave {
         })
     }
 
+    /// The time of its watchdog is written: the configured one; or that of power-on where its SII arms one, since
+    /// another master may have left it any.
+    pub(super) fn sets_watchdog(&self) -> bool {
+        !self.plan.outputs.is_empty() && (self.plan.watchdog != Watchdog::AsDelivered || self.is_armed())
+    }
+
+    /// The control byte of its outputs arms a watchdog.
+    fn is_armed(&self) -> bool {
+        let mut managers = self.managers();
+        managers.any(|(_, manager)| manager.is_output() && manager.control & SyncManager::WATCHDOG != 0)
+    }
+
+    /// Why its outputs have no watchdog although the configuration leaves that to its SII; `None`: they have one, or the
+    /// configuration says that they have none.
+    pub(super) fn unarmed(&self) -> Note {
+        let SlavePlan { outputs, watchdog, check_sii, .. } = &self.plan;
+        match () {
+            () if outputs.is_empty() || *watchdog != Watchdog::AsDelivered || !check_sii => Note::None,
+            () if self.delivered.is_empty() => Note::NoManagers,
+            () if !self.is_armed() => Note::Unarmed,
+            () => Note::None,
+        }
+    }
+
     /// Its watchdog in ticks; 0: off.
     pub(super) fn watchdog(&self) -> u16 {
-        let ticks = self.plan.watchdog.ns().map_or(0, |ns| ns / WATCHDOG_TICK_NS);
-        u16::try_from(ticks).unwrap_or(u16::MAX)
+        match self.plan.watchdog {
+            Watchdog::AsDelivered => WATCHDOG_DELIVERED,
+            Watchdog::After(ns) => u16::try_from(ns / WATCHDOG_TICK_NS).unwrap_or(u16::MAX),
+            Watchdog::Off => 0,
+        }
     }
 
     /// A difference between the SII and the configuration.

@@ -116,6 +116,26 @@ fn an_fmmu_by_which_another_master_writes_is_left_alone() {
 }
 
 #[test]
+fn the_watchdog_of_a_drive_found_in_op_is_compared_with_what_its_sii_arms() {
+    for (control, ticks, watched) in
+        [(0x64, 1_000_u16, true), (0x64, 0, false), (0x64, 0xFFFF, false), (0x24, 1_000, false)]
+    {
+        let (plan, whole) = running(1, &[0], 1);
+        let mut rig = Rig::on(&plan, whole);
+        // What it has, with another control byte: one that is on does not take it.
+        let mut manager = rig.peek(0, address::sync_manager(2), 8);
+        rig.poke(0, address::sync_manager(2), &[0; 8]);
+        manager[4] = control;
+        rig.poke(0, address::sync_manager(2), &manager);
+        rig.poke(0, address::WATCHDOG, &ticks.to_le_bytes());
+        rig.until("joined", 500, |rig| rig.note(0) == Note::None);
+        let slave = &rig.line.slaves[0];
+        assert!(slave.way.joined, "{:?}", slave.at());
+        assert_eq!(slave.watched, watched, "{control:#04x} {ticks}");
+    }
+}
+
+#[test]
 fn a_device_found_in_op_is_set_up_from_init() {
     let mut plan = drives(0);
     plan.devices = vec![coupler(0)];

@@ -77,6 +77,9 @@ impl Rig {
         self.poke(place, address::SII_OWNER, &[any.below(2) as u8]);
         self.poke(place, address::ALIAS_ENABLE, &[any.below(2) as u8]);
         self.poke(place, address::EVENT_MASK, &[0xFF, 0xFF]);
+        for register in [address::WATCHDOG_DIVIDER, address::WATCHDOG] {
+            self.poke(place, register, &u16::to_le_bytes(any.of(&[0, 1, 0xFFFF])));
+        }
         if any.below(2) == 0 {
             self.poke(place, address::DC_OFFSET, &any.below(u64::MAX).wrapping_mul(0x1_0001).to_le_bytes());
             self.poke(place, address::DC_ACTIVATION, &[any.below(4) as u8]);
@@ -133,6 +136,8 @@ fn whatever_was_left_is_taken_over_in_the_time_of_a_fresh_segment() {
             assert_eq!(rig.peek(place, address::STATION, 2), (FIRST_STATION + place).to_le_bytes());
             let used = rig.peek(place, address::fmmu(3), 32);
             assert_eq!(used, [0; 32], "seed {seed}: FMMUs of others");
+            let watchdog = [address::WATCHDOG_DIVIDER, address::WATCHDOG].map(|at| rig.peek(place, at, 2));
+            assert_eq!(watchdog, [0x09C2, 1_000].map(|word| u16::to_le_bytes(word).to_vec()), "seed {seed}");
         }
     }
     assert!(worst <= fresh + fresh / 10, "{worst} cycles, and {fresh} of a fresh one");

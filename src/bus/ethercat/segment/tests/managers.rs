@@ -69,6 +69,30 @@ fn the_control_bytes_of_the_sii_stand_unless_the_watchdog_is_configured() {
         let set = [0, 1, 2, 3].map(|n| set_of(&mut rig, n));
         assert_eq!(set, [mailboxes[0], mailboxes[1], outputs, 0x20], "{control:#04x} {watchdog:?}");
         assert_eq!(rig.peek(0, address::WATCHDOG, 2), time.to_le_bytes(), "{control:#04x} {watchdog:?}");
+        let is_left_to_it = watchdog == Watchdog::AsDelivered && check_sii;
+        let remark = if is_left_to_it && control & 0x40 == 0 { Note::Unarmed } else { Note::None };
+        assert_eq!(rig.line.remarks.get(0), remark, "{control:#04x} {watchdog:?} {check_sii}");
+    }
+}
+
+#[test]
+fn an_sii_without_sync_managers_is_named_if_the_watchdog_is_left_to_it() {
+    for (watchdog, remark) in
+        [(Watchdog::AsDelivered, Note::NoManagers), (Watchdog::After(50 * MS), Note::None)]
+    {
+        let mut rig = rig(0x64, watchdog, true, AlCode::NONE);
+        let mut plan = drives(0);
+        plan.devices = vec![coupler(0)];
+        plan.devices[0].slave.watchdog = watchdog;
+        rig.line = Rig::new(&plan).line;
+        let contents = ethercat::sii::Contents {
+            identity: Identity { vendor: 2, ..Identity::default() },
+            ..ethercat::sii::Contents::default()
+        };
+        let settings = Settings { features: Features(0x0180), sii: contents.image(), ..Settings::default() };
+        *rig.sim.segment() = ethercat::Segment::new(vec![Esc::new(settings, Box::new(Strict(AlCode::NONE)))]);
+        rig.all_up(4_000);
+        assert_eq!(rig.line.remarks.get(0), remark);
     }
 }
 
@@ -94,4 +118,23 @@ fn a_refusal_names_the_watchdog_where_it_changes_the_control_byte() {
     );
     let other = AlCode(0x1E);
     assert_eq!(refused(0x24, Watchdog::After(100 * MS), other.0), Note::State { to, code: other });
+}
+
+#[test]
+fn what_does_not_read_back_is_named_whether_watchdog_or_sync_manager() {
+    let refused = |step: &str, register, other: &[u8]| {
+        let mut rig = rig(0x64, Watchdog::AsDelivered, true, AlCode::NONE);
+        rig.until(step, 500, |rig| rig.line.slaves[0].at().contains(step));
+        rig.poke(0, register, other);
+        rig.run(2);
+        rig.note(0)
+    };
+    assert_eq!(refused("WatchdogCheck", address::WATCHDOG, &[7, 0]), Note::Watchdog);
+    assert_eq!(refused("WatchdogCheck", address::WATCHDOG_DIVIDER, &[7, 0]), Note::Watchdog);
+    for manager in [2, 3] {
+        let note = refused("SyncManagersCheck", address::sync_manager(manager), &[0; 8]);
+        assert_eq!(note, Note::Manager(manager));
+        let text = note.text(0).unwrap();
+        assert!(text.contains(&format!("SyncManager {manager} does not read back")), "{text}");
+    }
 }

@@ -34,9 +34,17 @@ fn an_answer_that_a_slave_does_not_send_again_costs_one_repetition() {
             // The same of a write: it is carried out twice, and leaves the same.
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
             assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 5, bytes: 1 }), Ok(5));
+            // What the application writes is not written twice: it hears that it may have been.
+            let requests = server.shared().requests.len();
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
-            assert_eq!(bench.call(WRITE, "0x6060:0", 6), Ok(6));
+            let lost = Err(CallError::Refused(object::UNCERTAIN));
+            assert_eq!(bench.call(WRITE, "0x6060:0", 6), lost, "{repeat:?} {length}");
+            bench.steps(20);
             assert_eq!(server.shared().objects[1].1, [6]);
+            let writes =
+                server.shared().requests[requests..].iter().filter(|request| request[8] == 0x2F).count();
+            assert_eq!(writes, 1, "{repeat:?} {length}");
+            assert_eq!(bench.call(WRITE, "0x6060:0", 7), Ok(7));
             // Of a frame that never arrived nothing is lost.
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverArrives];
             assert_eq!(bench.read(SERIAL), Ok(0x6A));
