@@ -976,7 +976,7 @@ fn values_of_a_moons_drive_arrive_where_they_belong() {
          version = \"v2\"\nlayout = \"page\"\ndelivery = \"multicast\"\ninput_rpi = \"5ms\"\n\
          timeout_multiplier = 64\nfresh_within = \"20ms\"\nfirst_within = \"2s\"\nconfiguration = [1, 0]\n\
          explicit = \"connected\"\nhold = 3\neffect_within = \"300ms\"\n\
-         watchdog = { verify = true, within = \"1s\" }\nno_drive_watchdog = \"accept\"\n\
+         watchdog = \"1s\"\nno_drive_watchdog = \"accept\"\n\
          enable_input = { input = 3, closed = false }\nhomed_register = \"3\"\nencoder = 4000\njog = false\n\
          homing = { method = \"find\", input = \"2L\", velocity = 5, acceleration = 50, distance = -20 }",
     )
@@ -990,7 +990,7 @@ fn values_of_a_moons_drive_arrive_where_they_belong() {
         "version: Some(V2), layout: Page, delivery: Multicast, input_rpi_ns: Some(5000000), multiplier: Some(4)",
         "fresh_within_ns: Some(20000000), first_within_ns: 2000000000, configuration: Some([1, 0]), heartbeat: None",
         "explicit: Connected, hold: 3, effect_within_ns: 300000000",
-        "Watchdog { verify: true, within_ns: 1000000000, accept_none: true }",
+        "Watchdog { within_ns: Some(1000000000), accept_none: true }",
         "enable_input: Some(EnableInput { number: 3, closed: false })",
         "Homing { method: Find, input: 19634, velocity: 5.0, acceleration: 50.0, distance: -20.0 }",
         "homed_register: Some(51), encoder: true, encoder_counts_per_step: 0.4, jog: false",

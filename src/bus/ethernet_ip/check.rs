@@ -166,9 +166,17 @@ impl MoonsDrive {
             );
         }
         let (within, least) = (self.watchdog.within_ns, rpi.saturating_mul(2));
-        if within < least || within > WATCHDOG_MAX_NS {
+        if within.is_none() && self.takes_commands() && !self.watchdog.accept_none {
             wrong(
-                "watchdog.within",
+                "no_drive_watchdog",
+                "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or set ZS of \
+                 the drive, and watchdog to that"
+                    .to_owned(),
+            );
+        }
+        if within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within)) {
+            wrong(
+                "watchdog",
                 format!(
                     "must be {} ... {}: the drive's ZS has to outlast a lost packet",
                     Ns(least),
@@ -299,7 +307,7 @@ impl MoonsDrive {
 
     /// The drive stops by itself within this time, ns; `None`: it does not, or it is not known.
     pub(super) fn stops_within_ns(&self) -> Option<u64> {
-        (self.takes_commands() && !self.watchdog.accept_none).then_some(self.watchdog.within_ns)
+        self.watchdog.within_ns.filter(|_| self.takes_commands())
     }
 
     /// What `check` says of it beyond its axis; the first line is its address.
@@ -398,16 +406,8 @@ impl MoonsDrive {
         if !self.takes_commands() {
             return "nothing of this master moves the drive".to_owned();
         }
-        let watchdog = &self.watchdog;
-        if watchdog.accept_none {
-            return "nothing may stop the drive: a move runs to its target and a jog runs on \
-                    (no_drive_watchdog = \"accept\")"
-                .to_owned();
-        }
-        let how = if watchdog.verify {
-            "and is enabled only if these were read (watchdog.verify)"
-        } else {
-            "taken on trust: no message of the manual reads them"
+        let Some(within_ns) = self.watchdog.within_ns else {
+            return "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")".to_owned();
         };
         let held = match self.axis.load {
             Load::Vertical(HeldBy::Drive) => {
@@ -416,8 +416,9 @@ impl MoonsDrive {
             _ => "",
         };
         format!(
-            "the drive begins to stop within {} by its own watchdog (ZS, ZA), {how}{held}",
-            Ns(watchdog.within_ns)
+            "the drive begins to stop within {} by its own watchdog (ZS, ZA), taken on trust: no message of the manual \
+             reads them{held}",
+            Ns(within_ns)
         )
     }
 }

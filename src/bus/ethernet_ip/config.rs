@@ -14,7 +14,7 @@ use crate::bus::BusPlan;
 use crate::keys::bus::{NOWHERE, drives, reachable};
 use crate::keys::drive::{Counts, axis};
 use crate::keys::machine::{Claim, Machine};
-use crate::keys::table::{POSITIVE, Table, integer, number};
+use crate::keys::table::{POSITIVE, Table, integer, number, time};
 use crate::keys::value::station;
 use crate::net::SendMode;
 use crate::time::{MS, S};
@@ -191,19 +191,16 @@ fn encoder(table: &mut Table<'_>, steps: f64) -> Option<f64> {
 }
 
 fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
-    let watchdog = table.table("watchdog", |table| Watchdog {
-        verify: table.flag("verify").unwrap_or(default.verify),
-        within_ns: table
-            .time(
-                "within",
-                MS..=WATCHDOG_MAX_NS,
-                "what ZS of the drive is set to at most; 500ms as delivered",
-            )
-            .unwrap_or(default.within_ns),
-        accept_none: default.accept_none,
+    let hint = "what ZS of the drive is set to at most, 500ms as delivered; or \"off\"";
+    let within_ns = table.read("watchdog", |value| match value.as_str() {
+        Some("off") => Ok(None),
+        _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
     });
     let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
+    Watchdog {
+        within_ns: within_ns.unwrap_or(default.within_ns),
+        accept_none: accept.unwrap_or(default.accept_none),
+    }
 }
 
 /// What `read` makes of a sub-table; nothing if it is absent.

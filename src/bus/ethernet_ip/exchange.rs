@@ -64,10 +64,6 @@ pub enum Outputs {
 /// What was read of a drive by explicit messages, as far as its enable depends on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Facts {
-    /// The drive stops by itself after so long, ns; `None`: not read, or it does not.
-    pub watchdog_ns: Option<u64>,
-    /// What the drive then does (ZA).
-    pub watchdog_action: Option<u8>,
     /// Whether the register of the plan says that it has its reference.
     pub homed: Option<bool>,
 }

@@ -160,14 +160,12 @@ pub enum Explicit {
     Connected,
 }
 
-/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA.
+/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA. They are taken on trust: no
+/// message of the Host Command Reference reads them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
-    /// The drive is enabled only if its ZS and ZA were read. Else they are taken on trust: no message of the Host
-    /// Command Reference reads them.
-    pub verify: bool,
-    /// What ZS is set to at most, ns.
-    pub within_ns: u64,
+    /// What ZS is set to at most, ns; `None`: it is 0, and the drive does not stop by itself.
+    pub within_ns: Option<u64>,
     /// Motion is taken although the drive does not stop by itself.
     pub accept_none: bool,
 }
@@ -208,7 +206,7 @@ pub enum HomingMethod {
 impl Default for Watchdog {
     /// The drive's own default: 500 ms.
     fn default() -> Watchdog {
-        Watchdog { verify: false, within_ns: 500 * MS, accept_none: false }
+        Watchdog { within_ns: Some(500 * MS), accept_none: false }
     }
 }
 

@@ -14,7 +14,7 @@
 use super::edges::{Change, Edges, Wanted};
 use super::exchange::Facts;
 use super::native::{NativeOutput, NativePort};
-use super::plan::{Homing, HomingMethod, MOST_PER_REV, MoonsDrive, Version, Watchdog};
+use super::plan::{Homing, HomingMethod, MOST_PER_REV, MoonsDrive, Version};
 use super::wire::assembly::{Letters, Outputs, command, status};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Lacks, Units};
@@ -31,14 +31,9 @@ const NO_HOMING: &str = "how it homes is not configured (homing)";
 const NO_OUTPUTS: &str = "its connection has no outputs: use connection = \"owner\"";
 const FIRST_VERSION: &str =
     "a drive of version \"v1\" has no outputs: its values are shown, and it takes parameter calls";
-/// Why a drive that nothing would stop is not enabled.
-const NOT_WATCHED: &str = "it is not known to stop by itself if the master dies: set its watchdog (ZS, ZA) and \
-    watchdog.verify = false, or use no_drive_watchdog = \"accept\"";
-const TOO_LATE: &str = "its own watchdog (ZS) is off, or longer than watchdog.within: set ZS, and switch the drive off \
-    and on";
 const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, or own the \
     control word";
-const FIRST: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
+const BUSY_NOW: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
 
 /// The demand ends exactly at its target; a step is left to its rounding.
 const ARRIVAL_STEPS: f64 = 2.0;
@@ -153,7 +148,6 @@ struct Rules {
     velocity: f64,
     acceleration: f64,
     homing: Option<Homing>,
-    watchdog: Watchdog,
     registers_home: bool,
 }
 
@@ -223,7 +217,6 @@ impl Profile {
                 velocity: drive.velocity_on_wire(1.0),
                 acceleration: drive.acceleration_on_wire(1.0),
                 homing: drive.homing,
-                watchdog: drive.watchdog,
                 registers_home: drive.homed_register.is_some(),
             },
         }
@@ -397,7 +390,7 @@ impl Profile {
         }
         if self.power_step == Step::Due {
             return match self.power.value {
-                Power::EnableOperation if !self.may_enable(seen) => (Holder::Nobody, None),
+                Power::EnableOperation if seen.has(BUSY) => (Holder::Nobody, None),
                 Power::EnableOperation => (Holder::Power, goes(command::ENABLE)),
                 Power::FaultReset => (Holder::Power, goes(command::RESET_ALARM)),
                 // It replaces an enable that is under way.
@@ -494,23 +487,6 @@ impl Profile {
         }
     }
 
-    /// Power may come on: the drive is known to stop by itself, or nobody wants to know.
-    fn may_enable(&self, seen: &Seen) -> bool {
-        self.obstacle().is_none() && !seen.has(BUSY)
-    }
-
-    fn obstacle(&self) -> Option<&'static str> {
-        let watchdog = &self.rules.watchdog;
-        if watchdog.accept_none || !watchdog.verify {
-            return None;
-        }
-        match self.facts.watchdog_ns {
-            None => Some(NOT_WATCHED),
-            Some(ns) if ns == 0 || ns > watchdog.within_ns => Some(TOO_LATE),
-            Some(_) => None,
-        }
-    }
-
     /// The packet has gone out.
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         self.sent = (self.power.serial, self.motion.serial);
@@ -602,10 +578,10 @@ impl Profile {
                 Step::Due => false,
                 _ => true,
             };
-        // One that waits for what stands against it is known to the drive machine by that.
-        let waits = self.power_step == Step::Due && self.power.value == Power::EnableOperation;
-        evidence.accepted.power =
-            evidence.accepted.power.max(since(power_has || waits && self.obstacle().is_some(), power));
+        // One that waits for a busy drive is known to the drive machine by that.
+        let waits =
+            self.power_step == Step::Due && self.power.value == Power::EnableOperation && seen.has(BUSY);
+        evidence.accepted.power = evidence.accepted.power.max(since(power_has || waits, power));
         let motion_has = self.motion.serial == motion && self.is_taken;
         evidence.accepted.motion = evidence.accepted.motion.max(since(motion_has, motion));
         evidence.refused = self.refused;
@@ -614,7 +590,7 @@ impl Profile {
         evidence.outputs_count = true;
         evidence.stays_on = seen.is_enabled();
         evidence.ready = !seen.has(BUSY);
-        evidence.obstacle = self.obstacle().or(seen.has(BUSY).then_some(FIRST));
+        evidence.obstacle = seen.has(BUSY).then_some(BUSY_NOW);
         let active = seen.has(status::FAULT);
         evidence.fault = FaultIs { active, named: true, resettable: Resettable::Now };
         self.proved = *seen;

@@ -153,11 +153,11 @@ fn a_distance_or_input_that_no_drive_has_is_a_fault() {
 fn a_command_that_cannot_be_seen_in_time_and_a_watchdog_that_a_lost_packet_ends_are_faults() {
     let mut drive = drive();
     drive.effect_within_ns = 40 * MS;
-    drive.watchdog.within_ns = 20 * MS;
+    drive.watchdog.within_ns = Some(20 * MS);
     assert_eq!(keys(&drive), [""; 0]);
     drive.effect_within_ns = 40 * MS - 1;
-    drive.watchdog.within_ns = 20 * MS - 1;
-    assert_eq!(keys(&drive), ["effect_within", "watchdog.within"]);
+    drive.watchdog.within_ns = Some(20 * MS - 1);
+    assert_eq!(keys(&drive), ["effect_within", "watchdog"]);
 }
 
 #[test]
@@ -208,7 +208,7 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
         assert!(says.contains(part), "{part}\n{says}");
     }
     assert_eq!(plan.drive_watchdog_ns(0), Some(500 * MS));
-    drive.watchdog.accept_none = true;
+    (drive.watchdog.within_ns, drive.watchdog.accept_none) = (None, true);
     assert_eq!(bus(vec![drive.clone()]).drive_watchdog_ns(0), None);
     drive.connection = Access::InputOnly;
     let says = drive.describe(plan.bind, MS);

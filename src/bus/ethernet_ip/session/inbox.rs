@@ -28,8 +28,8 @@ enum Opening {
     Done,
     /// It was refused.
     Refused(Status),
-    /// It is of no use.
-    Useless(ConnectionError),
+    /// Nobody can use it.
+    Useless,
 }
 
 impl Session {
@@ -172,7 +172,7 @@ impl Session {
                 Opening::Refused(status) => {
                     self.calls.end(Err(CallError::Refused(target::refusal(status))));
                 }
-                Opening::Useless(_) => {
+                Opening::Useless => {
                     self.close_later(open);
                     self.calls.end(Err(CallError::Refused(target::BROKEN)));
                 }
@@ -248,7 +248,7 @@ impl Session {
         self.generation = self.generation.checked_add(1).unwrap_or(1);
         let connection =
             self.connection(opened, outputs, version, self.destination(addresses.outgoing), self.generation);
-        self.io = Io::Open { generation: self.generation, opened: open, group };
+        self.io = Io::Open { generation: self.generation, opened: open, _group: group };
         self.note(None);
         self.tell(News::Opened(connection));
     }
@@ -301,7 +301,7 @@ impl Session {
                 Opening::Done
             }
             Err(ConnectionError::Refused(status)) => Opening::Refused(status),
-            Err(why) => Opening::Useless(why),
+            Err(_) => Opening::Useless,
         }
     }
 

@@ -82,7 +82,7 @@ enum Io {
     /// Its opening is under way.
     Opening,
     /// The loop has it.
-    Open { generation: u32, opened: Open, group: Option<Joined> },
+    Open { generation: u32, opened: Open, _group: Option<Joined> },
 }
 
 /// The class 3 connection.
@@ -435,7 +435,7 @@ impl Session {
     /// ZS and ZA are in no table of what explicit messages, registers or attributes read: they stay unknown.
     fn facts(&mut self, homed: Option<bool>) {
         self.facts_due = false;
-        self.tell(News::Read(Facts { homed, ..Facts::default() }));
+        self.tell(News::Read(Facts { homed }));
     }
 
     /// After a refusal, in words that get the pause.

@@ -251,4 +251,4 @@ fn connection() -> Connection {
     }
 }
 
-const READ_NOTHING: News = News::Read(Facts { watchdog_ns: None, watchdog_action: None, homed: None });
+const READ_NOTHING: News = News::Read(Facts { homed: None });

@@ -11,7 +11,6 @@ fn machine(change: impl Fn(&mut MoonsDrive)) -> Simulation {
     let mut drive = MoonsDrive::new("x", [10, 0, 0, 2].into());
     drive.axis.profile = PROFILE;
     drive.axis.divisor = 4;
-    drive.watchdog.verify = false;
     drive.homing = Some(Homing {
         method: HomingMethod::Seek,
         input: 0x4CB2,

@@ -191,8 +191,6 @@ impl Status {
     pub const IN_USE: u16 = 0x0100;
     /// Somebody else owns the outputs.
     pub const OWNED: u16 = 0x0106;
-    /// There is no such connection.
-    pub const NOT_FOUND: u16 = 0x0107;
     /// The size of a packet is wrong.
     pub const SIZE: u16 = 0x0109;
     /// The target is not configured.

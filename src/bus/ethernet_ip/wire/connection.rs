@@ -19,18 +19,11 @@ pub const fn timeout_factor(code: u8) -> u32 {
     4 << if code < 7 { code } else { 7 }
 }
 
-/// The reverse: the least code with at least this factor; `None` beyond 512.
-pub fn timeout_code(factor: u32) -> Option<u8> {
-    (0..8).find(|code| timeout_factor(*code) >= factor)
-}
-
 /// How packets go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Route {
-    /// Not at all.
-    Null,
     /// To a group.
-    Multicast,
+    Multicast = 1,
     /// To one.
     PointToPoint,
 }
@@ -39,13 +32,9 @@ pub enum Route {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
     /// Explicit messages.
-    Low,
-    /// More so.
-    High,
+    Low = 0,
     /// Process data.
-    Scheduled,
-    /// Motion in step with a clock.
-    Urgent,
+    Scheduled = 2,
 }
 
 /// The network connection parameters of one direction, and its interval.

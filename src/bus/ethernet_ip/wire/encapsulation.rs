@@ -13,8 +13,6 @@ pub const HEADER: usize = 24;
 /// The most data behind a header that is taken. The longest message of a drive is a tenth of it; a length beyond it
 /// would only make the receiver wait for bytes that never come.
 pub const DATA_MAX: usize = 4096;
-/// The longest message that is taken, bytes.
-pub const FRAME_MAX: usize = HEADER + DATA_MAX;
 
 /// The version of the encapsulation.
 const VERSION: u16 = 1;
@@ -41,7 +39,11 @@ pub mod command {
 
 /// Whether a peer of EtherNet/IP can send this.
 fn is_known(command: u16) -> bool {
-    matches!(command, 0x0000 | 0x0004 | 0x0063..=0x0066 | 0x006F | 0x0070)
+    matches!(
+        command,
+        command::NOP | command::LIST_SERVICES | command::LIST_IDENTITY
+            ..=command::UNREGISTER_SESSION | command::SEND_RR_DATA | command::SEND_UNIT_DATA
+    )
 }
 
 /// The status in a header.
@@ -154,11 +156,6 @@ pub fn frame(out: &mut Vec<u8>, header: Header, fill: impl FnOnce(&mut Vec<u8>))
     out.extend(header.context.to_le_bytes());
     out.extend([0; 4]);
     cpf::sized(out, start + 2, fill);
-}
-
-/// Appends: nothing is meant by it, but the session is not idle.
-pub fn nop(out: &mut Vec<u8>) {
-    frame(out, Header { command: command::NOP, ..Header::default() }, |_| ());
 }
 
 /// Appends: who is there? On a broadcast a drive waits at random up to so many ms as the lowest 16 bits of the context

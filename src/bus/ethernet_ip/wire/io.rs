@@ -69,12 +69,6 @@ impl Outgoing {
         Outgoing { bytes, size }
     }
 
-    /// The id of the connection.
-    #[inline]
-    pub fn set_connection(&mut self, connection: u32) {
-        self.bytes[field::CONNECTION].copy_from_slice(&connection.to_le_bytes());
-    }
-
     /// Both sequence numbers: of each packet, and of new data. Some adapters swallow the first data if its count is 0:
     /// begin with 1.
     #[inline]
@@ -160,13 +154,6 @@ impl<'a> Packet<'a> {
         }
         let count = reader.word().ok_or(PacketError::Length { expected: COUNT, actual: length })?;
         Ok(Packet { connection, sequence, count, data: reader.0 })
-    }
-
-    /// The assembly, if it has this size.
-    #[inline]
-    pub fn exactly(&self, expected: usize) -> Result<&'a [u8], PacketError> {
-        let actual = self.data.len();
-        if actual == expected { Ok(self.data) } else { Err(PacketError::Length { expected, actual }) }
     }
 }
 

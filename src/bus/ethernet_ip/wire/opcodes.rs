@@ -108,6 +108,7 @@ pub const PARAMETERS: [Parameter; 52] = [
 ];
 
 /// The parameter with this name.
+#[cfg(test)]
 pub fn parameter(name: &str) -> Option<Parameter> {
     PARAMETERS.into_iter().find(|parameter| parameter.name == name)
 }

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::bus::ethernet_ip::wire::encapsulation::FRAME_MAX;
+use crate::bus::ethernet_ip::wire::encapsulation::{DATA_MAX, HEADER};
 
 /// What a drive, or something else, may send in answer to the last request.
 #[derive(Clone, Debug)]
@@ -176,7 +176,7 @@ proptest! {
                 bench.pass(MS);
                 bench.state = bench.session.begin(bench.now, &mut bench.out);
             }
-            prop_assert!(bench.session.inbox.len() < FRAME_MAX);
+            prop_assert!(bench.session.inbox.len() < HEADER + DATA_MAX);
             prop_assert!(bench.session.to_close.len() <= MOST_TO_CLOSE + 1);
             let commands = bench.taken().windows(11).filter(|window| is_command(window)).count();
             prop_assert!(!safe || commands == 0);
