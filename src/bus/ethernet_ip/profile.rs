@@ -350,6 +350,7 @@ impl Profile {
     /// Another motion is desired.
     fn begin_motion(&mut self, motion: Intent<Motion>, seen: &Seen, native: &mut NativePort) {
         let was_native = matches!(self.motion.value, Motion::Native(_));
+        let was_homing = self.motion.value == Motion::Home && self.motion_step != Step::Settled;
         self.motion = motion;
         (self.refused, self.is_taken, self.homing, self.zeroed) = (None, false, HomingIs::Open, false);
         native.runs(matches!(motion.value, Motion::Native(_)));
@@ -357,11 +358,15 @@ impl Profile {
             native.flush();
         }
         if was_native {
-            // What the application left there is no command of the master's.
+            // What the application left there is no command of the master's, and no idle either.
             self.outputs = Outputs::default();
+            self.edges.reset();
+            self.holder = Holder::Nobody;
         }
         let jogs = seen.has(status::JOGGING) || self.holder == Holder::Motion && self.jog.is_some();
         self.motion_step = match motion.value {
+            // A homing that took too long goes on in the drive.
+            Motion::Hold if was_homing => Step::Clearing,
             Motion::Hold | Motion::Follow | Motion::EndStream | Motion::Native(_) => Step::Settled,
             Motion::Ramp { .. } | Motion::Halt => Step::Due,
             Motion::Velocity { acceleration, .. }
@@ -372,9 +377,7 @@ impl Profile {
             _ if seen.moves() || self.holder == Holder::Motion => Step::Clearing,
             _ => Step::Due,
         };
-        if self.motion_step == Step::Settled {
-            self.is_taken = true;
-        }
+        self.is_taken = self.motion_step == Step::Settled;
     }
 
     /// The command that is wanted next, and whose it is.
@@ -644,7 +647,9 @@ impl Profile {
         }
         let waits = matches!(self.holder, Holder::Nobody | Holder::Clearing);
         if waits && self.motion_step == Step::Clearing && !seen.moves() {
-            self.motion_step = Step::Due;
+            let holds = self.motion.value == Motion::Hold;
+            (self.motion_step, self.is_taken) =
+                if holds { (Step::Settled, true) } else { (Step::Due, false) };
         }
         if !seen.moves() && self.holder != Holder::Motion {
             self.jog = None;

@@ -63,3 +63,20 @@ fn a_jog_takes_other_velocities_and_stops() {
     assert_eq!(end, Some(Outcome::Done), "{:?}", machine.feedback(0));
     assert!(machine.feedback(0).status.velocity.abs() < 0.01);
 }
+
+#[test]
+fn a_homing_that_takes_too_long_is_stopped() {
+    let mut machine = machine(|drive| {
+        // Three turns at a turn a second.
+        drive.axis.home_timeout = std::time::Duration::from_millis(300);
+    });
+    machine.run_until(5_000, |machine| machine.feedback(0).link == Link::Online);
+    assert_eq!(machine.execute(0, Command::Enable, 5_000).unwrap(), Some(Outcome::Done));
+    let end = machine.execute(0, Command::Home, 5_000).unwrap();
+    assert!(matches!(end, Some(Outcome::Failed(_))), "{end:?}");
+    machine.run(300);
+    let before = machine.feedback(0).status;
+    machine.run(300);
+    let after = machine.feedback(0).status;
+    assert!(!after.moving && after.position == before.position && !after.homed, "{before:?} {after:?}");
+}
