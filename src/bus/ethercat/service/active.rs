@@ -89,8 +89,8 @@ impl Active {
     /// It begins anew: its answer was lost, or is late.
     ///
     /// The slave may have carried out the request already. A read changes nothing. A download of the master gives an
-    /// object a value: the same value again leaves it as it is, and since a slave works in the order of its requests no other value
-    /// comes between the two, whether they are answered or not.
+    /// object a value: the same value again leaves it as it is, and since a slave works in the order of its requests no
+    /// other value comes between the two, whether they are answered or not.
     pub(super) fn repeat(&mut self, now: Time) {
         self.sdo.restart();
         self.attempts += 1;

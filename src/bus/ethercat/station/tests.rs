@@ -228,6 +228,25 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
 }
 
 #[test]
+fn a_drive_found_with_another_watchdog_is_not_enabled_unless_it_is_to_have_none() {
+    for (watchdog, takes) in
+        [(Watchdog::AsDelivered, false), (Watchdog::After(100 * MS), false), (Watchdog::Off, true)]
+    {
+        let mut plan = position();
+        plan.slave.watchdog = watchdog;
+        let mut rig = Rig::new(plan);
+        rig.station.profile.found_otherwise = true;
+        rig.station.unsettle();
+        rig.turns(2);
+        match rig.run(Command::Enable) {
+            Ok(()) => assert!(takes, "{watchdog:?}"),
+            Err(Failure::Unsupported(why)) => assert!(why.contains("another watchdog") && !takes, "{why}"),
+            Err(other) => panic!("{watchdog:?}: {other:?}"),
+        }
+    }
+}
+
+#[test]
 fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
     for stop in [STOP, Command::QuickStop] {
         let mut rig = Rig::enabled(position());

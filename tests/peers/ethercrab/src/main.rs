@@ -1,8 +1,8 @@
-//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES turn|hold|hold-unwatched`. The segment behind INTERFACE is a
-//! coupler and DRIVES Kollmorgen S700. It brings all of them to OP and turns the first drive. `turn` stops it then and
-//! goes back to INIT; `hold` keeps it turning until this process is killed, `hold-unwatched` too, with the watchdogs of
-//! all outputs switched off. A line on standard output says what it saw,
-//! and an error on standard error what it did not.
+//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES turn|hold|hold-unwatched`. The segment
+//! behind INTERFACE is a coupler and DRIVES Kollmorgen S700. It brings all of them to OP and turns the first drive.
+//! `turn` stops it then and goes back to INIT; `hold` keeps it turning until this process is killed,
+//! `hold-unwatched` too, with the watchdogs of all outputs switched off. A line on standard output says what it
+//! saw, and an error on standard error what it did not.
 
 use std::error::Error as StdError;
 use std::time::{Duration, Instant};

@@ -152,8 +152,8 @@ impl Slave {
         managers.any(|(_, manager)| manager.is_output() && manager.control & SyncManager::WATCHDOG != 0)
     }
 
-    /// Why its outputs have no watchdog although the configuration leaves that to its SII; `None`: they have one, or the
-    /// configuration says that they have none.
+    /// Why its outputs have no watchdog although the configuration leaves that to its SII; `None`: they have one, or
+    /// the configuration says that they have none.
     pub(super) fn unarmed(&self) -> Note {
         let SlavePlan { outputs, watchdog, check_sii, .. } = &self.plan;
         match () {
