@@ -1006,6 +1006,37 @@ fn values_of_a_moons_drive_arrive_where_they_belong() {
 }
 
 #[test]
+fn a_simulated_moons_drive_is_as_its_keys_say() {
+    let all = read_all(&moons(
+        "",
+        "divisor = 10\nsteps_per_rev = 10000\ninvert = true\n\
+         enable_input = { input = 3, closed = false }\n\
+         homing = { method = \"seek\", input = \"2L\", velocity = 5, acceleration = 50, distance = -20 }\n\
+         simulate = { seed = 9, model = \"SSDC\", drift_ppm = -30, jitter = \"50us\", tick = \"2ms\", zs = \"200ms\", \
+         za = 15, edges = \"strict\", ownership = \"kept\", configuration = \"required\", inactivity = \"0s\", \
+         range = [-1, 50], home = [10, 10.5], start = 3, running = 2, alarm = 512 }",
+    ));
+    let text = format!("{:?}", all.simulation);
+    for part in [
+        "kind: StepServo",
+        "clock: ClockSettings { drift_ppm: -30, jitter_ns: 50000, seed: 9 }",
+        "inactivity_s: 0",
+        "configuration: Required",
+        "tick_ns: 2000000, ownership: Kept",
+        "edges: Strict, idle: Ignored, zs_ms: 200, za: 15",
+        "persistent_alarm: 512",
+        // 10000 steps a revolution, inverted.
+        "limits: Some((-500000, 10000))",
+        "home: Some(HomeSwitch { at: Wired { input: 2, closed: true }, range: (-100000, -105000) })",
+        "enable: Some(Wired { input: 3, closed: false })",
+        "steps: 10000, encoder: None, start: -30000",
+        "running: Some(-20000.0)",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
 fn addresses_of_moons_drives_are_hosts_of_their_own() {
     let with = |bind: &str, address: &str| {
         mistakes(&moons("", "").replace("127.0.0.1\"", bind).replace("127.0.0.31\"", address))

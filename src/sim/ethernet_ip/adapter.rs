@@ -269,7 +269,7 @@ impl Adapter {
         let (produced, consumed, room) = (connection.produced, connection.consumed, connection.sizes.1);
         if connection.count == count {
             self.ignored.repeated += 1;
-            drive.message(now);
+            drive.fed(now);
         } else {
             let mut reply = Vec::new();
             let origin = Origin { now, peer, port: None };

@@ -224,12 +224,7 @@ impl Drive {
         }
     }
 
-    /// A message came: it arms the watchdog, and feeds it.
-    pub(super) fn message(&mut self, now: Time) {
-        self.fed_at = Some(now);
-    }
-
-    /// Data of the owner came.
+    /// A message or data of the owner came: it arms the watchdog, and feeds it.
     pub(super) fn fed(&mut self, now: Time) {
         self.fed_at = Some(now);
     }

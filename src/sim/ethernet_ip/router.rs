@@ -40,7 +40,7 @@ pub(super) fn message(
     out: &mut Vec<u8>,
     extra: &mut Extra,
 ) {
-    drive.message(origin.now);
+    drive.fed(origin.now);
     let request = match Request::parse(bytes) {
         Ok(request) => request,
         Err(service) => {

@@ -165,7 +165,6 @@ fn the_commands_of_the_manual_are_taken_and_do_what_they_say() {
         assert_eq!((status, &data[..4]), (0, &hex(example)[..4]), "{example}");
     }
     // 5 turns at 5 rev/s, with 100 rev/s².
-    bench.sim.drive.message(bench.now);
     let mut fastest = 0.0_f64;
     for _ in 0..110 {
         bench.pass(10 * MS);
