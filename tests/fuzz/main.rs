@@ -54,6 +54,11 @@ fn ethercat() {
 }
 
 #[test]
+fn ethernet_ip_wire() {
+    fuzz("ethernet_ip_wire", targets::ethernet_ip_wire, 20_000, 200);
+}
+
+#[test]
 fn station() {
     fuzz("station", targets::station, 1_500, 400);
 }

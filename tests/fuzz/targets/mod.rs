@@ -9,6 +9,7 @@
 //! | `ethercat_mailbox` | a program for the mailbox of a slave: transfers, and a slave that answers as it likes |
 //! | `ethercat_sii` | the answers of a slave's EEPROM |
 //! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
+//! | `ethernet_ip_wire` | a datagram or a stream of EtherNet/IP, for every parser of it |
 //! | `station` | a program for one station: commands, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
@@ -32,6 +33,7 @@ mod ethercat;
 mod ethercat_mailbox;
 mod ethercat_sii;
 mod ethercat_wire;
+mod ethernet_ip_wire;
 mod files;
 mod input;
 mod machine;
@@ -47,6 +49,7 @@ pub use ethercat::ethercat;
 pub use ethercat_mailbox::ethercat_mailbox;
 pub use ethercat_sii::ethercat_sii;
 pub use ethercat_wire::ethercat_wire;
+pub use ethernet_ip_wire::ethernet_ip_wire;
 pub use files::files;
 pub use machine::machine;
 pub use modbus::modbus;

@@ -41,8 +41,14 @@ pub mod command {
 fn is_known(command: u16) -> bool {
     matches!(
         command,
-        command::NOP | command::LIST_SERVICES | command::LIST_IDENTITY
-            ..=command::UNREGISTER_SESSION | command::SEND_RR_DATA | command::SEND_UNIT_DATA
+        command::NOP
+            | command::LIST_SERVICES
+            | command::LIST_IDENTITY
+            | command::LIST_INTERFACES
+            | command::REGISTER_SESSION
+            | command::UNREGISTER_SESSION
+            | command::SEND_RR_DATA
+            | command::SEND_UNIT_DATA
     )
 }
 
