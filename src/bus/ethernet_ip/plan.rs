@@ -3,6 +3,8 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::wire::assembly::Inputs;
+pub use super::wire::assembly::{Layout, Version};
+pub use super::wire::connection::Access;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::bus::variant::{self, Variant};
@@ -107,37 +109,6 @@ pub struct MoonsDrive {
     pub encoder_counts_per_step: f64,
     /// Jogs are taken: the drive's own watchdog ends them if the master dies.
     pub jog: bool,
-}
-
-/// What a connection may do.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Access {
-    /// It owns the outputs.
-    #[default]
-    Owner,
-    /// It only reads, and is alone in that.
-    InputOnly,
-    /// It reads what another connection has requested.
-    ListenOnly,
-}
-
-/// The assemblies of a drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Version {
-    /// Input assembly 0x64, no outputs.
-    V1,
-    /// Input assembly 0x65, output assembly 0x70.
-    V2,
-}
-
-/// The order of the elements of input assembly 0x65.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Layout {
-    /// Of the Host Command Reference, with the position error.
-    #[default]
-    Manual,
-    /// Of the vendor's page, without it.
-    Page,
 }
 
 /// How the packets of a drive come.

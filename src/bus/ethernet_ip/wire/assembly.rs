@@ -5,7 +5,6 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::Reader;
-use crate::bus::ethernet_ip::{Layout, Version};
 
 /// Inputs of a unit of the first version.
 pub const INPUT_V1: u16 = 0x64;
@@ -24,6 +23,25 @@ pub const OUTPUT: u16 = 0x70;
 pub const OUTPUT_SIZE: usize = 64;
 const INPUT_V1_SIZE: usize = 30;
 const INPUT_V2_SIZE: usize = 56;
+
+/// The assemblies of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Version {
+    /// Input assembly 0x64, no outputs.
+    V1,
+    /// Input assembly 0x65, output assembly 0x70.
+    V2,
+}
+
+/// The order of the elements of input assembly 0x65.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// Of the Host Command Reference, with the position error.
+    #[default]
+    Manual,
+    /// Of the vendor's page, without it.
+    Page,
+}
 
 /// The input assembly.
 pub const fn input(version: Version) -> u16 {

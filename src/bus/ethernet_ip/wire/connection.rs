@@ -2,10 +2,9 @@
 
 use thiserror::Error;
 
-use super::assembly;
+use super::assembly::{self, Version};
 use super::cip::{self, Configuration, Key, Reply, Segment, Status, class, service};
 use super::{Reader, io};
-use crate::bus::ethernet_ip::{Access, Version};
 
 /// The path of the connection manager.
 const MANAGER: [Segment<'static>; 2] = [Segment::Class(class::CONNECTION_MANAGER), Segment::Instance(1)];
@@ -113,6 +112,18 @@ impl Triad {
     fn read(reader: &mut Reader<'_>) -> Option<Triad> {
         Some(Triad { serial: reader.word()?, vendor: reader.word()?, originator: reader.long()? })
     }
+}
+
+/// What a connection may do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Access {
+    /// It owns the outputs.
+    #[default]
+    Owner,
+    /// It only reads, and is alone in that.
+    InputOnly,
+    /// It reads what another connection has requested.
+    ListenOnly,
 }
 
 /// What a connection is to.

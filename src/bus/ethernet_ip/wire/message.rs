@@ -4,9 +4,9 @@
 use thiserror::Error;
 
 use super::Reader;
+use super::assembly::Version;
 use super::cip::{Segment, class};
 use super::opcodes::{Opcode, Operand};
-use crate::bus::ethernet_ip::Version;
 
 /// Where messages go, with `service::VENDOR`.
 pub const PATH: [Segment<'static>; 3] =
