@@ -407,7 +407,8 @@ impl MoonsDrive {
             return "nothing of this master moves the drive".to_owned();
         }
         let Some(within_ns) = self.watchdog.within_ns else {
-            return "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")".to_owned();
+            return "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")"
+                .to_owned();
         };
         let held = match self.axis.load {
             Load::Vertical(HeldBy::Drive) => {
