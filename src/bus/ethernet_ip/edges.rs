@@ -105,6 +105,11 @@ impl Edges {
         }
     }
 
+    /// The prepared packet is the first one with its command.
+    pub(super) fn begins(&self) -> bool {
+        matches!((self.phase, self.prepared), (Phase::Idle { .. }, Phase::Held { .. }))
+    }
+
     /// A packet of the drive has come.
     pub(super) fn answered(&mut self) {
         if let Phase::Held { packets, answers, .. } = &mut self.phase
@@ -197,7 +202,7 @@ mod tests {
         words(&mut edges, 0, &[None]);
         for _ in 0..3 {
             assert_eq!(edges.prepare(Time(MS), Some(ENABLE)), 2);
-            assert!(!edges.is_held());
+            assert!(edges.begins() && !edges.is_held());
         }
         assert_eq!(edges.sent(), Change::Begun);
         assert_eq!(edges.prepare(Time(2 * MS), Some(STOP)), 0);

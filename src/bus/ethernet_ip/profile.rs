@@ -322,10 +322,9 @@ impl Profile {
             self.refused = Some(Refused::Because(NO_POWER));
         }
         let (holder, wanted) = if seen.any { self.wanted(seen, native) } else { (Holder::Nobody, None) };
-        let before = self.outputs.command;
         let word = self.edges.prepare(now, wanted);
         // The parameters come with the first packet of a command, and stay.
-        let begins = before == command::IDLE && word != command::IDLE;
+        let begins = self.edges.begins();
         self.next_holder = if begins { holder } else { Holder::Nobody };
         if begins {
             self.outputs = self.parameters(holder, seen, native);
