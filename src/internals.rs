@@ -90,6 +90,12 @@ pub mod bus {
             pub use crate::bus::ethercat::wire::*;
         }
     }
+    pub mod ethernet_ip {
+        pub use crate::bus::ethernet_ip::*;
+        pub mod wire {
+            pub use crate::bus::ethernet_ip::wire::*;
+        }
+    }
     pub mod linudp {
         pub use crate::bus::linudp::*;
         pub mod bus {

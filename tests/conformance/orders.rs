@@ -707,7 +707,7 @@ pub fn a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again(subject: &'
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, motion);
         line.restart(0);
-        line.turns(if line.can.stream { 3_000 } else { 1_000 });
+        line.turns(if line.can.stream || line.can.sessions { 4_000 } else { 1_000 });
         assert!(matches!(line.end(0), Some(Err(_))), "{motion:?}: {:?}", line.end(0));
         for _ in 0..300 {
             line.turn();

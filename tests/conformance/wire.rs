@@ -356,10 +356,11 @@ impl SimSegment for TappedLine {
 }
 
 /// The number and the address of the socket of a drive's process data: the last one of those with datagrams, if it has
-/// several.
+/// several, but for one at the address of its sessions.
 fn process_data(drive: &dyn SimDrive) -> (usize, SocketAddrV4) {
     let more = drive.more_sockets();
-    let datagrams = more.iter().zip(1..).filter(|((carrier, _), _)| *carrier == Carrier::Datagrams);
+    let is_data = |carrier: Carrier, address| carrier == Carrier::Datagrams && address != drive.address();
+    let datagrams = more.iter().zip(1..).filter(|((carrier, address), _)| is_data(*carrier, *address));
     datagrams.last().map_or((0, drive.address()), |((_, address), number)| (number, *address))
 }
 

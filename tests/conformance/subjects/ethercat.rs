@@ -187,6 +187,7 @@ impl Subject for EtherCat {
             awaits: false,
             stream: false,
             own_clock: false,
+            sessions: false,
             half_duplex: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,

@@ -55,6 +55,7 @@ impl Subject for LinUdp {
             awaits: false,
             stream: false,
             own_clock: false,
+            sessions: false,
             half_duplex: false,
             shared: false,
             rearmed: false,

@@ -114,6 +114,7 @@ impl Subject for Modbus {
             awaits: true,
             stream: true,
             own_clock: false,
+            sessions: false,
             half_duplex: false,
             shared: false,
             rearmed: false,
