@@ -130,6 +130,8 @@ pub struct Can {
     /// packets, and is opened anew after a pause. Nothing in a packet tells that its drive was switched off meanwhile:
     /// what was known of it ends with the connection.
     pub sessions: bool,
+    /// A stop has the ramp of the motion that it ends, if that is steeper than its own, or the steepest one.
+    pub steep_stops: bool,
     /// One request is on the wire at a time: the others wait for their turns.
     pub half_duplex: bool,
     /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive

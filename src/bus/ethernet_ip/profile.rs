@@ -133,6 +133,8 @@ pub(super) struct Profile {
     refused: Option<Refused>,
     /// The jog that runs has this deceleration, 10 rpm/s: it is fixed meanwhile.
     jog: Option<u32>,
+    /// The motion that runs has this one. Whether a stop brings another one along is not documented.
+    ramp: Option<u32>,
     homing: HomingIs,
     homed: bool,
     /// ENABLE was sent, and power was not seen off behind a DISABLE since: it may still come on.
@@ -231,6 +233,7 @@ impl Profile {
             is_taken: false,
             refused: None,
             jog: None,
+            ramp: None,
             homing: HomingIs::Open,
             homed: false,
             may_come_on: false,
@@ -258,7 +261,7 @@ impl Profile {
         self.edges.reset();
         self.outputs = Outputs::default();
         (self.holder, self.next_holder) = (Holder::Nobody, Holder::Nobody);
-        (self.jog, self.homing, self.steady) = (None, HomingIs::Open, false);
+        (self.jog, self.ramp, self.homing, self.steady) = (None, None, HomingIs::Open, false);
         self.proved = Seen::default();
         self.homed = self.rules.registers_home && self.facts.homed == Some(true);
         // Nothing is switched on again, and no motion is made twice.
@@ -283,7 +286,7 @@ impl Profile {
 
     /// The drive has started anew.
     pub(super) fn drive_restarted(&mut self) {
-        (self.homed, self.jog, self.steady) = (false, None, false);
+        (self.homed, self.jog, self.ramp, self.steady) = (false, None, None, false);
     }
 
     /// What was read of the drive outside its packets.
@@ -479,10 +482,10 @@ impl Profile {
         }
     }
 
-    /// A stop along the ramp that is set, unless the jog that runs has a flatter one.
+    /// A stop along the ramp that is set, unless that of the motion that runs is flatter.
     fn stop_word(&self) -> u32 {
-        match (self.motion.value, self.jog) {
-            (Motion::Ramp { deceleration }, Some(jog)) if jog < self.rules.acceleration(deceleration) => {
+        match (self.motion.value, self.ramp) {
+            (Motion::Ramp { deceleration }, Some(ramp)) if ramp < self.rules.acceleration(deceleration) => {
                 command::STOP_FAST
             }
             (Motion::Ramp { .. }, _) => command::STOP,
@@ -600,8 +603,13 @@ impl Profile {
                 self.may_come_on |= self.outputs.command == command::ENABLE;
             }
             Holder::Motion => {
-                if let Motion::Velocity { .. } = self.motion.value {
-                    self.jog = Some(self.outputs.jog_acceleration);
+                match self.motion.value {
+                    Motion::Velocity { .. } => {
+                        (self.jog, self.ramp) =
+                            (Some(self.outputs.jog_acceleration), Some(self.outputs.jog_deceleration));
+                    }
+                    Motion::Move { .. } | Motion::Home => self.ramp = Some(self.outputs.deceleration),
+                    _ => {}
                 }
                 self.motion_step = match self.motion_step {
                     Step::Zeroing { .. } => Step::Zeroing { held: true },
@@ -736,7 +744,7 @@ impl Profile {
             self.motion_step = Step::Due;
         }
         if !seen.moves() && self.holder != Holder::Motion {
-            self.jog = None;
+            (self.jog, self.ramp) = (None, None);
         }
         if self.motion_step == Step::Runs && !seen.moves() {
             self.home_ended(seen);

@@ -188,6 +188,7 @@ impl Subject for EtherCat {
             stream: false,
             own_clock: false,
             sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,

@@ -14,11 +14,12 @@ use fieldbeat::internals::bus::ethernet_ip::wire::io::Packet;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, SimDrive, Simulated};
 
+use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
 /// MOONS' drives.
 pub struct EthernetIp {
-    /// Their packets come to a group.
+    /// Their packets come to a group, at the interval of ours. Else to this master only, in each cycle.
     pub multicast: bool,
 }
 
@@ -47,6 +48,7 @@ impl EthernetIp {
         plan.axis = drive.axis.clone();
         plan.steps_per_revolution = MoonsDrive::STEPS_PER_REVOLUTION;
         plan.jog = drive.jog;
+        plan.input_rpi_ns = (!self.multicast).then_some(PERIOD);
         plan.homing = Some(Homing {
             method: HomingMethod::Seek,
             input: 0x4CB2,
@@ -60,7 +62,7 @@ impl EthernetIp {
 
 impl Subject for EthernetIp {
     fn name(&self) -> &'static str {
-        "ethernet-ip"
+        if self.multicast { "ethernet-ip to groups" } else { "ethernet-ip" }
     }
 
     fn can(&self) -> Can {
@@ -79,6 +81,7 @@ impl Subject for EthernetIp {
             stream: false,
             own_clock: true,
             sessions: true,
+            steep_stops: true,
             half_duplex: false,
             shared: false,
             rearmed: false,

@@ -56,6 +56,7 @@ impl Subject for LinUdp {
             stream: false,
             own_clock: false,
             sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: false,
             rearmed: false,

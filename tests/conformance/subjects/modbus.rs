@@ -115,6 +115,7 @@ impl Subject for Modbus {
             stream: true,
             own_clock: false,
             sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: false,
             rearmed: false,

@@ -176,6 +176,7 @@ impl Subject for Toy {
             stream: false,
             own_clock: self.0 == ToyWire::OwnClock,
             sessions: false,
+            steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
             shared: false,
             rearmed: false,
