@@ -154,7 +154,7 @@ impl EthernetIpBus {
                 let packet = Packet::parse(datagram.bytes);
                 // The ids of packets to this master only are its own choice: the index is a part of them.
                 if let (Ok(packet), false) = (&packet, datagram.truncated) {
-                    let index = (packet.connection & 0xFFFF) as usize;
+                    let index = (packet.connection >> 16) as usize;
                     if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
                         && station.is(source, packet.connection)
                     {
@@ -173,6 +173,7 @@ impl EthernetIpBus {
                     Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
                         station.take(datagram.at, &packet, slot);
                     }
+                    Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
                     Ok(_) => Station::refuse(None, slot),
                     Err(why) => Station::refuse(Some(why), slot),
                 }
@@ -238,12 +239,15 @@ impl Bus for EthernetIpBus {
                 Sent::Idle => {}
             }
         }
-        // Packets answer nothing: the window stays open for none of them.
-        self.take_in(slots);
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+        // Before the packets of a connection that has just been opened.
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             if let Some(destination) = station.hear(cycle, slot) {
                 self.outbox.set_peer(index, destination);
             }
+        }
+        // Packets answer nothing: the window stays open for none of them.
+        self.take_in(slots);
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
             station.watch(cycle, slot);
         }
     }
