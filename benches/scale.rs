@@ -41,7 +41,7 @@ use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::internals::bus::linudp::upid;
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
-use fieldbeat::internals::bus::{ethercat, linudp, modbus};
+use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus};
 use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, Outbox, StreamPeer, Streams, UdpOptions};
 use fieldbeat::internals::rt::{MonotonicClock, Usage};
 use fieldbeat::telemetry::{DriveEnd, Numbers};
@@ -65,7 +65,7 @@ const LINE_ALONE: usize = 16;
 const LINE_DUEL: usize = 4;
 
 /// Both kinds in one cycle.
-const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0 };
+const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0, moons: 0 };
 
 /// This variable of the environment makes the program the child that strace looks at, with these drives.
 const TRACED: &str = "FIELDBEAT_BENCH_TRACED_DRIVES";
@@ -156,7 +156,10 @@ const LINE_MOST: usize = 64;
 /// second-level ones.
 fn scenarios() -> Vec<Scenario> {
     let of = |protocol| COMPARED.map(|drives| Scenario { protocol, drives, caches: drives >= 64 });
-    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL].into_iter().flat_map(of).collect()
+    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
+        .into_iter()
+        .flat_map(of)
+        .collect()
 }
 
 /// The child: the loop over drives in memory, all in operation.
@@ -169,6 +172,7 @@ fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
     let buses = match protocol {
         linudp::PROTOCOL => Fleet::linmots(drives).buses(Side::Ours),
         modbus::PROTOCOL => Fleet::unidrives(drives).buses(Side::Ours),
+        ethernet_ip::PROTOCOL => Fleet::moons(drives).buses(Side::Ours),
         _ => memory.0.iter().map(|line| Box::new(line.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();

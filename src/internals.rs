@@ -90,6 +90,18 @@ pub mod bus {
             pub use crate::bus::ethercat::wire::*;
         }
     }
+    pub mod ethernet_ip {
+        pub use crate::bus::ethernet_ip::*;
+        pub mod exchange {
+            pub use crate::bus::ethernet_ip::exchange::*;
+        }
+        pub mod station {
+            pub use crate::bus::ethernet_ip::station::*;
+        }
+        pub mod wire {
+            pub use crate::bus::ethernet_ip::wire::*;
+        }
+    }
     pub mod linudp {
         pub use crate::bus::linudp::*;
         pub mod bus {

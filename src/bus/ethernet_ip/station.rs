@@ -27,7 +27,7 @@ const CLOSE_WITHIN_NS: u64 = crate::time::S;
 /// One drive. What each exchange touches comes first.
 #[derive(Debug)]
 #[repr(C, align(64))]
-pub(super) struct Station {
+pub struct Station {
     /// The slot that the prepared packet is for.
     grid: Time,
     /// The newest accepted packet counts until then. 0 = none was accepted on this connection.
@@ -92,7 +92,7 @@ struct Last {
 
 impl Station {
     /// The station of `drive`, and the application's end of its native process data.
-    pub(super) fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
+    pub fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
         let (application, native) = native();
         let station = Station {
             grid: Time(0),
@@ -132,13 +132,13 @@ impl Station {
 
     /// The connection of this id from this address is open here.
     #[inline]
-    pub(super) fn is(&self, source: Ipv4Addr, incoming: u32) -> bool {
+    pub fn is(&self, source: Ipv4Addr, incoming: u32) -> bool {
         matches!(&self.connection, Some(open) if open.incoming == incoming && open.source == source)
     }
 
     /// Takes in what the session has to say. Returns where packets go from now on, if that is new.
     #[inline]
-    pub(super) fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {
+    pub fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {
         let mut destination = None;
         while let Some(news) = self.end.news() {
             destination = self.learn(cycle, news, slot).or(destination);
@@ -211,7 +211,7 @@ impl Station {
 
     /// Builds the packet of the next send in `out` and returns its length; `None`: there is no connection.
     #[inline]
-    pub(super) fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
         self.grid = cycle.grid;
         slot.commanded = self.end.guard(slot.guarded);
         let owned = matches!(self.connection.as_ref()?.outputs, Sends::Owned);
@@ -237,7 +237,7 @@ impl Station {
 
     /// The packet has gone out.
     #[inline]
-    pub(super) fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
         self.sent = self.sent.wrapping_add(1);
         self.is_built = false;
         slot.counters.sent += 1;
@@ -256,7 +256,7 @@ impl Station {
 
     /// A packet on the connection of this drive.
     #[inline]
-    pub(super) fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
+    pub fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
         let Some(open) = &self.connection else { return };
         let (version, layout, timeout_ns) = (open.version, open.layout, open.timeout_ns);
         let Some(inputs) = Inputs::parse(packet.data, version, layout) else {
