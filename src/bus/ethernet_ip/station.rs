@@ -51,6 +51,9 @@ pub struct Station {
     /// Of the velocity in a packet, in user units/s; of an encoder.
     velocity_per_count: f64,
     steps_per_encoder_count: Option<f64>,
+    interval: Interval,
+    /// What was reported last besides.
+    shown: Shown,
     /// No drive makes more steps in a ns.
     fastest: f64,
     profile: Profile,
@@ -82,6 +85,32 @@ struct Track {
     last: Option<Last>,
 }
 
+/// What an interval of the drive's packets means for their values.
+#[derive(Clone, Copy, Debug, Default)]
+struct Interval {
+    /// A difference between two packets in a row by this is one in a second.
+    rate: f64,
+    /// No drive makes more steps in an interval.
+    most_steps: f64,
+    /// The packets are of the first version: its current is in 0.01 A.
+    is_first_version: bool,
+}
+
+/// What a drive shows besides, in its own integers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Shown([u32; 4]);
+
+impl Shown {
+    #[inline]
+    fn of(inputs: &Inputs) -> Shown {
+        let error = inputs.position_error.unwrap_or_default();
+        Shown([inputs.voltage, inputs.temperature as u32, inputs.main_inputs, error as u32])
+    }
+}
+
+/// What a drive shows besides is reported when it has changed, and with every so many packets.
+const SHOWN_EVERY: u32 = 16;
+
 /// Of the last accepted packet: its number, when its values were taken, and its positions in steps.
 #[derive(Clone, Copy, Debug)]
 struct Last {
@@ -111,6 +140,8 @@ impl Station {
             units: drive.axis.units,
             velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
             steps_per_encoder_count: drive.encoder.then(|| 1.0 / drive.encoder_counts_per_step),
+            interval: Interval::default(),
+            shown: Shown::default(),
             fastest: MOST_PER_REV / VELOCITY_PER_REV * drive.steps_per_revolution * 1e-9,
             profile: Profile::new(drive),
             native,
@@ -175,6 +206,12 @@ impl Station {
         self.packet.set_run(true);
         (self.sent, self.any, self.fresh_until) = (0, false, Time(0));
         self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
+        let interval_ns = connection.incoming_api_ns as f64;
+        self.interval = Interval {
+            rate: 1e9 / interval_ns,
+            most_steps: self.fastest * interval_ns,
+            is_first_version: connection.version == Version::V1,
+        };
         self.connection = Some(connection);
         (self.seen, self.track) = (Seen::default(), Track::default());
         self.profile.connected();
@@ -309,24 +346,25 @@ impl Station {
             self.track.shift = demand as f64 - encoder.unwrap_or_default();
             self.track.last = None;
         }
-        let actual = encoder.map_or(demand as f64, |steps| steps + self.track.shift);
+        let demand_steps = demand as f64;
+        let actual = encoder.map_or(demand_steps, |steps| steps + self.track.shift);
         let Slot { status: report, notices, evidence, .. } = slot;
-        let interval_ns = self.connection.as_ref().map_or(1, |open| open.incoming_api_ns);
-        let most = self.fastest * interval_ns as f64;
-        // What no motor makes is another origin: the position was set.
-        let jumps = |last: &Last| {
-            let intervals = packet.sequence.wrapping_sub(last.sequence);
-            (demand - last.demand).unsigned_abs() as f64 > most * (f64::from(intervals) + 1.0)
-        };
-        if let Some(last) = self.track.last.filter(|last| !jumps(last)) {
+        if let Some(last) = self.track.last
             // By the drive's clock: its packets count its intervals, however they travel.
-            let intervals = packet.sequence.wrapping_sub(last.sequence);
-            let rate = 1e9 / (interval_ns as f64 * f64::from(intervals.max(1)));
-            evidence.demand_velocity = self.units.distance((demand - last.demand) as f64 * rate);
-            let measured = f64::from(inputs.velocity) * self.velocity_per_count;
+            && let intervals = packet.sequence.wrapping_sub(last.sequence)
+            && let moved = (demand - last.demand) as f64
+            // What no motor makes is another origin: the position was set.
+            && moved.abs() <= self.interval.most_steps * (f64::from(intervals) + 1.0)
+        {
+            let rate = match intervals {
+                0 | 1 => self.interval.rate,
+                _ => self.interval.rate / f64::from(intervals),
+            };
+            evidence.demand_velocity = self.units.distance(moved * rate);
             report.velocity = match encoder {
-                Some(_) if inputs.velocity != 0 => measured,
-                _ => self.units.distance((actual - last.actual) * rate),
+                None => evidence.demand_velocity,
+                Some(_) if inputs.velocity != 0 => f64::from(inputs.velocity) * self.velocity_per_count,
+                Some(_) => self.units.distance((actual - last.actual) * rate),
             };
         } else {
             (evidence.demand_velocity, report.velocity) =
@@ -334,16 +372,19 @@ impl Station {
         }
         self.track.last = Some(Last { sequence: packet.sequence, demand, actual });
         let place = |steps: f64| self.units.distance(steps) + self.units.offset;
-        (evidence.position, evidence.demand) = (place(actual), place(demand as f64));
+        evidence.demand = place(demand_steps);
+        evidence.position = if encoder.is_some() { place(actual) } else { evidence.demand };
         report.at = at;
         report.position = self.units.folded(evidence.position);
         report.demand = self.units.folded(evidence.demand);
-        report.current = match self.connection.as_ref().map(|open| open.version) {
-            Some(Version::V1) => f64::from(inputs.current) * 1e-2,
-            _ => f64::from(inputs.current) * 1e-3,
-        };
-        report.monitor = MoonsDrive::monitor(inputs);
-        notices.monitor_fresh = true;
+        let current = f64::from(inputs.current);
+        report.current = if self.interval.is_first_version { current * 1e-2 } else { current * 1e-3 };
+        let shown = Shown::of(inputs);
+        if shown != self.shown || packet.sequence % SHOWN_EVERY == 0 {
+            self.shown = shown;
+            report.monitor = MoonsDrive::monitor(inputs);
+            notices.monitor_fresh = true;
+        }
         notices.fresh = true;
     }
 
