@@ -10,7 +10,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::counters::Own;
 use super::exchange::{Connection, LoopEnd, News, Outputs as Sends, Wish};
 use super::native::{Native, NativePort, native};
-use super::plan::{EnableInput, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
+use super::plan::{EnableInput, Layout, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
 use super::profile::{Profile, Seen};
 use super::wire::assembly::{Inputs, status};
 use super::wire::io::{OUTGOING_MAX, Outgoing, Packet, PacketError};
@@ -43,6 +43,8 @@ pub struct Station {
     any: bool,
     /// A packet is in the outbox for the next send.
     is_built: bool,
+    /// The outbox has `packet`, but for its numbers.
+    is_copied: bool,
     connection: Option<Connection>,
     packet: Outgoing,
     seen: Seen,
@@ -51,7 +53,7 @@ pub struct Station {
     /// Of the velocity in a packet, in user units/s; of an encoder.
     velocity_per_count: f64,
     steps_per_encoder_count: Option<f64>,
-    interval: Interval,
+    agreed: Agreed,
     /// What was reported last besides.
     shown: Shown,
     /// No drive makes more steps in a ns.
@@ -85,15 +87,23 @@ struct Track {
     last: Option<Last>,
 }
 
-/// What an interval of the drive's packets means for their values.
-#[derive(Clone, Copy, Debug, Default)]
-struct Interval {
+/// Of the connection that is open, what each packet of the drive needs.
+#[derive(Clone, Copy, Debug)]
+struct Agreed {
+    version: Version,
+    layout: Layout,
+    timeout_ns: u64,
     /// A difference between two packets in a row by this is one in a second.
     rate: f64,
     /// No drive makes more steps in an interval.
     most_steps: f64,
-    /// The packets are of the first version: its current is in 0.01 A.
-    is_first_version: bool,
+}
+
+impl Default for Agreed {
+    fn default() -> Agreed {
+        let (version, layout) = (Version::V2, Layout::Manual);
+        Agreed { version, layout, timeout_ns: 0, rate: 0.0, most_steps: 0.0 }
+    }
 }
 
 /// What a drive shows besides, in its own integers.
@@ -133,6 +143,7 @@ impl Station {
             count: 0,
             any: false,
             is_built: false,
+            is_copied: false,
             connection: None,
             packet: Outgoing::heartbeat(0, 0),
             seen: Seen::default(),
@@ -140,7 +151,7 @@ impl Station {
             units: drive.axis.units,
             velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
             steps_per_encoder_count: drive.encoder.then(|| 1.0 / drive.encoder_counts_per_step),
-            interval: Interval::default(),
+            agreed: Agreed::default(),
             shown: Shown::default(),
             fastest: MOST_PER_REV / VELOCITY_PER_REV * drive.steps_per_revolution * 1e-9,
             profile: Profile::new(drive),
@@ -204,14 +215,13 @@ impl Station {
         };
         // A drive acts on the change of its command word; idle is what it had before, and says so.
         self.packet.set_run(true);
+        self.is_copied = false;
         (self.sent, self.any, self.fresh_until) = (0, false, Time(0));
         self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
         let interval_ns = connection.incoming_api_ns as f64;
-        self.interval = Interval {
-            rate: 1e9 / interval_ns,
-            most_steps: self.fastest * interval_ns,
-            is_first_version: connection.version == Version::V1,
-        };
+        let Connection { version, layout, timeout_ns, .. } = connection;
+        let (rate, most_steps) = (1e9 / interval_ns, self.fastest * interval_ns);
+        self.agreed = Agreed { version, layout, timeout_ns, rate, most_steps };
         self.connection = Some(connection);
         (self.seen, self.track) = (Seen::default(), Track::default());
         self.profile.connected();
@@ -246,7 +256,8 @@ impl Station {
         }
     }
 
-    /// Builds the packet of the next send in `out` and returns its length; `None`: there is no connection.
+    /// Builds the packet of the next send in `out`, which is the same place each time and has the last packet still, and
+    /// returns its length; `None`: there is no connection.
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
         self.grid = cycle.grid;
@@ -255,14 +266,17 @@ impl Station {
         if owned && !self.profile.repeats(&slot.desired) {
             let Station { profile, native, seen, packet, .. } = self;
             packet.set_outputs(profile.encode(cycle.grid, &slot.desired, seen, native));
+            self.is_copied = false;
+        }
+        let bytes = self.packet.bytes();
+        if !self.is_copied {
+            out.get_mut(..bytes.len())?.copy_from_slice(bytes);
+            self.is_copied = true;
         }
         // Both begin with 1: some adapters swallow the first data if its count is 0.
         let next = self.sent.wrapping_add(1);
-        self.packet.set_sequence(next, next as u16);
+        Outgoing::number(out, next, next as u16);
         self.is_built = true;
-        let bytes = self.packet.bytes();
-        let room = out.get_mut(..bytes.len())?;
-        room.copy_from_slice(bytes);
         Some(bytes.len())
     }
 
@@ -294,18 +308,13 @@ impl Station {
     /// A packet on the connection of this drive.
     #[inline]
     pub fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
-        let Some(open) = &self.connection else { return };
-        let (version, layout, timeout_ns) = (open.version, open.layout, open.timeout_ns);
+        let Agreed { version, layout, timeout_ns, .. } = self.agreed;
         let Some(inputs) = Inputs::parse(packet.data, version, layout) else {
-            slot.counters.malformed += 1;
-            Own::WrongLength.count(&mut slot.counters);
-            return;
+            return Station::has_wrong_length(slot);
         };
         let ahead = packet.sequence.wrapping_sub(self.sequence).cast_signed();
         if self.any && ahead <= 0 {
-            let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
-            *counter += 1;
-            return;
+            return Station::is_old(ahead, slot);
         }
         let unchanged = self.any && packet.count == self.count;
         (self.any, self.sequence, self.count) = (true, packet.sequence, packet.count);
@@ -322,13 +331,24 @@ impl Station {
         self.native.publish(at, version, layout, packet.data);
     }
 
-    /// The values of an accepted packet.
-    #[inline]
+    /// A packet with more or less data than was agreed.
+    #[cold]
+    fn has_wrong_length(slot: &mut Slot) {
+        slot.counters.malformed += 1;
+        Own::WrongLength.count(&mut slot.counters);
+    }
+
+    /// A packet that is not newer than the last accepted one.
+    #[cold]
+    fn is_old(ahead: i32, slot: &mut Slot) {
+        let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
+        *counter += 1;
+    }
+
+    /// The values of an accepted packet. Its inputs are only read here, so that none is decoded that is not needed.
+    #[inline(always)]
     fn report(&mut self, at: Time, packet: &Packet<'_>, inputs: &Inputs, slot: &mut Slot) {
-        let steady =
-            self.profile.is_steady() && (inputs.status, inputs.alarm) == (self.seen.status, self.seen.alarm);
-        let inhibited = self.inhibits(inputs);
-        let steady = steady && inhibited == self.seen.inhibited;
+        let inhibited = self.inhibits(inputs.main_inputs);
         // Only a rotary axis wraps around; on any other one a wrong value must not shift all later ones.
         let wraps = self.units.modulo.is_some();
         let unwrap = |track: &mut Unwrap, count: i32| if wraps { track.next(count) } else { count.into() };
@@ -337,14 +357,19 @@ impl Station {
             let count = unwrap(&mut self.track.encoder, inputs.encoder);
             count as f64 * steps
         });
-        self.seen = Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited };
-        if !steady {
-            self.prove(inputs, slot);
-        }
-        if self.profile.take_rehomed() {
-            // The position was set: that was no motion, and the encoder is where the steps are.
-            self.track.shift = demand as f64 - encoder.unwrap_or_default();
-            self.track.last = None;
+        let before = std::mem::replace(
+            &mut self.seen,
+            Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited },
+        );
+        let same =
+            (before.status, before.alarm, before.inhibited) == (inputs.status, inputs.alarm, inhibited);
+        if !(same && self.profile.is_steady()) {
+            self.prove(slot);
+            if self.profile.take_rehomed() {
+                // The position was set: that was no motion, and the encoder is where the steps are.
+                self.track.shift = demand as f64 - encoder.unwrap_or_default();
+                self.track.last = None;
+            }
         }
         let demand_steps = demand as f64;
         let actual = encoder.map_or(demand_steps, |steps| steps + self.track.shift);
@@ -354,11 +379,11 @@ impl Station {
             && let intervals = packet.sequence.wrapping_sub(last.sequence)
             && let moved = (demand - last.demand) as f64
             // What no motor makes is another origin: the position was set.
-            && moved.abs() <= self.interval.most_steps * (f64::from(intervals) + 1.0)
+            && moved.abs() <= self.agreed.most_steps * (f64::from(intervals) + 1.0)
         {
             let rate = match intervals {
-                0 | 1 => self.interval.rate,
-                _ => self.interval.rate / f64::from(intervals),
+                0 | 1 => self.agreed.rate,
+                _ => self.agreed.rate / f64::from(intervals),
             };
             evidence.demand_velocity = self.units.distance(moved * rate);
             report.velocity = match encoder {
@@ -378,7 +403,7 @@ impl Station {
         report.position = self.units.folded(evidence.position);
         report.demand = self.units.folded(evidence.demand);
         let current = f64::from(inputs.current);
-        report.current = if self.interval.is_first_version { current * 1e-2 } else { current * 1e-3 };
+        report.current = if self.agreed.version == Version::V1 { current * 1e-2 } else { current * 1e-3 };
         let shown = Shown::of(inputs);
         if shown != self.shown || packet.sequence % SHOWN_EVERY == 0 {
             self.shown = shown;
@@ -390,9 +415,10 @@ impl Station {
 
     /// What the states of a packet report and prove.
     #[inline(never)]
-    fn prove(&mut self, inputs: &Inputs, slot: &mut Slot) {
+    fn prove(&mut self, slot: &mut Slot) {
         let Slot { status: report, notices, evidence, desired, .. } = slot;
-        let starts = inputs.status & status::INITIALIZING != 0;
+        let Seen { status: word, alarm, .. } = self.seen;
+        let starts = word & status::INITIALIZING != 0;
         if starts && report.state != State::NotReadyToSwitchOn && report.state != State::Unknown {
             notices.restarted = true;
             self.profile.drive_restarted();
@@ -403,20 +429,20 @@ impl Station {
         report.state = drive_state(&self.seen, desired.power.value, desired.motion.value);
         report.homed = self.profile.is_homed();
         report.moving = self.seen.moves();
-        report.in_target = inputs.status & status::IN_POSITION != 0;
+        report.in_target = word & status::IN_POSITION != 0;
         report.inhibited = self.seen.inhibited;
         report.suspect = false;
-        let fault = inputs.status & status::FAULT != 0;
+        let fault = word & status::FAULT != 0;
         // A fault has a code: that of a drive without an alarm in its word is the status bit.
-        report.fault = if fault { inputs.alarm.max(u32::from(inputs.alarm == 0)) } else { 0 };
-        report.warning = if fault { 0 } else { inputs.alarm };
+        report.fault = if fault { alarm.max(u32::from(alarm == 0)) } else { 0 };
+        report.warning = if fault { 0 } else { alarm };
     }
 
     /// Its hardware enable is missing, where one is wired. A closed input is 0.
-    fn inhibits(&self, inputs: &Inputs) -> bool {
+    fn inhibits(&self, main_inputs: u32) -> bool {
         self.enable_input.is_some_and(|input| {
             let bit = input.number.saturating_sub(1).min(31);
-            let open = inputs.main_inputs >> bit & 1 != 0;
+            let open = main_inputs >> bit & 1 != 0;
             open == input.closed
         })
     }
@@ -427,6 +453,7 @@ impl Station {
             None => {
                 // Outputs do not count from here on.
                 self.packet.set_run(false);
+                self.is_copied = false;
                 let generation = self.connection.as_ref().map_or(0, |open| open.generation);
                 self.wish = Some(Wish::Close { generation });
                 self.closing = Some(Closing::Waiting(cycle.grid + CLOSE_WITHIN_NS));
@@ -445,10 +472,7 @@ impl Station {
                 slot.counters.foreign += 1;
                 Own::WrongConnection.count(&mut slot.counters);
             }
-            Some(PacketError::Length { .. }) => {
-                slot.counters.malformed += 1;
-                Own::WrongLength.count(&mut slot.counters);
-            }
+            Some(PacketError::Length { .. }) => Station::has_wrong_length(slot),
             Some(_) => {
                 slot.counters.malformed += 1;
                 Own::NoPacket.count(&mut slot.counters);
