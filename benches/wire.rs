@@ -320,16 +320,12 @@ impl Clocked {
             layout: ethernet_ip::Layout::Manual,
         }));
         assert!(told, "there is room");
-        let mut first = [0; moons::PACKET];
-        first[..6].copy_from_slice(&[2, 0, 0x02, 0x80, 8, 0]);
-        first[6..10].copy_from_slice(&Clocked::INCOMING.to_le_bytes());
-        first[14..18].copy_from_slice(&[0xB1, 0, 58, 0]);
         let mut clocked = Clocked {
             machine: machine(&plan, 0),
             station,
             _others: (native, session_end),
             slot: Slot { due: true, link: Link::Online, ..Slot::default() },
-            drive: moons::Canned::new(first),
+            drive: moons::Canned::new(moons::first(Clocked::INCOMING)),
             source: address,
             packet: [0; OUTGOING_MAX],
             cycle: BEGIN,

@@ -54,6 +54,15 @@ pub fn open(mut peer: StreamPeer) -> io::Result<[u8; PACKET]> {
     packet.ok_or_else(|| io::ErrorKind::UnexpectedEof.into())
 }
 
+/// The first packet of a connection of this id, without data.
+pub fn first(connection: u32) -> [u8; PACKET] {
+    let mut packet = [0; PACKET];
+    packet[..6].copy_from_slice(&[2, 0, 0x02, 0x80, 8, 0]);
+    packet[6..10].copy_from_slice(&connection.to_le_bytes());
+    packet[14..18].copy_from_slice(&[0xB1, 0, (PACKET - 18) as u8, 0]);
+    packet
+}
+
 /// A drive that sends from memory: it is enabled and jogs as it is told, with another position in each packet.
 #[derive(Clone, Debug)]
 pub struct Canned {

@@ -88,6 +88,12 @@ impl NullPackets {
         let batch = (peers * 2).clamp(8, 128);
         NullPackets { drives: Vec::new(), sending: Vec::with_capacity(peers), next: 0, batch }
     }
+
+    /// Drives at these addresses, without sessions.
+    pub fn of(addresses: &[SocketAddrV4]) -> NullPackets {
+        let drive = |address: &SocketAddrV4| (*address, moons::Canned::new(moons::first(0)));
+        NullPackets { drives: addresses.iter().map(drive).collect(), ..NullPackets::new(addresses.len()) }
+    }
 }
 
 impl Datagrams for NullPackets {
