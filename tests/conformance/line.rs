@@ -411,7 +411,11 @@ impl Line {
     }
 
     pub fn online(&mut self) {
-        let most = if self.can.shared { 8_000 } else { 1_000 };
+        let most = match self.can {
+            Can { sessions: true, .. } => 40_000,
+            Can { shared: true, .. } => 8_000,
+            _ => 1_000,
+        };
         self.until("all online", most, |line| line.slots.iter().all(|slot| slot.link == Link::Online));
     }
 

@@ -94,7 +94,11 @@ impl Machine {
 
     pub fn online(&mut self) {
         let count = self.drives.len();
-        let most = if self.can.shared { 8_000 } else { 2_000 };
+        let most = match self.can {
+            Can { sessions: true, .. } => 40_000,
+            Can { shared: true, .. } => 8_000,
+            _ => 2_000,
+        };
         self.until("all online", most, |m| (0..count).all(|index| m.feedback(index).link == Link::Online));
     }
 

@@ -205,6 +205,8 @@ subjects! {
     ethercat_terminals: crate::conformance::subjects::ethercat::EtherCat {
         positions: false, slaves: crate::conformance::subjects::ethercat::Slaves::Terminals, defect: None
     },
+    ethernet_ip: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: false },
+    ethernet_ip_multicast: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: true },
     toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
     toy_with_its_own_clock:
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),

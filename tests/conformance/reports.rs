@@ -144,7 +144,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
         line.turns(silent);
         line.mute(0, false);
         let mut noticed = 0;
-        for _ in 0..if line.can.stream || line.can.shared { 4_000 } else { 1_000 } {
+        for _ in 0..if line.can.stream || line.can.shared || line.can.sessions { 4_000 } else { 1_000 } {
             line.turn();
             noticed += u32::from(line.seen[0].restarted);
             assert!(!line.seen[1].restarted, "its neighbour");
@@ -152,12 +152,15 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
                 assert_as_said(&line, 0);
                 let velocity = line.slots[0].status.velocity;
                 assert!(
-                    noticed == 0 || !line.can.positions || velocity.abs() < cruise,
+                    noticed == 0 && !line.can.sessions
+                        || !line.can.positions
+                        || velocity.abs() < cruise * 1.05,
                     "a jump of the position is no velocity: {velocity}"
                 );
             }
         }
-        assert_eq!(noticed, 1, "silent for {silent} cycles");
+        // On a connection that was opened anew nothing tells why the one before has ended.
+        assert_eq!(noticed, u32::from(!line.can.sessions), "silent for {silent} cycles");
         let Slot { status: report, .. } = &line.slots[0];
         assert!(!report.state.is_powered() && !report.moving, "{report:?}");
     }

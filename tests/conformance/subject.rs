@@ -126,6 +126,12 @@ pub struct Can {
     /// Each drive sends by its own clock, and is sent requests at the agreed rate: a packet answers nothing. One may be
     /// the newest for several exchanges, and several may come between two.
     pub own_clock: bool,
+    /// The packets of each drive go on a connection that a session outside the loop has opened: it ends with the
+    /// packets, and is opened anew after a pause. Nothing in a packet tells that its drive was switched off meanwhile:
+    /// what was known of it ends with the connection.
+    pub sessions: bool,
+    /// A stop has the ramp of the motion that it ends, if that is steeper than its own, or the steepest one.
+    pub steep_stops: bool,
     /// One request is on the wire at a time: the others wait for their turns.
     pub half_duplex: bool,
     /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive

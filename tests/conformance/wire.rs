@@ -10,7 +10,8 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::internals::bus::Bus;
 use fieldbeat::internals::net::frames::Unsent;
 use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, Frames, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+    Broken, Carriers, Datagrams, Frames, Groups, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
+    UdpOptions,
 };
 use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
@@ -51,6 +52,8 @@ pub struct Tape {
     pub received: Vec<Delivery>,
     /// What it sent by its own clock and was not lost.
     pub packets: Vec<Packet>,
+    /// What it last sent by its own clock, lost or not.
+    pub latest: Option<Said>,
     /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
     /// come back; a single one hears nothing.
     pub mute: bool,
@@ -75,10 +78,18 @@ pub struct Tape {
 impl Tape {
     /// What the drive last said.
     pub fn said(&self) -> Said {
-        if let Some(said) = self.packets.iter().rev().find_map(|packet| packet.said) {
+        if let Some(said) = self.latest {
             return said;
         }
         self.received.iter().rev().find_map(|received| received.said).expect("the drive has answered")
+    }
+
+    /// All that it said, in order.
+    pub fn all_said(&self) -> Vec<Said> {
+        match self.packets.is_empty() {
+            true => self.received.iter().filter_map(|received| received.said).collect(),
+            false => self.packets.iter().filter_map(|packet| packet.said).collect(),
+        }
     }
 
     /// The last answer that it gave, as it left.
@@ -134,6 +145,7 @@ impl Wire {
             usual,
             received: Vec::new(),
             packets: Vec::new(),
+            latest: None,
             mute: false,
             unplugged: false,
             jammed: false,
@@ -356,10 +368,11 @@ impl SimSegment for TappedLine {
 }
 
 /// The number and the address of the socket of a drive's process data: the last one of those with datagrams, if it has
-/// several.
+/// several, but for one at the address of its sessions.
 fn process_data(drive: &dyn SimDrive) -> (usize, SocketAddrV4) {
     let more = drive.more_sockets();
-    let datagrams = more.iter().zip(1..).filter(|((carrier, _), _)| *carrier == Carrier::Datagrams);
+    let is_data = |carrier: Carrier, address| carrier == Carrier::Datagrams && address != drive.address();
+    let datagrams = more.iter().zip(1..).filter(|((carrier, address), _)| is_data(*carrier, *address));
     datagrams.last().map_or((0, drive.address()), |((_, address), number)| (number, *address))
 }
 
@@ -428,10 +441,11 @@ impl SimDrive for TappedDrive {
         let tape = &mut log.lock().unwrap().drives[self.index];
         self.drive.run(now, &mut |socket, to, bytes| {
             if socket == self.socket {
+                let said = subject.said(None, &[], bytes);
+                tape.latest = said.or(tape.latest);
                 if tape.mute {
                     return;
                 }
-                let said = subject.said(None, &[], bytes);
                 tape.packets.push(Packet { at: now, bytes: bytes.to_vec(), said });
             }
             send(socket, to, bytes);
@@ -676,6 +690,10 @@ impl Datagrams for TappedCarrier {
             drop(log);
             take(datagram);
         })
+    }
+
+    fn groups(&self) -> Option<Arc<dyn Groups>> {
+        self.carrier.groups()
     }
 
     fn batch(&self) -> usize {

@@ -20,6 +20,7 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod moons;
 mod oracle;
 mod oracle_found;
 mod other_masters;

@@ -163,6 +163,7 @@ impl EthernetIpBus {
                     Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
                         station.take(datagram.at, &packet, slot);
                     }
+                    Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
                     Ok(_) => Station::refuse(None, slot),
                     Err(why) => Station::refuse(Some(why), slot),
                 }
@@ -228,12 +229,15 @@ impl Bus for EthernetIpBus {
                 Sent::Idle => {}
             }
         }
-        // Packets answer nothing: the window stays open for none of them.
-        self.take_in(slots);
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+        // Before the packets of a connection that has just been opened.
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             if let Some(destination) = station.hear(cycle, slot) {
                 self.outbox.set_peer(index, destination);
             }
+        }
+        // Packets answer nothing: the window stays open for none of them.
+        self.take_in(slots);
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
             station.watch(cycle, slot);
         }
     }

@@ -2,7 +2,9 @@
 //!
 //! A drive acts on the change from idle to a command. Packets can be lost, and nothing echoes a command: each is held
 //! for some packets and until its effect is seen, or its time is over; then idle is held for as long. The first packets
-//! of a connection are idle, so that no old command is an edge. A stop waits for one idle packet only.
+//! of a connection are idle, so that no old command is an edge. A stop waits for one idle packet only, and a stronger
+//! one for no other stop. It is sent anew as soon as the drive's packets show that it has not taken it: if the idle
+//! packet before it was lost, it was no edge.
 //!
 //! What a packet carries becomes the state once that packet has gone out: one that is built again, or that the system
 //! does not send, has no effect.
@@ -15,9 +17,31 @@ use crate::time::Time;
 pub(super) struct Wanted {
     /// Its bit.
     pub word: u32,
-    /// It is a stop: it replaces what is held, behind one idle packet.
-    pub stops: bool,
+    /// It replaces what is held and weaker, behind one idle packet.
+    pub urgency: Urgency,
 }
+
+/// What goes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Urgency {
+    /// It waits for its turn.
+    None,
+    /// A stop along the ramp.
+    Stop,
+    /// The fastest stop.
+    FastStop,
+    /// Power off.
+    Off,
+}
+
+impl Urgency {
+    fn is_stop(self) -> bool {
+        self > Urgency::None
+    }
+}
+
+/// A stop whose effect is in none of so many packets of the drive, since it was delivered, was not taken.
+const STOP_ANSWERS: u8 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -67,15 +91,18 @@ impl Edges {
     pub(super) fn prepare(&mut self, now: Time, wanted: Option<Wanted>) -> u32 {
         self.prepared = match (self.phase, wanted) {
             (Phase::Idle { packets }, Some(wanted))
-                if packets >= if wanted.stops { 1 } else { self.hold } =>
+                if packets >= if wanted.urgency.is_stop() { 1 } else { self.hold } =>
             {
                 Phase::Held { wanted, packets: 1, since: now, answers: 0 }
             }
             (Phase::Idle { packets }, _) => Phase::Idle { packets: packets.saturating_add(1) },
-            (Phase::Held { wanted: held, .. }, Some(wanted)) if wanted.stops && !held.stops => {
+            (Phase::Held { wanted: held, .. }, Some(wanted)) if wanted.urgency > held.urgency => {
                 Phase::Idle { packets: 1 }
             }
-            (Phase::Held { packets, since, .. }, _) if self.is_over(packets, since, now) => {
+            (Phase::Held { wanted, packets, since, answers }, _)
+                if self.is_over(packets, since, now)
+                    || wanted.urgency.is_stop() && !self.seen && answers >= STOP_ANSWERS =>
+            {
                 Phase::Idle { packets: 1 }
             }
             (Phase::Held { wanted, packets, since, answers }, _) => {
@@ -149,8 +176,9 @@ mod tests {
     use super::*;
     use crate::time::MS;
 
-    const ENABLE: Wanted = Wanted { word: 2, stops: false };
-    const STOP: Wanted = Wanted { word: 0x8000, stops: true };
+    const ENABLE: Wanted = Wanted { word: 2, urgency: Urgency::None };
+    const STOP: Wanted = Wanted { word: 0x8000, urgency: Urgency::Stop };
+    const OFF: Wanted = Wanted { word: 4, urgency: Urgency::Off };
 
     /// Words of the next packets, one a ms, each sent.
     fn words(edges: &mut Edges, from_ms: u64, wanted: &[Option<Wanted>]) -> Vec<u32> {
@@ -192,6 +220,26 @@ mod tests {
     }
 
     #[test]
+    fn power_off_waits_for_no_stop_and_no_stop_for_power_off() {
+        let mut edges = Edges::new(2, 100 * MS);
+        assert_eq!(words(&mut edges, 0, &[None, Some(STOP), Some(OFF), Some(OFF)]), [0, 0x8000, 0, 4]);
+        assert_eq!(words(&mut edges, 4, &[Some(STOP); 3]), [4; 3]);
+    }
+
+    #[test]
+    fn a_stop_that_the_packets_of_the_drive_do_not_show_is_sent_anew_before_its_time_is_over() {
+        for (wanted, words_then) in [(STOP, [0x8000, 0, 0x8000]), (ENABLE, [2, 2, 2])] {
+            let mut edges = Edges::new(2, 1_000 * MS);
+            words(&mut edges, 0, &[None, None]);
+            words(&mut edges, 2, &[Some(wanted); 2]);
+            (1..STOP_ANSWERS).for_each(|_| edges.answered());
+            let first = words(&mut edges, 4, &[Some(wanted)]);
+            edges.answered();
+            assert_eq!([first, words(&mut edges, 5, &[Some(wanted); 2])].concat(), words_then);
+        }
+    }
+
+    #[test]
     fn a_packet_that_did_not_leave_changes_nothing() {
         let mut edges = Edges::new(1, 100 * MS);
         words(&mut edges, 0, &[None]);
@@ -228,7 +276,7 @@ mod tests {
                 let wanted = match what {
                     0 => None,
                     1 => Some(ENABLE),
-                    2 => Some(Wanted { word: 8, stops: false }),
+                    2 => Some(Wanted { word: 8, urgency: Urgency::None }),
                     _ => Some(STOP),
                 };
                 let word = edges.prepare(Time(ms * MS), wanted);

@@ -11,7 +11,7 @@
 //!
 //! Sources: Host Command Reference 920-0002 W; sheet, 5.3 to 5.6.
 
-use super::edges::{Change, Edges, Wanted};
+use super::edges::{Change, Edges, Urgency, Wanted};
 use super::exchange::Facts;
 use super::native::{NativeOutput, NativePort};
 use super::plan::{Homing, HomingMethod, MOST_PER_REV, MoonsDrive, Version};
@@ -71,6 +71,11 @@ impl Seen {
     pub(super) fn is_enabled(&self) -> bool {
         self.has(status::ENABLED)
     }
+
+    /// It jogs, and is not on its way to standstill: it takes another speed.
+    fn jogs(&self) -> bool {
+        self.has(status::JOGGING) && !self.has(status::STOPPING)
+    }
 }
 
 /// How far a part of what is desired is.
@@ -123,6 +128,8 @@ pub(super) struct Profile {
     refused: Option<Refused>,
     /// The jog that runs has this deceleration, 10 rpm/s: it is fixed meanwhile.
     jog: Option<u32>,
+    /// The motion that runs has this one. Whether a stop brings another one along is not documented.
+    ramp: Option<u32>,
     homing: HomingIs,
     homed: bool,
     /// ENABLE was sent, and power was not seen off behind a DISABLE since: it may still come on.
@@ -135,9 +142,26 @@ pub(super) struct Profile {
     /// Another packet of the drive that says the same proves the same, and the next of ours is like the last one.
     steady: bool,
     facts: Facts,
+    /// As it was before the prepared packet was built, until that has gone out: what did not leave has no effect.
+    before: Option<Before>,
     /// The status at the last proof.
     proved: Seen,
     rules: Rules,
+}
+
+/// What building a packet changes.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    outputs: Outputs,
+    power: Intent<Power>,
+    power_step: Step,
+    motion: Intent<Motion>,
+    motion_step: Step,
+    is_taken: bool,
+    refused: Option<Refused>,
+    homing: HomingIs,
+    zeroed: bool,
+    may_come_on: bool,
 }
 
 /// What does not change.
@@ -203,6 +227,7 @@ impl Profile {
             is_taken: false,
             refused: None,
             jog: None,
+            ramp: None,
             homing: HomingIs::Open,
             homed: false,
             may_come_on: false,
@@ -211,6 +236,7 @@ impl Profile {
             rehomed: false,
             steady: false,
             facts: Facts::default(),
+            before: None,
             proved: Seen::default(),
             rules: Rules {
                 units: drive.axis.units,
@@ -224,10 +250,11 @@ impl Profile {
 
     /// A new connection: the drive has seen none of the commands before, and what moved it meanwhile is not known.
     pub(super) fn connected(&mut self) {
+        self.unsent();
         self.edges.reset();
         self.outputs = Outputs::default();
         (self.holder, self.next_holder) = (Holder::Nobody, Holder::Nobody);
-        (self.jog, self.homing, self.steady) = (None, HomingIs::Open, false);
+        (self.jog, self.ramp, self.homing, self.steady) = (None, None, HomingIs::Open, false);
         self.proved = Seen::default();
         self.homed = self.rules.registers_home && self.facts.homed == Some(true);
         // Nothing is switched on again, and no motion is made twice.
@@ -252,7 +279,7 @@ impl Profile {
 
     /// The drive has started anew.
     pub(super) fn drive_restarted(&mut self) {
-        (self.homed, self.jog, self.steady) = (false, None, false);
+        (self.homed, self.jog, self.ramp, self.steady) = (false, None, None, false);
     }
 
     /// What was read of the drive outside its packets.
@@ -289,6 +316,34 @@ impl Profile {
         self.steady && (desired.power.serial, desired.motion.serial) == self.sent
     }
 
+    fn as_it_is(&self) -> Before {
+        let &Profile { outputs, power, power_step, motion, motion_step, .. } = self;
+        let &Profile { is_taken, refused, homing, zeroed, may_come_on, .. } = self;
+        Before {
+            outputs,
+            power,
+            power_step,
+            motion,
+            motion_step,
+            is_taken,
+            refused,
+            homing,
+            zeroed,
+            may_come_on,
+        }
+    }
+
+    /// The prepared packet does not go out.
+    pub(super) fn unsent(&mut self) {
+        let Some(before) = self.before.take() else { return };
+        let Before { outputs, power, power_step, motion, motion_step, .. } = before;
+        let Before { is_taken, refused, homing, zeroed, may_come_on, .. } = before;
+        (self.outputs, self.power, self.power_step) = (outputs, power, power_step);
+        (self.motion, self.motion_step, self.is_taken) = (motion, motion_step, is_taken);
+        (self.refused, self.homing, self.zeroed) = (refused, homing, zeroed);
+        (self.may_come_on, self.next_holder) = (may_come_on, Holder::Nobody);
+    }
+
     /// The outputs of the packet to be sent at `now`.
     pub(super) fn encode(
         &mut self,
@@ -298,6 +353,9 @@ impl Profile {
         native: &mut NativePort,
     ) -> &Outputs {
         self.steady = false;
+        // Built again, or for a later slot.
+        self.unsent();
+        self.before = Some(self.as_it_is());
         if desired.power.serial != self.power.serial {
             self.begin_power(desired.power, seen);
         }
@@ -360,7 +418,7 @@ impl Profile {
             // What the application left there is no command of the master's.
             self.outputs = Outputs::default();
         }
-        let jogs = seen.has(status::JOGGING) || self.holder == Holder::Motion && self.jog.is_some();
+        let jogs = seen.jogs() || self.holder == Holder::Motion && self.jog.is_some();
         self.motion_step = match motion.value {
             Motion::Hold | Motion::Follow | Motion::EndStream | Motion::Native(_) => Step::Settled,
             Motion::Ramp { .. } | Motion::Halt => Step::Due,
@@ -379,22 +437,26 @@ impl Profile {
 
     /// The command that is wanted next, and whose it is.
     fn wanted(&self, seen: &Seen, native: &mut NativePort) -> (Holder, Option<Wanted>) {
-        let stops = |word| Some(Wanted { word, stops: true });
-        let goes = |word| Some(Wanted { word, stops: false });
+        let stops = |word| {
+            let fast = word == command::STOP_FAST;
+            Some(Wanted { word, urgency: if fast { Urgency::FastStop } else { Urgency::Stop } })
+        };
+        let goes = |word| Some(Wanted { word, urgency: Urgency::None });
         let is_stop = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
+        let is_due = self.power_step == Step::Due;
+        // It replaces an enable that is under way, and waits for no stop.
+        if is_due && matches!(self.power.value, Power::Off | Power::Shutdown) {
+            return (Holder::Power, Some(Wanted { word: command::DISABLE, urgency: Urgency::Off }));
+        }
         if self.motion_step == Step::Due && is_stop {
             return (Holder::Motion, stops(self.stop_word()));
         }
-        if self.power_step == Step::Due && self.power.value == Power::QuickStop {
-            return (Holder::Power, stops(command::STOP_FAST));
-        }
-        if self.power_step == Step::Due {
+        if is_due {
             return match self.power.value {
-                Power::EnableOperation if seen.has(BUSY) => (Holder::Nobody, None),
-                Power::EnableOperation => (Holder::Power, goes(command::ENABLE)),
+                Power::QuickStop => (Holder::Power, stops(command::STOP_FAST)),
+                Power::EnableOperation if !seen.has(BUSY) => (Holder::Power, goes(command::ENABLE)),
                 Power::FaultReset => (Holder::Power, goes(command::RESET_ALARM)),
-                // It replaces an enable that is under way.
-                _ => (Holder::Power, stops(command::DISABLE)),
+                _ => (Holder::Nobody, None),
             };
         }
         // Only a drive in operation moves.
@@ -413,10 +475,10 @@ impl Profile {
         }
     }
 
-    /// A stop along the ramp that is set, unless the jog that runs has a flatter one.
+    /// A stop along the ramp that is set, unless that of the motion that runs is flatter.
     fn stop_word(&self) -> u32 {
-        match (self.motion.value, self.jog) {
-            (Motion::Ramp { deceleration }, Some(jog)) if jog < self.rules.acceleration(deceleration) => {
+        match (self.motion.value, self.ramp) {
+            (Motion::Ramp { deceleration }, Some(ramp)) if ramp < self.rules.acceleration(deceleration) => {
                 command::STOP_FAST
             }
             (Motion::Ramp { .. }, _) => command::STOP,
@@ -427,7 +489,7 @@ impl Profile {
     fn motion_word(&self, motion: Motion, seen: &Seen) -> Option<u32> {
         Some(match motion {
             Motion::Move { .. } => command::MOVE_ABSOLUTE,
-            Motion::Velocity { .. } if seen.has(status::JOGGING) => command::JOG_SPEED,
+            Motion::Velocity { .. } if seen.jogs() => command::JOG_SPEED,
             Motion::Velocity { .. } => command::JOG,
             Motion::Home => match self.rules.homing.as_ref()?.method {
                 HomingMethod::Seek => command::SEEK_HOME,
@@ -489,12 +551,17 @@ impl Profile {
 
     /// The packet has gone out.
     pub(super) fn sent(&mut self, native: &mut NativePort) {
+        self.before = None;
         self.sent = (self.power.serial, self.motion.serial);
         let change = self.edges.sent();
         if let Motion::Native(NativeOwner::Application) = self.motion.value
             && !self.edges.is_held()
         {
             native.pop();
+            if self.outputs.command != command::IDLE {
+                // The next command is an edge behind idle only.
+                self.edges.reset();
+            }
         }
         match change {
             Change::Begun => self.begun(native),
@@ -512,8 +579,13 @@ impl Profile {
                 self.may_come_on |= self.outputs.command == command::ENABLE;
             }
             Holder::Motion => {
-                if let Motion::Velocity { .. } = self.motion.value {
-                    self.jog = Some(self.outputs.jog_acceleration);
+                match self.motion.value {
+                    Motion::Velocity { .. } => {
+                        (self.jog, self.ramp) =
+                            (Some(self.outputs.jog_acceleration), Some(self.outputs.jog_deceleration));
+                    }
+                    Motion::Move { .. } | Motion::Home => self.ramp = Some(self.outputs.deceleration),
+                    _ => {}
                 }
                 self.motion_step = match self.motion_step {
                     Step::Zeroing { .. } => Step::Zeroing { held: true },
@@ -629,9 +701,10 @@ impl Profile {
                 seen.has(status::MOVING) || delivered && i64::from(seen.demand as i32) == target
             }
             (Holder::Motion, _, Motion::Velocity { .. }) if self.outputs.command == command::JOG => {
-                seen.has(status::JOGGING)
+                seen.jogs()
             }
-            (Holder::Motion, _, Motion::Velocity { .. }) => delivered,
+            // One that has ended meanwhile takes no other speed.
+            (Holder::Motion, _, Motion::Velocity { .. }) => delivered && seen.jogs(),
             (Holder::Motion, _, Motion::Home) => seen.has(status::HOMING),
             (Holder::Native, ..) => delivered,
             _ => false,
@@ -647,7 +720,7 @@ impl Profile {
             self.motion_step = Step::Due;
         }
         if !seen.moves() && self.holder != Holder::Motion {
-            self.jog = None;
+            (self.jog, self.ramp) = (None, None);
         }
         if self.motion_step == Step::Runs && !seen.moves() {
             self.home_ended(seen);

@@ -24,6 +24,9 @@ use crate::time::Time;
 /// The session is waited for so long at the orderly end, ns: it looks at its queues in turns.
 const CLOSE_WITHIN_NS: u64 = crate::time::S;
 
+/// The number of a packet may be so far ahead of the last one, whatever time has passed.
+const LEAP: i32 = 3;
+
 /// One drive. What each exchange touches comes first.
 #[derive(Debug)]
 #[repr(C, align(64))]
@@ -41,6 +44,8 @@ pub struct Station {
     sequence: u32,
     count: u16,
     any: bool,
+    /// The number of the last packet that was too far ahead.
+    odd: Option<u32>,
     /// A packet is in the outbox for the next send.
     is_built: bool,
     /// The outbox has `packet`, but for its numbers.
@@ -64,6 +69,8 @@ pub struct Station {
     enable_input: Option<EnableInput>,
     first_within_ns: u64,
     opened_before: bool,
+    /// The id of the packets of the last connection that was open here.
+    last_incoming: Option<u32>,
     /// A wish that the session could not take yet.
     wish: Option<Wish>,
     closing: Option<Closing>,
@@ -142,6 +149,7 @@ impl Station {
             sequence: 0,
             count: 0,
             any: false,
+            odd: None,
             is_built: false,
             is_copied: false,
             connection: None,
@@ -160,6 +168,7 @@ impl Station {
             enable_input: drive.enable_input,
             first_within_ns: drive.first_within_ns,
             opened_before: false,
+            last_incoming: None,
             wish: None,
             closing: None,
         };
@@ -216,13 +225,13 @@ impl Station {
         // A drive acts on the change of its command word; idle is what it had before, and says so.
         self.packet.set_run(true);
         self.is_copied = false;
-        (self.sent, self.any, self.fresh_until) = (0, false, Time(0));
+        (self.sent, self.any, self.odd, self.fresh_until) = (0, false, None, Time(0));
         self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
         let interval_ns = connection.incoming_api_ns as f64;
         let Connection { version, layout, timeout_ns, .. } = connection;
         let (rate, most_steps) = (1e9 / interval_ns, self.fastest * interval_ns);
         self.agreed = Agreed { version, layout, timeout_ns, rate, most_steps };
-        self.connection = Some(connection);
+        (self.connection, self.last_incoming) = (Some(connection), Some(connection.incoming));
         (self.seen, self.track) = (Seen::default(), Track::default());
         self.profile.connected();
         slot.reachable = true;
@@ -301,6 +310,7 @@ impl Station {
 
     /// There is no connection, or the operating system refused to send.
     pub(super) fn unsent(&mut self, slot: &mut Slot) {
+        self.profile.unsent();
         slot.counters.unsent += 1;
         slot.exchange = Exchange::Unsent;
     }
@@ -315,6 +325,10 @@ impl Station {
         let ahead = packet.sequence.wrapping_sub(self.sequence).cast_signed();
         if self.any && ahead <= 0 {
             return Station::is_old(ahead, slot);
+        }
+        if self.any && ahead > LEAP && self.leaps(at, packet.sequence) {
+            slot.counters.foreign += 1;
+            return Own::Leap.count(&mut slot.counters);
         }
         let unchanged = self.any && packet.count == self.count;
         (self.any, self.sequence, self.count) = (true, packet.sequence, packet.count);
@@ -343,6 +357,21 @@ impl Station {
     fn is_old(ahead: i32, slot: &mut Slot) {
         let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
         *counter += 1;
+    }
+
+    /// The number of a packet is farther ahead of the last accepted one than time has passed: a broken one would make
+    /// all true ones old. It counts only if the next one goes on from there.
+    #[cold]
+    fn leaps(&mut self, at: Time, sequence: u32) -> bool {
+        let Some(open) = &self.connection else { return true };
+        let passed_ns = (at + self.fresh_within_ns).since(self.fresh_until);
+        let most = (passed_ns / open.incoming_api_ns.max(1)).saturating_add(LEAP as u64);
+        let ahead = |before: u32| sequence.wrapping_sub(before);
+        if u64::from(ahead(self.sequence)) <= most {
+            return false;
+        }
+        let odd = self.odd.replace(sequence);
+        !odd.is_some_and(|odd| (1..=LEAP as u32).contains(&ahead(odd)))
     }
 
     /// The values of an accepted packet. Its inputs are only read here, so that none is decoded that is not needed.
@@ -429,7 +458,9 @@ impl Station {
         report.state = drive_state(&self.seen, desired.power.value, desired.motion.value);
         report.homed = self.profile.is_homed();
         report.moving = self.seen.moves();
-        report.in_target = word & status::IN_POSITION != 0;
+        // A drive without an encoder is where it stands.
+        let open_loop = self.steps_per_encoder_count.is_none();
+        report.in_target = !self.seen.moves() && (open_loop || word & status::IN_POSITION != 0);
         report.inhibited = self.seen.inhibited;
         report.suspect = false;
         let fault = word & status::FAULT != 0;
@@ -461,6 +492,16 @@ impl Station {
             }
             Some(Closing::Waiting(until)) => cycle.grid > until,
             Some(Closing::Done) => true,
+        }
+    }
+
+    /// For a packet of the drive on another connection than the one that is open here. The first packets of a
+    /// connection may come before the session could say that it is open.
+    #[cold]
+    pub(super) fn foreign(&self, incoming: u32, slot: &mut Slot) {
+        match self.connection {
+            None if self.last_incoming != Some(incoming) => Own::Early.count(&mut slot.counters),
+            _ => Station::refuse(None, slot),
         }
     }
 

@@ -187,6 +187,8 @@ impl Subject for EtherCat {
             awaits: false,
             stream: false,
             own_clock: false,
+            sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,

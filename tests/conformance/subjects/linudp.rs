@@ -55,6 +55,8 @@ impl Subject for LinUdp {
             awaits: false,
             stream: false,
             own_clock: false,
+            sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: false,
             rearmed: false,

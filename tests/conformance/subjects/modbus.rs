@@ -114,6 +114,8 @@ impl Subject for Modbus {
             awaits: true,
             stream: true,
             own_clock: false,
+            sessions: false,
+            steep_stops: false,
             half_duplex: false,
             shared: false,
             rearmed: false,

@@ -175,6 +175,8 @@ impl Subject for Toy {
             awaits: self.0 == ToyWire::HalfDuplex,
             stream: false,
             own_clock: self.0 == ToyWire::OwnClock,
+            sessions: false,
+            steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
             shared: false,
             rearmed: false,

@@ -10,15 +10,17 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
+use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
 use fieldbeat::bus::linudp::{ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
 use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
-use fieldbeat::time::{MS, Time};
+use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 
 use crate::virtual_time::kollmorgen::{self, LINE};
@@ -33,11 +35,19 @@ const KEPT: usize = 64;
 const KEPT_MOTIONS: usize = 8;
 const KEPT_FRAMES: usize = 16;
 
+/// Of a MOONS': the number of its socket of packets, the port, where the command word is, and where its master is.
+const PACKETS: usize = 1;
+const PACKET_PORT: u16 = 2_222;
+const COMMAND_WORD: usize = 24;
+const SCANNER: Ipv4Addr = Ipv4Addr::new(10, 0, 6, 1);
+
 /// A protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     LinMot,
     Unidrive,
+    /// A drive with its own clock, whose commands are edges.
+    Moons,
     /// Positions (1701h), velocities (1702h) and torques (1703h) on one segment.
     Kollmorgen,
 }
@@ -48,7 +58,8 @@ pub struct Shape {
     pub kind: Kind,
     /// After a stop the axes hold; else their power goes off.
     pub hold: bool,
-    /// The protocol's other way: tagged replies, menu 0, a leading clock.
+    /// The protocol's other way: tagged replies, menu 0, a leading clock; a drive that takes no change between two
+    /// commands for an edge, and whose clock shakes.
     pub other: bool,
     /// Parameters are written as well where the master does not refuse it: with power off, and in native mode.
     pub free_writes: bool,
@@ -70,9 +81,10 @@ pub struct Scale {
     pub homes: bool,
 }
 
-/// A LinMot or a Unidrive that the world and the test share.
+/// A LinMot, a MOONS' or a Unidrive that the world and the test share.
 enum Drive {
     LinMot(Box<LinMotSim>),
+    Moons(Box<MoonsSim>),
     Unidrive(Box<UnidriveSim>),
 }
 
@@ -117,6 +129,7 @@ impl Tap {
     fn with<R>(&self, f: impl FnOnce(&mut dyn SimDrive) -> R) -> R {
         match &mut self.lock().drive {
             Drive::LinMot(drive) => f(drive.as_mut()),
+            Drive::Moons(drive) => f(drive.as_mut()),
             Drive::Unidrive(drive) => f(drive.as_mut()),
         }
     }
@@ -153,6 +166,7 @@ impl SimDrive for Tap {
         let drive = match &mut shared.drive {
             // A connection carries its bytes in their order: none of them is repeated late.
             Drive::Unidrive(drive) => return drive.receive(now, from, bytes, reply),
+            Drive::Moons(drive) => return drive.receive(now, from, bytes, reply),
             Drive::LinMot(drive) => drive,
         };
         if shared.lose[0] > 0 {
@@ -175,8 +189,63 @@ impl SimDrive for Tap {
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
-        self.lock().connected.push(from);
-        self.with(|drive| drive.connect(now, from))
+        let accepts = self.with(|drive| drive.connect(now, from));
+        if accepts {
+            self.lock().connected.push(from);
+        }
+        accepts
+    }
+
+    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
+        self.with(|drive| drive.more_sockets())
+    }
+
+    fn next_due(&self) -> Option<Time> {
+        self.with(|drive| drive.next_due())
+    }
+
+    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+        let Shared { drive, replies, lose, .. } = &mut *self.lock();
+        // The others have no clock of their own.
+        let Drive::Moons(drive) = drive else { return };
+        drive.run(now, &mut |socket, to, bytes| {
+            if socket == PACKETS {
+                keep(replies, KEPT, bytes);
+                if lose[1] > 0 {
+                    lose[1] -= 1;
+                    return;
+                }
+            }
+            send(socket, to, bytes);
+        });
+    }
+
+    fn receive_at(
+        &mut self,
+        socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        if socket != PACKETS {
+            return match socket {
+                0 => self.receive(now, from, bytes, reply),
+                _ => self.with(|drive| drive.receive_at(socket, now, from, bytes, reply)),
+            };
+        }
+        let Shared { drive, requests, motions, lose, .. } = &mut *self.lock();
+        if lose[0] > 0 {
+            lose[0] -= 1;
+            return None;
+        }
+        keep(requests, KEPT, bytes);
+        let commands = bytes.get(COMMAND_WORD..COMMAND_WORD + 4).is_some_and(|word| word != [0; 4]);
+        if commands && motions.front().is_none_or(|last| last != bytes) {
+            keep(motions, KEPT_MOTIONS, bytes);
+        }
+        let Drive::Moons(drive) = drive else { return None };
+        drive.receive_at(socket, now, from, bytes, reply)
     }
 
     fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
@@ -299,6 +368,23 @@ fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
     drive
 }
 
+fn moons(index: usize, shape: Shape) -> MoonsDrive {
+    let mut drive = MoonsDrive::new(format!("m{index}"), Ipv4Addr::new(10, 0, 6, 2 + index as u8));
+    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    drive.axis.limits.position = Some((-5.0, 5.0));
+    if shape.other {
+        drive.explicit = Explicit::Connected;
+    }
+    drive.homing = Some(Homing {
+        method: HomingMethod::Seek,
+        input: 0x4CB2,
+        velocity: 4.0,
+        acceleration: 160.0,
+        distance: -0.6,
+    });
+    drive
+}
+
 fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     let (outputs, velocity) = [(0x1701, 20.0), (0x1702, 20.0), (0x1703, 5.0)][usize::from(place)];
     let mut drive = kollmorgen::with(place, Family::S700, outputs, 0x1B03);
@@ -337,6 +423,22 @@ fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn
                 taps.extend(drives.iter().map(drive));
             }
             Box::new(ModbusPlan::new(drives))
+        }
+        Kind::Moons => {
+            let drives: Vec<_> = places.map(|index| moons(index, shape)).collect();
+            if fresh {
+                let drive = |plan: &MoonsDrive| {
+                    let mut settings = MoonsSettings::of(plan);
+                    settings.motor.start = 4_000;
+                    if shape.other {
+                        settings.firmware.edges = Edges::Strict;
+                        settings.clock = ClockSettings { drift_ppm: 200, jitter_ns: 300 * US, seed: 1 };
+                    }
+                    Tap::new(Drive::Moons(MoonsSim::new(settings).into()))
+                };
+                taps.extend(drives.iter().map(drive));
+            }
+            Box::new(EthernetIpPlan::new(SCANNER, drives))
         }
         Kind::Kollmorgen => {
             let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
@@ -428,6 +530,7 @@ impl Machine {
         let truth = match self.taps.get(index) {
             Some(tap) => match &mut tap.lock().drive {
                 Drive::LinMot(drive) => drive.truth(now),
+                Drive::Moons(drive) => drive.truth(now),
                 Drive::Unidrive(drive) => drive.truth(now),
             },
             None => self.at_line(|line| {
@@ -472,6 +575,8 @@ impl Machine {
         match self.taps.get(index) {
             Some(tap) => match &mut tap.lock().drive {
                 Drive::LinMot(drive) => drive.provoke(ErrorCode(0x0B)),
+                // Open motor winding.
+                Drive::Moons(drive) => drive.provoke(0x0100),
                 Drive::Unidrive(drive) => drive.provoke(Trip(40)),
             },
             None => {
@@ -504,9 +609,14 @@ impl Machine {
         let kept = if motion { &shared.motions } else { &shared.requests };
         let Some(bytes) = kept.get(back).cloned() else { return };
         drop(shared);
-        if self.shape.kind == Kind::LinMot {
-            let at = self.world().now() + us * 1_000;
-            self.world().inject(self.addresses[index], MASTER, &bytes, at);
+        let at = self.world().now() + us * 1_000;
+        match self.shape.kind {
+            Kind::LinMot => self.world().inject(self.addresses[index], MASTER, &bytes, at),
+            Kind::Moons => {
+                let [scanner, drive] = self.packets_of(index);
+                self.world().inject(drive, scanner, &bytes, at);
+            }
+            Kind::Unidrive | Kind::Kollmorgen => {}
         }
     }
 
@@ -520,7 +630,18 @@ impl Machine {
         };
         let Some(bytes) = tap.lock().replies.get(back).cloned() else { return };
         let at = self.world().now() + us * 1_000;
-        self.world().inject(MASTER, self.addresses[index], &bytes, at);
+        match self.shape.kind {
+            Kind::Moons => {
+                let [scanner, drive] = self.packets_of(index);
+                self.world().inject(scanner, drive, &bytes, at);
+            }
+            _ => self.world().inject(MASTER, self.addresses[index], &bytes, at),
+        }
+    }
+
+    /// Where the packets of the master and of its drive come from.
+    fn packets_of(&self, index: usize) -> [SocketAddrV4; 2] {
+        [SCANNER, *self.addresses[index].ip()].map(|ip| SocketAddrV4::new(ip, PACKET_PORT))
     }
 
     fn frame(&self, back: usize) -> Option<Vec<u8>> {
@@ -563,6 +684,7 @@ fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
     };
     match (kind, index) {
         (Kind::LinMot, _) => scale,
+        (Kind::Moons, _) => Scale { near: 0.02, still: 0.3, ..scale },
         (Kind::Unidrive, _) => Scale { positions: false, homes: false, ..scale },
         // A position controller of 60 Hz comes to rest for a while.
         (Kind::Kollmorgen, 0) => Scale { near: 0.02, still: 0.6, ..scale },

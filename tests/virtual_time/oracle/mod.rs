@@ -17,6 +17,7 @@
 //! |---|---|
 //! | `ORACLE_SEED` | only this seed |
 //! | `ORACLE_FROM`, `ORACLE_SEQUENCES` | the first seed, and how many sequences the long run has |
+//! | `ORACLE_KIND` | only machines of this protocol, by the names of [`Kind`] |
 //! | `ORACLE_WITHOUT` | what is left out, by the names of [`Without`] |
 
 mod judge;
@@ -42,8 +43,11 @@ const TRIES: usize = 600;
 
 /// The machine of a seed, and its rounds.
 fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
-    let kind = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen][(seed % 3) as usize];
-    let bits = seed / 3;
+    let kinds = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons];
+    let only = variable::<String>("ORACLE_KIND");
+    let named = only.and_then(|name| kinds.into_iter().find(|kind| format!("{kind:?}") == name));
+    let kind = named.unwrap_or(kinds[(seed % 4) as usize]);
+    let bits = seed / 4;
     let (hold, other) = (bits & 1 != 0, bits & 2 != 0);
     let shape = Shape { kind, hold, other, free_writes: !without.free_writes };
     let scales = Machine::scales(kind);

@@ -168,6 +168,18 @@ pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
             ("06.001", "0"),
             ("10.038", "40"),
         ],
+        Kind::Moons => &[
+            // Velocity and ramps of the next move; a jog and a move for the buffer; an output; in position; reset, stop.
+            ("VE", "32000"),
+            ("DE", "1"),
+            ("JL", "1"),
+            ("SCL:CJ", "0"),
+            ("SCL:FL", "0"),
+            ("output:1", "1"),
+            ("PD", "10"),
+            ("alarm-reset", "0"),
+            ("stop", "0"),
+        ],
         Kind::Kollmorgen => &[
             // Modes; control word; target velocity, position, torque; speed and ramp of profiles.
             ("0x6060:0", "3"),
@@ -308,7 +320,9 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
 /// What may come while nothing moves.
 fn quiet(random: &mut Rng, shape: Shape) -> Op {
     match shape.kind {
-        Kind::LinMot => Op::RepeatRequest { motion: true, back: random.u8(..6), us: random.u16(..2_000) },
+        Kind::LinMot | Kind::Moons => {
+            Op::RepeatRequest { motion: true, back: random.u8(..6), us: random.u16(..2_000) }
+        }
         kind => {
             let all = writes(kind).len() as u8;
             Op::Write((0..3).map(|_| random.u8(..all)).collect())

@@ -8,9 +8,11 @@
 //! |---|---|
 //! | `mod` | the kinds of faults, their bounds, and the count of what came of them |
 //! | `machine` | a machine of any shape, brought into motion, given a fault, and brought back |
+//! | `moons` | drives with their own clock, and edges |
 //! | `watch` | what one drive is told |
 
 mod machine;
+mod moons;
 mod watch;
 
 use std::collections::BTreeMap;

@@ -49,6 +49,17 @@ pub(super) fn unusable(why: &ConnectionError, pause_ns: u64) -> String {
     format!("the drive opens the connection, but {why}; tried again after {}", Ns(pause_ns))
 }
 
+/// The drive's own packets would come too rarely.
+pub(super) fn too_slow(api_ns: u64, counts_ns: u64, pause_ns: u64) -> String {
+    format!(
+        "the drive opens the connection, but sends every {} only, and a packet counts for {}: raise `fresh_within`, or \
+         `divisor` or `input_rpi` to what it can do; tried again after {}",
+        Ns(api_ns),
+        Ns(counts_ns),
+        Ns(pause_ns)
+    )
+}
+
 /// The opening was not answered.
 pub(super) fn unanswered(waited_ns: u64) -> String {
     format!("the drive does not answer the opening of the connection within {}", Ns(waited_ns))
