@@ -13,6 +13,9 @@
 //! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as
 //!   in the next, in one cycle at 1 kHz: nothing planned is left out, each exchange is closed; and the same against a
 //!   bare loop.
+//! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in every
+//!   fourth, in one cycle at 1 kHz.
+//! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
 //! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
@@ -39,9 +42,11 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
+use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
 use fieldbeat::internals::bus::linudp::upid;
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
-use fieldbeat::internals::bus::{ethercat, linudp, modbus};
+use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus};
+use fieldbeat::internals::cycle::record::{DriveRecord, Record};
 use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, Outbox, StreamPeer, Streams, UdpOptions};
 use fieldbeat::internals::rt::{MonotonicClock, Usage};
 use fieldbeat::telemetry::{DriveEnd, Numbers};
@@ -54,7 +59,8 @@ use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
 use support::line::{self, NullLine, NullLines, Settled};
-use support::null::{NullCarrier, NullNet, NullStreams};
+use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
+use support::packets;
 use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
@@ -65,7 +71,14 @@ const LINE_ALONE: usize = 16;
 const LINE_DUEL: usize = 4;
 
 /// Both kinds in one cycle.
-const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0 };
+const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0, moons: 0 };
+
+/// All kinds in one cycle: 32 LinMots and a line of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in
+/// every fourth.
+const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, line: 8, moons: 32 };
+
+/// MOONS' drives on sockets against the bare loop.
+const MOONS_DUEL: usize = 32;
 
 /// This variable of the environment makes the program the child that strace looks at, with these drives.
 const TRACED: &str = "FIELDBEAT_BENCH_TRACED_DRIVES";
@@ -92,6 +105,7 @@ fn main() -> ExitCode {
     let of = |fleet: fn(usize) -> Fleet| move |count, what, cycles| slice_of(fleet(count), what, cycles);
     let without = without_socket("LinMots", args.quick, drives, of(Fleet::linmots));
     let unidrives = without_socket("Unidrives", args.quick, drives, of(Fleet::unidrives));
+    let moons = without_socket("MOONS' drives", args.quick, drives, of(Fleet::moons));
     let lines: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
     let mut standing = StandingLines::new(lines);
     let in_lines = without_socket("drives of one line", args.quick, lines, |count, what, cycles| {
@@ -101,6 +115,8 @@ fn main() -> ExitCode {
     let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &budgets, &mut report);
     let together = together(&granted, args.quick, &budgets, &mut report);
+    let all_kinds = all_kinds(&granted, args.quick, &budgets, &mut report);
+    let packets = packets_on_sockets(&granted, args.quick, &budgets, &mut report);
     let line = line_on_sockets(&granted, args.quick, &budgets, &mut report);
     let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
@@ -139,7 +155,19 @@ fn main() -> ExitCode {
         }));
     }
     report.append(reads);
+    for (drives, without) in drives.iter().zip(moons) {
+        report.append(json!({
+            "moons_drives": drives,
+            "loop_ns": without.back_to_back.value,
+            "loop_ns_interval": without.back_to_back.ends(),
+            "loop_paced_ns": without.paced.value,
+            "loop_paced_ns_interval": without.paced.ends(),
+            "carrier_ns": without.carrier,
+        }));
+    }
     report.append(together);
+    report.append(all_kinds);
+    report.append(packets);
     report.append(line);
     whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
@@ -156,7 +184,10 @@ const LINE_MOST: usize = 64;
 /// second-level ones.
 fn scenarios() -> Vec<Scenario> {
     let of = |protocol| COMPARED.map(|drives| Scenario { protocol, drives, caches: drives >= 64 });
-    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL].into_iter().flat_map(of).collect()
+    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
+        .into_iter()
+        .flat_map(of)
+        .collect()
 }
 
 /// The child: the loop over drives in memory, all in operation.
@@ -169,6 +200,7 @@ fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
     let buses = match protocol {
         linudp::PROTOCOL => Fleet::linmots(drives).buses(Side::Ours),
         modbus::PROTOCOL => Fleet::unidrives(drives).buses(Side::Ours),
+        ethernet_ip::PROTOCOL => Fleet::moons(drives).buses(Side::Ours),
         _ => memory.0.iter().map(|line| Box::new(line.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();
@@ -502,10 +534,23 @@ fn turns(fleet: Fleet, pace: Pace, cycles: usize) -> Vec<f64> {
 
 /// What the null carrier takes for a cycle by itself, ns.
 fn carrier_alone(fleet: Fleet, cycles: usize) -> Vec<f64> {
-    match fleet.unidrives {
-        0 => datagrams_alone(fleet.linmots, cycles),
-        unidrives => streams_alone(unidrives, cycles),
+    match fleet {
+        Fleet { moons: 1.., .. } => packets_alone(fleet.moons, cycles),
+        Fleet { unidrives: 1.., .. } => streams_alone(fleet.unidrives, cycles),
+        _ => datagrams_alone(fleet.linmots, cycles),
     }
+}
+
+fn packets_alone(drives: usize, cycles: usize) -> Vec<f64> {
+    let at = |index| SocketAddrV4::new(*fleet::address(Side::Ours, index).ip(), ethernet_ip::IO_PORT);
+    let peers: Vec<_> = (0..drives).map(at).collect();
+    let (carrier, packet) = (NullPackets::of(&peers), Outgoing::owner(1));
+    let mut outbox = Outbox::new(&peers, packet.bytes().len());
+    for index in 0..drives {
+        outbox.room(index).copy_from_slice(packet.bytes());
+        outbox.set_length(index, packet.bytes().len());
+    }
+    exchanges_alone(carrier, outbox, cycles)
 }
 
 fn streams_alone(drives: usize, cycles: usize) -> Vec<f64> {
@@ -532,7 +577,7 @@ fn streams_alone(drives: usize, cycles: usize) -> Vec<f64> {
 }
 
 fn datagrams_alone(drives: usize, cycles: usize) -> Vec<f64> {
-    let mut carrier = NullCarrier::new(drives);
+    let carrier = NullCarrier::new(drives);
     let peers: Vec<_> = (0..drives).map(|index| fleet::address(Side::Ours, index)).collect();
     let request =
         Request { response_def: ResponseDef::CYCLIC, control: Some(ControlWord::ON), ..Request::default() };
@@ -541,6 +586,12 @@ fn datagrams_alone(drives: usize, cycles: usize) -> Vec<f64> {
         let length = request.emit(outbox.room(index));
         outbox.set_length(index, length);
     }
+    exchanges_alone(carrier, outbox, cycles)
+}
+
+/// Sends all of the outbox, and takes in what comes.
+fn exchanges_alone(mut carrier: impl Datagrams, mut outbox: Outbox, cycles: usize) -> Vec<f64> {
+    let drives = outbox.len();
     let mut cycle = || {
         (0..drives).for_each(|index| outbox.post(index, true));
         let begin = MonotonicClock::read();
@@ -652,7 +703,7 @@ fn period(drives: usize) -> u64 {
 fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let steal = Steal::begin();
-    let Alone { end, calls, on_connections, page_faults } = alone_at_1_khz(granted, TOGETHER, alone);
+    let Alone { end, calls, on_connections, page_faults, .. } = alone_at_1_khz(granted, TOGETHER, alone);
     let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     let period_ns = period(TOGETHER.linmots + TOGETHER.due_unidrives());
     for _ in 0..rounds {
@@ -711,6 +762,103 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
         "sockets_ratio": ratio.map(|ratio| ratio.value),
         "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
         "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "steal_ms": steal.ms(),
+    })
+}
+
+/// All kinds in one cycle at 1 kHz: nothing is left out, and each exchange is closed.
+fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
+    let steal = Steal::begin();
+    let Alone { end, calls, on_connections, ages, page_faults } =
+        alone_at_1_khz(granted, ALL_KINDS, if quick { 2_000 } else { 20_000 });
+    let (linmots, rest) = end.drives.split_at(ALL_KINDS.linmots);
+    let (unidrives, rest) = rest.split_at(ALL_KINDS.unidrives);
+    let (line, moons) = rest.split_at(ALL_KINDS.line);
+    let kinds = [("LinMots", linmots), ("Unidrives", unidrives), ("Kollmorgens", line), ("MOONS", moons)]
+        .map(|(name, drives)| (name, Kind::sum(drives)));
+    let (status, p50) = (end.status, |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value));
+    println!("\nall kinds in one cycle at 1 kHz ({ALL_KINDS}); steal {} ms", shown(steal.ms()));
+    println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
+    kinds.iter().for_each(|(name, kind)| println!("  {name}: {kind}"));
+    println!(
+        "  system calls a cycle, p50: {}, of which on connections {}; age of MOONS' feedback, p50: {} ns",
+        shown(p50(&calls)),
+        shown(p50(&on_connections)),
+        shown(p50(&ages))
+    );
+    report.check(
+        format!("all kinds: planned {} = executed + skipped", status.planned),
+        status.planned == status.executed + status.skipped,
+    );
+    kinds.iter().for_each(|(name, kind)| kind.check(&format!("all kinds, {name}"), report));
+    within(report, budgets, "all kinds", &calls);
+    within(report, budgets, "all kinds on connections", &on_connections);
+    check_page_faults("all kinds", page_faults, budgets, report);
+    let counted = kinds.iter().map(|(name, kind)| (*name, json!([kind.sent, kind.answered, kind.missed])));
+    json!({
+        "all_kinds": ALL_KINDS.to_string(),
+        "planned": status.planned,
+        "executed": status.executed,
+        "skipped": status.skipped,
+        "sent_answered_missed": counted.collect::<BTreeMap<_, _>>(),
+        "syscalls_per_cycle": p50(&calls),
+        "syscalls_on_connections": p50(&on_connections),
+        "moons_age_ns": p50(&ages),
+        "steal_ms": steal.ms(),
+    })
+}
+
+/// MOONS' drives with an interval of 4 ms, each in every cycle of as much: the send phase against the bare loop over the
+/// same bytes, and how old feedback is.
+fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
+    let (rounds, cycles, period_ns) = if quick { (3, 200, 4 * MS) } else { (15, 400, 4 * MS) };
+    let fleet = Fleet::moons(MOONS_DUEL);
+    let steal = Steal::begin();
+    let [mut ours, mut bare, mut calls, mut ages] = [const { Sample::new() }; 4];
+    for _ in 0..rounds {
+        let (mut simulated, theirs) = (fleet.simulate(Side::Ours), fleet.simulate(Side::Bare));
+        simulated.drives.extend(theirs.drives);
+        let _server = rig::serve(simulated, granted);
+        let counted = &Calls::default();
+        let carriers = &CountedNet::new(counted);
+        let duel = rig::on_loop_thread(|_| packets::duel(fleet, period_ns, cycles, carriers, counted));
+        match duel.unwrap_or_else(|error| rig::give_up(error)) {
+            Ok(duel) => {
+                ours.push(duel.ours);
+                bare.push(duel.bare);
+                calls.push(duel.calls);
+                ages.push(duel.ages);
+            }
+            Err(why) => println!("a slice without the bare loop: {why}"),
+        }
+    }
+    let p50 = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value);
+    let (ratio, bound_ns) = (ours.ratio(&bare, 0.5), period_ns / 2 + period_ns);
+    println!(
+        "\n{MOONS_DUEL} MOONS' drives on sockets, every {} each; {rounds} rounds, steal {} ms",
+        Ns(period_ns),
+        shown(steal.ms())
+    );
+    println!(
+        "  send phase, p50: {} ns; bare loop {} ns; ratio {}; system calls a cycle {}",
+        shown(p50(&ours)),
+        shown(p50(&bare)),
+        shown(ratio),
+        shown(p50(&calls))
+    );
+    println!(
+        "  age of feedback, p50: {} ns; half an interval and a period: {bound_ns} ns",
+        shown(p50(&ages))
+    );
+    within(report, budgets, &format!("{MOONS_DUEL} {}", ethernet_ip::PROTOCOL), &calls);
+    json!({
+        "moons_on_sockets": MOONS_DUEL,
+        "send_ns": p50(&ours),
+        "bare_ns": p50(&bare),
+        "send_ratio": ratio.map(|ratio| ratio.value),
+        "send_ratio_interval": ratio.map(|ratio| ratio.ends()),
+        "syscalls_per_cycle": p50(&calls),
+        "age_ns": p50(&ages),
         "steal_ms": steal.ms(),
     })
 }
@@ -811,6 +959,8 @@ struct Alone {
     /// System calls of each executed cycle: all of them, and those on connections.
     calls: Sample,
     on_connections: Sample,
+    /// How old the status of each MOONS' drive is when a cycle publishes it, ns.
+    ages: Sample,
     /// Of the loop's thread meanwhile; `None`: its memory is not locked.
     page_faults: Option<u64>,
 }
@@ -825,10 +975,19 @@ fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> Alone {
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();
         let (mut calls, mut on_them) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
+        let mut of_moons = Vec::with_capacity(cycles * fleet.moons);
+        let others = fleet.drives() - fleet.moons;
         let usage = Usage::of_thread();
         for _ in 0..cycles {
             let (executed, before) = (rig.status().executed, carriers.on_connections());
-            let turn = rig.turn(|_| {});
+            let turn = rig.turn(|record| match record {
+                Record::Drive(DriveRecord { axis, age_ns: Some(age_ns), .. })
+                    if usize::from(axis) >= others =>
+                {
+                    of_moons.push(u64::from(age_ns.get()));
+                }
+                _ => {}
+            });
             if rig.status().executed > executed {
                 calls.push(turn.calls);
                 on_them.push(carriers.on_connections() - before);
@@ -836,11 +995,12 @@ fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> Alone {
         }
         let page_faults = Usage::of_thread().since(usage).page_faults();
         rig.settle();
-        let (mut all, mut on_connections) = (Sample::new(), Sample::new());
+        let [mut all, mut on_connections, mut ages] = [const { Sample::new() }; 3];
         all.push(calls);
+        ages.push(of_moons);
         on_connections.push(on_them);
         let page_faults = granted.memory_locked.then_some(page_faults);
-        Alone { end: rig.end(), calls: all, on_connections, page_faults }
+        Alone { end: rig.end(), calls: all, on_connections, ages, page_faults }
     });
     run.unwrap_or_else(|error| rig::give_up(error))
 }
@@ -897,6 +1057,7 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
         ("one Unidrive", Fleet::unidrives(1)),
         ("LinMots and Unidrives together", TOGETHER),
         ("a line of one", Fleet::line(1)),
+        ("32 MOONS' drives", Fleet::moons(MOONS_DUEL)),
     ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
         match strace_of(granted, fleet) {

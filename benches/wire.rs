@@ -7,6 +7,8 @@
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
 //!
+//! A MOONS' drive answers nothing: its exchange is a packet to it and one from it, as its own clock sends them.
+//!
 //! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
 //! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
 //!
@@ -17,7 +19,7 @@
 mod support;
 
 use std::hint::black_box;
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -26,12 +28,15 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
 use fieldbeat::Cycle;
-use fieldbeat::axis::{Command, Link, State};
+use fieldbeat::axis::{Command, Jog, Link, State};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Inputs, Outputs};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, StateVar, StatusWord, WarnWord};
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
+use fieldbeat::internals::bus::ethernet_ip::exchange::{self, Connection, News, SessionEnd};
+use fieldbeat::internals::bus::ethernet_ip::wire::io::{OUTGOING_MAX, Outgoing, Packet};
 use fieldbeat::internals::bus::linudp::station::Station;
 use fieldbeat::internals::bus::linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
@@ -40,7 +45,7 @@ use fieldbeat::internals::bus::modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
 };
 use fieldbeat::internals::bus::modbus::{Finding, Found};
-use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, linudp, modbus};
+use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus};
 use fieldbeat::internals::drive::machine::Machine;
 use fieldbeat::internals::net::Frames;
 use fieldbeat::telemetry::Counters;
@@ -53,7 +58,7 @@ use support::line::{self, NullLine, NullLines, Settled};
 use support::rig::Calls;
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
-use support::{Args, Report, fleet, shown};
+use support::{Args, Report, fleet, moons, shown};
 
 /// Drives of the line; the frame of a single one is measured too.
 const LINE: usize = 16;
@@ -65,6 +70,7 @@ const QUICK_ROUNDS: usize = 5;
 const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
 const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
 const ETHERCAT: [&str; 4] = ["exchange", "drive", "exchange of one", "drive of one"];
+const ETHERNET_IP: [&str; 4] = ["exchange", "drive", "encode", "decode"];
 
 /// The next cycle, and when its request goes out.
 fn advance(cycle: &mut Cycle) -> Time {
@@ -276,6 +282,93 @@ impl Around {
     }
 }
 
+/// The station of a MOONS' drive, and a drive that sends to it from memory.
+struct Clocked {
+    machine: Machine,
+    station: ethernet_ip::station::Station,
+    /// Kept, as an application and a session would.
+    _others: (ethernet_ip::Native, SessionEnd),
+    slot: Slot,
+    drive: moons::Canned,
+    source: Ipv4Addr,
+    packet: [u8; OUTGOING_MAX],
+    cycle: Cycle,
+}
+
+impl Clocked {
+    /// The connection's id of the drive's packets.
+    const INCOMING: u32 = 0x1234_0000;
+
+    /// An axis in operation and jogging.
+    fn operational() -> Clocked {
+        let address = Ipv4Addr::new(127, 90, 1, 10);
+        let plan = EthernetIpPlan::new(Ipv4Addr::LOCALHOST, vec![moons::drive(address)]);
+        let drive = &plan.drives[0];
+        let (loop_end, mut session_end) = exchange::both();
+        let (station, native) = ethernet_ip::station::Station::new(drive, PERIOD_NS, loop_end);
+        let told = session_end.tell(News::Opened(Connection {
+            generation: 1,
+            outgoing: 0x42,
+            incoming: Clocked::INCOMING,
+            destination: SocketAddrV4::new(address, ethernet_ip::IO_PORT),
+            source: address,
+            outgoing_api_ns: PERIOD_NS,
+            incoming_api_ns: PERIOD_NS,
+            timeout_ns: drive.input_timeout_ns(PERIOD_NS),
+            outputs: exchange::Outputs::Owned,
+            version: ethernet_ip::Version::V2,
+            layout: ethernet_ip::Layout::Manual,
+        }));
+        assert!(told, "there is room");
+        let mut clocked = Clocked {
+            machine: machine(&plan, 0),
+            station,
+            _others: (native, session_end),
+            slot: Slot { due: true, link: Link::Online, ..Slot::default() },
+            drive: moons::Canned::new(moons::first(Clocked::INCOMING)),
+            source: address,
+            packet: [0; OUTGOING_MAX],
+            cycle: BEGIN,
+        };
+        let opened = clocked.station.hear(&clocked.cycle, &mut clocked.slot);
+        assert!(opened.is_some(), "it is open");
+        (0..5).for_each(|_| clocked.turn());
+        clocked.machine.start(clocked.cycle.grid, Some(Command::Enable));
+        (0..10).for_each(|_| clocked.turn());
+        assert_eq!(clocked.slot.status.state, State::OperationEnabled);
+        assert_eq!(clocked.machine.end(), Some(Ok(())));
+        let jog = Command::Jog(Jog { velocity: 1.0, acceleration: 100.0 });
+        clocked.machine.start(clocked.cycle.grid, Some(jog));
+        (0..20).for_each(|_| clocked.turn());
+        assert!(clocked.slot.status.moving && clocked.slot.evidence.refused.is_none());
+        clocked.slot.counters = Counters::default();
+        clocked
+    }
+
+    /// One cycle of both clocks.
+    #[inline]
+    fn turn(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        self.machine.propose(self.cycle.grid, &mut self.slot);
+        let length = self.station.prepare(&self.cycle, &mut self.slot, &mut self.packet);
+        let length = length.expect("it is open");
+        let packet = black_box(&self.packet[..length]);
+        self.station.sent(sent_at, &mut self.slot);
+        commit(&mut self.machine, &mut self.slot);
+        let bytes = paused(|| {
+            self.drive.hear(packet);
+            self.drive.say()
+        });
+        let packet = Packet::parse(black_box(bytes)).expect("a packet");
+        assert!(self.station.is(self.source, packet.connection));
+        self.station.take(sent_at + 40 * US, &packet, &mut self.slot);
+        // It was accepted.
+        self.slot.counters.answered += u64::from(self.slot.notices.fresh);
+        observe(&mut self.machine, self.cycle.grid, &mut self.slot);
+        black_box(&self.slot);
+    }
+}
+
 /// A line whose drives all follow a velocity, answered from memory.
 struct Linked {
     bus: Box<dyn Bus>,
@@ -397,10 +490,11 @@ impl Unlinked {
 }
 
 /// What is counted in place of being measured.
-const SCENARIOS: [Scenario; 3] = [
+const SCENARIOS: [Scenario; 4] = [
     Scenario { protocol: linudp::PROTOCOL, drives: 1, caches: false },
     Scenario { protocol: modbus::PROTOCOL, drives: 1, caches: false },
     Scenario { protocol: ethercat::PROTOCOL, drives: LINE, caches: false },
+    Scenario { protocol: ethernet_ip::PROTOCOL, drives: 1, caches: false },
 ];
 /// Exchanges that are counted.
 const COUNTED: u64 = 128;
@@ -419,6 +513,10 @@ fn counted(scenario: Scenario) -> Ran {
         modbus::PROTOCOL => {
             let mut requested = Requested::operational();
             count(&mut || requested.exchange(Canned::answer_again))
+        }
+        ethernet_ip::PROTOCOL => {
+            let mut clocked = Clocked::operational();
+            count(&mut || clocked.turn())
         }
         _ => {
             let mut linked = Linked::operational(scenario.drives);
@@ -442,11 +540,12 @@ fn main() -> ExitCode {
         (linudp::PROTOCOL, &LINUDP[..]),
         (modbus::PROTOCOL, &MODBUS[..]),
         (ethercat::PROTOCOL, &ETHERCAT[..]),
+        (ethernet_ip::PROTOCOL, &ETHERNET_IP[..]),
     ];
     let mut lines = [LINE, 1].map(Linked::operational);
     let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
-    let mut quickest = [const { Vec::new() }; 3];
-    let mut counted = [(0, 0); 3];
+    let mut quickest = [const { Vec::new() }; 4];
+    let mut counted = [(0, 0); 4];
     for round in 0..rounds {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
         // A new one each time: one that measures a part again gives it another name, and the first would be read for
@@ -457,7 +556,12 @@ fn main() -> ExitCode {
             .nresamples(resamples)
             .warm_up_time(Duration::from_millis(warm_up))
             .measurement_time(Duration::from_millis(measurement));
-        let counters = [linudp(&mut criterion), modbus(&mut criterion), ethercat(&mut criterion, &mut lines)];
+        let counters = [
+            linudp(&mut criterion),
+            modbus(&mut criterion),
+            ethercat(&mut criterion, &mut lines),
+            ethernet_ip(&mut criterion),
+        ];
         for (place, (protocol, names)) in protocols.iter().enumerate() {
             let found: Vec<_> = names.iter().map(|name| estimate_of(&output, protocol, name)).collect();
             // The whole exchange is the first of them.
@@ -564,6 +668,39 @@ fn ethercat(criterion: &mut Criterion, lines: &mut [Linked; 2]) -> Counters {
     }
     group.finish();
     counters
+}
+
+fn ethernet_ip(criterion: &mut Criterion) -> Counters {
+    let mut group = criterion.benchmark_group(ethernet_ip::PROTOCOL);
+    group.throughput(Throughput::Elements(1));
+    let mut clocked = Clocked::operational();
+    group.bench_function("exchange", |bencher| bencher.iter(|| clocked.turn()));
+    // What of it is no master's: the drive that takes a packet and sends one.
+    let (mut drive, packet) = (clocked.drive.clone(), clocked.packet);
+    group.bench_function("drive", |bencher| {
+        bencher.iter(|| {
+            drive.hear(black_box(&packet));
+            black_box(drive.say());
+        });
+    });
+    let mut packet = Outgoing::owner(0x42);
+    let outputs = Outputs { jog_speed: 240, jog_acceleration: 600, ..Outputs::default() };
+    group.bench_function("encode", |bencher| {
+        bencher.iter(|| {
+            packet.set_outputs(black_box(&outputs));
+            packet.set_sequence(black_box(7), 7);
+            black_box(packet.bytes());
+        });
+    });
+    let bytes = drive.say();
+    group.bench_function("decode", |bencher| {
+        bencher.iter(|| {
+            let packet = Packet::parse(black_box(bytes)).expect("a packet");
+            black_box(Inputs::parse(packet.data, ethernet_ip::Version::V2, ethernet_ip::Layout::Manual))
+        });
+    });
+    group.finish();
+    clocked.slot.counters
 }
 
 /// The share of one drive of the line.

@@ -92,6 +92,12 @@ pub mod bus {
     }
     pub mod ethernet_ip {
         pub use crate::bus::ethernet_ip::*;
+        pub mod exchange {
+            pub use crate::bus::ethernet_ip::exchange::*;
+        }
+        pub mod station {
+            pub use crate::bus::ethernet_ip::station::*;
+        }
         pub mod wire {
             pub use crate::bus::ethernet_ip::wire::*;
         }

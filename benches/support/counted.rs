@@ -4,6 +4,7 @@ use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::atomic::Ordering;
+use std::task::Waker;
 
 use fieldbeat::internals::net::frames::Unsent;
 use fieldbeat::internals::net::{
@@ -200,8 +201,16 @@ impl Streams for CountedStreams {
         self.net.abandon(index, why);
     }
 
+    fn has_ended(&self) -> bool {
+        self.net.has_ended()
+    }
+
     fn notes(&self) -> LinkNotes {
         self.net.notes()
+    }
+
+    fn waker(&self) -> Option<Waker> {
+        self.net.waker()
     }
 
     fn memory(&self, regions: &mut Regions) {

@@ -9,14 +9,16 @@ use std::time::Duration;
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::EthercatPlan;
+use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
 use fieldbeat::sim::ethercat::EthercatSegment;
+use fieldbeat::sim::ethernet_ip::MoonsDrives;
 use fieldbeat::sim::linudp::LinMots;
 use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::sim::{SimBus, Simulated};
 
-use super::{line, unidrive};
+use super::{line, moons, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
@@ -71,27 +73,34 @@ pub struct Fleet {
     pub every: u32,
     /// Kollmorgen drives, on one line.
     pub line: usize,
+    /// MOONS' drives, each in every cycle of so many as well: their interval.
+    pub moons: usize,
 }
 
 impl Fleet {
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
-        Fleet { linmots: count, unidrives: 0, every: 1, line: 0 }
+        Fleet { linmots: count, unidrives: 0, every: 1, line: 0, moons: 0 }
     }
 
     /// Unidrives only, in every cycle.
     pub const fn unidrives(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: count, every: 1, line: 0 }
+        Fleet { linmots: 0, unidrives: count, every: 1, line: 0, moons: 0 }
     }
 
     /// A line of Kollmorgen drives only.
     pub const fn line(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: 0, every: 1, line: count }
+        Fleet { linmots: 0, unidrives: 0, every: 1, line: count, moons: 0 }
+    }
+
+    /// MOONS' drives only, in every cycle.
+    pub const fn moons(count: usize) -> Fleet {
+        Fleet { linmots: 0, unidrives: 0, every: 1, line: 0, moons: count }
     }
 
     /// All of them.
     pub fn drives(self) -> usize {
-        self.linmots + self.unidrives + self.line
+        self.linmots + self.unidrives + self.line + self.moons
     }
 
     /// How many Unidrives are due in a cycle.
@@ -116,6 +125,17 @@ impl Fleet {
         ModbusPlan::new((0..self.unidrives).map(drive).collect())
     }
 
+    /// The bus of its MOONS' drives on `side`.
+    pub fn ethernet_ip(self, side: Side) -> EthernetIpPlan {
+        let drive = |index: usize| {
+            let mut drive = moons::drive(*address(side, index).ip());
+            drive.axis.divisor = self.every;
+            drive.axis.phase = index as u32 % self.every;
+            drive
+        };
+        EthernetIpPlan::new(*master(side).ip(), (0..self.moons).map(drive).collect())
+    }
+
     /// Its line on `side`.
     pub fn ethercat(self, side: Side) -> EthercatPlan {
         line::plan(&format!("local:bench-{}", side as u8), self.line)
@@ -133,6 +153,9 @@ impl Fleet {
         if self.line > 0 {
             buses.push(Box::new(self.ethercat(side)));
         }
+        if self.moons > 0 {
+            buses.push(Box::new(self.ethernet_ip(side)));
+        }
         buses
     }
 
@@ -144,14 +167,16 @@ impl Fleet {
         if self.line > 0 {
             EthercatSegment::from(self.ethercat(side)).build(&mut simulated);
         }
+        MoonsDrives::of(&self.ethernet_ip(side)).build(&mut simulated);
         simulated
     }
 }
 
-/// As [`FromStr`] takes it: `32+32/8+16`.
+/// As [`FromStr`] takes it: `32+32/8+16+0`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}+{}/{}+{}", self.linmots, self.unidrives, self.every, self.line)
+        let Fleet { linmots, unidrives, every, line, moons } = self;
+        write!(f, "{linmots}+{unidrives}/{every}+{line}+{moons}")
     }
 }
 
@@ -161,13 +186,15 @@ impl FromStr for Fleet {
     fn from_str(text: &str) -> Result<Fleet, ()> {
         let (linmots, rest) = text.split_once('+').ok_or(())?;
         let (unidrives, rest) = rest.split_once('/').ok_or(())?;
-        let (every, line) = rest.split_once('+').ok_or(())?;
+        let (every, rest) = rest.split_once('+').ok_or(())?;
+        let (line, moons) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
             unidrives: number(unidrives)?,
             every: every.parse().map_err(|_| ())?,
             line: number(line)?,
+            moons: number(moons)?,
         })
     }
 }

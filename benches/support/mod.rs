@@ -7,8 +7,9 @@
 //! | `count` | instructions of one scenario, counted by callgrind |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
-//! | `fleet`, `unidrive`, `line` | the drives it runs; a Unidrive and a line of Kollmorgens that answer from memory |
+//! | `fleet`, `unidrive`, `line`, `moons` | the drives it runs; a Unidrive, a line of Kollmorgens and a MOONS' drive in memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
+//! | `packets` | the same for class 1 packets, which answer nothing |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
 //!
@@ -25,7 +26,9 @@ pub mod fleet;
 pub mod handshake;
 pub mod libmodbus;
 pub mod line;
+pub mod moons;
 pub mod null;
+pub mod packets;
 pub mod rig;
 pub mod stats;
 pub mod unidrive;

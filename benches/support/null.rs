@@ -3,7 +3,9 @@
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
+use std::sync::{Mutex, PoisonError};
 
+use fieldbeat::bus::ethernet_ip::{self, IO_PORT};
 use fieldbeat::bus::linudp::{ControlWord, MainState, StateVar, StatusWord};
 use fieldbeat::internals::bus::linudp::wire::{
     RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
@@ -18,19 +20,29 @@ use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;
 
 use super::callgrind::resumed;
-use super::rig;
 use super::unidrive::{self, Canned};
+use super::{moons, rig};
 
 /// Carriers of a network in memory where every drive answers at once.
 pub struct NullNet;
 
 impl Carriers for NullNet {
-    fn datagrams(&self, _: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        if bind.port() == IO_PORT {
+            return Ok(Box::new(NullPackets::new(options.peers)));
+        }
         Ok(Box::new(NullCarrier::new(options.peers)))
     }
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         let count = peers.len();
+        if peers.iter().all(|peer| peer.address.port() == ethernet_ip::PORT) {
+            let from = |peer: &StreamPeer| SocketAddrV4::new(*peer.address.ip(), IO_PORT);
+            let drive = |peer| Ok((from(&peer), moons::Canned::new(moons::open(peer)?)));
+            *OPENED.lock().unwrap_or_else(PoisonError::into_inner) =
+                peers.into_iter().map(drive).collect::<io::Result<_>>()?;
+            return Ok(Box::new(NullStreams::new(0)));
+        }
         peers.into_iter().try_for_each(greet)?;
         Ok(Box::new(NullStreams::new(count)))
     }
@@ -54,6 +66,75 @@ fn greet(mut peer: StreamPeer) -> io::Result<()> {
         HandshakeState::Failed(why) => Err(io::Error::other(why)),
         _ => Ok(()),
     }
+}
+
+/// The MOONS' drives whose connections were opened last, and where their packets come from. A bench has one loop at a
+/// time.
+static OPENED: Mutex<Vec<(SocketAddrV4, moons::Canned)>> = Mutex::new(Vec::new());
+
+/// MOONS' drives that send a packet for each that they get.
+pub struct NullPackets {
+    /// Taken from those that were opened, with the first packet.
+    drives: Vec<(SocketAddrV4, moons::Canned)>,
+    /// Those that have a packet to be taken, and the next one of them.
+    sending: Vec<usize>,
+    next: usize,
+    batch: usize,
+}
+
+impl NullPackets {
+    pub fn new(peers: usize) -> NullPackets {
+        // As real ones have it.
+        let batch = (peers * 2).clamp(8, 128);
+        NullPackets { drives: Vec::new(), sending: Vec::with_capacity(peers), next: 0, batch }
+    }
+
+    /// Drives at these addresses, without sessions.
+    pub fn of(addresses: &[SocketAddrV4]) -> NullPackets {
+        let drive = |address: &SocketAddrV4| (*address, moons::Canned::new(moons::first(0)));
+        NullPackets { drives: addresses.iter().map(drive).collect(), ..NullPackets::new(addresses.len()) }
+    }
+}
+
+impl Datagrams for NullPackets {
+    fn fd(&self) -> Option<RawFd> {
+        None
+    }
+
+    fn send(&mut self, outbox: &mut Outbox) {
+        let at = rig::now();
+        if self.drives.is_empty() {
+            self.drives = std::mem::take(&mut *OPENED.lock().unwrap_or_else(PoisonError::into_inner));
+        }
+        self.sending.clear();
+        self.next = 0;
+        for index in 0..outbox.len() {
+            if outbox.sent(index) == Sent::Posted {
+                outbox.note(index, Sent::At(at));
+                self.drives[index].1.hear(outbox.bytes(index));
+                self.sending.push(index);
+            }
+        }
+    }
+
+    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
+        let at = rig::now();
+        let end = self.sending.len().min(self.next + self.batch);
+        let count = end - self.next;
+        for index in &self.sending[self.next..end] {
+            let (from, drive) = &mut self.drives[*index];
+            let received = Received { from: *from, at, bytes: drive.say(), truncated: false };
+            resumed(|| take(received));
+        }
+        self.next = end;
+        Ok(count)
+    }
+
+    fn batch(&self) -> usize {
+        self.batch
+    }
+
+    fn memory(&self, _: &mut Regions) {}
 }
 
 /// Connections whose drives answer at once, from memory.

@@ -210,6 +210,7 @@ pub struct Shown {
 }
 
 impl From<[Option<f64>; MONITOR_CHANNELS]> for Shown {
+    #[inline]
     fn from(values: [Option<f64>; MONITOR_CHANNELS]) -> Shown {
         let bit = |(channel, value): (usize, &Option<f64>)| u8::from(value.is_some()) << channel;
         let mask = values.iter().enumerate().map(bit).sum();
@@ -252,7 +253,13 @@ impl Feedback {
     pub(crate) fn write_to(&self, cell: &mut Writer<Feedback>) {
         match self.status.monitor {
             [None, None, None, None] => cell.write_words(self.first_words(0).into_iter()),
-            _ => cell.write(self),
+            monitor => {
+                let (shown, values) = Shown::from(monitor).to_words();
+                cell.write_with(|places| {
+                    self.first_words(shown).into_iter().for_each(|word| places.push(word));
+                    values.into_iter().for_each(|word| places.push(word));
+                });
+            }
         }
     }
 

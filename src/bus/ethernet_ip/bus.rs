@@ -152,7 +152,7 @@ impl EthernetIpBus {
             let taken = net.receive(&mut |datagram| {
                 let source = *datagram.from.ip();
                 let packet = Packet::parse(datagram.bytes);
-                // The ids of packets to this master only are its own choice: the index is a part of them.
+                // The ids of packets to this master only are its own choice: the index is the upper half of them.
                 if let (Ok(packet), false) = (&packet, datagram.truncated) {
                     let index = (packet.connection >> 16) as usize;
                     if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))

@@ -34,7 +34,7 @@ mod profile;
 #[cfg(feature = "cli")]
 mod scan;
 pub(crate) mod session;
-mod station;
+pub(crate) mod station;
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;

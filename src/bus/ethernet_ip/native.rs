@@ -199,6 +199,11 @@ impl NativePort {
         self.inputs.write_with(|places| {
             places.push(at.0);
             places.push(flags);
+            // The usual one, of a length that the compiler knows.
+            if let Ok(data) = <&[u8; ROOM]>::try_from(data) {
+                data.as_chunks::<WORD>().0.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
+                return;
+            }
             let (whole, rest) = data.as_chunks::<WORD>();
             whole.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
             if !rest.is_empty() {

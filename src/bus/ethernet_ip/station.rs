@@ -10,7 +10,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::counters::Own;
 use super::exchange::{Connection, LoopEnd, News, Outputs as Sends, Wish};
 use super::native::{Native, NativePort, native};
-use super::plan::{EnableInput, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
+use super::plan::{EnableInput, Layout, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
 use super::profile::{Profile, Seen};
 use super::wire::assembly::{Inputs, status};
 use super::wire::io::{OUTGOING_MAX, Outgoing, Packet, PacketError};
@@ -24,13 +24,13 @@ use crate::time::Time;
 /// The session is waited for so long at the orderly end, ns: it looks at its queues in turns.
 const CLOSE_WITHIN_NS: u64 = crate::time::S;
 
-/// One drive. What each exchange touches comes first.
 /// The number of a packet may be so far ahead of the last one, whatever time has passed.
 const LEAP: i32 = 3;
 
+/// One drive. What each exchange touches comes first.
 #[derive(Debug)]
 #[repr(C, align(64))]
-pub(super) struct Station {
+pub struct Station {
     /// The slot that the prepared packet is for.
     grid: Time,
     /// The newest accepted packet counts until then. 0 = none was accepted on this connection.
@@ -48,6 +48,8 @@ pub(super) struct Station {
     odd: Option<u32>,
     /// A packet is in the outbox for the next send.
     is_built: bool,
+    /// The outbox has `packet`, but for its numbers.
+    is_copied: bool,
     connection: Option<Connection>,
     packet: Outgoing,
     seen: Seen,
@@ -56,6 +58,9 @@ pub(super) struct Station {
     /// Of the velocity in a packet, in user units/s; of an encoder.
     velocity_per_count: f64,
     steps_per_encoder_count: Option<f64>,
+    agreed: Agreed,
+    /// What was reported last besides.
+    shown: Shown,
     /// No drive makes more steps in a ns.
     fastest: f64,
     profile: Profile,
@@ -89,6 +94,40 @@ struct Track {
     last: Option<Last>,
 }
 
+/// Of the connection that is open, what each packet of the drive needs.
+#[derive(Clone, Copy, Debug)]
+struct Agreed {
+    version: Version,
+    layout: Layout,
+    timeout_ns: u64,
+    /// A difference between two packets in a row by this is one in a second.
+    rate: f64,
+    /// No drive makes more steps in an interval.
+    most_steps: f64,
+}
+
+impl Default for Agreed {
+    fn default() -> Agreed {
+        let (version, layout) = (Version::V2, Layout::Manual);
+        Agreed { version, layout, timeout_ns: 0, rate: 0.0, most_steps: 0.0 }
+    }
+}
+
+/// What a drive shows besides, in its own integers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Shown([u32; 4]);
+
+impl Shown {
+    #[inline]
+    fn of(inputs: &Inputs) -> Shown {
+        let error = inputs.position_error.unwrap_or_default();
+        Shown([inputs.voltage, inputs.temperature as u32, inputs.main_inputs, error as u32])
+    }
+}
+
+/// What a drive shows besides is reported when it has changed, and with every so many packets.
+const SHOWN_EVERY: u32 = 16;
+
 /// Of the last accepted packet: its number, when its values were taken, and its positions in steps.
 #[derive(Clone, Copy, Debug)]
 struct Last {
@@ -99,7 +138,7 @@ struct Last {
 
 impl Station {
     /// The station of `drive`, and the application's end of its native process data.
-    pub(super) fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
+    pub fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
         let (application, native) = native();
         let station = Station {
             grid: Time(0),
@@ -112,6 +151,7 @@ impl Station {
             any: false,
             odd: None,
             is_built: false,
+            is_copied: false,
             connection: None,
             packet: Outgoing::heartbeat(0, 0),
             seen: Seen::default(),
@@ -119,6 +159,8 @@ impl Station {
             units: drive.axis.units,
             velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
             steps_per_encoder_count: drive.encoder.then(|| 1.0 / drive.encoder_counts_per_step),
+            agreed: Agreed::default(),
+            shown: Shown::default(),
             fastest: MOST_PER_REV / VELOCITY_PER_REV * drive.steps_per_revolution * 1e-9,
             profile: Profile::new(drive),
             native,
@@ -141,13 +183,13 @@ impl Station {
 
     /// The connection of this id from this address is open here.
     #[inline]
-    pub(super) fn is(&self, source: Ipv4Addr, incoming: u32) -> bool {
+    pub fn is(&self, source: Ipv4Addr, incoming: u32) -> bool {
         matches!(&self.connection, Some(open) if open.incoming == incoming && open.source == source)
     }
 
     /// Takes in what the session has to say. Returns where packets go from now on, if that is new.
     #[inline]
-    pub(super) fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {
+    pub fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {
         let mut destination = None;
         while let Some(news) = self.end.news() {
             destination = self.learn(cycle, news, slot).or(destination);
@@ -182,8 +224,13 @@ impl Station {
         };
         // A drive acts on the change of its command word; idle is what it had before, and says so.
         self.packet.set_run(true);
+        self.is_copied = false;
         (self.sent, self.any, self.odd, self.fresh_until) = (0, false, None, Time(0));
         self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
+        let interval_ns = connection.incoming_api_ns as f64;
+        let Connection { version, layout, timeout_ns, .. } = connection;
+        let (rate, most_steps) = (1e9 / interval_ns, self.fastest * interval_ns);
+        self.agreed = Agreed { version, layout, timeout_ns, rate, most_steps };
         (self.connection, self.last_incoming) = (Some(connection), Some(connection.incoming));
         (self.seen, self.track) = (Seen::default(), Track::default());
         self.profile.connected();
@@ -218,23 +265,27 @@ impl Station {
         }
     }
 
-    /// Builds the packet of the next send in `out` and returns its length; `None`: there is no connection.
+    /// Builds the packet of the next send in `out`, which is the same place each time and has the last packet still, and
+    /// returns its length; `None`: there is no connection.
     #[inline]
-    pub(super) fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
         self.grid = cycle.grid;
         slot.commanded = self.end.guard(slot.guarded);
         let owned = matches!(self.connection.as_ref()?.outputs, Sends::Owned);
         if owned && !self.profile.repeats(&slot.desired) {
             let Station { profile, native, seen, packet, .. } = self;
             packet.set_outputs(profile.encode(cycle.grid, &slot.desired, seen, native));
+            self.is_copied = false;
+        }
+        let bytes = self.packet.bytes();
+        if !self.is_copied {
+            out.get_mut(..bytes.len())?.copy_from_slice(bytes);
+            self.is_copied = true;
         }
         // Both begin with 1: some adapters swallow the first data if its count is 0.
         let next = self.sent.wrapping_add(1);
-        self.packet.set_sequence(next, next as u16);
+        Outgoing::number(out, next, next as u16);
         self.is_built = true;
-        let bytes = self.packet.bytes();
-        let room = out.get_mut(..bytes.len())?;
-        room.copy_from_slice(bytes);
         Some(bytes.len())
     }
 
@@ -246,7 +297,7 @@ impl Station {
 
     /// The packet has gone out.
     #[inline]
-    pub(super) fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
         self.sent = self.sent.wrapping_add(1);
         self.is_built = false;
         slot.counters.sent += 1;
@@ -266,19 +317,14 @@ impl Station {
 
     /// A packet on the connection of this drive.
     #[inline]
-    pub(super) fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
-        let Some(open) = &self.connection else { return };
-        let (version, layout, timeout_ns) = (open.version, open.layout, open.timeout_ns);
+    pub fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {
+        let Agreed { version, layout, timeout_ns, .. } = self.agreed;
         let Some(inputs) = Inputs::parse(packet.data, version, layout) else {
-            slot.counters.malformed += 1;
-            Own::WrongLength.count(&mut slot.counters);
-            return;
+            return Station::has_wrong_length(slot);
         };
         let ahead = packet.sequence.wrapping_sub(self.sequence).cast_signed();
         if self.any && ahead <= 0 {
-            let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
-            *counter += 1;
-            return;
+            return Station::is_old(ahead, slot);
         }
         if self.any && ahead > LEAP && self.leaps(at, packet.sequence) {
             slot.counters.foreign += 1;
@@ -299,6 +345,20 @@ impl Station {
         self.native.publish(at, version, layout, packet.data);
     }
 
+    /// A packet with more or less data than was agreed.
+    #[cold]
+    fn has_wrong_length(slot: &mut Slot) {
+        slot.counters.malformed += 1;
+        Own::WrongLength.count(&mut slot.counters);
+    }
+
+    /// A packet that is not newer than the last accepted one.
+    #[cold]
+    fn is_old(ahead: i32, slot: &mut Slot) {
+        let counter = if ahead == 0 { &mut slot.counters.duplicate } else { &mut slot.counters.late };
+        *counter += 1;
+    }
+
     /// The number of a packet is farther ahead of the last accepted one than time has passed: a broken one would make
     /// all true ones old. It counts only if the next one goes on from there.
     #[cold]
@@ -314,13 +374,10 @@ impl Station {
         !odd.is_some_and(|odd| (1..=LEAP as u32).contains(&ahead(odd)))
     }
 
-    /// The values of an accepted packet.
-    #[inline]
+    /// The values of an accepted packet. Its inputs are only read here, so that none is decoded that is not needed.
+    #[inline(always)]
     fn report(&mut self, at: Time, packet: &Packet<'_>, inputs: &Inputs, slot: &mut Slot) {
-        let steady =
-            self.profile.is_steady() && (inputs.status, inputs.alarm) == (self.seen.status, self.seen.alarm);
-        let inhibited = self.inhibits(inputs);
-        let steady = steady && inhibited == self.seen.inhibited;
+        let inhibited = self.inhibits(inputs.main_inputs);
         // Only a rotary axis wraps around; on any other one a wrong value must not shift all later ones.
         let wraps = self.units.modulo.is_some();
         let unwrap = |track: &mut Unwrap, count: i32| if wraps { track.next(count) } else { count.into() };
@@ -329,33 +386,39 @@ impl Station {
             let count = unwrap(&mut self.track.encoder, inputs.encoder);
             count as f64 * steps
         });
-        self.seen = Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited };
-        if !steady {
-            self.prove(inputs, slot);
+        let before = std::mem::replace(
+            &mut self.seen,
+            Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited },
+        );
+        let same =
+            (before.status, before.alarm, before.inhibited) == (inputs.status, inputs.alarm, inhibited);
+        if !(same && self.profile.is_steady()) {
+            self.prove(slot);
+            if self.profile.take_rehomed() {
+                // The position was set: that was no motion, and the encoder is where the steps are.
+                self.track.shift = demand as f64 - encoder.unwrap_or_default();
+                self.track.last = None;
+            }
         }
-        if self.profile.take_rehomed() {
-            // The position was set: that was no motion, and the encoder is where the steps are.
-            self.track.shift = demand as f64 - encoder.unwrap_or_default();
-            self.track.last = None;
-        }
-        let actual = encoder.map_or(demand as f64, |steps| steps + self.track.shift);
+        let demand_steps = demand as f64;
+        let actual = encoder.map_or(demand_steps, |steps| steps + self.track.shift);
         let Slot { status: report, notices, evidence, .. } = slot;
-        let interval_ns = self.connection.as_ref().map_or(1, |open| open.incoming_api_ns);
-        let most = self.fastest * interval_ns as f64;
-        // What no motor makes is another origin: the position was set.
-        let jumps = |last: &Last| {
-            let intervals = packet.sequence.wrapping_sub(last.sequence);
-            (demand - last.demand).unsigned_abs() as f64 > most * (f64::from(intervals) + 1.0)
-        };
-        if let Some(last) = self.track.last.filter(|last| !jumps(last)) {
+        if let Some(last) = self.track.last
             // By the drive's clock: its packets count its intervals, however they travel.
-            let intervals = packet.sequence.wrapping_sub(last.sequence);
-            let rate = 1e9 / (interval_ns as f64 * f64::from(intervals.max(1)));
-            evidence.demand_velocity = self.units.distance((demand - last.demand) as f64 * rate);
-            let measured = f64::from(inputs.velocity) * self.velocity_per_count;
+            && let intervals = packet.sequence.wrapping_sub(last.sequence)
+            && let moved = (demand - last.demand) as f64
+            // What no motor makes is another origin: the position was set.
+            && moved.abs() <= self.agreed.most_steps * (f64::from(intervals) + 1.0)
+        {
+            let rate = match intervals {
+                0 | 1 => self.agreed.rate,
+                _ => self.agreed.rate / f64::from(intervals),
+            };
+            evidence.demand_velocity = self.units.distance(moved * rate);
             report.velocity = match encoder {
-                Some(_) if inputs.velocity != 0 => measured,
-                _ => self.units.distance((actual - last.actual) * rate),
+                None => evidence.demand_velocity,
+                Some(_) if inputs.velocity != 0 => f64::from(inputs.velocity) * self.velocity_per_count,
+                Some(_) => self.units.distance((actual - last.actual) * rate),
             };
         } else {
             (evidence.demand_velocity, report.velocity) =
@@ -363,24 +426,28 @@ impl Station {
         }
         self.track.last = Some(Last { sequence: packet.sequence, demand, actual });
         let place = |steps: f64| self.units.distance(steps) + self.units.offset;
-        (evidence.position, evidence.demand) = (place(actual), place(demand as f64));
+        evidence.demand = place(demand_steps);
+        evidence.position = if encoder.is_some() { place(actual) } else { evidence.demand };
         report.at = at;
         report.position = self.units.folded(evidence.position);
         report.demand = self.units.folded(evidence.demand);
-        report.current = match self.connection.as_ref().map(|open| open.version) {
-            Some(Version::V1) => f64::from(inputs.current) * 1e-2,
-            _ => f64::from(inputs.current) * 1e-3,
-        };
-        report.monitor = MoonsDrive::monitor(inputs);
-        notices.monitor_fresh = true;
+        let current = f64::from(inputs.current);
+        report.current = if self.agreed.version == Version::V1 { current * 1e-2 } else { current * 1e-3 };
+        let shown = Shown::of(inputs);
+        if shown != self.shown || packet.sequence % SHOWN_EVERY == 0 {
+            self.shown = shown;
+            report.monitor = MoonsDrive::monitor(inputs);
+            notices.monitor_fresh = true;
+        }
         notices.fresh = true;
     }
 
     /// What the states of a packet report and prove.
     #[inline(never)]
-    fn prove(&mut self, inputs: &Inputs, slot: &mut Slot) {
+    fn prove(&mut self, slot: &mut Slot) {
         let Slot { status: report, notices, evidence, desired, .. } = slot;
-        let starts = inputs.status & status::INITIALIZING != 0;
+        let Seen { status: word, alarm, .. } = self.seen;
+        let starts = word & status::INITIALIZING != 0;
         if starts && report.state != State::NotReadyToSwitchOn && report.state != State::Unknown {
             notices.restarted = true;
             self.profile.drive_restarted();
@@ -393,20 +460,20 @@ impl Station {
         report.moving = self.seen.moves();
         // A drive without an encoder is where it stands.
         let open_loop = self.steps_per_encoder_count.is_none();
-        report.in_target = !self.seen.moves() && (open_loop || inputs.status & status::IN_POSITION != 0);
+        report.in_target = !self.seen.moves() && (open_loop || word & status::IN_POSITION != 0);
         report.inhibited = self.seen.inhibited;
         report.suspect = false;
-        let fault = inputs.status & status::FAULT != 0;
+        let fault = word & status::FAULT != 0;
         // A fault has a code: that of a drive without an alarm in its word is the status bit.
-        report.fault = if fault { inputs.alarm.max(u32::from(inputs.alarm == 0)) } else { 0 };
-        report.warning = if fault { 0 } else { inputs.alarm };
+        report.fault = if fault { alarm.max(u32::from(alarm == 0)) } else { 0 };
+        report.warning = if fault { 0 } else { alarm };
     }
 
     /// Its hardware enable is missing, where one is wired. A closed input is 0.
-    fn inhibits(&self, inputs: &Inputs) -> bool {
+    fn inhibits(&self, main_inputs: u32) -> bool {
         self.enable_input.is_some_and(|input| {
             let bit = input.number.saturating_sub(1).min(31);
-            let open = inputs.main_inputs >> bit & 1 != 0;
+            let open = main_inputs >> bit & 1 != 0;
             open == input.closed
         })
     }
@@ -417,6 +484,7 @@ impl Station {
             None => {
                 // Outputs do not count from here on.
                 self.packet.set_run(false);
+                self.is_copied = false;
                 let generation = self.connection.as_ref().map_or(0, |open| open.generation);
                 self.wish = Some(Wish::Close { generation });
                 self.closing = Some(Closing::Waiting(cycle.grid + CLOSE_WITHIN_NS));
@@ -445,10 +513,7 @@ impl Station {
                 slot.counters.foreign += 1;
                 Own::WrongConnection.count(&mut slot.counters);
             }
-            Some(PacketError::Length { .. }) => {
-                slot.counters.malformed += 1;
-                Own::WrongLength.count(&mut slot.counters);
-            }
+            Some(PacketError::Length { .. }) => Station::has_wrong_length(slot),
             Some(_) => {
                 slot.counters.malformed += 1;
                 Own::NoPacket.count(&mut slot.counters);

@@ -22,7 +22,11 @@ impl DriveController {
         }
         match slot.exchange {
             // The usual ones.
-            Exchange::Answered { sent_at, .. } | Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => {
+            Exchange::Answered { sent_at, .. }
+            | Exchange::Owed { sent_at, .. }
+            | Exchange::OwnClock { sent_at, .. }
+                if sent_at >= cycle.grid =>
+            {
                 self.left(cycle, sent_at)
             }
             _ => self.sent_otherwise(cycle, slot),
@@ -87,6 +91,15 @@ impl DriveController {
                 self.take_sample(sent_at, slot);
             }
             Reply::Answered
+        } else if let Exchange::OwnClock { fresh_until, .. } = slot.exchange
+            && cycle.grid < fresh_until
+        {
+            slot.counters.answered += 1;
+            slot.exchange = Exchange::Idle;
+            self.closed = Some(Closed::Answered);
+            self.health.answered(cycle.index);
+            self.take_packet(slot);
+            Reply::Current
         } else {
             let reply = self.judge_otherwise(cycle, now, slot);
             self.health.watch_silence(cycle.index);
@@ -122,14 +135,6 @@ impl DriveController {
             }
             Exchange::Queued => Reply::Queued,
             Exchange::Owed { reply_by, .. } if !cycle.closes(reply_by) => Reply::Owed,
-            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
-                slot.counters.answered += 1;
-                slot.exchange = Exchange::Idle;
-                self.closed = Some(Closed::Answered);
-                self.health.answered(cycle.index);
-                self.take_packet(slot);
-                Reply::Current
-            }
             Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
                 slot.counters.missed += 1;
                 slot.exchange = Exchange::Missed;
@@ -154,6 +159,7 @@ impl DriveController {
     }
 
     /// A packet of a drive with its own clock, with an exchange or without: it has a stamp of its own.
+    #[inline]
     fn take_packet(&mut self, slot: &Slot) {
         if slot.notices.fresh {
             self.take_sample(slot.status.at, slot);

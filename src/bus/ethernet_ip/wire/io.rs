@@ -73,8 +73,16 @@ impl Outgoing {
     /// begin with 1.
     #[inline]
     pub fn set_sequence(&mut self, sequence: u32, count: u16) {
-        self.bytes[field::SEQUENCE].copy_from_slice(&sequence.to_le_bytes());
-        self.bytes[field::COUNT].copy_from_slice(&count.to_le_bytes());
+        Outgoing::number(&mut self.bytes, sequence, count);
+    }
+
+    /// The same in a copy of a packet, in a room that is long enough for the longest.
+    #[inline]
+    pub fn number(room: &mut [u8], sequence: u32, count: u16) {
+        if let Some(front) = room.first_chunk_mut::<{ field::DATA + COUNT }>() {
+            front[field::SEQUENCE].copy_from_slice(&sequence.to_le_bytes());
+            front[field::COUNT].copy_from_slice(&count.to_le_bytes());
+        }
     }
 
     /// Run, or idle: the drive does not act on the outputs.
@@ -133,6 +141,22 @@ impl<'a> Packet<'a> {
     /// The packet that is a datagram.
     #[inline]
     pub fn parse(datagram: &'a [u8]) -> Result<Packet<'a>, PacketError> {
+        if let Some((header, data)) = datagram.split_first_chunk::<{ field::DATA + COUNT }>()
+            && let [a, b, c, d, e, f, id0, id1, id2, id3, s0, s1, s2, s3, k0, k1, l0, l1, c0, c1] = *header
+            && [a, b, c, d, e, f] == ITEMS
+            && [k0, k1] == DATA_ITEM
+            && usize::from(u16::from_le_bytes([l0, l1])) == data.len() + COUNT
+        {
+            let connection = u32::from_le_bytes([id0, id1, id2, id3]);
+            let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
+            return Ok(Packet { connection, sequence, count: u16::from_le_bytes([c0, c1]), data });
+        }
+        Packet::parse_in_steps(datagram)
+    }
+
+    /// The same, field by field: what is wrong with it.
+    #[cold]
+    fn parse_in_steps(datagram: &'a [u8]) -> Result<Packet<'a>, PacketError> {
         let no_packet = || PacketError::NoPacket(datagram.len());
         let mut reader = Reader(datagram);
         let [items, address, address_length] = reader.array::<6>().map(words).ok_or_else(no_packet)?;
