@@ -7,9 +7,10 @@
 //! |---|---|
 //! | `capture` | a capture by tshark, and what its dissectors make of it |
 //! | `ethercat` | frames of EtherCAT, and masters of the crate ethercrab and of SOEM |
-//! | `ethernet_ip` | explicit messages of pycomm3 and cpppo to a simulated MOONS' drive |
+//! | `ethernet_ip` | EtherNet/IP: frames, an adapter of cm-ethernetip, scanners of st-ethernet-ip and ethernetip, clients |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
+//! | `peer` | a peer that is told by lines what to do |
 //! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
@@ -19,6 +20,7 @@ mod ethercat;
 mod ethernet_ip;
 mod linudp;
 mod modbus;
+mod peer;
 mod readers;
 #[path = "../support/mod.rs"]
 mod support;

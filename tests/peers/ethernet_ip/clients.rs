@@ -10,7 +10,7 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use crate::support::{Machine, checkout};
 
 /// Messages, and the data of their replies.
-const MESSAGES: [(&str, &str); 10] = [
+const MESSAGES: [(&str, &str); 11] = [
     // The identity: a name, all of it, and what it does not have.
     ("0e/1/1/7/", "0853544631302d4950"),
     ("01/1/1//", "3c002b00010001010000040302010853544631302d4950"),
@@ -24,6 +24,8 @@ const MESSAGES: [(&str, &str); 10] = [
     ("3c/64/1/1/0001001e00000258", "0001001e00000000"),
     ("3c/64/1/1/0002841e00000000", "0002841e02580000"),
     ("3c/64/1/1/0001009f00000000", "0001009f00010000"),
+    // The absolute position.
+    ("3c/64/1/1/0002880100000000", "0002880100000000"),
     ("3c/64/1/1/0002ff0900000000", "failed"),
 ];
 

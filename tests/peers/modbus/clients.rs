@@ -10,7 +10,8 @@ use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::Library::{Libmodbus, Pymodbus};
-use super::{Library, PORT, Peer};
+use super::{Library, PORT};
+use crate::peer::Peer;
 use crate::support::{LONG, Machine, until};
 
 /// The most registers of a request, and 22.001 with 32-bit access: 80 parameters begin there.

@@ -10,7 +10,8 @@ use fieldbeat::internals::bus::modbus::counters::Own;
 use fieldbeat::telemetry::Counters;
 
 use super::Library::{Libmodbus, Pymodbus};
-use super::{Library, PORT, Peer, drive, long, plan};
+use super::{Library, PORT, drive, long, plan};
+use crate::peer::Peer;
 use crate::support::{LONG, Machine, until};
 
 // Addresses as the SI-Ethernet guide makes them, counted by hand.

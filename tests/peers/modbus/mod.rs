@@ -16,17 +16,14 @@ mod dissector;
 mod loss;
 mod masters;
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddrV4;
-use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
-use crossbeam_channel::{Receiver, unbounded};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::time::{MS, S};
 use fieldbeat::{CyclePlan, Overrun, Plan, Realtime};
 
+use crate::peer::Peer;
 use crate::support::{LONG, Machine, checkout, command};
 
 /// Anybody may listen here.
@@ -64,47 +61,7 @@ impl Library {
     }
 }
 
-/// A program that answers lines by lines. Dropped = killed.
-struct Peer {
-    child: Child,
-    lines: Receiver<String>,
-    errors: PathBuf,
-}
-
 impl Peer {
-    fn start(mut program: Command, errors: PathBuf) -> Peer {
-        let file = File::create(&errors).unwrap();
-        program.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(file);
-        let mut child =
-            program.spawn().unwrap_or_else(|error| panic!("{program:?}: {error}; .ci/run installs it"));
-        let (tell, lines) = unbounded();
-        let out = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || {
-            out.lines().map_while(Result::ok).take_while(|line| tell.send(line.clone()).is_ok()).count()
-        });
-        let peer = Peer { child, lines, errors };
-        assert_eq!(peer.hear("its start"), "ready");
-        peer
-    }
-
-    fn hear(&self, what: &str) -> String {
-        let errors = || std::fs::read_to_string(&self.errors).unwrap_or_default();
-        self.lines.recv_timeout(LONG).unwrap_or_else(|error| panic!("{what}: {error}\n{}", errors()))
-    }
-
-    /// Its answer to a line.
-    fn ask(&mut self, line: &str) -> String {
-        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
-        self.hear(line)
-    }
-
-    /// The numbers that it answers with.
-    fn numbers(&mut self, line: &str) -> Vec<u64> {
-        let answer = self.ask(line);
-        let numbers = answer.strip_prefix("ok").unwrap_or_else(|| panic!("{line}: {answer}"));
-        numbers.split_whitespace().map(|number| number.parse().unwrap()).collect()
-    }
-
     /// What a server's registers hold from here on.
     fn registers(&mut self, address: u16, count: usize) -> Vec<u16> {
         let numbers = self.numbers(&format!("get {address} {count}"));
@@ -115,13 +72,6 @@ impl Peer {
     fn set(&mut self, address: u16, values: &[u16]) {
         let values: Vec<String> = values.iter().map(u16::to_string).collect();
         assert_eq!(self.ask(&format!("set {address} {}", values.join(" "))), "ok");
-    }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
