@@ -126,6 +126,9 @@ pub(super) struct Profile {
     holder: Holder,
     /// What the prepared packet would begin to hold.
     next_holder: Holder,
+    /// The prepared packet has the application's next output. What comes between its building and its sending has not
+    /// left with it.
+    has_native: bool,
     /// The serials of the last packet that has left.
     sent: (u64, u64),
     /// The effect of the newest motion was seen.
@@ -167,6 +170,14 @@ struct Before {
     homing: HomingIs,
     zeroed: bool,
     may_come_on: bool,
+}
+
+/// The target of a move, steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Target {
+    Absolute(i32),
+    /// From where the drive stands.
+    Relative(i32),
 }
 
 /// What does not change.
@@ -229,6 +240,7 @@ impl Profile {
             motion_step: Step::Settled,
             holder: Holder::Nobody,
             next_holder: Holder::Nobody,
+            has_native: false,
             sent: (0, 0),
             is_taken: false,
             refused: None,
@@ -363,6 +375,7 @@ impl Profile {
         // Built again, or for a later slot.
         self.unsent();
         self.before = Some(self.as_it_is());
+        self.has_native = false;
         if desired.power.serial != self.power.serial {
             self.begin_power(desired.power, seen);
         }
@@ -375,7 +388,9 @@ impl Profile {
             // Its outputs as they are: each of them in one packet at least.
             self.next_holder = Holder::Nobody;
             self.edges.prepare(now, None);
-            if let Some(output) = native.peek() {
+            let next = native.peek();
+            self.has_native = next.is_some();
+            if let Some(output) = next {
                 self.outputs = output.outputs;
             }
             self.may_come_on = true;
@@ -495,7 +510,10 @@ impl Profile {
 
     fn motion_word(&self, motion: Motion, seen: &Seen) -> Option<u32> {
         Some(match motion {
-            Motion::Move { .. } => command::MOVE_ABSOLUTE,
+            Motion::Move { position, .. } => match self.rules.target(position, seen.demand) {
+                Target::Absolute(_) => command::MOVE_ABSOLUTE,
+                Target::Relative(_) => command::MOVE_RELATIVE,
+            },
             Motion::Velocity { .. } if seen.jogs() => command::JOG_SPEED,
             Motion::Velocity { .. } => command::JOG,
             Motion::Home => match self.rules.homing.as_ref()?.method {
@@ -524,7 +542,9 @@ impl Profile {
                 velocity: self.rules.speed(profile.velocity),
                 acceleration: self.rules.acceleration(profile.acceleration),
                 deceleration: self.rules.acceleration(profile.deceleration),
-                distance: self.rules.position(position, seen.demand),
+                distance: match self.rules.target(position, seen.demand) {
+                    Target::Absolute(distance) | Target::Relative(distance) => distance,
+                },
                 ..before
             },
             (_, Motion::Velocity { velocity, acceleration }) => {
@@ -581,7 +601,9 @@ impl Profile {
         if let Motion::Native(NativeOwner::Application) = self.motion.value
             && !self.edges.is_held()
         {
-            native.pop();
+            if std::mem::take(&mut self.has_native) {
+                native.pop();
+            }
             if self.outputs.command != command::IDLE {
                 // The next command is an edge behind idle only.
                 self.edges.reset();
@@ -810,6 +832,17 @@ impl Rules {
 
     fn acceleration(&self, acceleration: f64) -> u32 {
         ((acceleration * self.acceleration).abs().round() as u32).clamp(1, MOST_PER_REV as u32)
+    }
+
+    /// How a drive that stands at `demand` is sent to a position. What it makes of a position behind the end of its
+    /// counts is not documented: it may go round the other way. There it is sent by the distance.
+    fn target(&self, position: f64, demand: i64) -> Target {
+        let target = self.position(position, demand);
+        let way = target.wrapping_sub(demand as i32);
+        match (demand as i32).checked_add(way) {
+            Some(_) => Target::Absolute(target),
+            None => Target::Relative(way),
+        }
     }
 
     /// The count of a rotary axis wraps around, in the drive as here.

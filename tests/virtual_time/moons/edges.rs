@@ -16,6 +16,7 @@ fn every_command_is_an_edge_behind_idle_and_none_is_sent_twice() {
     m.run(300);
     m.done(0, Command::Stop { deceleration: None });
     m.done(0, Command::Disable);
+    m.run(20);
     let words = edges(&m.came(0, before));
     assert_eq!(
         words,
@@ -132,6 +133,7 @@ fn the_end_of_native_mode_begins_with_idle_and_the_stop_behind_it_is_an_edge() {
     let mut native = m.sim.axis(0).native::<Native>().expect("it has native process data");
     m.post(0, Command::Native(NativeOwner::Application));
     m.run(50);
+    assert!(native.inputs().running, "{:?}", m.sim.axis(0).event());
     let profile = NativeProfile { velocity: 480, acceleration: 300, deceleration: 300, distance: 2_000_000 };
     let outputs = Outputs {
         command: command::MOVE_RELATIVE,
@@ -143,7 +145,13 @@ fn the_end_of_native_mode_begins_with_idle_and_the_stop_behind_it_is_an_edge() {
     };
     native.write(NativeOutput { outputs }).unwrap();
     m.run(300);
-    assert!(m.truth(0).velocity > 10_000.0, "{:?}", m.truth(0));
+    assert!(
+        m.truth(0).velocity > 10_000.0,
+        "{:?}, {:x?}, {:?}",
+        m.truth(0),
+        edges(&m.came(0, 0)),
+        m.feedback(0)
+    );
     let before = m.count(0);
     let id = m.sim.axis(0).post(Command::Stop { deceleration: None }).unwrap();
     let end = m.sim.run_command(0, id, 2_000);
