@@ -422,7 +422,7 @@ impl Profile {
             Power::Off | Power::Shutdown if seen.is_enabled() || self.may_come_on => Step::Due,
             Power::Off | Power::Shutdown => Step::Settled,
             Power::EnableOperation if seen.is_enabled() => Step::Settled,
-            Power::QuickStop if !seen.moves() => Step::Settled,
+            Power::QuickStop if !seen.moves() && self.holder != Holder::Motion => Step::Settled,
             Power::EnableOperation | Power::QuickStop | Power::FaultReset => Step::Due,
         };
     }
@@ -430,6 +430,8 @@ impl Profile {
     /// Another motion is desired.
     fn begin_motion(&mut self, motion: Intent<Motion>, seen: &Seen, native: &mut NativePort) {
         let was_native = matches!(self.motion.value, Motion::Native(_));
+        // What another master has begun goes on until it is stopped.
+        let runs = (seen.moves() || self.holder == Holder::Motion) && is_begun(self.motion.value);
         self.motion = motion;
         (self.refused, self.is_taken, self.homing, self.zeroed) = (None, false, HomingIs::Open, false);
         native.runs(matches!(motion.value, Motion::Native(_)));
@@ -442,6 +444,8 @@ impl Profile {
         }
         let jogs = seen.jogs() || self.holder == Holder::Motion && self.jog.is_some();
         self.motion_step = match motion.value {
+            // Nothing of its own any more: what runs is not left to its end.
+            Motion::Hold if runs => Step::Clearing,
             Motion::Hold | Motion::Follow | Motion::EndStream | Motion::Native(_) => Step::Settled,
             Motion::Ramp { .. } | Motion::Halt => Step::Due,
             Motion::Velocity { acceleration, .. }
@@ -763,7 +767,8 @@ impl Profile {
         }
         let waits = matches!(self.holder, Holder::Nobody | Holder::Clearing);
         if waits && self.motion_step == Step::Clearing && !seen.moves() {
-            self.motion_step = Step::Due;
+            self.is_taken = self.motion.value == Motion::Hold;
+            self.motion_step = if self.is_taken { Step::Settled } else { Step::Due };
         }
         if !seen.moves() && self.holder != Holder::Motion {
             (self.jog, self.ramp) = (None, None);
@@ -852,6 +857,11 @@ impl Rules {
         let way = (counts - from as f64) as i32;
         (from + i64::from(way)) as i32
     }
+}
+
+/// A motion that the drive makes until its end.
+fn is_begun(motion: Motion) -> bool {
+    matches!(motion, Motion::Move { .. } | Motion::Velocity { .. } | Motion::Home)
 }
 
 /// What the application may command in native mode while the master keeps the drive running: something, and not its

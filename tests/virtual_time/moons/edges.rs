@@ -1,6 +1,6 @@
 //! What the command word does, packet by packet.
 
-use fieldbeat::axis::{Command, Jog, NativeOwner, Outcome};
+use fieldbeat::axis::{Command, Failure, Jog, NativeOwner, Outcome};
 use fieldbeat::bus::ethernet_ip::{Letters, Native, NativeOutput, NativeProfile, Outputs, command};
 use fieldbeat::sim::ethernet_ip::Edges;
 
@@ -98,6 +98,20 @@ fn a_jog_that_follows_a_stop_at_once_is_not_lost() {
         m.post(0, jog(1.0));
         m.until("the other velocity", 2_000, |sim| (sim.feedback(0).status.velocity - 1.0).abs() < 0.05);
     }
+}
+
+#[test]
+fn a_homing_whose_time_is_over_is_stopped() {
+    let mut plan = drive(0);
+    plan.axis.home_timeout = std::time::Duration::from_millis(300);
+    plan.homing = plan.homing.map(|homing| Homing { distance: -200.0, ..homing });
+    let mut m = Moons::new(vec![plan]);
+    m.online();
+    m.done(0, Command::Enable);
+    assert!(matches!(m.end(0, Command::Home), Some(Outcome::Failed(Failure::TimedOut(_)))));
+    m.run(100);
+    assert!(m.truth(0).velocity.abs() < 1.0, "{:?}", m.truth(0));
+    assert!(m.feedback(0).stopped.is_none() && !m.feedback(0).status.homed, "{:?}", m.feedback(0));
 }
 
 #[test]
