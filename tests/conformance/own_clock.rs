@@ -116,7 +116,9 @@ pub fn a_packet_between_two_exchanges_is_reported_at_once(subject: &'static dyn 
         m.step();
         ages[m.feedback(0).age as usize] += 1;
     }
-    assert!(ages.iter().all(|count| *count > 50), "{ages:?}");
+    // Where they come in each cycle, all are of the same.
+    let all = if m.can.sessions { ages[0] > 150 } else { ages.iter().all(|count| *count > 50) };
+    assert!(all, "{ages:?}");
 }
 
 pub fn requests_go_at_the_agreed_rate_whatever_the_link(subject: &'static dyn Subject) {

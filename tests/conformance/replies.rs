@@ -501,7 +501,13 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
             };
             line.faults(index, plan);
         }
-        for _ in 0..if line.can.stream { 20_000 } else { 800 } {
+        let turns = match line.can {
+            Can { stream: true, .. } => 20_000,
+            // Most of the time there is no connection.
+            Can { sessions: true, .. } => 12_000,
+            _ => 800,
+        };
+        for _ in 0..turns {
             let index = random.usize(..3);
             if random.u8(..20) == 0 {
                 let commands = crate::conformance::line::commands(&line, index);
@@ -514,7 +520,7 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
             line.answer_as_usual(index);
             line.wire.log().drives[index].jammed = false;
         }
-        line.until("all up again", if line.can.stream { 20_000 } else { 2_000 }, |line| {
+        line.until("all up again", if turns > 800 { 40_000 } else { 2_000 }, |line| {
             // Where they take turns, not all of them have one in the same cycle.
             let up = |index: usize| line.can.half_duplex && line.slots[index].link == Link::Online;
             (0..3).all(|index| up(index) || is_clean(line, &line.seen[index]))

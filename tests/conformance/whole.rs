@@ -208,7 +208,7 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
         let c = end.drives[index].counters;
         // Before there was a connection, the first look may have met none.
         let unsent = match m.can {
-            Can { stream: true, .. } => c.unsent.saturating_sub(1),
+            Can { stream: true, .. } | Can { sessions: true, .. } => c.unsent.saturating_sub(1),
             // And before a line was up, nobody could be asked.
             Can { shared: true, .. } => 0,
             _ => c.unsent,

@@ -121,6 +121,9 @@ pub(super) struct Profile {
     holder: Holder,
     /// What the prepared packet would begin to hold.
     next_holder: Holder,
+    /// The prepared packet has the application's next output. What comes between its building and its sending has not
+    /// left with it.
+    has_native: bool,
     /// The serials of the last packet that has left.
     sent: (u64, u64),
     /// The effect of the newest motion was seen.
@@ -162,6 +165,14 @@ struct Before {
     homing: HomingIs,
     zeroed: bool,
     may_come_on: bool,
+}
+
+/// The target of a move, steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Target {
+    Absolute(i32),
+    /// From where the drive stands.
+    Relative(i32),
 }
 
 /// What does not change.
@@ -223,6 +234,7 @@ impl Profile {
             motion_step: Step::Settled,
             holder: Holder::Nobody,
             next_holder: Holder::Nobody,
+            has_native: false,
             sent: (0, 0),
             is_taken: false,
             refused: None,
@@ -356,6 +368,7 @@ impl Profile {
         // Built again, or for a later slot.
         self.unsent();
         self.before = Some(self.as_it_is());
+        self.has_native = false;
         if desired.power.serial != self.power.serial {
             self.begin_power(desired.power, seen);
         }
@@ -368,7 +381,9 @@ impl Profile {
             // Its outputs as they are: each of them in one packet at least.
             self.next_holder = Holder::Nobody;
             self.edges.prepare(now, None);
-            if let Some(output) = native.peek() {
+            let next = native.peek();
+            self.has_native = next.is_some();
+            if let Some(output) = next {
                 self.outputs = output.outputs;
             }
             self.may_come_on = true;
@@ -399,7 +414,7 @@ impl Profile {
             Power::Off | Power::Shutdown if seen.is_enabled() || self.may_come_on => Step::Due,
             Power::Off | Power::Shutdown => Step::Settled,
             Power::EnableOperation if seen.is_enabled() => Step::Settled,
-            Power::QuickStop if !seen.moves() => Step::Settled,
+            Power::QuickStop if !seen.moves() && self.holder != Holder::Motion => Step::Settled,
             Power::EnableOperation | Power::QuickStop | Power::FaultReset => Step::Due,
         };
     }
@@ -407,7 +422,8 @@ impl Profile {
     /// Another motion is desired.
     fn begin_motion(&mut self, motion: Intent<Motion>, seen: &Seen, native: &mut NativePort) {
         let was_native = matches!(self.motion.value, Motion::Native(_));
-        let was_homing = self.motion.value == Motion::Home && self.motion_step != Step::Settled;
+        // What another master has begun goes on until it is stopped.
+        let runs = (seen.moves() || self.holder == Holder::Motion) && is_begun(self.motion.value);
         self.motion = motion;
         (self.refused, self.is_taken, self.homing, self.zeroed) = (None, false, HomingIs::Open, false);
         native.runs(matches!(motion.value, Motion::Native(_)));
@@ -422,8 +438,8 @@ impl Profile {
         }
         let jogs = seen.jogs() || self.holder == Holder::Motion && self.jog.is_some();
         self.motion_step = match motion.value {
-            // A homing that took too long goes on in the drive.
-            Motion::Hold if was_homing => Step::Clearing,
+            // Nothing of its own any more: what runs is not left to its end.
+            Motion::Hold if runs => Step::Clearing,
             Motion::Hold | Motion::Follow | Motion::EndStream | Motion::Native(_) => Step::Settled,
             Motion::Ramp { .. } | Motion::Halt => Step::Due,
             Motion::Velocity { acceleration, .. }
@@ -490,7 +506,10 @@ impl Profile {
 
     fn motion_word(&self, motion: Motion, seen: &Seen) -> Option<u32> {
         Some(match motion {
-            Motion::Move { .. } => command::MOVE_ABSOLUTE,
+            Motion::Move { position, .. } => match self.rules.target(position, seen.demand) {
+                Target::Absolute(_) => command::MOVE_ABSOLUTE,
+                Target::Relative(_) => command::MOVE_RELATIVE,
+            },
             Motion::Velocity { .. } if seen.jogs() => command::JOG_SPEED,
             Motion::Velocity { .. } => command::JOG,
             Motion::Home => match self.rules.homing.as_ref()?.method {
@@ -519,7 +538,9 @@ impl Profile {
                 velocity: self.rules.speed(profile.velocity),
                 acceleration: self.rules.acceleration(profile.acceleration),
                 deceleration: self.rules.acceleration(profile.deceleration),
-                distance: self.rules.position(position, seen.demand),
+                distance: match self.rules.target(position, seen.demand) {
+                    Target::Absolute(distance) | Target::Relative(distance) => distance,
+                },
                 ..before
             },
             (_, Motion::Velocity { velocity, acceleration }) => {
@@ -559,7 +580,9 @@ impl Profile {
         if let Motion::Native(NativeOwner::Application) = self.motion.value
             && !self.edges.is_held()
         {
-            native.pop();
+            if std::mem::take(&mut self.has_native) {
+                native.pop();
+            }
             if self.outputs.command != command::IDLE {
                 // The next command is an edge behind idle only.
                 self.edges.reset();
@@ -719,9 +742,8 @@ impl Profile {
         }
         let waits = matches!(self.holder, Holder::Nobody | Holder::Clearing);
         if waits && self.motion_step == Step::Clearing && !seen.moves() {
-            let holds = self.motion.value == Motion::Hold;
-            (self.motion_step, self.is_taken) =
-                if holds { (Step::Settled, true) } else { (Step::Due, false) };
+            self.is_taken = self.motion.value == Motion::Hold;
+            self.motion_step = if self.is_taken { Step::Settled } else { Step::Due };
         }
         if !seen.moves() && self.holder != Holder::Motion {
             (self.jog, self.ramp) = (None, None);
@@ -792,6 +814,17 @@ impl Rules {
         ((acceleration * self.acceleration).abs().round() as u32).clamp(1, MOST_PER_REV as u32)
     }
 
+    /// How a drive that stands at `demand` is sent to a position. What it makes of a position behind the end of its
+    /// counts is not documented: it may go round the other way. There it is sent by the distance.
+    fn target(&self, position: f64, demand: i64) -> Target {
+        let target = self.position(position, demand);
+        let way = target.wrapping_sub(demand as i32);
+        match (demand as i32).checked_add(way) {
+            Some(_) => Target::Absolute(target),
+            None => Target::Relative(way),
+        }
+    }
+
     /// The count of a rotary axis wraps around, in the drive as here.
     fn position(&self, position: f64, demand: i64) -> i32 {
         let from = if self.units.modulo.is_some() { demand } else { 0 };
@@ -799,6 +832,11 @@ impl Rules {
         let way = (counts - from as f64) as i32;
         (from + i64::from(way)) as i32
     }
+}
+
+/// A motion that the drive makes until its end.
+fn is_begun(motion: Motion) -> bool {
+    matches!(motion, Motion::Move { .. } | Motion::Velocity { .. } | Motion::Home)
 }
 
 /// What the application may command in native mode while the master keeps the drive running: something, and not its

@@ -222,7 +222,9 @@ impl Drive {
         };
         let (here, step) = (self.power.demand(), self.step_rad());
         let length = f64::from(profile.distance) * step;
-        let (target, zero) = (here + length, self.power.zero);
+        // A count that has gone round is what a position is counted by, and the way there never goes round.
+        let rounds = ((here - self.power.zero) / step).round() - f64::from(self.absolute());
+        let (target, zero) = (here + length, self.power.zero + rounds * step);
         let goes = |aim, change, output| (aim, Motion::Going { change, output, homing: false });
         let (aim, motion) = match kind {
             Move::Relative => goes(profile.to(target), None, None),

@@ -1,6 +1,6 @@
 //! What the command word does, packet by packet.
 
-use fieldbeat::axis::{Command, Jog, NativeOwner, Outcome};
+use fieldbeat::axis::{Command, Failure, Jog, NativeOwner, Outcome};
 use fieldbeat::bus::ethernet_ip::{Letters, Native, NativeOutput, NativeProfile, Outputs, command};
 use fieldbeat::sim::ethernet_ip::Edges;
 
@@ -16,6 +16,7 @@ fn every_command_is_an_edge_behind_idle_and_none_is_sent_twice() {
     m.run(300);
     m.done(0, Command::Stop { deceleration: None });
     m.done(0, Command::Disable);
+    m.run(20);
     let words = edges(&m.came(0, before));
     assert_eq!(
         words,
@@ -100,6 +101,20 @@ fn a_jog_that_follows_a_stop_at_once_is_not_lost() {
 }
 
 #[test]
+fn a_homing_whose_time_is_over_is_stopped() {
+    let mut plan = drive(0);
+    plan.axis.home_timeout = std::time::Duration::from_millis(300);
+    plan.homing = plan.homing.map(|homing| Homing { distance: -200.0, ..homing });
+    let mut m = Moons::new(vec![plan]);
+    m.online();
+    m.done(0, Command::Enable);
+    assert!(matches!(m.end(0, Command::Home), Some(Outcome::Failed(Failure::TimedOut(_)))));
+    m.run(100);
+    assert!(m.truth(0).velocity.abs() < 1.0, "{:?}", m.truth(0));
+    assert!(m.feedback(0).stopped.is_none() && !m.feedback(0).status.homed, "{:?}", m.feedback(0));
+}
+
+#[test]
 fn native_commands_leave_once_each() {
     let mut m = Moons::new(vec![drive(0)]);
     m.ready();
@@ -132,6 +147,7 @@ fn the_end_of_native_mode_begins_with_idle_and_the_stop_behind_it_is_an_edge() {
     let mut native = m.sim.axis(0).native::<Native>().expect("it has native process data");
     m.post(0, Command::Native(NativeOwner::Application));
     m.run(50);
+    assert!(native.inputs().running, "{:?}", m.sim.axis(0).event());
     let profile = NativeProfile { velocity: 480, acceleration: 300, deceleration: 300, distance: 2_000_000 };
     let outputs = Outputs {
         command: command::MOVE_RELATIVE,
@@ -143,7 +159,13 @@ fn the_end_of_native_mode_begins_with_idle_and_the_stop_behind_it_is_an_edge() {
     };
     native.write(NativeOutput { outputs }).unwrap();
     m.run(300);
-    assert!(m.truth(0).velocity > 10_000.0, "{:?}", m.truth(0));
+    assert!(
+        m.truth(0).velocity > 10_000.0,
+        "{:?}, {:x?}, {:?}",
+        m.truth(0),
+        edges(&m.came(0, 0)),
+        m.feedback(0)
+    );
     let before = m.count(0);
     let id = m.sim.axis(0).post(Command::Stop { deceleration: None }).unwrap();
     let end = m.sim.run_command(0, id, 2_000);

@@ -7,11 +7,11 @@ use crate::virtual_time::moons::{Moons, drive, jog};
 const STOPS: u32 = command::STOP | command::STOP_FAST | command::DISABLE;
 
 /// Drives of a stop group: the first one is lost, the second one has to stop with it.
-fn drives(divisors: [u32; 2], bucket: u32) -> Vec<MoonsDrive> {
+fn drives(divisors: [u32; 2], phase: u32, bucket: u32) -> Vec<MoonsDrive> {
     let with = |(index, divisor): (usize, u32)| {
         let mut drive = drive(index);
         drive.axis.health.bucket = bucket;
-        (drive.axis.divisor, drive.axis.phase) = (divisor, (index as u32 + 1) % divisor);
+        (drive.axis.divisor, drive.axis.phase) = (divisor, (index as u32 + phase) % divisor);
         drive.axis.stop.group = Some(1);
         drive
     };
@@ -20,8 +20,8 @@ fn drives(divisors: [u32; 2], bucket: u32) -> Vec<MoonsDrive> {
 
 /// Silence so many cycles after another speed was given to both: the cycles from the last packet of the first one to the
 /// stop of each.
-fn told(divisors: [u32; 2], bucket: u32, after: u64) -> ([u64; 2], u64) {
-    let mut m = Moons::new(drives(divisors, bucket));
+fn told(divisors: [u32; 2], phase: u32, bucket: u32, after: u64) -> ([u64; 2], u64) {
+    let mut m = Moons::new(drives(divisors, phase, bucket));
     m.ready();
     for index in 0..2 {
         m.post(index, jog(1.0));
@@ -57,8 +57,10 @@ fn a_stop_leaves_within_its_bound_in_every_phase_of_a_held_command() {
         let mut longest = 0;
         let mut stated = 0;
         // A command, and idle behind it, take four packets; and each phase of the schedule.
-        for after in 0..=8 * u64::from(divisors[0].max(divisors[1])) {
-            let (stops, bound) = told(divisors, bucket, after);
+        let most = divisors[0].max(divisors[1]);
+        let phases = (0..=8 * u64::from(most)).flat_map(|after| (0..most).map(move |phase| (after, phase)));
+        for (after, phase) in phases {
+            let (stops, bound) = told(divisors, phase, bucket, after);
             for (index, cycles) in stops.into_iter().enumerate() {
                 assert!(
                     cycles <= bound,
