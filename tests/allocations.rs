@@ -4,17 +4,19 @@
 
 mod support;
 
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
+use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
 use fieldbeat::internals::axis::acyclic::Notation;
 use fieldbeat::internals::bus::ethercat::object::Objects;
 use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::sim::{FaultPlan, SimDrive, SimSegment, Simulated, WorldOptions};
+use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, WorldOptions};
 use fieldbeat::time::{MS, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
@@ -357,4 +359,113 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let counters = end.drives[0].counters;
     assert!(counters.missed > 0 && counters.late > 0 && counters.duplicate > 0, "{counters:?}");
     assert!(end.drives.iter().all(|drive| !drive.feedback.status.state.is_powered()), "{:?}", end.drives);
+}
+
+/// A MOONS' drive that may allocate: it runs on the loop's thread in virtual time only.
+struct UnwatchedMoons(MoonsSim);
+
+impl SimDrive for UnwatchedMoons {
+    crate::forward_sim_drive!(0);
+
+    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
+        self.0.more_sockets()
+    }
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        unwatched(|| self.0.receive(now, from, bytes, reply))
+    }
+    fn receive_at(
+        &mut self,
+        socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        unwatched(|| self.0.receive_at(socket, now, from, bytes, reply))
+    }
+    fn next_due(&self) -> Option<Time> {
+        self.0.next_due()
+    }
+    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+        unwatched(|| {
+            self.0.run(now, &mut |socket, to, bytes| {
+                watch(true);
+                send(socket, to, bytes);
+                watch(false);
+            });
+        });
+    }
+    fn restart(&mut self, now: Time) {
+        unwatched(|| self.0.restart(now));
+    }
+}
+
+/// MOONS' drives by their own clocks, on a network that loses packets and brings them late or twice. Their sessions are
+/// on the loop's thread in virtual time only, and allocate when they open a connection, or ask something: not here.
+#[test]
+fn packets_allocate_nothing_while_their_connections_are_open() {
+    let _alone = alone();
+    let drive = |index: u8| {
+        let mut drive = MoonsDrive::new(format!("m{index}"), Ipv4Addr::new(10, 0, 6, 2 + index));
+        drive.axis.divisor = u32::from(index) + 1;
+        drive.axis.health.bucket = 400;
+        drive.axis.stop.deceleration = 100.0;
+        drive.multiplier = Some(7);
+        drive
+    };
+    let bus = EthernetIpPlan::new(Ipv4Addr::new(10, 0, 6, 1), (0..3).map(drive).collect());
+    let drives = bus.drives.iter().enumerate().map(|(index, drive)| {
+        let mut settings = MoonsSettings::of(drive);
+        settings.clock = ClockSettings { drift_ppm: 300, jitter_ns: 200_000, seed: index as u64 };
+        Box::new(UnwatchedMoons(MoonsSim::new(settings))) as Box<dyn SimDrive>
+    });
+    let cycle =
+        CyclePlan { overrun: Overrun::Skip { max_skip: 1_000 }, max_skip_rate: 1.0, ..CyclePlan::default() };
+    let drives: Vec<_> = drives.collect();
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let mut sim = Master::from_plan(plan).simulate_with(drives, WorldOptions::default()).unwrap();
+    let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
+    assert!(sim.run_until(60_000, is_up), "they are online");
+    let faults = FaultPlan { drop: 0.02, duplicate: 0.02, delay: 0.02, ..FaultPlan::default() };
+    let faults = FaultPlan { delay_ns: 3_000_000, reorder: 0.02, wrong_id: 0.02, ..faults };
+    for index in 0..3 {
+        let packets = SocketAddrV4::new(Ipv4Addr::new(10, 0, 6, 2 + index), IO_PORT);
+        assert!(sim.world().set_faults(packets, FaultPlan { seed: index.into(), ..faults.clone() }));
+    }
+    sim.run(2_000);
+    let (mut rounds, before) = (0, sim.status().executed);
+    let count = allocations(|| {
+        // A silent session asks something after 30 s.
+        while sim.status().executed < before + 20_000 {
+            for index in 0..3 {
+                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+                    end_of(&mut sim, index, command);
+                }
+                let jog = Jog { velocity: 1.0 + f64::from(rounds % 3), acceleration: 100.0 };
+                let _ = sim.axis(index).post(Command::Jog(jog));
+            }
+            sim.run(500);
+            sim.world().delay_next_wake(3_700_000);
+            end_of(&mut sim, 0, Command::Stop { deceleration: None });
+            end_of(&mut sim, 1, Command::QuickStop);
+            end_of(&mut sim, 2, Command::Disable);
+            rounds += 1;
+        }
+    });
+    sim.stop();
+    while sim.step() == Flow::Continue {}
+    let end = sim.finish();
+    assert_eq!(count, 0, "in {} cycles, {rounds} rounds", end.status.executed);
+    // All of it really happened.
+    assert!(rounds >= 3 && end.status.skipped > 0, "{rounds}: {:?}", end.status);
+    for drive in &end.drives {
+        let c = drive.counters;
+        assert!(c.late > 0 && c.duplicate > 0 && c.foreign > 0 && c.answered > 1_000, "{drive:?}");
+    }
 }

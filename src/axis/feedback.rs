@@ -210,15 +210,19 @@ pub struct Shown {
 }
 
 impl From<[Option<f64>; MONITOR_CHANNELS]> for Shown {
-    #[inline]
     fn from(values: [Option<f64>; MONITOR_CHANNELS]) -> Shown {
-        let bit = |(channel, value): (usize, &Option<f64>)| u8::from(value.is_some()) << channel;
-        let mask = values.iter().enumerate().map(bit).sum();
-        Shown { mask, values: values.map(Option::unwrap_or_default) }
+        Shown { mask: Shown::mask(&values), values: values.map(Option::unwrap_or_default) }
     }
 }
 
 impl Shown {
+    /// A bit for each channel that has a value, the first one the lowest.
+    #[inline]
+    fn mask([a, b, c, d]: &[Option<f64>; MONITOR_CHANNELS]) -> u8 {
+        let bit = |value: &Option<f64>| u8::from(value.is_some());
+        bit(a) | bit(b) << 1 | bit(c) << 2 | bit(d) << 3
+    }
+
     /// Whether no channel has a value.
     pub fn is_empty(&self) -> bool {
         self.mask == 0
@@ -248,19 +252,19 @@ impl Feedback {
 }
 
 impl Feedback {
-    /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none.
+    /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
+    /// those that are not new stand there still.
     #[inline]
-    pub(crate) fn write_to(&self, cell: &mut Writer<Feedback>) {
-        match self.status.monitor {
-            [None, None, None, None] => cell.write_words(self.first_words(0).into_iter()),
-            monitor => {
-                let (shown, values) = Shown::from(monitor).to_words();
-                cell.write_with(|places| {
-                    self.first_words(shown).into_iter().for_each(|word| places.push(word));
-                    values.into_iter().for_each(|word| places.push(word));
-                });
-            }
+    pub(crate) fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool) {
+        if shows {
+            return self.write_all_to(cell);
         }
+        cell.write_words(self.first_words(Shown::mask(&self.status.monitor)).into_iter());
+    }
+
+    #[inline(never)]
+    fn write_all_to(&self, cell: &mut Writer<Feedback>) {
+        cell.write(self);
     }
 
     /// Its words but for the monitored values; `shown` has a bit for each of these that there is.

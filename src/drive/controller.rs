@@ -267,7 +267,7 @@ impl DriveController {
     /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
     #[inline(always)] // Its record is built in the ring.
     pub fn publish(&mut self, axis: u16) -> DriveRecord {
-        self.feedback.write_to(&mut self.queues.feedback);
+        self.feedback.write_to(&mut self.queues.feedback, self.shows);
         if let Some(samples) = &mut self.queues.samples
             && samples.push(self.feedback).is_err()
         {
