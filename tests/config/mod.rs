@@ -600,7 +600,7 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
         // No Kollmorgen takes the others.
         let leads = period_ns.is_multiple_of(MS);
-        assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 3 } else { 2 }, leads));
+        assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 4 } else { 3 }, leads));
     }
     // What a busy computer is allowed is stated in time.
     for period_ns in [MS, 4 * MS, 8 * MS] {

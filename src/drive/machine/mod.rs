@@ -526,7 +526,7 @@ impl State {
         Some(Err(failure))
     }
 
-    /// No motion is wanted. A ramp to standstill stays: the drive may not have it yet.
+    /// No motion is wanted. A ramp to standstill stays until it was accepted: the drive may not have it yet.
     fn rest(&mut self) {
         if !matches!(self.motion.value, Motion::Ramp { .. }) {
             self.want_motion(Motion::Hold);

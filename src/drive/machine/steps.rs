@@ -35,6 +35,9 @@ impl State {
                 if fell && self.has_power(view) {
                     // It fell out of operation: it does not return by itself.
                     self.let_go(view);
+                } else if matches!(self.motion.value, Motion::Ramp { .. }) && self.is_accepted(view) {
+                    // It outlives its command until the drive has it. What moves then is no motion of this master.
+                    self.want_motion(Motion::Hold);
                 }
                 None
             }
@@ -59,7 +62,8 @@ impl State {
     pub(super) fn is_undisturbed(&self, input: &Input, slot: &Slot) -> bool {
         let Slot { status, evidence, .. } = slot;
         let goes_on = match &self.step {
-            Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
+            Step::Idle => !matches!(self.motion.value, Motion::Ramp { .. }),
+            Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
             Step::Moving(_) => status.moving && self.agree == 0,
             Step::Rolling(rolling) => rolling.goes_on(input.level, evidence.demand),
             Step::Jogging(jogging) => jogging.goes_on(input.level) && status.moving,
