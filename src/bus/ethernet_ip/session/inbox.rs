@@ -29,7 +29,7 @@ enum Opening {
     /// It was refused.
     Refused(Status),
     /// It is of no use.
-    Useless(ConnectionError),
+    Useless,
 }
 
 impl Session {
@@ -172,7 +172,7 @@ impl Session {
                 Opening::Refused(status) => {
                     self.calls.end(Err(CallError::Refused(target::refusal(status))));
                 }
-                Opening::Useless(_) => {
+                Opening::Useless => {
                     self.close_later(open);
                     self.calls.end(Err(CallError::Refused(target::BROKEN)));
                 }
@@ -308,7 +308,7 @@ impl Session {
                 Opening::Done
             }
             Err(ConnectionError::Refused(status)) => Opening::Refused(status),
-            Err(why) => Opening::Useless(why),
+            Err(_) => Opening::Useless,
         }
     }
 

@@ -82,7 +82,12 @@ enum Io {
     /// Its opening is under way.
     Opening,
     /// The loop has it.
-    Open { generation: u32, opened: Open, group: Option<Joined> },
+    Open {
+        generation: u32,
+        opened: Open,
+        #[allow(dead_code, reason = "the group is left when this is dropped")]
+        group: Option<Joined>,
+    },
 }
 
 /// The class 3 connection.
