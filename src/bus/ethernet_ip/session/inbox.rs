@@ -237,7 +237,7 @@ impl Session {
     ) {
         let (api_ns, counts_ns) =
             (u64::from(opened.incoming_api_us) * 1_000, self.drive.fresh_within_ns(self.period_ns));
-        if api_ns == 0 || api_ns > counts_ns {
+        if api_ns > counts_ns {
             // Its packets would be too old before the next one comes, and the stop that `check` states too late.
             self.close_later(open);
             return self.pause(now, 0, |pause_ns| words::too_slow(api_ns, counts_ns, pause_ns));
