@@ -133,6 +133,11 @@ pub trait Handshake: Debug + Send {
     /// The connection has ended before the loop got it, for this reason: once for each that began. When the carrier is
     /// dropped, this is dropped instead.
     fn closed(&mut self, _now: Time, _why: &str) {}
+
+    /// It has ended in order, and needs no connection any more: that there is none gets no note.
+    fn has_ended(&self) -> bool {
+        false
+    }
 }
 
 /// The state of a handshake.

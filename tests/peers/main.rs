@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `capture` | a capture by tshark, and what its dissectors make of it |
 //! | `ethercat` | frames of EtherCAT, and masters of the crate ethercrab and of SOEM |
-//! | `ethernet_ip` | EtherNet/IP: frames, an adapter of cm-ethernetip, scanners of st-ethernet-ip and ethernetip, clients |
+//! | `ethernet_ip` | EtherNet/IP: frames, and an adapter, scanners and clients of others |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
 //! | `peer` | a peer that is told by lines what to do |

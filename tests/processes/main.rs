@@ -20,6 +20,7 @@
 //! | `kollmorgen` | a line of Kollmorgens, and their objects |
 //! | `ethercat` | the scan of an EtherCAT line |
 //! | `ethernet_ip` | the scan of EtherNet/IP devices |
+//! | `moons` | MOONS' drives, and their parameters |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -39,6 +40,7 @@ mod linmot;
 mod masters;
 mod metrics;
 mod mistakes;
+mod moons;
 mod params;
 mod program;
 mod report;

@@ -283,7 +283,7 @@ impl Connection {
         if let Phase::Handshake { .. } | Phase::Kept { .. } = self.phase {
             self.peer.handshake.closed(now, &why);
         }
-        self.notes.set(self.index, Some(why));
+        self.notes.set(self.index, (!self.peer.handshake.has_ended()).then_some(why));
         self.phase = Phase::Pausing { until: now + (self.pause_ns - self.spread(self.pause_ns)) };
         self.pause_ns = self.pause_ns.saturating_mul(2).min(self.peer.most_pause_ns).max(self.least_pause());
         Action::Close

@@ -69,7 +69,7 @@ fn operate(adapter: &mut Peer, axis: &mut Axis) {
     inputs(adapter, ENABLED, 10_000);
     axis.wait(enable, "Enable", LONG).unwrap();
     await_command(adapter, 0);
-    let profile = Profile { velocity: 5.0, acceleration: 100.0, deceleration: 50.0, ..axis.profile() };
+    let profile = Profile { velocity: 5.0, acceleration: 100.0, deceleration: 50.0 };
     let begun = axis.post(Post::Move(Move { target: Target::Relative(-1.5), profile })).unwrap();
     // In units of 0.25 rpm, 10 rpm/s, and steps. It moves to where that is: a repetition would be no further move.
     let word = await_command(adapter, ABSOLUTE);

@@ -222,7 +222,8 @@ fn tshark_finds_nothing_wrong_with_ethernet_ip() {
     let others = dissect(
         &file,
         &format!(
-            "(tcp.len > 0 && !enip) || (udp.port == {IO} && !cipio) || _ws.malformed || (enip && _ws.expert.severity >= \"Warning\")"
+            "(tcp.len > 0 && !enip) || (udp.port == {IO} && !cipio) || _ws.malformed \
+             || (enip && _ws.expert.severity >= \"Warning\")"
         ),
         &[],
         &["frame.number", "_ws.col.Protocol", "_ws.col.Info", "_ws.expert.message"],
@@ -260,8 +261,8 @@ fn tshark_finds_nothing_wrong_with_ethernet_ip() {
         let way = if connected { CONNECTED } else { UNCONNECTED };
         assert!(calls.iter().all(|(request, _)| request.command == way), "{calls:?}");
         let sequences: Vec<_> = calls.iter().filter_map(|(request, _)| request.sequence).collect();
-        let numbers = if connected { 1..=calls.len() as u64 } else { 1..=0 };
-        assert_eq!(sequences, numbers.collect::<Vec<_>>());
+        let counted = if connected { calls.len() as u64 } else { 0 };
+        assert_eq!(sequences, (1..=counted).collect::<Vec<_>>());
         // Each open has another serial, and its close.
         let serials = |service| {
             let of = exchanges.iter().filter(move |(request, _)| request.service == Some(service));

@@ -596,6 +596,10 @@ impl Handshake for Session {
         self.calls.refuse_all(CallError::NotOnline);
         self.tell_end();
     }
+
+    fn has_ended(&self) -> bool {
+        self.life == Life::Ended
+    }
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ struct Log {
     due: Option<Time>,
     next: Option<HandshakeState>,
     say: Vec<u8>,
+    ended: bool,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -60,6 +61,10 @@ impl Handshake for Toy {
 
     fn closed(&mut self, _now: Time, why: &str) {
         self.with(|log| log.closed.push(why.to_owned()));
+    }
+
+    fn has_ended(&self) -> bool {
+        self.with(|log| log.ended)
     }
 }
 
@@ -111,6 +116,19 @@ fn a_session_runs_when_it_is_due_or_woken_with_a_connection_or_without() {
     assert_eq!(connection.run(now), Action::Send);
     assert_eq!(connection.to_send(), b"call");
     assert_eq!(toy.with(|log| log.runs.len()), 3);
+}
+
+#[test]
+fn a_session_that_has_ended_in_order_gets_no_note() {
+    let (mut connection, toy, notes) = session();
+    let now = open(&mut connection);
+    toy.with(|log| log.ended = true);
+    // The peer closes it, and then nobody listens.
+    assert_eq!(connection.failed(now, Broken::Closed), Action::Close);
+    assert_eq!((notes.get(0), toy.with(|log| log.closed.len())), (None, 1));
+    let now = connect(&mut connection);
+    assert_eq!(connection.failed(now, Broken::Failed(libc::ECONNREFUSED)), Action::Close);
+    assert_eq!(notes.get(0), None);
 }
 
 #[test]
