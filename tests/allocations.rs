@@ -393,13 +393,7 @@ impl SimDrive for UnwatchedMoons {
         self.0.next_due()
     }
     fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
-        unwatched(|| {
-            self.0.run(now, &mut |socket, to, bytes| {
-                watch(true);
-                send(socket, to, bytes);
-                watch(false);
-            });
-        });
+        unwatched(|| self.0.run(now, send));
     }
     fn restart(&mut self, now: Time) {
         unwatched(|| self.0.restart(now));
