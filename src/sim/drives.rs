@@ -26,6 +26,15 @@ pub(super) struct Drives {
     /// When the next of them wants to run by its own clock.
     due: Option<Time>,
     reply: Vec<u8>,
+    /// Kept for its room.
+    sent: Sent,
+}
+
+/// What a drive sends by its own clock, one after the other: of each its socket, where to, and its end.
+#[derive(Default)]
+struct Sent {
+    bytes: Vec<u8>,
+    messages: Vec<(usize, SocketAddrV4, usize)>,
 }
 
 /// One drive.
@@ -216,16 +225,25 @@ impl Drives {
     /// The next drive whose own clock has come to it runs: which. What it sends is to arrive at `due`.
     pub(super) fn run(&mut self, now: Time, due: Time, queue: &mut Queue) -> Option<usize> {
         let index = self.units.iter().position(|unit| unit.due.is_some_and(|due| due <= now))?;
-        let (unit, mut sent) = (&mut self.units[index], Vec::new());
-        unit.drive.run(now, &mut |socket, to, bytes| sent.push((socket, to, bytes.to_vec())));
+        let (unit, mut sent) = (&mut self.units[index], std::mem::take(&mut self.sent));
+        let Sent { bytes: all, messages } = &mut sent;
+        all.clear();
+        messages.clear();
+        unit.drive.run(now, &mut |socket, to, bytes| {
+            all.extend_from_slice(bytes);
+            messages.push((socket, to, all.len()));
+        });
         unit.rests_until = now + SHORTEST_RUN_NS;
-        for (socket, to, bytes) in sent {
+        let mut begin = 0;
+        for &(socket, to, end) in &*messages {
+            let bytes = &all[std::mem::replace(&mut begin, end)..end];
             let unit = &self.units[index];
             let station = unit.sockets.get(socket).copied().filter(|_| unit.plugged);
             if let Some(station) = station.filter(|station| self.stations[*station].reaches(to)) {
-                self.send(station, now, due, (to, &bytes), queue);
+                self.send(station, now, due, (to, bytes), queue);
             }
         }
+        self.sent = sent;
         for k in 0..self.units[index].sockets.len() {
             let station = self.units[index].sockets[k];
             for place in 0..self.stations[station].peers.len() {

@@ -434,7 +434,7 @@ impl Station {
         let current = f64::from(inputs.current);
         report.current = if self.agreed.version == Version::V1 { current * 1e-2 } else { current * 1e-3 };
         let shown = Shown::of(inputs);
-        if shown != self.shown || packet.sequence % SHOWN_EVERY == 0 {
+        if shown != self.shown || packet.sequence.is_multiple_of(SHOWN_EVERY) {
             self.shown = shown;
             report.monitor = MoonsDrive::monitor(inputs);
             notices.monitor_fresh = true;
