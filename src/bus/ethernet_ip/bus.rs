@@ -3,7 +3,6 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::exchange;
 use super::plan::{Delivery, EthernetIpPlan, IO_PORT};
@@ -53,15 +52,10 @@ impl std::fmt::Debug for EthernetIpBus {
 struct SessionNotes {
     sessions: Vec<LinkNotes>,
     links: LinkNotes,
-    /// The orderly end has begun: its sessions end, and so do their connections.
-    ends: AtomicBool,
 }
 
 impl Notes for SessionNotes {
     fn get(&self, index: usize) -> Option<String> {
-        if self.ends.load(Ordering::Relaxed) {
-            return None;
-        }
         self.sessions.get(index).and_then(|notes| notes.get(0)).or_else(|| self.links.get(index))
     }
 }
@@ -135,11 +129,7 @@ impl EthernetIpBus {
             by_address,
             unmatched: Unmatched::default(),
             ends,
-            notes: Arc::new(SessionNotes {
-                sessions: notes,
-                links: sessions.notes(),
-                ends: AtomicBool::new(false),
-            }),
+            notes: Arc::new(SessionNotes { sessions: notes, links: sessions.notes() }),
             sessions,
             _locks: locks,
         }))
@@ -267,7 +257,6 @@ impl Bus for EthernetIpBus {
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        self.notes.ends.store(true, Ordering::Relaxed);
         let mut done = true;
         for (station, slot) in self.stations.iter_mut().zip(slots) {
             done &= station.shut_down(cycle);
