@@ -14,7 +14,7 @@ pub const WRITE: u32 = 2;
 /// The service of a call that returns how many bytes the preceding [`READ`] of the same target in its series has
 /// read.
 pub const SIZE: u32 = 3;
-/// The service of a call that returns eight of those bytes, of the first [`MOST`], starting at `value`.
+/// The service of a call that returns eight of those bytes, of the first 128, starting at `value`.
 pub const PART: u32 = 4;
 /// The service of a call that hands over the next eight bytes of a value, to be written later in its series. Nothing is
 /// sent.

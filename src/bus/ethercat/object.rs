@@ -108,7 +108,7 @@ pub enum Type {
     I32,
     /// UNSIGNED32.
     U32,
-    /// VISIBLE_STRING: a call has eight characters of it, [`long::read`] and [`long::write`] more.
+    /// VISIBLE_STRING: a call has eight characters of it, a series of calls more.
     Text,
     /// OCTET_STRING: the same of any bytes.
     Octets,

@@ -357,7 +357,7 @@ impl MoonsDrive {
         acceleration * self.revolutions_per_unit() * ACCELERATION_PER_REV
     }
 
-    /// What it shows besides, in the order of [`monitor`](Self::monitor).
+    /// What it shows besides, in the order of `monitor`.
     pub fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         let channel = |name: &str, unit| Some(MonitorChannel { name: name.to_owned(), unit });
         let has_error = self.layout == Layout::Manual && self.version != Some(Version::V1);
