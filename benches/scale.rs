@@ -808,8 +808,8 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
     })
 }
 
-/// MOONS' drives with an interval of 4 ms, each in every cycle of as much: the send phase against the bare loop over the
-/// same bytes, and how old feedback is.
+/// MOONS' drives with an interval of 4 ms, each in every cycle of as much: the send phase against the bare loop over
+/// the same bytes, and how old feedback is.
 fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
     let (rounds, cycles, period_ns) = if quick { (3, 200, 4 * MS) } else { (15, 400, 4 * MS) };
     let fleet = Fleet::moons(MOONS_DUEL);

@@ -131,8 +131,8 @@ pub enum Explicit {
     Connected,
 }
 
-/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA. They are taken on trust: no
-/// message of the Host Command Reference reads them.
+/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA. They are taken on trust:
+/// no message of the Host Command Reference reads them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
     /// What ZS is set to at most, ns; `None`: it is 0, and the drive does not stop by itself.

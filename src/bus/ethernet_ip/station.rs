@@ -265,8 +265,8 @@ impl Station {
         }
     }
 
-    /// Builds the packet of the next send in `out`, which is the same place each time and has the last packet still, and
-    /// returns its length; `None`: there is no connection.
+    /// Builds the packet of the next send in `out`, which is the same place each time and has the last packet still,
+    /// and returns its length; `None`: there is no connection.
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
         self.grid = cycle.grid;

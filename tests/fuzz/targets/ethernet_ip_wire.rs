@@ -1,5 +1,5 @@
-//! A datagram or a stream of EtherNet/IP, for every parser of it: no bytes make it panic, nothing reaches beyond what it
-//! was given, a stream gives the same messages wherever it is cut, and inputs and outputs are built again as the same
+//! A datagram or a stream of EtherNet/IP, for every parser of it: no bytes make it panic, nothing reaches beyond what
+//! it was given, a stream gives the same messages wherever it is cut, and inputs and outputs are built again as the same
 //! bytes.
 
 use fieldbeat::bus::ethernet_ip::{IoCode, Layout, Version};
@@ -48,7 +48,7 @@ fn messages(mut rest: &[u8]) -> (Vec<(u16, usize)>, Result<usize, Malformed>) {
     loop {
         match Frame::next(rest) {
             Ok(Some((frame, size))) => {
-                assert!(size >= HEADER && size <= HEADER + DATA_MAX && frame.data.len() + HEADER == size);
+                assert!((HEADER..=HEADER + DATA_MAX).contains(&size) && frame.data.len() + HEADER == size);
                 all.push((frame.header.command, size));
                 rest = &rest[size..];
             }

@@ -169,7 +169,8 @@ pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
             ("10.038", "40"),
         ],
         Kind::Moons => &[
-            // Velocity and ramps of the next move; a jog and a move for the buffer; an output; in position; reset, stop.
+            // Velocity and ramps of the next move; a jog and a move for the buffer; an output; in position; reset;
+            // stop.
             ("VE", "32000"),
             ("DE", "1"),
             ("JL", "1"),

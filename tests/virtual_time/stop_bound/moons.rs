@@ -18,8 +18,8 @@ fn drives(divisors: [u32; 2], phase: u32, bucket: u32) -> Vec<MoonsDrive> {
     divisors.into_iter().enumerate().map(with).collect()
 }
 
-/// Silence so many cycles after another speed was given to both: the cycles from the last packet of the first one to the
-/// stop of each.
+/// Silence so many cycles after another speed was given to both: the cycles from the last packet of the first one to
+/// the stop of each.
 fn told(divisors: [u32; 2], phase: u32, bucket: u32, after: u64) -> ([u64; 2], u64) {
     let mut m = Moons::new(drives(divisors, phase, bucket));
     m.ready();

@@ -60,7 +60,10 @@ fn event() -> impl Strategy<Value = Event> {
         2 => (0_u16..4, message()).prop_map(|(sequence, message)| Event::Connected { sequence, message }),
         3 => (0..3 * S).prop_map(Event::Wait),
         1 => (0_u32..3).prop_map(|generation| Event::Wish(Wish::TimedOut { generation })),
-        1 => prop::bool::weighted(0.1).prop_map(|close| Event::Wish(if close { Wish::Close { generation: 1 } } else { Wish::TimedOut { generation: 1 } })),
+        1 => prop::bool::weighted(0.1).prop_map(|close| match close {
+            true => Event::Wish(Wish::Close { generation: 1 }),
+            false => Event::Wish(Wish::TimedOut { generation: 1 }),
+        }),
         1 => Just(Event::Lost),
         2 => Just(Event::Call),
         2 => Just(Event::Command),

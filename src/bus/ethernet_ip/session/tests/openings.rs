@@ -54,7 +54,7 @@ fn the_register_of_its_reference_is_read_before_the_opening() {
         bench.request("3C 03 20 64 24 01 30 01 00 02 9F 33 00 00 00 00");
         assert_eq!(bench.news(), []);
         bench.answer(answer);
-        assert_eq!(bench.news(), [News::Read(Facts { homed, ..Facts::default() })]);
+        assert_eq!(bench.news(), [News::Read(Facts { homed })]);
         bench.request(OPEN);
     }
 }
