@@ -42,6 +42,13 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     assert!(summary["cycle"]["executed"].as_u64().unwrap() > 100, "{summary}");
     for drive in summary["drives"].as_array().unwrap() {
         assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
+        if drive["protocol"] == "ethernet-ip" {
+            // Its packets answer nothing. Its last move ends 2 turns below where it swung.
+            assert_eq!(drive["rtt_ns"]["p50"], serde_json::Value::Null, "{drive}");
+            let position = drive["position"].as_f64().unwrap();
+            assert!((2.99..3.01).contains(&position), "{drive}");
+            continue;
+        }
         assert!(drive["rtt_ns"]["p50"].as_u64().unwrap() > 0, "{drive}");
         if drive["protocol"] == "modbus-tcp" {
             assert_eq!(drive["position"], serde_json::Value::Null, "it tells none: {drive}");

@@ -106,8 +106,9 @@ impl State {
 
     /// In operation, without a motion.
     pub(super) fn operate(&mut self, view: &View) {
-        let leads = self.course.leads() || view.drive_makes_setpoints();
-        if self.power.value != Power::EnableOperation || !leads {
+        // A ramp that brakes what was refused before goes on.
+        let brakes = matches!(self.motion.value, Motion::Ramp { .. });
+        if self.power.value != Power::EnableOperation || !(self.course.leads() || brakes) {
             self.hold(view.evidence.position);
         }
     }

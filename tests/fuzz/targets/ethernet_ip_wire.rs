@@ -1,6 +1,5 @@
 //! A datagram or a stream of EtherNet/IP, for every parser of it: no bytes make it panic, nothing reaches beyond what
-//! it was given, a stream gives the same messages wherever it is cut, and inputs and outputs are built again as the same
-//! bytes.
+//! it was given, a stream gives the same messages wherever it is cut, and an assembly is one of exactly its size.
 
 use fieldbeat::bus::ethernet_ip::{IoCode, Layout, Version};
 use fieldbeat::internals::bus::ethernet_ip::wire::assembly::{Inputs, input_size};
