@@ -361,8 +361,8 @@ fn steps(station: u64) -> Vec<Slot> {
         steps.push(slot_of([(FPWR, 0x0800, 8), (FPWR, 0x0808, 8)]));
     }
     steps.extend(change(own, 2));
-    // Watchdog, if one is configured, and SyncManagers: written, and read back; FMMUs.
-    for command in [FPWR, FPRD].into_iter().filter(|_| is_drive) {
+    // Watchdog, as configured, or as the SII of the coupler arms it, and SyncManagers: written, and read back; FMMUs.
+    for command in [FPWR, FPRD] {
         steps.push(slot_of([(command, 0x0400, 2), (command, 0x0420, 2)]));
     }
     for command in [FPWR, FPRD] {
