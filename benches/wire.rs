@@ -306,7 +306,7 @@ impl Clocked {
         let drive = &plan.drives[0];
         let (loop_end, mut session_end) = exchange::both();
         let (station, native) = ethernet_ip::station::Station::new(drive, PERIOD_NS, loop_end);
-        let told = session_end.tell(News::Opened(Connection {
+        let has_room = session_end.tell(News::Opened(Connection {
             generation: 1,
             outgoing: 0x42,
             incoming: Clocked::INCOMING,
@@ -319,7 +319,7 @@ impl Clocked {
             version: ethernet_ip::Version::V2,
             layout: ethernet_ip::Layout::Manual,
         }));
-        assert!(told, "there is room");
+        assert!(has_room, "there is room");
         let mut clocked = Clocked {
             machine: machine(&plan, 0),
             station,

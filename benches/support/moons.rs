@@ -63,7 +63,7 @@ pub fn first(connection: u32) -> [u8; PACKET] {
     packet
 }
 
-/// A drive that sends from memory: it is enabled and jogs as it is told, with another position in each packet.
+/// A drive that sends from memory: it is enabled and jogs as commanded, with another position in each packet.
 #[derive(Clone, Debug)]
 pub struct Canned {
     packet: [u8; PACKET],

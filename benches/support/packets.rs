@@ -48,13 +48,13 @@ pub fn duel(
     let cycle = rig::exchange_cycle(period_ns, Wait::Poll);
     let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, carriers, Arc::clone(calls));
     // A drive that gets no packets for two seconds closes its connection.
-    let mut beside = Ok(0);
+    let mut bare_sent = Ok(0);
     rig.enable_beside(|grid| {
-        if beside.is_ok() {
-            beside = bare.cycle(grid + period_ns / 2);
+        if bare_sent.is_ok() {
+            bare_sent = bare.cycle(grid + period_ns / 2);
         }
     });
-    beside?;
+    bare_sent?;
     let mut packets = Packets::default();
     for _ in 0..cycles {
         let executed = rig.status().executed;

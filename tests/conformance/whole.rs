@@ -278,7 +278,7 @@ pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject:
         let (feedback, said) = (m.feedback(0), m.tape(0, |tape| tape.said()));
         assert!(feedback.stopped.is_some() && !said.powered && !said.moving, "{feedback:?}, {said:?}");
     }
-    assert_eq!(m.restarts, u32::from(!m.can.sessions), "told once");
+    assert_eq!(m.restarts, u32::from(!m.can.sessions), "reported once");
     m.recover(0);
     m.move_about(0);
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");

@@ -79,7 +79,7 @@ pub struct Station {
 /// How far the orderly end is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Closing {
-    /// The session has been told, and is waited for until then.
+    /// The session was requested to close, and is waited for until then.
     Waiting(Time),
     Done,
 }

@@ -40,7 +40,7 @@ const RUN_UP: (u32, u64) = (200, 100 * MS);
 /// Entries of the alarm history.
 const HISTORY: usize = 8;
 
-/// What the drive was told and did not do, by name.
+/// What the drive was commanded and did not do, by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     /// Command words that changed without a 0 between.

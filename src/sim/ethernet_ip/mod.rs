@@ -152,7 +152,7 @@ impl MoonsSim {
         self.adapter.ignored
     }
 
-    /// What it was told and did not do.
+    /// What it was commanded and did not do.
     pub fn refused(&self) -> Refused {
         self.drive.refused
     }

@@ -41,7 +41,7 @@ impl Io {
     }
 }
 
-/// What the motor can be told.
+/// What the motor can be commanded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Move {
     Relative,
