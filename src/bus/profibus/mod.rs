@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `plan` | the bus as configured |
 
+mod acyclic;
 mod plan;
 
 pub use plan::{
