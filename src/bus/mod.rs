@@ -32,6 +32,7 @@ pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
 mod plan;
+pub mod profibus;
 #[cfg(feature = "cli")]
 pub(crate) mod tools;
 pub(crate) mod variant;
