@@ -159,6 +159,11 @@ pub mod bus {
             pub use crate::bus::modbus::words::*;
         }
     }
+    pub mod profibus {
+        pub mod wire {
+            pub use crate::bus::profibus::wire::*;
+        }
+    }
 }
 
 #[cfg(feature = "config")]
