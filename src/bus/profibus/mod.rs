@@ -14,9 +14,20 @@
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
 
 mod acyclic;
+mod bus;
+mod bus_plan;
+mod counters;
+mod line;
+mod native;
+pub(crate) mod notation;
+mod notes;
 mod plan;
+mod profile;
+mod start_up;
+mod station;
 pub(crate) mod wire;
 
+pub use native::{NATIVE_WORDS, Native, NativeInputs, NativeOutput};
 pub use plan::{
     ADDRESS_MAX, Bits, CHANNEL, DATA_MAX, DriveProfile, LEAST_SLOT_BITS, LenzeDrive, Numbers, ParameterPath,
     ProfibusPlan, RATES, RETRIES_MAX, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, USUAL_MAX_TSDR,

@@ -5,7 +5,7 @@
 
 use super::wire::dp::{self, dpv1};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Unit, Units};
+use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::net::{Parity, SerialLine};
 use crate::time::MS;
 
@@ -326,6 +326,12 @@ impl LenzeDrive {
     pub fn lengths(&self) -> Option<(usize, usize)> {
         let (inputs, outputs) = dp::Configuration(&self.configuration).sizes()?;
         (outputs <= DATA_MAX && inputs <= DATA_MAX).then_some((outputs, inputs))
+    }
+
+    /// What it shows besides.
+    pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        let channel = |word: &ShownWord| MonitorChannel { name: word.name.clone(), unit: word.unit };
+        self.show.each_ref().map(|word| word.as_ref().map(channel))
     }
 
     /// Where control word and status word are.
