@@ -228,8 +228,9 @@ impl ProfibusBus {
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
         self.notes.set(index.into(), station.note());
-        if station.exchanges() && !std::mem::replace(&mut self.operates, true) {
-            self.control_at = Time(0);
+        if station.exchanges() {
+            // Its outputs count from a Global_Control on that comes after it has become ready.
+            (self.operates, self.control_at) = (true, Time(0));
         }
     }
 
@@ -342,6 +343,12 @@ impl ProfibusBus {
     /// The request of `job` has no answer. False: it has not left the driver yet.
     #[cold]
     fn overdue(&mut self, now: Time, job: Job, instead: Instead, failed: bool, slots: &mut [Slot]) -> bool {
+        if instead == Instead::Silence
+            && let Ok(bytes @ 1..) = self.net.unsent()
+        {
+            self.line.still_sends(now, bytes, failed);
+            return false;
+        }
         let Job::Drive(index) = job else { return true };
         let place = usize::from(index);
         let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place)) else {

@@ -240,12 +240,6 @@ impl Line {
         !matches!(self.timing.state, State::Closed | State::Listening(_) | State::Claiming(_))
     }
 
-    /// A telegram is under way.
-    #[inline]
-    pub(super) fn is_busy(&self) -> bool {
-        matches!(self.timing.state, State::Sending | State::Waiting | State::Repeating)
-    }
-
     /// When it wants to be looked at again; `waits`: a telegram waits to be sent.
     #[inline]
     pub(super) fn look_at(&self, waits: bool) -> Option<Time> {
@@ -301,9 +295,11 @@ impl Line {
         Ready::Overdue { job: self.job, instead, failed }
     }
 
-    /// The driver still holds bytes of the request: its slot time begins later.
+    /// The driver still holds so many bytes of the telegram that is overdue: its slot time begins later.
     #[cold]
-    pub(super) fn unsent(&mut self, now: Time, bytes: usize) {
+    pub(super) fn still_sends(&mut self, now: Time, bytes: usize, failed: bool) {
+        self.left += u8::from(!failed);
+        self.timing.state = State::Waiting;
         self.timing.overdue_at = now + self.line.span_ns(bytes + 1) + self.slot_ns;
     }
 

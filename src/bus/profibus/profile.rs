@@ -216,11 +216,6 @@ impl Profile {
         self.native_owner.is_some()
     }
 
-    /// Something is desired of the drive.
-    pub(super) fn writes(&self) -> bool {
-        self.serials.0 > 0
-    }
-
     /// The next telegram has to be Data_Exchange: nothing of what is desired was sent yet.
     #[inline]
     pub(super) fn is_new(&self) -> bool {

@@ -18,9 +18,9 @@ use super::start_up::{StartUp, Step};
 use super::wire::dp::{Diagnosis, DiagnosisStatus, station_status};
 use super::wire::sap::Service;
 use super::wire::telegram::MAX;
+use crate::axis::Link;
 use crate::axis::acyclic::{AcyclicEnds, queue};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{Link, State};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::Time;
@@ -573,10 +573,5 @@ impl Station {
             self.leave(slot);
         }
         self.start_up.again(false);
-    }
-
-    /// The state of its drive, as it was reported last.
-    pub(super) fn state(&self) -> State {
-        self.inputs.state
     }
 }
