@@ -4,7 +4,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `linudp`, `modbus`, `ethercat`, `ethernet_ip` | the drives of a protocol: its wire from the other end |
+//! | `linudp`, `modbus`, `ethercat`, `ethernet_ip`, `profibus` | the drives of a protocol: its wire from the other end |
 //! | `plan` | the simulated drives of a machine as configured |
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `power` | a power drive: a motor on its setpoint generator, hardware enable, standing fault, the advance of time |
@@ -27,6 +27,7 @@ pub mod modbus;
 pub(crate) mod physics;
 mod plan;
 mod power;
+pub mod profibus;
 pub(crate) mod serial;
 pub mod server;
 #[cfg(test)]

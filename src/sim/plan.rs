@@ -6,6 +6,7 @@ use super::ethercat::EthercatSegment;
 use super::ethernet_ip::MoonsDrives;
 use super::linudp::LinMots;
 use super::modbus::Unidrives;
+use super::profibus::ProfibusSegment;
 use super::{SimBus, Simulated};
 use crate::bus::BusPlan;
 use crate::bus::ethercat::EthercatPlan;
@@ -26,18 +27,20 @@ type Fit = fn(&dyn BusPlan) -> Option<Box<dyn SimBus>>;
 type Read = fn(&mut Table<'_>, &dyn BusPlan, u64) -> Option<Box<dyn SimBus>>;
 
 /// One entry a protocol.
-const FITS: [Fit; 4] = [
+const FITS: [Fit; 5] = [
     |bus| of_plan(bus, LinMots::of),
     |bus| of_plan(bus, Unidrives::of),
     |bus| of_plan(bus, |plan: &EthercatPlan| EthercatSegment::from(plan.clone())),
     |bus| of_plan(bus, MoonsDrives::of),
+    |bus| of_plan(bus, ProfibusSegment::of),
 ];
 #[cfg(feature = "config")]
-const READERS: [Read; 4] = [
+const READERS: [Read; 5] = [
     |table, bus, period_ns| of_plan(bus, |plan| super::linudp::config::read(table, plan, period_ns)),
     |table, bus, period_ns| of_plan(bus, |plan| super::modbus::config::read(table, plan, period_ns)),
     |table, bus, period_ns| of_plan(bus, |plan| super::ethercat::config::read(table, plan, period_ns)),
     |table, bus, period_ns| of_plan(bus, |plan| super::ethernet_ip::config::read(table, plan, period_ns)),
+    |table, bus, period_ns| of_plan(bus, |plan| super::profibus::config::read(table, plan, period_ns)),
 ];
 
 /// Those of a bus, if its plan is of the type that `make` takes.

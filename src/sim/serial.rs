@@ -35,6 +35,10 @@ pub trait SimSerial: Any + Send {
     /// Its own clock has come to that: what it appends to `out` it sends from now on.
     fn run(&mut self, now: Time, out: &mut Vec<u8>);
 
+    /// It is behind a real port from now on: bytes come when the host delivers them, so that silence between them says
+    /// little.
+    fn untimed(&mut self) {}
+
     /// Gives a telegram of its own the identity of another one.
     fn mislabel(&self, _telegram: &mut [u8]) {}
 

@@ -51,6 +51,7 @@ impl Wire {
                 return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
             }
         };
+        wire.drives.iter_mut().for_each(|drive| drive.untimed());
         Ok(Wire { medium: Medium::new(wire), port })
     }
 }

@@ -1,0 +1,1 @@
+//! The link layer: silence, damage, frame count bits.
