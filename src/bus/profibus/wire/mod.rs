@@ -90,14 +90,14 @@ impl<'a> Writer<'a> {
         self.bytes(&word.to_be_bytes());
     }
 
-    /// Appends a byte that counts what `fill` writes, and that; fails over `most` bytes, at most 255.
-    fn counted(&mut self, most: usize, fill: impl FnOnce(&mut Writer<'_>)) {
+    /// Appends a byte that counts what `fill` writes, and that; fails over 255.
+    fn counted(&mut self, fill: impl FnOnce(&mut Writer<'_>)) {
         let length = self.at;
         self.bytes(&[0]);
         let start = self.at;
         fill(self);
         match (u8::try_from(self.at - start), self.out.get_mut(length)) {
-            (Ok(count), Some(at)) if self.at - start <= most => *at = count,
+            (Ok(count), Some(at)) => *at = count,
             _ => self.fail(),
         }
     }

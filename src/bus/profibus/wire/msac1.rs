@@ -14,7 +14,7 @@ const WRITE: u8 = 0x5F;
 /// Set in the function number of a refusal.
 const NEGATIVE: u8 = 0x80;
 
-/// The most bytes of a record.
+/// The most bytes of a record: what a telegram has room for, behind two service access points and four bytes.
 pub const RECORD_MAX: usize = 240;
 
 /// What is done with a record.
@@ -44,7 +44,7 @@ impl Record {
     /// Writes the request to write it, with the data that `fill` writes. More than [`RECORD_MAX`] bytes are no request.
     pub fn put_write(self, out: &mut Writer<'_>, fill: impl FnOnce(&mut Writer<'_>)) {
         out.bytes(&[WRITE, self.slot, self.index]);
-        out.counted(RECORD_MAX, fill);
+        out.counted(fill);
     }
 }
 
