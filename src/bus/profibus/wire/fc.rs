@@ -25,8 +25,28 @@ impl FunctionCode {
     /// What it replies; `None`: it is that of a request, or has no function of the standard.
     #[inline]
     pub fn reply(self) -> Option<Reply> {
-        let function = ReplyFunction::ALL.into_iter().find(|function| *function as u8 == self.0 & 0xCF)?;
-        let station = StationType::ALL.into_iter().find(|station| *station as u8 == self.0 >> 4 & 3)?;
+        use ReplyFunction::{
+            DataHigh, DataHighNoResource, DataLow, DataLowNoResource, NoData, NoResource, NotActive, Ok,
+            UserError,
+        };
+        let function = match self.0 & 0xCF {
+            0x0 => Ok,
+            0x1 => UserError,
+            0x2 => NoResource,
+            0x3 => NotActive,
+            0x8 => DataLow,
+            0x9 => NoData,
+            0xA => DataHigh,
+            0xC => DataLowNoResource,
+            0xD => DataHighNoResource,
+            _ => return None,
+        };
+        let station = match self.0 >> 4 & 3 {
+            0 => StationType::Slave,
+            1 => StationType::MasterNotReady,
+            2 => StationType::MasterReady,
+            _ => StationType::MasterInRing,
+        };
         Some(Reply { station, function })
     }
 }

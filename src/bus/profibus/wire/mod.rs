@@ -9,19 +9,29 @@
 //! | `fc` | the function code of a telegram |
 //! | `sap` | service access points, and which service is at which |
 //! | `dp` | Slave_Diag, Set_Prm, Chk_Cfg, Get_Cfg, Global_Control |
+//! | `msac1` | acyclic reading and writing of records by DP-V1 |
+//! | `pkw` | parameters in the process data, as the vendor's page draws them (path A) |
+//! | `drivecom` | parameters in the process data, by DRIVECOM (path B) |
+//! | `base_mode` | parameters in the record 47 (path C) |
+//! | `errors` | the error numbers of paths A and C by name |
 //! | `words` | control and status words of DRIVECOM and PROFIdrive |
 //!
 //! All values are big-endian. "Sheet" is the project's fact sheet of the EMF2133IB; a fact that it marks `?` is marked
 //! *assumed*.
 
+pub mod base_mode;
 pub mod dp;
+pub mod drivecom;
+pub mod errors;
 pub mod fc;
+pub mod msac1;
+pub mod pkw;
 pub mod sap;
 pub mod telegram;
 pub mod words;
 
 /// Takes values from the front of a message.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
@@ -78,6 +88,23 @@ impl<'a> Writer<'a> {
     #[inline]
     pub fn word(&mut self, word: u16) {
         self.bytes(&word.to_be_bytes());
+    }
+
+    /// Appends a byte that counts what `fill` writes, and that; fails over 255.
+    fn counted(&mut self, fill: impl FnOnce(&mut Writer<'_>)) {
+        let length = self.at;
+        self.bytes(&[0]);
+        let start = self.at;
+        fill(self);
+        match (u8::try_from(self.at - start), self.out.get_mut(length)) {
+            (Ok(count), Some(at)) => *at = count,
+            _ => self.fail(),
+        }
+    }
+
+    /// What is written is none, whatever follows.
+    fn fail(&mut self) {
+        self.at = usize::MAX;
     }
 
     /// How many bytes were written; `None` if they did not fit.

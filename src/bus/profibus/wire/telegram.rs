@@ -33,7 +33,7 @@ const LE: std::ops::RangeInclusive<usize> = 4..=249;
 /// The most bytes of a telegram.
 pub const MAX: usize = 255;
 /// The most bytes of a data unit, service access points included.
-pub const DU_MAX: usize = 246;
+pub const DU_MAX: usize = MAX - 9;
 /// The address of all stations.
 pub const BROADCAST: u8 = 127;
 /// The highest address of a station.

@@ -4,6 +4,7 @@
 
 use super::telegram::{Buffer, Frame, Head, MAX, Next, Telegram};
 
+mod records;
 mod services;
 mod telegrams;
 

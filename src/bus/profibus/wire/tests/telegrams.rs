@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::super::fc::{FunctionCode, ReplyFunction};
 use super::super::sap::Service;
-use super::super::telegram::{self, DU_MAX, Malformed, SC, token};
+use super::super::telegram::{DU_MAX, Malformed, SC, token};
 use super::*;
 
 /// The reply of a slave to a request.
@@ -209,10 +209,4 @@ proptest! {
         let sizes: usize = whole.all.iter().map(|(_, size)| size).sum();
         prop_assert_eq!(sizes + whole.left, bytes.len(), "every byte is counted once");
     }
-}
-
-#[test]
-fn the_constants_agree() {
-    assert_eq!(telegram::MAX, DU_MAX + 9);
-    assert!(telegram::STATION_MAX < telegram::BROADCAST);
 }
