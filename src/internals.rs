@@ -160,6 +160,10 @@ pub mod bus {
         }
     }
     pub mod profibus {
+        pub use crate::bus::profibus::*;
+        pub mod counters {
+            pub use crate::bus::profibus::counters::*;
+        }
         pub mod wire {
             pub use crate::bus::profibus::wire::*;
         }

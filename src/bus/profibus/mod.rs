@@ -16,7 +16,7 @@
 mod acyclic;
 mod bus;
 mod bus_plan;
-mod counters;
+pub(crate) mod counters;
 mod line;
 mod native;
 pub(crate) mod notation;
