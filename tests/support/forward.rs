@@ -25,8 +25,16 @@ macro_rules! forward_bus_plan {
             self.$field.reply_within_ns(index)
         }
 
-        fn turn_within_ns(&self, index: usize) -> Option<u64> {
-            self.$field.turn_within_ns(index)
+        fn turn_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64> {
+            self.$field.turn_within_ns(index, grid)
+        }
+
+        fn turn_faults(&self, grid: fieldbeat::bus::Grid) -> Vec<(usize, fieldbeat::axis::PlanFault)> {
+            self.$field.turn_faults(grid)
+        }
+
+        fn before_stop(&self, index: usize) -> u32 {
+            self.$field.before_stop(index)
         }
 
         fn fresh_within_ns(&self, index: usize, period_ns: u64) -> Option<u64> {
