@@ -34,7 +34,7 @@ fn machine(section: &str, fragment: &str) -> String {
     )
 }
 
-/// The same with a Unidrive, a MOONS' drive, a Lenze drive or an EtherCAT line, in the sections that begin so; the whole file; and
+/// The same with a drive of another protocol or an EtherCAT line, in the sections that begin so; the whole file; and
 /// [`FOUR`] with it.
 fn any_machine(section: &str, fragment: &str) -> String {
     match section {

@@ -58,7 +58,8 @@ fn a_file_that_says_little_is_a_plan_built_in_code() {
     of_file.drives[0].axis = of_code.axis.clone();
     assert_eq!(of_file, ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![of_code]));
     for rate in RATES {
-        let of_file = plan(&wire("bus", &format!("rate = {rate}")).replace("\"4ms\"", "\"500ms\""));
+        let slow = wire("bus", &format!("rate = {rate}")).replace("\"4ms\"", "\"500ms\"");
+        let of_file = plan(&slow.replace("velocity = 20", "velocity = 20\nwatchdog = \"5s\""));
         assert_eq!(of_file.bits, fieldbeat::bus::profibus::Bits::usual(rate), "{rate}");
     }
 }
@@ -67,8 +68,8 @@ fn a_file_that_says_little_is_a_plan_built_in_code() {
 fn values_arrive_where_they_belong() {
     let of_bus = plan(&wire(
         "bus",
-        "rate = 3000000\naddress = 5\nrs485 = \"driver\"\necho = true\nlatency = \"125us\"\nretries = 4\ntoken = false\n\
-         gap = 7\nhighest_address = 31\nglobal_control = \"50ms\"\n\
+        "rate = 3000000\naddress = 5\nrs485 = \"driver\"\necho = true\nlatency = \"125us\"\nretries = 4\n\
+         token = false\ngap = 7\nhighest_address = 31\nglobal_control = \"50ms\"\n\
          bits = { slot = 500, max_tsdr = 300, sync = 34, idle = 50 }",
     ));
     assert_eq!((of_bus.rate, of_bus.address, of_bus.rs485, of_bus.echo), (3_000_000, 5, Rs485::Driver, true));
@@ -84,9 +85,10 @@ fn values_arrive_where_they_belong() {
 
     let of_drive = plan(&wire(
         "",
-        "ident = 0x1234\nuser_prm = [0x84, 1, 2]\nconfiguration = [0xF5]\nchannel = false\nwatchdog = \"71ms\"\n\
-         min_tsdr = 37\ngroups = [1, 8]\nwords = \"profidrive\"\nramp_bits = false\nenable_bit = { bit = 12, set = false \
-         }\nfull_count = 24000\nfull_rpm = 2880\nset_point_word = 2\nactual_word = 3\nfurther = [7, 0x100]\n\
+        "divisor = 2\nident = 0x1234\nuser_prm = [0x84, 1, 2]\nconfiguration = [0xF5]\nchannel = false\n\
+         watchdog = \"71ms\"\nmin_tsdr = 37\ngroups = [1, 8]\nwords = \"profidrive\"\nramp_bits = false\n\
+         enable_bit = { bit = 12, set = false }\nfull_count = 24000\nfull_rpm = 2880\nset_point_word = 2\n\
+         actual_word = 3\nfurther = [7, 0x100]\n\
          monitor = [{ name = \"torque\", word = 4, per_count = -0.5, signed = true, unit = \"%\" }]\nfault_at = 3\n\
          extended_diagnosis = 10\nno_drive_watchdog = \"accept\"\n\
          parameters = { path = \"msac1\", slot = 1, index = 48, axis = 1, numbers = \"code\" }",
@@ -126,8 +128,8 @@ fn values_arrive_where_they_belong() {
 fn a_simulated_wire_is_as_its_keys_say() {
     let Configuration { simulation, .. } = read_all(&wire(
         "",
-        "simulate = { ident = 7, answer_bits = 60, safe = \"quick stop\", job_time = \"3ms\", acyclic_delay = 4, inertia = \
-         0.02, running = 10 }",
+        "simulate = { ident = 7, answer_bits = 60, safe = \"quick stop\", job_time = \"3ms\", acyclic_delay = 4, \
+         inertia = 0.02, running = 10 }",
     ));
     let said = format!("{simulation:?}");
     for part in [
@@ -152,8 +154,8 @@ fn one_bus_a_port_and_one_drive_an_address() {
     assert_eq!(
         mistakes(&(wire("", "") + second)),
         [
-            "m.toml:16: bus.device = \"/dev/ttyS1\": is already that of the bus of line 5; there is one bus per device, \
-             add the drives to that bus",
+            "m.toml:16: bus.device = \"/dev/ttyS1\": is already that of the bus of line 5; there is one bus per \
+             device, add the drives to that bus",
             "m.toml:23: bus.drive.address = 3: is taken by another drive; one drive per address",
             "m.toml:27: bus.drive.address = 2: is the master's own address; give the one that is set at the module",
         ]
@@ -190,6 +192,25 @@ fn the_turns_are_laid_on_the_grid_of_the_cycle() {
     let [said] = &said[..] else { panic!("{said:?}") };
     assert!(said.contains("bus.drive.divisor: asks for an exchange every 1 ms"), "{said}");
     assert!(said.contains("use divisor 2 and phases in turn"), "{said}");
+    // What a drive says besides.
+    let expected = [
+        "drive l0: local:w, address 3",
+        "its turn: 12 bytes of outputs and 12 of inputs, 8 of them the parameter channel; 107.917 us on the wire, \
+         215.834 us at most; all drives in turn 431.668 us",
+        "start-up takes it over: Set_Prm (3 bytes of User_Prm) for ident number 0x0082 locks it to this master, and its \
+         outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another master has \
+         locked is left alone, and named; DRIVECOM words",
+        "takes velocities, 1500 rpm at a count of 16384; no moves, no streams, no homing",
+        "parameters by the DRIVECOM channel in the process data",
+        "a parameter that is written again and again wears the drive's EEPROM, unless saving is off: C0003 = 0",
+        "if the master dies: stops within 100 ms by its own watchdog, which Set_Prm sets and its diagnosis has to show \
+         as on before it is enabled; what it does then is the drive's setting",
+        "an exchange every cycle (1 ms), over 1 cycle (1 ms) later at most: its turn on the wire",
+    ];
+    assert_eq!(&said[..expected.len()], expected);
+    let wire = "  wire: 12000000 bit/s, 8E1, this master at address 2: a telegram at a time, the adapter switches its \
+                direction; slot time 83.334 us (1000 bits), MaxTsdr 800 bits, one repetition at most";
+    assert!(describe(&plan).iter().any(|line| line == wire), "{:#?}", describe(&plan));
     // A plan that was built in code is refused by the same words.
     let mut drives: Vec<LenzeDrive> =
         (0..4).map(|index| LenzeDrive::new(format!("l{index}"), 3 + index)).collect();

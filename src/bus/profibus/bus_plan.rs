@@ -54,7 +54,8 @@ impl BusPlan for ProfibusPlan {
     }
 
     fn describe(&self, _period_ns: u64) -> Vec<String> {
-        (0..self.drives.len()).map(|index| self.describe_drive(index)).collect()
+        let drives = (0..self.drives.len()).map(|index| self.describe_drive(index));
+        drives.chain([self.describe_wire()]).collect()
     }
 
     fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {

@@ -23,7 +23,7 @@ pub(super) const GAP_MAX: u32 = 100;
 pub(super) const LATENCY_MAX_NS: u64 = 100 * MS;
 /// How often Global_Control may be sent, ns.
 pub(super) const CONTROL_RANGE_NS: std::ops::RangeInclusive<u64> = MS..=10 * S;
-/// The largest of a mean and a set point in 16 bits.
+/// The largest count of a set point, which has 16 bits.
 const COUNT_MAX: f64 = i16::MAX as f64;
 
 /// `9600, 19200 ... or 12000000`.
@@ -284,8 +284,8 @@ impl LenzeDrive {
                 wrong(
                     key,
                     format!(
-                        "{value} {unit}/s are more than a set point of 16 bits holds, {most:.4} {unit}/s; change it, or \
-                         check scale, full_count and full_rpm"
+                        "{value} {unit}/s are more than a set point of 16 bits holds, {most:.4} {unit}/s; change it, \
+                         or check scale, full_count and full_rpm"
                     ),
                 );
             }

@@ -151,6 +151,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
         .word("words", &[("drivecom", DriveProfile::Drivecom), ("profidrive", DriveProfile::Profidrive)])
         .unwrap_or_default();
     let channel = table.flag("channel").unwrap_or(default.channel);
+    table.later("simulate");
     LenzeDrive {
         axis,
         address: default.address,

@@ -8,7 +8,6 @@ impl ProfibusPlan {
     pub(super) fn describe_drive(&self, index: usize) -> String {
         let Some(drive) = self.drives.get(index) else { return String::new() };
         let mut lines = vec![format!("{}, address {}", self.device, drive.address)];
-        lines.push(self.describe_wire());
         lines.extend(self.describe_turn(index, drive));
         lines.push(self.describe_start_up(drive));
         lines.push(format!(
@@ -30,7 +29,8 @@ impl ProfibusPlan {
         lines.join("\n")
     }
 
-    fn describe_wire(&self) -> String {
+    /// The wire itself, behind its drives.
+    pub(super) fn describe_wire(&self) -> String {
         let bits = &self.bits;
         let direction = match self.rs485 {
             Rs485::Adapter => "the adapter",
@@ -38,7 +38,7 @@ impl ProfibusPlan {
         };
         let echo = if self.echo { ", the own echo is skipped" } else { "" };
         format!(
-            "one wire for all, {} bit/s, 8E1, this master at address {}: a telegram at a time, {direction} switches its \
+            "  wire: {} bit/s, 8E1, this master at address {}: a telegram at a time, {direction} switches its \
              direction{echo}; slot time {} ({} bits), MaxTsdr {} bits, {} at most",
             self.rate,
             self.address,
@@ -54,12 +54,11 @@ impl ProfibusPlan {
 
     fn describe_turn(&self, index: usize, drive: &LenzeDrive) -> Option<String> {
         let (outputs, inputs) = drive.lengths()?;
-        let count = self.drives.len();
-        let all: u64 = (0..count).map(|index| self.usual_turn_ns(index)).sum();
+        let all: u64 = (0..self.drives.len()).map(|index| self.usual_turn_ns(index)).sum();
         let with =
             if drive.channel { format!(", {CHANNEL} of them the parameter channel") } else { String::new() };
         Some(format!(
-            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire, {} at most; all {count} \
+            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire, {} at most; all \
              drives in turn {}",
             Ns(self.usual_turn_ns(index)),
             Ns(self.longest_turn_ns(index)),
@@ -73,8 +72,8 @@ impl ProfibusPlan {
             DriveProfile::Profidrive => "PROFIdrive",
         };
         format!(
-            "start-up takes it over: Set_Prm ({} bytes of User_Prm) for ident number {:#06X} locks it to this master, and \
-             its outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another \
+            "start-up takes it over: Set_Prm ({} bytes of User_Prm) for ident number {:#06X} locks it to this master, \
+             and its outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another \
              master has locked is left alone, and named; {state} words",
             drive.user_prm.len(),
             drive.ident,
@@ -97,8 +96,8 @@ impl LenzeDrive {
     fn describe_death(&self) -> String {
         match self.watchdog_ns() {
             Some(within) => format!(
-                "stops within {} by its own watchdog, which Set_Prm sets and its diagnosis has to show as on before it is \
-                 enabled; what it does then is the drive's setting",
+                "stops within {} by its own watchdog, which Set_Prm sets and its diagnosis has to show as on before it \
+                 is enabled; what it does then is the drive's setting",
                 Ns(within)
             ),
             None if self.watchdog.accept_none => {

@@ -1,5 +1,5 @@
-//! The turns of the wire on the grid: how long each takes, whether all of them fit by divisor and phase, what would fit,
-//! and the longest wait for a turn.
+//! The turns of the wire on the grid: how long each takes, whether all of them fit by divisor and phase, what would
+//! fit, and the longest wait for a turn.
 //!
 //! A telegram begins inside a window, when the one before it is closed and the wire was idle. One that begins there and
 //! ends later is taken in with the next window. Beyond its regular turns each round has room for one request that
@@ -117,8 +117,8 @@ impl ProfibusPlan {
         token.max(gap).saturating_sub(grid.period_ns.saturating_sub(grid.deadline_ns))
     }
 
-    /// From the slot in which an exchange of drive `index` is due to its end, at most: what the master sends itself, the
-    /// turns of all the others and its own, each with all its repetitions, one of them acyclic.
+    /// From the slot in which an exchange of drive `index` is due to its end, at most: what the master sends itself,
+    /// the turns of all the others and its own, each with all its repetitions, one of them acyclic.
     pub(super) fn turn_within(&self, index: usize, grid: Grid) -> u64 {
         let (behind, ahead) = self.drives.split_at_checked(index + 1).unwrap_or_default();
         let tries = 1 + usize::from(self.retries);
@@ -164,11 +164,10 @@ impl ProfibusPlan {
     pub(super) fn schedule_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
         let Err(Late { drive: index, after_ns }) = self.lay(grid) else { return self.watchdog_faults(grid) };
         let Some(drive) = self.drives.get(index) else { return Vec::new() };
+        let phases = if self.drives.len() > 1 { " and phases in turn" } else { "" };
         let remedy = match (self.least_divisor(grid), self.least_rate(grid)) {
-            (Some(divisor), Some(rate)) => {
-                format!("use divisor {divisor} and phases in turn, or rate {rate}")
-            }
-            (Some(divisor), None) => format!("use divisor {divisor} and phases in turn"),
+            (Some(divisor), Some(rate)) => format!("use divisor {divisor}{phases}, or rate {rate}"),
+            (Some(divisor), None) => format!("use divisor {divisor}{phases}"),
             (None, Some(rate)) => format!("use rate {rate}"),
             (None, None) => "use less drives on this wire, or a longer period".to_owned(),
         };
