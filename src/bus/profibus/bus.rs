@@ -415,7 +415,7 @@ impl ProfibusBus {
                     return true;
                 }
                 station.unsent(slot);
-                false
+                true
             }
             Err(broken) => {
                 station.unsent(slot);
