@@ -164,6 +164,8 @@ pub struct Can {
     /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
     /// asked.
     pub shared: bool,
+    /// To bring it up takes its power: it is never found running.
+    pub comes_up_off: bool,
     /// What is found running without the watchdog of its plan is set up anew before it gets power again.
     pub rearmed: bool,
 }

@@ -228,7 +228,7 @@ impl ProfibusBus {
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
         self.notes.set(index.into(), station.note());
-        if station.exchanges() {
+        if station.exchanges() && station.starts() {
             // Its outputs count from the next Global_Control on.
             (self.operates, self.control_at) = (true, Time(0));
         }
@@ -243,6 +243,7 @@ impl ProfibusBus {
             _ => None,
         };
         let place = place.unwrap_or(self.last.into());
+        let again = self.stations.get(place).is_some_and(Station::was_answered);
         let Some(counters) = slots.get_mut(place).map(|slot| &mut slot.counters) else { return };
         match what {
             Unusual::Garbage(why, expected) => {
@@ -261,6 +262,8 @@ impl ProfibusBus {
                 }
                 .count(counters);
                 match why {
+                    // It has answered already.
+                    Unrelated::Late if again => counters.duplicate += 1,
                     Unrelated::Late => counters.late += 1,
                     Unrelated::Station | Unrelated::Kind => counters.foreign += 1,
                 }

@@ -191,6 +191,7 @@ impl Subject for EtherCat {
             steep_stops: false,
             half_duplex: false,
             bytes: false,
+            comes_up_off: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,
         }

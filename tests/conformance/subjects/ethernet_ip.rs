@@ -84,6 +84,7 @@ impl Subject for EthernetIp {
             steep_stops: true,
             half_duplex: false,
             bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

@@ -59,6 +59,7 @@ impl Subject for LinUdp {
             steep_stops: false,
             half_duplex: false,
             bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

@@ -118,6 +118,7 @@ impl Subject for Modbus {
             steep_stops: false,
             half_duplex: false,
             bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

@@ -54,6 +54,7 @@ impl Profibus {
         let drive = |(index, drive): (usize, &Drive)| {
             let mut plan = LenzeDrive::new(&drive.axis.name, FIRST + index as u8);
             plan.axis = drive.axis.clone();
+            plan.scale.full_rpm = 6_000.0;
             // What befalls a clause's drive is the clause's; its watchdog has its own tests.
             plan.watchdog = Watchdog { timeout_ns: None, accept_none: true };
             plan
@@ -90,6 +91,7 @@ impl Subject for Profibus {
             steep_stops: false,
             half_duplex: true,
             bytes: true,
+            comes_up_off: true,
             shared: false,
             rearmed: false,
         }
@@ -118,20 +120,22 @@ impl Subject for Profibus {
         SimPlan::from(segment).build()
     }
 
-    fn said(&self, before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
-        let frame = frame(reply).filter(|frame| frame.head.dsap.is_none())?;
-        let (status, actual) = (word(frame.data, WORD)?, word(frame.data, VALUE)? as i16);
+    fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {
+        let reply = frame(reply).filter(|frame| frame.head.dsap.is_none())?;
+        let (status, actual) = (word(reply.data, WORD)?, word(reply.data, VALUE)? as i16);
         let powered = DrivecomStatus(status).state().is_powered();
+        let turned = frame(request).and_then(|frame| word(frame.data, VALUE)).is_some_and(|count| count != 0);
         Some(Said {
             powered,
-            moving: powered && actual != 0,
+            // From 1/256 of its full speed on.
+            moving: powered && (turned || actual.unsigned_abs() >= 0x40),
             homed: before.and_then(|before| before.homed).or(Some(false)),
             position: None,
             demand: None,
             setpoint: None,
             at: None,
-            // 0x4000 is 1500 rpm.
-            velocity: Some(f64::from(actual) / f64::from(0x4000) * 25.0),
+            // 0x4000 is 6000 rpm.
+            velocity: Some(f64::from(actual) / f64::from(0x4000) * 100.0),
         })
     }
 

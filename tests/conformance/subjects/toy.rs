@@ -179,6 +179,7 @@ impl Subject for Toy {
             steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
             bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

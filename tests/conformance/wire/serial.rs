@@ -56,7 +56,7 @@ impl TappedSlave {
         let tape = &mut log.lock().unwrap().drives[self.index];
         if let Some(plan) = tape.faults.take() {
             self.answer_ns = plan.answer_ns.saturating_sub(tape.usual.answer_ns);
-            self.faults = Injector::new(plan, Carrier::Datagrams);
+            self.faults = Injector::new(FaultPlan { answer_ns: 0, ..plan }, Carrier::Datagrams);
         }
         if tape.meddled.take().is_some() {
             subject.provoke_slave(&mut *self.drive);
@@ -151,7 +151,10 @@ impl SimSerial for TappedSlave {
                 );
             }
         }
-        while let Some((_, parcel)) = self.replies.pop(now) {
+        while let Some((_, mut parcel)) = self.replies.pop(now) {
+            if parcel.from != NOBODY {
+                self.drive.mislabel(&mut parcel.bytes);
+            }
             out.extend(&parcel.bytes);
             self.replies.recycle(parcel);
         }
