@@ -48,7 +48,12 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
             let Counters { sent, answered, .. } = line.slots[index].counters;
             // To the nanosecond it may have been asked at another time.
             let said = Said { at: None, ..line.said(index) };
-            (line.slots[index].counters, sent - answered, said)
+            let mut counters = line.slots[index].counters;
+            if line.can.bytes {
+                // The load of the wire is one of them.
+                counters.own = Counters::default().own;
+            }
+            (counters, sent - answered, said)
         })
     };
     let alone = run(&|_, _| {});

@@ -38,6 +38,8 @@ const AT_DATA: usize = 7;
 const ANY_ERROR: u16 = 0x1000;
 /// So many diagnoses may come without the code of a fault.
 const UNNAMED: u8 = 5;
+/// A motor turns from this part of its full speed on (assumed): below it is noise of the measurement.
+const MOVES_FROM: u16 = 256;
 /// Bit 7 of either status word: a warning; bit 10: the set point is reached.
 const WARNING: u16 = 1 << 7;
 const REACHED: u16 = 1 << 10;
@@ -90,8 +92,10 @@ pub(super) struct Station {
     inputs_len: u8,
     /// The sum of the telegram without its function code.
     sum: u8,
-    /// Counts of standstill at most.
-    still: i16,
+    /// It moves from so many counts of its actual value on.
+    moves_from: u16,
+    /// Its last telegram was answered.
+    was_answered: bool,
     fault_at: Option<u8>,
     start_up: StartUp,
     velocity_per_count: f64,
@@ -143,7 +147,8 @@ impl Station {
             actual_at: word(drive.scale.actual, inputs)?,
             inputs_len: u8::try_from(inputs).ok()?,
             sum: 0,
-            still: (drive.axis.stop.standstill * scale.abs()).clamp(1.0, 32_000.0) as i16,
+            moves_from: (drive.scale.full_count.unsigned_abs() / MOVES_FROM).max(1),
+            was_answered: false,
             fault_at: drive.fault_at,
             start_up: StartUp::new(drive, own)?,
             velocity_per_count: 1.0 / scale,
@@ -193,6 +198,11 @@ impl Station {
     #[inline]
     pub(super) fn starts(&self) -> bool {
         self.start_up.is_due()
+    }
+
+    /// Its last telegram was answered.
+    pub(super) fn was_answered(&self) -> bool {
+        self.was_answered
     }
 
     /// Why it is not in Data_Exchange.
@@ -357,6 +367,7 @@ impl Station {
     #[inline]
     pub(super) fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
         self.count = if self.count == FIRST { SECOND } else { self.count ^ FCB };
+        self.was_answered = true;
         let Answer::Data { high, data } = answer else { return self.answered_without(at, answer, slot) };
         if self.sending != Sending::DataExchange {
             return self.answered_other(at, data, slot);
@@ -441,7 +452,7 @@ impl Station {
     /// The telegram of its turn has failed: nothing answers it, however often it was repeated. The next one counts anew.
     #[cold]
     pub(super) fn failed(&mut self, slot: &mut Slot) {
-        self.count = FIRST;
+        (self.count, self.was_answered) = (FIRST, false);
         match self.sending {
             Sending::StartUp => self.start_up.failed(),
             Sending::Msac1 => self.acyclic.lost(Turn::Msac1),
@@ -518,7 +529,7 @@ impl Station {
         }
         let report = &mut slot.status;
         (report.at, report.velocity) = (at, f64::from(actual) * self.velocity_per_count);
-        let turns = actual.unsigned_abs() >= self.still.unsigned_abs() || self.profile.is_turning();
+        let turns = actual.unsigned_abs() >= self.moves_from || self.profile.is_turning();
         report.moving = report.state.is_powered() && turns;
         slot.notices.fresh = true;
         if !self.shown.is_empty() {

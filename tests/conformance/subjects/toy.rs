@@ -178,6 +178,8 @@ impl Subject for Toy {
             sessions: false,
             steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
+            bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }
