@@ -112,7 +112,7 @@ impl Medium {
 
     /// The master sends and receives with these settings.
     pub(super) fn set_master(&mut self, line: &SerialLine) {
-        self.garbled = *line != self.wire.line;
+        self.garbled = !line.agrees_with(&self.wire.line);
     }
 
     /// Uses the faults of `plan` from now on; the counts restart.

@@ -14,8 +14,9 @@ pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
     assert_eq!(names, ["n7", "n6", "n5"]);
     let reported = plan.describe(PERIOD);
-    // What a line has besides has a line each behind them.
-    let more = subject.can().shared && reported.len() > 3;
+    // What a line, or a wire, has besides has a line each behind them.
+    let can = subject.can();
+    let more = (can.shared || can.half_duplex) && reported.len() > 3;
     assert!(reported.len() == 3 || more, "a paragraph a drive: {reported:#?}");
     assert!(reported.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
     let Simulated { drives, segments, wires, .. } = subject.simulated(&drives);

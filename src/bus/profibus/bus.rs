@@ -39,6 +39,8 @@ pub(super) struct ProfibusBus {
     next: u8,
     /// The drive whose turn was last: what belongs to nobody is counted for it.
     last: u8,
+    /// So many turns come before one may be acyclic again: each round has room for one.
+    acyclic_after: usize,
     /// A drive is in Data_Exchange: Global_Control is sent.
     operates: bool,
     /// When Global_Control is due.
@@ -122,6 +124,7 @@ impl ProfibusBus {
             starting: 0,
             next: 0,
             last: 0,
+            acyclic_after: 0,
             operates: false,
             control_at: Time(0),
             control_every_ns: plan.global_control_ns,
@@ -404,7 +407,8 @@ impl ProfibusBus {
         if slot.exchange != Exchange::Queued {
             return true;
         }
-        if !self.line.request(index, |out| station.request(slot, out)) {
+        let may_be_acyclic = self.acyclic_after == 0;
+        if !self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) {
             station.unsent(slot);
             return true;
         }
@@ -412,6 +416,10 @@ impl ProfibusBus {
             Ok((at, count)) => {
                 if self.line.sent(at, count) {
                     self.began_at = at;
+                    self.acyclic_after = match station.is_acyclic() {
+                        true => self.own_slots.len() - 1,
+                        false => self.acyclic_after.saturating_sub(1),
+                    };
                     let within = at + self.line.closed_within_ns();
                     let more = within.since(cycle.deadline).div_ceil(cycle.period_ns.max(1));
                     station.sent(at, cycle.deadline + more * cycle.period_ns, slot);

@@ -16,6 +16,8 @@ use crate::time::Time;
 
 /// Room for what arrives: an answer, and an own telegram that the adapter returns.
 const INBOX: usize = 2 * MAX;
+/// Bytes of an answer around its data.
+const ANSWER: usize = 9;
 /// Bit 6 of a function code: a request.
 const REQUEST: u8 = 1 << 6;
 /// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
@@ -407,7 +409,8 @@ impl Line {
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
     #[inline]
     pub(super) fn closed_within_ns(&self) -> u64 {
-        let once = self.line.span_ns(usize::from(self.length)) + self.slot_ns + self.timing.idle_ns;
+        let answer = self.expected.data.map_or(MAX, |data| usize::from(data) + ANSWER);
+        let once = self.line.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
         once * (u64::from(self.left) + 1)
     }
 

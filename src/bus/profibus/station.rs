@@ -262,12 +262,17 @@ impl Station {
         }
     }
 
-    /// Writes the telegram of its turn, and returns its length and what answers it.
+    /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
     #[inline]
-    pub(super) fn request(&mut self, slot: &Slot, out: &mut [u8; MAX]) -> Option<(usize, Expected)> {
+    pub(super) fn request(
+        &mut self,
+        slot: &Slot,
+        may_be_acyclic: bool,
+        out: &mut [u8; MAX],
+    ) -> Option<(usize, Expected)> {
         let usual = self.start_up.is_over() && slot.link == Link::Online && !self.diagnosis_due;
         if !usual || self.acyclic.data_unit().is_some() {
-            self.sending = self.choose(slot);
+            self.sending = self.choose(slot, may_be_acyclic);
             if self.sending != Sending::DataExchange {
                 return self.request_other(out);
             }
@@ -291,14 +296,14 @@ impl Station {
 
     /// What its turn is used for.
     #[inline(never)]
-    fn choose(&self, slot: &Slot) -> Sending {
+    fn choose(&self, slot: &Slot, may_be_acyclic: bool) -> Sending {
         match slot.link {
             _ if !self.start_up.is_over() => Sending::StartUp,
             // What is new, a stop above all, comes first.
             _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
             _ if self.diagnosis_due => Sending::Diagnosis,
             Link::Unseen | Link::Lost => Sending::Diagnosis,
-            _ if self.acyclic.data_unit().is_some() => Sending::Msac1,
+            _ if may_be_acyclic && self.acyclic.data_unit().is_some() => Sending::Msac1,
             _ => Sending::DataExchange,
         }
     }
@@ -316,6 +321,12 @@ impl Station {
         let acknowledge = !matches!(service, Service::SlaveDiag);
         let expected = Expected { da: self.address, saps: service.saps(), acknowledge, data: None };
         Some((head.emit(data, out)?, expected))
+    }
+
+    /// The telegram of its turn is one of MSAC1.
+    #[inline]
+    pub(super) fn is_acyclic(&self) -> bool {
+        self.sending == Sending::Msac1
     }
 
     /// The telegram of its turn left at `at`; the first time, if it is repeated.

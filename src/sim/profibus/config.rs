@@ -20,25 +20,25 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns
             (!text.is_empty()).then(|| text.to_owned())
         }),
         faults: faults(table, Carrier::Datagrams, period_ns, 0),
-        foreign: table.integer("second_master", 0..=126, "the address of another master on the wire").map(
-            |address| {
-                let default = ForeignSettings::new(address);
-                let every = "how often the other master sends its token";
-                ForeignSettings {
-                    every_ns: table
-                        .time("second_master_every", MS..=600 * S, every)
-                        .unwrap_or(default.every_ns),
-                    after_ns: table
-                        .time("second_master_after", ..=600 * S, "when the other master appears")
-                        .unwrap_or(default.after_ns),
-                    ..default
-                }
-            },
-        ),
+        foreign: foreign(table),
         noise: table
             .time("noise_every", MS..=600 * S, "the mean time between bursts of noise")
             .map(|every_ns| NoiseSettings { every_ns, ..NoiseSettings::default() }),
         drives,
+        ..default
+    })
+}
+
+/// Another master, if it has an address.
+fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
+    let address = table.integer("second_master", 0..=126, "the address of another master on the wire");
+    let every = "how often the other master sends its token";
+    let every_ns = table.time("second_master_every", MS..=600 * S, every);
+    let after_ns = table.time("second_master_after", ..=600 * S, "when the other master appears");
+    let default = ForeignSettings::new(address?);
+    Some(ForeignSettings {
+        every_ns: every_ns.unwrap_or(default.every_ns),
+        after_ns: after_ns.unwrap_or(default.after_ns),
         ..default
     })
 }

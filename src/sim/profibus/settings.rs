@@ -2,7 +2,7 @@
 //! parameters, motor.
 
 use crate::bus::profibus::{DriveProfile, Numbers, RATES, USUAL_MAX_TSDR};
-use crate::net::{Parity, SerialLine};
+use crate::net::{Parity, Rs485, SerialLine};
 use crate::sim::FaultPlan;
 use crate::time::{MS, S};
 
@@ -44,7 +44,7 @@ impl ProfibusSegment {
 
     /// How bytes are sent on it.
     pub fn line(&self) -> SerialLine {
-        SerialLine { rate: self.rate, parity: Parity::Even }
+        SerialLine { rate: self.rate, parity: Parity::Even, rs485: Rs485::Adapter }
     }
 }
 

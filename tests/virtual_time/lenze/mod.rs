@@ -34,6 +34,7 @@ pub const PROFILE: Profile = Profile { velocity: 8.0, acceleration: 80.0, decele
 pub fn drive(index: usize) -> LenzeDrive {
     let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index as u8);
     drive.axis.profile = PROFILE;
+    drive.axis.limits.velocity = Some(20.0);
     drive.axis.stop.deceleration = 80.0;
     drive.axis.jog_deadman = None;
     drive
