@@ -14,7 +14,10 @@ use crate::time::{MS, S};
 /// Reads the simulated wire of a `[[bus]]` that is read otherwise.
 pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> ProfibusSegment {
     let default = ProfibusSegment::of(plan);
-    let drives = bus::simulated(table, &plan.drives, |table, drive, _| settings(table, drive));
+    let drives = bus::simulated(table, &plan.drives, |table, drive, _| LenzeSettings {
+        last_master: plan.address,
+        ..settings(table, drive)
+    });
     table.table("simulate", |table| ProfibusSegment {
         own_port: table.text("port", "a serial port, like \"/dev/ttyUSB1\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())

@@ -63,7 +63,8 @@ use crate::time::Time;
 impl ProfibusSegment {
     /// Drives with default settings for each of the bus.
     pub fn of(plan: &ProfibusPlan) -> ProfibusSegment {
-        let drives = plan.drives.iter().map(LenzeSettings::of).collect();
+        let of = |drive| LenzeSettings { last_master: plan.address, ..LenzeSettings::of(drive) };
+        let drives = plan.drives.iter().map(of).collect();
         let segment = ProfibusSegment::new(plan.device.clone(), plan.rate, drives);
         ProfibusSegment { echo: plan.echo, ..segment }
     }

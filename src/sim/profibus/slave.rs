@@ -112,7 +112,7 @@ pub(super) struct Slave {
 
 impl Slave {
     pub(super) fn new(settings: &LenzeSettings, line: SerialLine) -> Slave {
-        Slave {
+        let mut slave = Slave {
             line,
             state: DpState::WaitPrm,
             ready_at: Time(0),
@@ -133,7 +133,14 @@ impl Slave {
             drive: Drive::new(settings),
             events: Events::default(),
             settings: settings.clone(),
+        };
+        slave.outputs.resize(slave.sizes.0, 0);
+        if settings.running.is_some() {
+            // As its master has left it, without a watchdog.
+            (slave.state, slave.master, slave.operate) =
+                (DpState::DataExchange, Some(settings.last_master), true);
         }
+        slave
     }
 
     /// Power came back.
@@ -141,6 +148,7 @@ impl Slave {
         self.leave();
         self.parameters = Parameters::default();
         (self.prm_fault, self.cfg_fault, self.not_supported) = (false, false, false);
+        (self.reported, self.static_diagnosis) = ((None, false), false);
         self.drive.restart();
     }
 
