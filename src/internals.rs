@@ -159,6 +159,15 @@ pub mod bus {
             pub use crate::bus::modbus::words::*;
         }
     }
+    pub mod profibus {
+        pub use crate::bus::profibus::*;
+        pub mod counters {
+            pub use crate::bus::profibus::counters::*;
+        }
+        pub mod wire {
+            pub use crate::bus::profibus::wire::*;
+        }
+    }
 }
 
 #[cfg(feature = "config")]

@@ -1,4 +1,4 @@
-//! Locks of what has one master: a network interface, or the address of a drive.
+//! Locks of what has one master: a network interface, a serial port, or the address of a drive.
 //!
 //! A lock is a listening Unix socket with an abstract address (unix(7)). It needs no right, leaves nothing in the file
 //! system, and the kernel releases it when its process ends, however that ends; a child does not inherit it. Abstract
@@ -34,6 +34,8 @@ pub enum Place<'a> {
     Interface(&'a str),
     /// The address of a drive, whatever is spoken there.
     Drive(SocketAddrV4),
+    /// A serial port, or `local:NAME`.
+    Port(&'a str),
 }
 
 /// A place that is locked for as long as this lives; or a place that needs no lock.
@@ -77,8 +79,8 @@ pub enum Refused {
 crate::errors::debug_as_display!(Refused);
 
 impl Place<'_> {
-    /// Its abstract address. An interface counts by its number: it may have several names. `None`: there is no such
-    /// interface, and nobody can use it.
+    /// Its abstract address. An interface counts by its number, a port by its own path: each may have several names.
+    /// `None`: there is no such interface or port, and nobody can use it.
     fn key(self) -> Option<String> {
         Some(match self {
             Place::Interface(interface) => match local::name(interface) {
@@ -87,6 +89,10 @@ impl Place<'_> {
                 None => format!("fieldbeat-interface/{}", if_nametoindex(interface).ok()?),
             },
             Place::Drive(address) => format!("fieldbeat-drive/{address}"),
+            Place::Port(port) => match local::name(port) {
+                Some(_) => format!("fieldbeat-port/{port}"),
+                None => format!("fieldbeat-port/{}", std::fs::canonicalize(port).ok()?.display()),
+            },
         })
     }
 

@@ -59,6 +59,11 @@ fn ethernet_ip_wire() {
 }
 
 #[test]
+fn profibus_wire() {
+    fuzz("profibus_wire", targets::profibus_wire, 20_000, 260);
+}
+
+#[test]
 fn station() {
     fuzz("station", targets::station, 1_500, 400);
 }

@@ -17,6 +17,7 @@ mod groups;
 mod kollmorgen;
 mod kollmorgen_found;
 mod latches;
+mod lenze;
 mod limits;
 mod loads;
 mod lock;

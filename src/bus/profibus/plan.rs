@@ -3,8 +3,9 @@
 //! What differs between installations, or is not known for sure of a drive, is a setting with the fact sheet's default:
 //! times in bits of the wire, ident number, parametrisation, configuration, bits of the status word, scales.
 
+use super::wire::dp::{self, dpv1};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Unit, Units};
+use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::net::{Parity, SerialLine};
 use crate::time::MS;
 
@@ -25,9 +26,6 @@ pub const DATA_MAX: usize = 244;
 pub const CHANNEL: usize = 8;
 /// The most times that a request is repeated.
 pub const RETRIES_MAX: u8 = 15;
-/// The bits of the first byte of User_Prm: DP-V1 is enabled, the watchdog counts in ms.
-const DPV1_ENABLE: u8 = 0x80;
-const WATCHDOG_IN_MS: u8 = 0x04;
 
 /// One wire, its only master, and its drives.
 #[derive(Clone, Debug, PartialEq)]
@@ -286,7 +284,7 @@ impl LenzeDrive {
             axis: AxisPlan::new(name, units),
             address,
             ident: LenzeDrive::IDENT,
-            user_prm: vec![DPV1_ENABLE, 0, 0],
+            user_prm: vec![dpv1::ENABLE, 0, 0],
             configuration: vec![0xF3, 0xF1],
             watchdog: Watchdog::default(),
             min_tsdr: 11,
@@ -305,29 +303,35 @@ impl LenzeDrive {
 
     /// DP-V1 is enabled with its parametrisation.
     pub fn has_dpv1(&self) -> bool {
-        self.user_prm.first().is_some_and(|first| first & DPV1_ENABLE != 0)
+        self.user_prm.first().is_some_and(|first| first & dpv1::ENABLE != 0)
     }
 
     /// The unit of its watchdog, ns.
     pub fn watchdog_unit_ns(&self) -> u64 {
-        if self.user_prm.first().is_some_and(|first| first & WATCHDOG_IN_MS != 0) { MS } else { 10 * MS }
+        if self.user_prm.first().is_some_and(|first| first & dpv1::WATCHDOG_1_MS != 0) { MS } else { 10 * MS }
     }
 
-    /// The factors of its watchdog, and the time that they make, ns: the least that is not shorter than wanted. `None`:
-    /// it is off, or cannot be so long.
-    pub fn watchdog_factors(&self) -> Option<(u8, u8, u64)> {
-        let unit = self.watchdog_unit_ns();
-        let count = self.watchdog.timeout_ns?.div_ceil(unit).max(1);
-        let pair = |first: u64| {
-            let second = count.div_ceil(first);
-            Some((u8::try_from(first).ok()?, u8::try_from(second).ok()?, first * second * unit))
-        };
-        (1..=255).filter_map(pair).min_by_key(|(_, _, ns)| *ns)
+    /// Its watchdog as it is set; `None`: it is off, or cannot be so long.
+    pub(crate) fn watchdog(&self) -> Option<dp::Watchdog> {
+        let units = self.watchdog.timeout_ns?.div_ceil(self.watchdog_unit_ns());
+        dp::Watchdog::at_least(u32::try_from(units).ok()?)
     }
 
-    /// The bytes of its process data: outputs and inputs. `None`: its configuration says nothing of the kind.
+    /// The time of its watchdog as it is set, ns.
+    pub fn watchdog_ns(&self) -> Option<u64> {
+        self.watchdog().map(|watchdog| u64::from(watchdog.units()) * self.watchdog_unit_ns())
+    }
+
+    /// The bytes of its process data: outputs and inputs. `None`: its configuration is none, or has too many.
     pub fn lengths(&self) -> Option<(usize, usize)> {
-        lengths(&self.configuration).filter(|(outputs, inputs)| *outputs <= DATA_MAX && *inputs <= DATA_MAX)
+        let (inputs, outputs) = dp::Configuration(&self.configuration).sizes()?;
+        (outputs <= DATA_MAX && inputs <= DATA_MAX).then_some((outputs, inputs))
+    }
+
+    /// What it shows besides.
+    pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        let channel = |word: &ShownWord| MonitorChannel { name: word.name.clone(), unit: word.unit };
+        self.show.each_ref().map(|word| word.as_ref().map(channel))
     }
 
     /// Where control word and status word are.
@@ -347,33 +351,4 @@ impl DriveProfile {
     pub fn usual_enable_bit(self) -> Option<StatusBit> {
         (self == DriveProfile::Drivecom).then_some(StatusBit { bit: 4, set: true })
     }
-}
-
-/// The bytes of outputs and inputs of these identifier bytes (Chk_Cfg). General format: bits 3-0 are the length - 1,
-/// 5-4 the direction (1 in, 2 out, 3 both), 6 says words. Special format, where the direction is 0: bits 7-6 say which
-/// length bytes follow (2 out, 1 in, 3 both), bits 3-0 how many bytes of the manufacturer follow these; a length byte
-/// has 6 bits of length - 1, and words in bit 6.
-pub fn lengths(configuration: &[u8]) -> Option<(usize, usize)> {
-    let (mut outputs, mut inputs) = (0, 0);
-    let mut rest = configuration.iter();
-    while let Some(identifier) = rest.next() {
-        let bytes = |of: u8, length: u8| (usize::from(of & length) + 1) << (of >> 6 & 1);
-        if identifier >> 4 & 3 != 0 {
-            let length = bytes(*identifier, 0x0F);
-            outputs += if identifier & 0x20 != 0 { length } else { 0 };
-            inputs += if identifier & 0x10 != 0 { length } else { 0 };
-        } else {
-            if identifier & 0x80 != 0 {
-                outputs += bytes(*rest.next()?, 0x3F);
-            }
-            if identifier & 0x40 != 0 {
-                inputs += bytes(*rest.next()?, 0x3F);
-            }
-            // 15: none, and the module is not there.
-            for _ in 0..(identifier & 0x0F) % 15 {
-                rest.next()?;
-            }
-        }
-    }
-    Some((outputs, inputs))
 }

@@ -10,6 +10,7 @@
 //! | `ethercat_sii` | the answers of a slave's EEPROM |
 //! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
 //! | `ethernet_ip_wire` | a datagram or a stream of EtherNet/IP, for every parser of it |
+//! | `profibus_wire` | what arrives on a PROFIBUS, for every parser of it |
 //! | `station` | a program for one station: commands, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
@@ -39,6 +40,7 @@ mod input;
 mod machine;
 mod modbus;
 mod modbus_wire;
+mod profibus_wire;
 mod station;
 mod telegram;
 
@@ -54,5 +56,6 @@ pub use files::files;
 pub use machine::machine;
 pub use modbus::modbus;
 pub use modbus_wire::modbus_wire;
+pub use profibus_wire::profibus_wire;
 pub use station::station;
 pub use telegram::telegram;

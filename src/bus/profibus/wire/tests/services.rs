@@ -1,0 +1,195 @@
+//! The services of DP-V0.
+
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+use super::super::dp::{
+    Block, Configuration, CutModule, Diagnosis, DiagnosisStatus, GlobalControl, Module, SetPrm, Watchdog,
+    dpv1, station_status,
+};
+use super::super::fc::{Reply, ReplyFunction, StationType};
+use super::super::sap::{Service, global_control};
+use super::*;
+
+#[test]
+fn pyprofibus_start_up_of_a_slave() {
+    // In the order of the sheet: the frame count bit toggles over all services.
+    let head = |service: Service, fcb, fcv| service.head(SLAVE, MASTER, fcb, fcv);
+    golden("68 05 05 68 87 82 6D 3C 3E F0 16", head(Service::SlaveDiag, true, false), &[]);
+    let parameters = SetPrm {
+        status: station_status::LOCK,
+        watchdog: Some(Watchdog { factors: [10, 5] }),
+        min_tsdr: 11,
+        ident: 0x0082,
+        groups: 0,
+        user: &[dpv1::ENABLE, 0, 0],
+    };
+    let prm = head(Service::SetPrm, false, true);
+    let text = "68 0F 0F 68 87 82 5D 3D 3E 88 0A 05 0B 00 82 00 80 00 00 85 16";
+    assert_eq!(emitted(|out| prm.emit_with(out, |du| parameters.put(du))), hex(text));
+    assert_eq!(frame(&hex(text)).head, prm);
+    golden("68 07 07 68 87 82 7D 3E 3E F3 F1 E6 16", head(Service::ChkCfg, true, true), &[0xF3, 0xF1]);
+    golden("68 05 05 68 87 82 5D 3B 3E DF 16", head(Service::GetCfg, false, true), &[]);
+    golden(
+        "68 0F 0F 68 07 02 7D 10 3D 00 00 00 00 00 00 04 7F 10 00 66 16",
+        head(Service::DataExchange, true, true),
+        &hex("10 3D 00 00 00 00 00 00 04 7F 10 00"),
+    );
+}
+
+#[test]
+fn pyprofibus_replies_of_a_slave_in_data_exchange() {
+    for (text, function) in [
+        ("68 0F 0F 68 02 07 08 20 3D 00 00 00 06 8F B0 02 37 10 00 FC 16", ReplyFunction::DataLow),
+        ("68 0F 0F 68 02 07 0A 20 3D 00 00 00 06 8F B0 02 37 10 00 FE 16", ReplyFunction::DataHigh),
+    ] {
+        let fc = Reply { station: StationType::Slave, function }.code();
+        let head = Head { da: MASTER, sa: SLAVE, dsap: None, ssap: None, fc };
+        golden(text, head, &hex("20 3D 00 00 00 06 8F B0 02 37 10 00"));
+        assert!(head.answers(&Service::DataExchange.head(SLAVE, MASTER, true, true)));
+    }
+    assert_eq!(Next::parse(&[0xE5]), Next::Telegram { telegram: Telegram::Acknowledge, size: 1 });
+}
+
+#[test]
+fn pyprofibus_global_control() {
+    for (text, command, groups) in [
+        ("68 07 07 68 FF 82 46 3A 3E 00 00 3F 16", GlobalControl::OPERATE, 0),
+        ("68 07 07 68 FF 82 46 3A 3E 02 00 41 16", GlobalControl::CLEAR, 0),
+        ("68 07 07 68 FF 82 46 3A 3E 20 01 60 16", GlobalControl::SYNC, 1),
+    ] {
+        golden(text, global_control(MASTER), &GlobalControl { command, groups }.data());
+    }
+}
+
+#[test]
+fn pyprofibus_diagnosis_of_a_slave_that_waits_for_parameters() {
+    let data = hex("02 05 00 FF 00 82");
+    let diagnosis = Diagnosis::parse(&data).expect("six bytes");
+    assert_eq!((diagnosis.master, diagnosis.ident, diagnosis.extended), (None, 0x0082, &[][..]));
+    assert_eq!(
+        format!("{:?}", diagnosis.status),
+        "DiagnosisStatus(0x000502: not ready, parametrisation requested, slave)"
+    );
+    assert!(diagnosis.status.has(DiagnosisStatus::NOT_READY | DiagnosisStatus::PRM_REQ));
+    assert!(!diagnosis.status.has_any(DiagnosisStatus::PRM_FAULT | DiagnosisStatus::CFG_FAULT));
+    assert!((0..6).all(|size| Diagnosis::parse(&data[..size]).is_none()));
+}
+
+#[test]
+fn each_bit_of_a_diagnosis_is_where_the_sheet_says() {
+    let with = |byte: usize, bit: u8| {
+        let mut data = [0; 6];
+        data[byte] = 1 << bit;
+        Diagnosis::parse(&data).expect("six bytes").status
+    };
+    for (byte, bit, status) in [
+        (0, 0, DiagnosisStatus::NON_EXISTENT),
+        (0, 1, DiagnosisStatus::NOT_READY),
+        (0, 2, DiagnosisStatus::CFG_FAULT),
+        (0, 3, DiagnosisStatus::EXT_DIAG),
+        (0, 4, DiagnosisStatus::NOT_SUPPORTED),
+        (0, 5, DiagnosisStatus::INVALID_REPLY),
+        (0, 6, DiagnosisStatus::PRM_FAULT),
+        (0, 7, DiagnosisStatus::MASTER_LOCK),
+        (1, 0, DiagnosisStatus::PRM_REQ),
+        (1, 1, DiagnosisStatus::STAT_DIAG),
+        (1, 2, DiagnosisStatus::ALWAYS),
+        (1, 3, DiagnosisStatus::WD_ON),
+        (1, 4, DiagnosisStatus::FREEZE),
+        (1, 5, DiagnosisStatus::SYNC),
+        (1, 7, DiagnosisStatus::DEACTIVATED),
+        (2, 7, DiagnosisStatus::OVERFLOW),
+    ] {
+        assert_eq!(with(byte, bit), DiagnosisStatus(status), "byte {byte}, bit {bit}");
+        assert_eq!(with(byte, bit).names().count(), 1);
+    }
+}
+
+#[test]
+fn manual_2130_fault_in_the_extended_diagnosis() {
+    let fault = |extended: &str| {
+        let data = [hex("08 0C 00 02 00 82"), hex(extended)].concat();
+        let diagnosis = Diagnosis::parse(&data).expect("six bytes");
+        (diagnosis.fault(), diagnosis.blocks().count())
+    };
+    assert_eq!(fault("03 23 10"), (Some(0x2310), 1));
+    assert_eq!(fault("03 00 00"), (Some(0), 1));
+    assert_eq!(fault(""), (None, 0));
+    // Behind modules, a channel and a revision; an alarm of DP-V1 before it is not it.
+    assert_eq!(fault("42 01 81 42 21 C5 03 75 00"), (Some(0x7500), 4));
+    assert_eq!(fault("05 81 00 00 00 03 23 10"), (Some(0x2310), 2));
+    // Cut, or without a size.
+    assert_eq!((fault("03 23"), fault("00 03 23 10")), ((None, 0), (None, 0)));
+    let data = hex("08 0C 00 02 00 82 81 42 21 C5 42 01");
+    let blocks: Vec<_> = Diagnosis::parse(&data).expect("six bytes").blocks().collect();
+    assert_eq!(blocks, [Block::Channel([1, 0x42, 0x21]), Block::Revision(5), Block::Modules(&[1])]);
+}
+
+#[test]
+fn the_watchdog_of_a_slave_is_as_short_as_it_can_be() {
+    for units in (0..1000).chain((1000..70_000).step_by(37)) {
+        match Watchdog::at_least(units) {
+            // Every time up to 255 can be met, and above that some; the factors are no zeros.
+            Some(watchdog) => {
+                assert!(
+                    watchdog.units() >= units.max(1) && watchdog.factors.iter().all(|factor| *factor > 0)
+                );
+                assert!(units > 255 || watchdog.units() == units.max(1));
+                // No more than what one factor alone is rounded up to.
+                let largest = units.div_ceil(255).max(1);
+                assert!(watchdog.units() <= units.max(1).div_ceil(largest) * largest, "{units}");
+            }
+            None => assert!(units > 255 * 255),
+        }
+    }
+    assert_eq!(Watchdog::at_least(255 * 255).map(|watchdog| watchdog.factors), Some([255, 255]));
+    let put = |watchdog| {
+        let mut out = [0xEE; 7];
+        let mut writer = super::super::Writer::new(&mut out);
+        let status = station_status::LOCK | station_status::WATCHDOG;
+        SetPrm { status, watchdog, min_tsdr: 0, ident: 0x1234, groups: 3, user: &[] }.put(&mut writer);
+        assert_eq!(writer.finish(), Some(7));
+        out
+    };
+    assert_eq!(put(None), [0x80, 0, 0, 0, 0x12, 0x34, 3], "off, whatever the status says");
+    assert_eq!(put(Some(Watchdog { factors: [2, 3] })), [0x88, 2, 3, 0, 0x12, 0x34, 3]);
+}
+
+#[test]
+fn identifier_bytes_of_the_sheet() {
+    let module = |inputs, outputs, consistent| Ok(Module { inputs, outputs, consistent });
+    let modules = |bytes: &[u8]| Configuration(bytes).modules().collect::<Vec<_>>();
+    assert_eq!(modules(&[0xF3, 0xF1]), [module(8, 8, true), module(4, 4, true)]);
+    assert_eq!(Configuration(&[0xF3, 0xF1]).sizes(), Some((12, 12)));
+    assert_eq!(
+        modules(&[0x10, 0x21, 0x5F]),
+        [module(1, 0, false), module(0, 2, false), module(32, 0, false)]
+    );
+    // Special formats: nothing, outputs of 4 words, inputs of 3 bytes, both with two bytes of the manufacturer.
+    assert_eq!(
+        modules(&[0x00, 0x80, 0xC3, 0x40, 0x02]),
+        [module(0, 0, false), module(0, 8, true), module(3, 0, false)]
+    );
+    assert_eq!(modules(&[0xC2, 0x41, 0x80, 0xAA, 0xBB, 0x10]), [module(1, 4, true), module(1, 0, false)]);
+    assert_eq!(modules(&[0x4F, 0x00]), [module(1, 0, false)]);
+    // Cut.
+    assert_eq!(modules(&[0x10, 0xC2, 0x41]), [module(1, 0, false), Err(CutModule { identifier: 0xC2 })]);
+    assert_eq!(Configuration(&[0x10, 0xC2, 0x41, 0x80, 0xAA]).sizes(), None);
+}
+
+proptest! {
+    #[test]
+    fn no_diagnosis_and_no_configuration_makes_it_panic_or_reach_beyond(data in vec(any::<u8>(), 0..250)) {
+        if let Some(diagnosis) = Diagnosis::parse(&data) {
+            prop_assert_eq!(diagnosis.extended.len() + 6, data.len());
+            prop_assert!(diagnosis.blocks().count() <= diagnosis.extended.len());
+            prop_assert!(diagnosis.fault().is_none() || diagnosis.extended.len() >= 3);
+        }
+        let configuration = Configuration(&data);
+        let modules: Vec<_> = configuration.modules().collect();
+        prop_assert!(modules.len() <= data.len());
+        let broken = modules.iter().filter(|module| module.is_err()).count();
+        prop_assert_eq!(usize::from(configuration.sizes().is_none()), broken, "the last one at most");
+    }
+}
