@@ -8,9 +8,9 @@ use std::any::Any;
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use super::FaultPlan;
 use super::drives::SHORTEST_RUN_NS;
 use super::fault::{Datagram, DriveFault, Injected, Injector, Parcel, Queue, Way};
-use super::{Carrier, FaultPlan};
 use crate::net::SerialLine;
 use crate::time::Time;
 
@@ -99,7 +99,7 @@ pub(super) struct Medium {
 impl Medium {
     pub(super) fn new(wire: SerialWire) -> Medium {
         Medium {
-            injector: Injector::new(wire.faults.clone(), Carrier::Datagrams),
+            injector: Injector::of_bytes(wire.faults.clone()),
             sending: Vec::new(),
             under_way: [Queue::new(UNDER_WAY), Queue::new(UNDER_WAY)],
             rests: vec![Time::default(); wire.drives.len()],

@@ -7,8 +7,8 @@ use super::{
 use crate::bus::profibus::{LenzeDrive, ProfibusPlan};
 use crate::keys::bus;
 use crate::keys::table::Table;
-use crate::sim::Carrier;
 use crate::sim::keys::faults;
+use crate::sim::{Carrier, FaultPlan, SimBus};
 use crate::time::{MS, S};
 
 /// Reads the simulated wire of a `[[bus]]` that is read otherwise.
@@ -18,11 +18,14 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns
         last_master: plan.address,
         ..settings(table, drive)
     });
-    table.table("simulate", |table| ProfibusSegment {
+    let segment = table.table("simulate", |table| ProfibusSegment {
         own_port: table.text("port", "a serial port, like \"/dev/ttyUSB1\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())
         }),
-        faults: faults(table, Carrier::Datagrams, period_ns, 0),
+        faults: FaultPlan {
+            lost_byte: table.number("lost_byte", 0.0..=1.0, "a probability for each telegram").unwrap_or(0.0),
+            ..faults(table, Carrier::Datagrams, period_ns, 0)
+        },
         foreign: table.integer("second_master", 0..=126, "the address of another master on the wire").map(
             |address| {
                 let default = ForeignSettings::new(address);
@@ -43,7 +46,9 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns
             .map(|every_ns| NoiseSettings { every_ns, ..NoiseSettings::default() }),
         drives,
         ..default
-    })
+    });
+    segment.faults().into_iter().for_each(|(_, fault)| table.fault(fault.key, fault.message));
+    segment
 }
 
 fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {

@@ -156,13 +156,24 @@ fn each_telegram_of_its_own_master_feeds_the_watchdog_and_no_other() {
     let mut bench = with_prm(&PRM);
     for round in 0..20 {
         bench.wait(60 * MS);
-        // Diagnoses do not.
-        if round < 19 {
-            bench.words(0, 0);
+        // A repeated one does.
+        let function = if bench.fcb == Some(true) { 0x5D } else { 0x7D };
+        match round % 2 {
+            0 => drop(bench.words(0, 0)),
+            _ => {
+                let again = bench.frame(None, function, &[0; 12]);
+                assert!(bench.ask(&again).is_some());
+            }
         }
-        bench.diagnose();
     }
     assert_eq!(bench.slave().dp_state().0, DpState::DataExchange);
+    for _ in 0..3 {
+        bench.wait(40 * MS);
+        bench.diagnose();
+        bench.srd(Some((51, 51)), &[]);
+    }
+    assert_eq!((bench.slave().dp_state().0, bench.slave().events().watchdogs), (DpState::WaitPrm, 1));
+    bench.up();
     let own = (bench.master, bench.fcb);
     (bench.master, bench.fcb) = (3, None);
     for _ in 0..3 {
@@ -170,7 +181,7 @@ fn each_telegram_of_its_own_master_feeds_the_watchdog_and_no_other() {
         bench.exchange(&[0; 12]);
     }
     (bench.master, bench.fcb) = own;
-    assert_eq!((bench.exchange(&[0; 12]).0, bench.slave().events().watchdogs), (3, 1));
+    assert_eq!((bench.exchange(&[0; 12]).0, bench.slave().events().watchdogs), (3, 2));
 }
 
 #[test]

@@ -73,6 +73,40 @@ fn a_wrong_identity_is_a_whole_answer_of_somebody_else() {
 }
 
 #[test]
+fn lost_bytes_of_either_side_are_damage_and_no_misuse() {
+    let faults = FaultPlan { seed: 3, lost_byte: 0.3, ..FaultPlan::default() };
+    let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
+    let mut bench = Bench::of(&ProfibusSegment { faults, ..segment });
+    let request = bench.frame(Some((60, 62)), 0x6D, &[]);
+    let whole = [2, 5, 0, 255, 0, 0x82];
+    let answers = (0..200).filter_map(|_| bench.ask(&request));
+    let (good, bad): (Vec<_>, Vec<_>) = answers.partition(|bytes| bytes.len() == 17);
+    assert!(good.iter().all(|bytes| bytes[9..15] == whole));
+    assert!((60..140).contains(&good.len()) && bad.len() > 20, "{} {}", good.len(), bad.len());
+    let shortened = bench.medium.injected().shortened;
+    assert_eq!(shortened as usize, 200 - good.len());
+    assert_eq!(bench.sim(0).misuse(), Misuse::default());
+}
+
+/// Bytes of a real port come when the host delivers them.
+#[test]
+fn behind_a_real_port_silence_says_nothing() {
+    let mut bench = Bench::with(|_| ());
+    bench.medium.wire.drives[0].untimed();
+    let request = [0x10, SLAVE, MASTER, 0x49, 0x52, 0x16];
+    // In two parts, and directly behind a token.
+    bench.put(&[0xDC, 2, 2, 0x10, SLAVE]);
+    bench.wait(19 * MS);
+    bench.put(&request[2..]);
+    assert!(bench.take(MS).is_some());
+    bench.put(&request[..2]);
+    bench.wait(21 * MS);
+    bench.put(&request[2..]);
+    assert!(bench.take(MS).is_none());
+    assert_eq!((bench.slave().misuse(), bench.slave().broken().gap), (Misuse::default(), 1));
+}
+
+#[test]
 fn no_bytes_at_all_do_it_any_harm() {
     let mut random = fastrand::Rng::with_seed(22);
     for sd3 in [false, true] {
