@@ -8,7 +8,7 @@ use super::notes::Note;
 use super::plan::LenzeDrive;
 use super::wire::Writer;
 use super::wire::dp::{Diagnosis, DiagnosisStatus as Status, SetPrm, station_status};
-use super::wire::sap::Service;
+use super::wire::sap::{CHK_CFG, Service};
 use super::wire::telegram::DU_MAX;
 
 /// So many diagnoses of a drive that is parametrised and configured may report that it is not ready.
@@ -138,6 +138,10 @@ impl StartUp {
     pub(super) fn refused(&mut self, function: u8) {
         let sap = self.request().0.saps().map_or(0, |(dsap, _)| dsap);
         self.refuse(Note::Refused { sap, function });
+        if sap == CHK_CFG {
+            // Its diagnosis may say why: a wrong Set_Prm is acknowledged, too.
+            self.go_to(Step::Check);
+        }
     }
 
     /// It was acknowledged.
@@ -163,7 +167,9 @@ impl StartUp {
         match self.step {
             Step::Check if status.has(Status::PRM_FAULT) => self.refuse(Note::Parameters),
             Step::Check if status.has(Status::CFG_FAULT) => self.refuse(Note::Configuration),
-            Step::Check if status.has(Status::PRM_REQ) => self.again(true),
+            Step::Check if status.has(Status::PRM_REQ) => {
+                self.again(!matches!(self.note, Note::Refused { .. }));
+            }
             Step::Check if status.has_any(Status::NOT_READY | Status::STAT_DIAG) => {
                 self.checks += 1;
                 if self.checks > NOT_READY {

@@ -5,15 +5,25 @@
 //! |---|---|
 //! | `mod` | a machine of drives on one wire |
 //! | `turns` | from the first telegram to a motor that turns, at each rate |
+//! | `names` | what is wrong is reported by name, and disturbs nobody else |
+//! | `loss` | drives, telegrams and ports that are lost; noise and other masters |
 
+mod loss;
+mod names;
 mod turns;
 
+use std::sync::{Arc, Mutex};
+
 use fieldbeat::axis::{Command, Feedback, Link, Outcome, Profile};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
+use fieldbeat::internals::bus::profibus::counters::Own;
+use fieldbeat::internals::bus::{Bus, Notes};
+use fieldbeat::internals::net::Carriers;
 use fieldbeat::sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, WorldOptions};
 use fieldbeat::telemetry::Counters;
-use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat::{CyclePlan, Master, OpenError, Plan, Simulation};
 
 /// The master's port.
 pub const PORT: &str = "/dev/ttyS1";
@@ -34,9 +44,30 @@ pub fn wire(rate: u32, count: usize) -> ProfibusPlan {
     ProfibusPlan::new(PORT, rate, (0..count).map(drive).collect())
 }
 
+/// Notes on the drives of a bus, once it is open.
+type Noted = Arc<Mutex<Option<Arc<dyn Notes>>>>;
+
+/// A bus whose notes the test reads.
+#[derive(Debug)]
+struct NotedPlan {
+    plan: ProfibusPlan,
+    notes: Noted,
+}
+
+impl BusPlan for NotedPlan {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        let bus = self.plan.open(period_ns, carriers)?;
+        *self.notes.lock().unwrap() = bus.notes();
+        Ok(bus)
+    }
+}
+
 /// A machine of drives on one wire.
 pub struct Lenze {
     pub sim: Simulation,
+    notes: Noted,
     count: usize,
 }
 
@@ -54,14 +85,21 @@ impl Lenze {
             drive.motor.ramps_s = (0.01, 0.01, 0.01);
         }
         change(&mut segment);
+        let notes = Noted::default();
+        let bus = NotedPlan { plan: bus, notes: Arc::clone(&notes) };
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
         let simulated = SimPlan::from(segment).build();
         let sim = Master::from_plan(plan).simulate_with(simulated, WorldOptions::default());
-        Lenze { sim: sim.unwrap_or_else(|error| panic!("{error}")), count }
+        Lenze { sim: sim.unwrap_or_else(|error| panic!("{error}")), notes, count }
     }
 
     pub fn feedback(&self, index: usize) -> Feedback {
         self.sim.feedback(index)
+    }
+
+    /// Why drive `index` is not in Data_Exchange.
+    pub fn note(&self, index: usize) -> Option<String> {
+        self.notes.lock().unwrap().as_ref()?.get(index)
     }
 
     pub fn until(&mut self, what: &str, most: u64, done: impl FnMut(&Simulation) -> bool) {
@@ -113,8 +151,22 @@ impl Lenze {
         self.look(index, |drive, _| drive.misuse())
     }
 
+    /// The motor turns at this velocity, by its drive and in truth.
+    pub fn turns(&mut self, index: usize, velocity: f64) {
+        self.until("its velocity", 20_000, |sim| {
+            (sim.feedback(index).status.velocity - velocity).abs() < 0.05
+        });
+        let speed = self.speed(index);
+        assert!((speed - velocity).abs() < 0.1, "{speed}, not {velocity}");
+    }
+
     /// The counters at the end.
     pub fn finish(self) -> Vec<Counters> {
         self.sim.finish().drives.iter().map(|drive| drive.counters).collect()
     }
+}
+
+/// A counter that only this protocol has.
+pub fn own(counters: &Counters, which: Own) -> u64 {
+    counters.own[which as usize]
 }

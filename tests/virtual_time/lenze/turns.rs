@@ -2,12 +2,16 @@
 
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Jog, State};
+use fieldbeat::bus::profibus::{DriveProfile, RATES};
+use fieldbeat::internals::bus::profibus::counters::Own;
+use fieldbeat::sim::profibus::DpState;
+use fieldbeat::time::MS;
 
-use super::{Lenze, PROFILE, wire};
+use super::{Lenze, PROFILE, own, wire};
 
-const STOP: Command = Command::Stop { deceleration: None };
+pub const STOP: Command = Command::Stop { deceleration: None };
 
-fn jog(velocity: f64) -> Command {
+pub fn jog(velocity: f64) -> Command {
     Command::Jog(Jog { velocity, acceleration: PROFILE.acceleration })
 }
 
@@ -16,16 +20,13 @@ fn two_drives_come_into_data_exchange_turn_and_stop() {
     let mut m = Lenze::new(wire(1_500_000, 2), CyclePlan::default());
     m.online();
     assert_eq!(m.feedback(0).status.state, State::SwitchOnDisabled);
+    assert_eq!((m.note(0), m.note(1)), (None, None));
     m.ready();
     for (index, velocity) in [(0, 8.0), (1, -4.0)] {
         m.post(index, jog(velocity));
     }
-    m.until("both turn", 5_000, |sim| {
-        let near =
-            |index: usize, velocity: f64| (sim.feedback(index).status.velocity - velocity).abs() < 0.05;
-        near(0, 8.0) && near(1, -4.0)
-    });
-    assert!((m.speed(0) - 8.0).abs() < 0.1 && (m.speed(1) + 4.0).abs() < 0.1);
+    m.turns(0, 8.0);
+    m.turns(1, -4.0);
     for index in [0, 1] {
         m.done(index, STOP);
         assert!(m.speed(index).abs() < 0.05, "{}", m.speed(index));
@@ -34,5 +35,69 @@ fn two_drives_come_into_data_exchange_turn_and_stop() {
     }
     for counters in m.finish() {
         assert!(counters.missed == 0 && counters.malformed == 0 && counters.late == 0, "{counters:?}");
+        assert!(own(&counters, Own::SlotTimes) == 0 && own(&counters, Own::WireUs) > 0, "{counters:?}");
+    }
+}
+
+#[test]
+fn each_rate_carries_a_drive_that_turns() {
+    for rate in RATES {
+        let mut bus = wire(rate, 1);
+        let every = (2 * bus.usual_turn_ns(0)).div_ceil(MS);
+        bus.drives[0].axis.divisor = every as u32;
+        bus.drives[0].watchdog.timeout_ns = Some(5 * every.max(20) * MS);
+        let mut m = Lenze::new(bus, CyclePlan::default());
+        m.ready();
+        m.post(0, jog(8.0));
+        m.turns(0, 8.0);
+        m.done(0, STOP);
+        assert_eq!(m.misuse(0).total(), 0, "{rate}: {:?}", m.misuse(0));
+        let [counters] = m.finish()[..] else { panic!("one drive") };
+        assert!(counters.missed == 0 && counters.answered > 20, "{rate}: {counters:?}");
+    }
+}
+
+#[test]
+fn profidrive_turns_by_its_own_words() {
+    let mut bus = wire(1_500_000, 1);
+    bus.drives[0].profile = DriveProfile::Profidrive;
+    bus.drives[0].enable_bit = DriveProfile::Profidrive.usual_enable_bit();
+    let mut m = Lenze::new(bus, CyclePlan::default());
+    m.ready();
+    m.post(0, jog(-8.0));
+    m.turns(0, -8.0);
+    m.done(0, STOP);
+    m.done(0, Command::Disable);
+    assert_eq!(m.misuse(0).total(), 0, "{:?}", m.misuse(0));
+}
+
+#[test]
+fn twelve_megabit_carry_four_drives_in_every_cycle() {
+    let cycle = CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() };
+    let mut m = Lenze::new(wire(12_000_000, 4), cycle);
+    m.ready();
+    (0..4).for_each(|index| m.post(index, jog(8.0)));
+    (0..4).for_each(|index| m.turns(index, 8.0));
+    m.sim.run(1_000);
+    for counters in m.finish() {
+        assert!(counters.missed == 0 && counters.answered > 1_000, "{counters:?}");
+    }
+}
+
+#[test]
+fn the_end_leaves_the_drives_cleared_unlocked_and_off() {
+    let mut m = Lenze::new(wire(1_500_000, 2), CyclePlan::default());
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    m.sim.stop();
+    for _ in 0..5_000 {
+        m.sim.step();
+    }
+    for index in [0, 1] {
+        assert!(m.speed(index).abs() < 0.05, "{}", m.speed(index));
+        assert_eq!(m.look(index, |drive, _| drive.dp_state()), (DpState::WaitPrm, None));
+        assert_eq!(m.look(index, |drive, _| drive.axis_state()), State::SwitchOnDisabled);
+        assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));
     }
 }
