@@ -202,7 +202,7 @@ pub fn accounts(slot: &Slot, tape: &Tape, can: &Can) {
     assert_eq!(c.sent, c.answered + c.missed + owed, "sent = answered + missed + owed: {c:?}");
     let answers = if can.own_clock { 0 } else { c.answered };
     let told = answers + c.late + c.duplicate + c.malformed + c.foreign;
-    match can.shared || can.own_clock {
+    match can.shared || can.own_clock || can.bytes {
         // A frame without an exchange is not counted, nor is a packet that answers nothing.
         true => assert!(told <= tape.taken, "of {} frames each is counted once at most: {c:?}", tape.taken),
         false => assert_eq!(tape.taken, told, "telegrams from the drive = all they are counted as: {c:?}"),

@@ -1,8 +1,8 @@
 //! All drives of one PROFIBUS wire: stations, the link layer and the port, as a [`Bus`].
 //!
 //! What is due is queued, and has its turn in the order of the plan, round and round. The next telegram leaves when the
-//! one before is closed and the wire was idle, in `send` or in `poll`, as long as the window lasts. Global_Control goes
-//! before the drives when it is due. A token and a search for other masters take what is left of a round.
+//! one before is closed and the wire was idle, in `send` or in `poll`, as long as the window lasts. Global_Control, a
+//! token and a search for other masters follow when the round is over; Global_Control does not wait for that for ever.
 
 use std::os::fd::RawFd;
 use std::sync::Arc;
@@ -229,7 +229,7 @@ impl ProfibusBus {
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
         self.notes.set(index.into(), station.note());
         if station.exchanges() {
-            // Its outputs count from a Global_Control on that comes after it has become ready.
+            // Its outputs count from the next Global_Control on.
             (self.operates, self.control_at) = (true, Time(0));
         }
     }
@@ -373,7 +373,11 @@ impl ProfibusBus {
     #[inline]
     fn start_next(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
         if self.operates && now >= self.control_at {
-            return self.control(now, GlobalControl::OPERATE, slots);
+            // Behind a round of the drives, as long as it is not late.
+            let late = now >= self.control_at + self.control_every_ns;
+            if self.queued == 0 || late {
+                return self.control(now, GlobalControl::OPERATE, slots);
+            }
         }
         if self.queued == 0 {
             return self.round_over && self.search(cycle, now, slots);
@@ -411,7 +415,7 @@ impl ProfibusBus {
                     return true;
                 }
                 station.unsent(slot);
-                false
+                true
             }
             Err(broken) => {
                 station.unsent(slot);

@@ -367,7 +367,7 @@ impl Line {
     fn sent_in_part(&mut self, at: Time, count: usize) -> bool {
         let claiming = matches!(self.timing.state, State::Claiming(_));
         if count == 0 && self.taken == 0 {
-            self.timing.free_at = at + self.timing.idle_ns;
+            self.timing.free_at = self.timing.free_at.max(at + self.timing.idle_ns);
             // One that is repeated waits on.
             match self.timing.state {
                 State::Sending => self.timing.state = State::Repeating,

@@ -190,6 +190,7 @@ impl Subject for EtherCat {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,
         }

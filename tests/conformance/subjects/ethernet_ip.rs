@@ -83,6 +83,7 @@ impl Subject for EthernetIp {
             sessions: true,
             steep_stops: true,
             half_duplex: false,
+            bytes: false,
             shared: false,
             rearmed: false,
         }

@@ -58,6 +58,7 @@ impl Subject for LinUdp {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
             shared: false,
             rearmed: false,
         }

@@ -117,6 +117,7 @@ impl Subject for Modbus {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
             shared: false,
             rearmed: false,
         }

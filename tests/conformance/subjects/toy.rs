@@ -178,6 +178,7 @@ impl Subject for Toy {
             sessions: false,
             steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
+            bytes: false,
             shared: false,
             rearmed: false,
         }
