@@ -29,7 +29,8 @@ pub trait SimSerial: Any + Send {
     /// others are 0.
     fn receive(&mut self, now: Time, bytes: &[u8]);
 
-    /// When it wants to run by its own clock, to answer for example; queried after every other call.
+    /// When it wants to run by its own clock, to answer for example; queried after every other call. What was due before
+    /// the wire's first moment runs then.
     fn next_due(&self) -> Option<Time>;
 
     /// Its own clock has come to that: what it appends to `out` it sends from now on.
@@ -94,6 +95,8 @@ pub(super) struct Medium {
     out: Vec<u8>,
     /// The master has other settings.
     garbled: bool,
+    /// Its first moment: no drive runs before it.
+    begun: Option<Time>,
 }
 
 impl Medium {
@@ -106,6 +109,7 @@ impl Medium {
             inbox: VecDeque::new(),
             out: Vec::new(),
             garbled: false,
+            begun: None,
             wire,
         }
     }
@@ -236,6 +240,7 @@ impl Medium {
     /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there
     /// is nothing.
     pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, Way, &Parcel)) -> bool {
+        let begun = *self.begun.get_or_insert(now);
         let Some(due) = self.next_due().filter(|due| *due <= now) else { return false };
         if let Some(k) = self.sending.iter().position(|sending| self.end(sending) <= due) {
             self.deliver(due);
@@ -256,7 +261,7 @@ impl Medium {
             self.begin(due, by, parcel.bytes.clone());
             self.under_way[Way::Reply as usize].recycle(parcel);
         } else if let Some((_, k)) = self.drive_due() {
-            self.run_drive(due, k);
+            self.run_drive(due.max(begun), k);
         }
         true
     }

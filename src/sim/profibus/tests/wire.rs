@@ -62,6 +62,27 @@ fn a_second_master_and_noise_are_received_by_all() {
 }
 
 #[test]
+fn what_is_due_before_the_first_moment_does_not_come_all_at_once() {
+    let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
+    let foreign = ForeignSettings { after_ns: 35 * MS, ..ForeignSettings::new(3) };
+    let noise = NoiseSettings { every_ns: 10 * MS, ..NoiseSettings::default() };
+    let mut bench = Bench::of(&ProfibusSegment { foreign: Some(foreign), noise: Some(noise), ..segment });
+    bench.now = Time(1_000 * START.0);
+    bench.wait(0);
+    let count = |bench: &Bench, place: usize| {
+        let device: &dyn Any = &*bench.medium.wire.drives[place];
+        let noise = device.downcast_ref::<Noise>().map(|noise| noise.bursts);
+        noise.or(device.downcast_ref::<ForeignMaster>().map(|master| master.sent)).unwrap()
+    };
+    assert_eq!((count(&bench, 1), count(&bench, 2)), (0, 0));
+    bench.wait(35 * MS - 1);
+    assert_eq!(count(&bench, 1), 0);
+    bench.wait(100 * MS);
+    assert_eq!(count(&bench, 1), 10);
+    assert!((5..30).contains(&count(&bench, 2)));
+}
+
+#[test]
 fn a_wrong_identity_is_a_whole_answer_of_somebody_else() {
     let faults = FaultPlan { wrong_id: 1.0, ..FaultPlan::default() };
     let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
