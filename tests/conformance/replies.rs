@@ -517,6 +517,7 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
                 split: 0.05,
                 cut: 0.002,
                 segment_loss: 0.0,
+                lost_byte: 0.02 * rate,
                 answer_ns: 10 * US,
             };
             line.faults(index, plan);
