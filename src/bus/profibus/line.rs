@@ -568,3 +568,6 @@ impl Expected {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -100,6 +100,7 @@ fn nothing_is_sent_while_another_master_has_the_wire_and_it_is_named() {
     let note = m.note(0).expect("it is not in Data_Exchange");
     assert!(note.contains("another master, address 9"), "{note}");
     m.online();
+    m.sim.run(1_000);
     assert_eq!(m.note(0), None, "it has gone");
 }
 
