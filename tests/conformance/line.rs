@@ -401,7 +401,8 @@ impl Line {
     /// One cycle, and long enough after it for what was sent to be heard.
     pub fn turn_and_hear(&mut self) {
         self.turn();
-        self.world.advance(2 * LATENCY);
+        // A telegram takes the time of its bits.
+        self.world.advance(if self.can.bytes { 10 * LATENCY } else { 2 * LATENCY });
     }
 
     /// The drives have been heard of; those on a line are in operation there.

@@ -597,6 +597,8 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         line.online();
         // Lost, doubled, or late by an exchange.
         let (drop, duplicate, delay) = match line.can.stream {
+            // An answer is in its slot time, or none.
+            false if line.can.bytes => (0.3, 0.1, 0.0),
             false => (0.3, 0.1, 0.1),
             // Each of them may cost a connection, and a handshake has to pass to open the next one.
             true => (0.005, 0.002, 0.01),

@@ -80,6 +80,8 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
     m.run(2);
     let received = m.received(1);
     m.run(1_000);
+    // What has been in operation is sent its exchanges.
+    let requested = if m.can.bytes { 24..=26 } else { requested };
     // On a line the frames pass all the same; the exchanges are counted below.
     assert!(shared || requested.contains(&rarely(&m, received)));
     // Who answers lost nothing by it.

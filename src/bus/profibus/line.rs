@@ -574,3 +574,6 @@ impl Expected {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

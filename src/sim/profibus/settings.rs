@@ -79,6 +79,8 @@ pub struct LenzeSettings {
     pub boot_ns: u64,
     /// Comes up enabled and running at this speed, rpm, as if another master had died.
     pub running: Option<f64>,
+    /// The address of that master. Default 2.
+    pub last_master: u8,
 }
 
 impl LenzeSettings {
@@ -99,6 +101,7 @@ impl LenzeSettings {
             motor: LenzeMotorSettings::default(),
             boot_ns: 500 * MS,
             running: None,
+            last_master: 2,
         }
     }
 }

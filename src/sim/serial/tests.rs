@@ -168,6 +168,8 @@ fn each_fault_does_to_telegrams_what_its_name_says() {
     assert_eq!((&received[1][..], medium.injected().wrong_id), (&[135 ^ 0x40, 1, 2][..], 4));
     let (received, medium) = only(|plan| plan.corrupt = 1.0);
     assert_eq!((received.concat().len(), medium.injected().corrupted), (0, 4), "no slave knows its request");
+    let (received, medium) = only(|plan| plan.lost_byte = 1.0);
+    assert_eq!((received.concat().len(), medium.injected().shortened), (0, 4), "each is too short");
     let (received, medium) = only(|plan| plan.delay = 1.0);
     assert_eq!((&received[1][..], medium.injected().delayed), (&[135, 1, 2][..], 8));
     let (received, medium) = only(|plan| plan.duplicate = 1.0);

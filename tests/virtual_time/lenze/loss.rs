@@ -3,8 +3,8 @@
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, State, StopCause};
 use fieldbeat::internals::bus::profibus::counters::Own;
+use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings};
-use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, S};
 
 use super::turns::{STOP, jog};
@@ -91,8 +91,7 @@ fn a_port_that_vanishes_stops_the_axes_and_comes_back() {
 
 #[test]
 fn nothing_is_sent_while_another_master_has_the_wire_and_it_is_named() {
-    let after_ns = WorldOptions::default().start.0;
-    let foreign = ForeignSettings { after_ns, every_ns: MS, count: Some(1_500), ..ForeignSettings::new(9) };
+    let foreign = ForeignSettings { every_ns: MS, count: Some(1_500), ..ForeignSettings::new(9) };
     let mut m = Lenze::with(wire(1_500_000, 1), CyclePlan::default(), |wire| {
         wire.foreign = Some(foreign);
     });
@@ -101,12 +100,13 @@ fn nothing_is_sent_while_another_master_has_the_wire_and_it_is_named() {
     let note = m.note(0).expect("it is not in Data_Exchange");
     assert!(note.contains("another master, address 9"), "{note}");
     m.online();
+    m.sim.run(1_000);
     assert_eq!(m.note(0), None, "it has gone");
 }
 
 #[test]
 fn another_master_that_comes_later_stops_the_axes() {
-    let after_ns = WorldOptions::default().start.0 + 5 * S;
+    let after_ns = 5 * S;
     // Some of its telegrams collide with others.
     let every_ns = 10_300_000;
     let foreign = ForeignSettings { after_ns, every_ns, count: Some(20), ..ForeignSettings::new(9) };
