@@ -10,12 +10,14 @@
 //! | `profile`, `native` | control word and set point, status and actual value; native process data |
 //! | `station` | the master's view of one drive |
 //! | `acyclic` | parameters, in the drive's own turns |
+//! | `target`, `catalogue`, `notation` | what a call is for; known codes; how people write them |
 //! | `bus`, `bus_plan` | line, stations and port as one bus |
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
 
 mod acyclic;
 mod bus;
 mod bus_plan;
+mod catalogue;
 pub(crate) mod counters;
 mod line;
 mod native;
@@ -25,6 +27,7 @@ mod plan;
 mod profile;
 mod start_up;
 mod station;
+pub(crate) mod target;
 pub(crate) mod wire;
 
 pub use native::{NATIVE_WORDS, Native, NativeInputs, NativeOutput};
