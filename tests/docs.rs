@@ -31,7 +31,7 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
 const WIDTH: usize = 120;
 
 /// What completes a part of a configuration.
-const PARTS: [(&str, &str); 4] = [
+const PARTS: [(&str, &str); 5] = [
     (
         "linmot",
         "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n\
@@ -49,6 +49,11 @@ const PARTS: [(&str, &str); 4] = [
         "moons",
         "[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"127.0.0.1\"\n\
          [[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n",
+    ),
+    (
+        "lenze",
+        "[[bus]]\nprotocol = \"profibus-dp\"\ndevice = \"local:docs\"\nrate = 12000000\n\
+         [[bus.drive]]\nname = \"x\"\naddress = 3\nlimits.velocity = 20\n",
     ),
 ];
 
@@ -419,9 +424,13 @@ fn the_reference_has_the_keys_that_the_reader_accepts() {
     };
     hold("[cycle]", listed(&common, "[cycle]"), "cycle", &|line| format!("{linmot}[cycle]\n{line}"));
     hold("[[group]]", listed(&common, "[[group]]"), "group", &|line| format!("{linmot}[[group]]\n{line}"));
-    for (page, name) in
-        [("linudp", "linmot"), ("modbus", "unidrive"), ("ethercat", "kollmorgen"), ("ethernet-ip", "moons")]
-    {
+    for (page, name) in [
+        ("linudp", "linmot"),
+        ("modbus", "unidrive"),
+        ("ethercat", "kollmorgen"),
+        ("ethernet-ip", "moons"),
+        ("profibus", "lenze"),
+    ] {
         let page = Page::read(&format!("docs/src/configuration-{page}.md"));
         let both = |section: &str| &listed(&common, section) | &listed(&page, section);
         let simulated = |keys: BTreeSet<String>| -> BTreeSet<String> {

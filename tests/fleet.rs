@@ -59,6 +59,7 @@ fn weather(seed: u64, flips: bool) -> FaultPlan {
         split: 0.0,
         cut: 0.0,
         segment_loss: 0.0,
+        lost_byte: 0.0,
         answer_ns: 30 * US,
     }
 }

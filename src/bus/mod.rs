@@ -41,7 +41,7 @@ pub(crate) use self::contract::{Bus, Cycle, Exchange, Notes, Slot};
 pub(crate) use self::counters::{BusClock, Counters, OwnCounter, Unmatched};
 pub(crate) use self::drives::Ends;
 pub use self::error::OpenError;
-pub use self::plan::BusPlan;
+pub use self::plan::{BusPlan, Grid};
 #[cfg(feature = "config")]
 use crate::keys::{machine::Machine, table::Table};
 
@@ -63,5 +63,10 @@ pub struct Protocol {
 
 /// All protocols; the next one is a folder, and one line more.
 #[doc(hidden)]
-pub const PROTOCOLS: [Protocol; 4] =
-    [linudp::REGISTERED, modbus::REGISTERED, ethercat::REGISTERED, ethernet_ip::REGISTERED];
+pub const PROTOCOLS: [Protocol; 5] = [
+    linudp::REGISTERED,
+    modbus::REGISTERED,
+    ethercat::REGISTERED,
+    ethernet_ip::REGISTERED,
+    profibus::REGISTERED,
+];

@@ -13,6 +13,29 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault};
 use crate::net::Carriers;
 
+/// The grid of a cycle and its windows: what a wire depends on whose requests wait for their turn, since each of them
+/// begins inside a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// The period, ns.
+    pub period_ns: u64,
+    /// The end of the window, ns after the slot.
+    pub deadline_ns: u64,
+}
+
+impl Grid {
+    /// The earliest time in a window that is not before `at`, ns after a slot of the grid.
+    pub fn in_window(&self, at: u64) -> u64 {
+        let period_ns = self.period_ns.max(1);
+        if at % period_ns < self.deadline_ns { at } else { at.next_multiple_of(period_ns) }
+    }
+
+    /// So many cycles after the one at the begin of `within_ns` its end is known.
+    pub fn cycles_behind(&self, within_ns: u64) -> u64 {
+        within_ns.saturating_sub(self.deadline_ns).div_ceil(self.period_ns.max(1))
+    }
+}
+
 /// A bus as configured and checked, before any socket is open. The plans of the protocols of this library implement it.
 pub trait BusPlan: Any + Debug + Send + Sync {
     /// Its name in messages.
@@ -35,8 +58,13 @@ pub trait BusPlan: Any + Debug + Send + Sync {
 
     /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to its end,
     /// all turns before its own included, ns. `None`: a request leaves in the slot in which it is due.
-    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
+    fn turn_within_ns(&self, _index: usize, _grid: Grid) -> Option<u64> {
         None
+    }
+
+    /// On a half-duplex wire: why its turns do not fit onto the grid, each with the index of its axis.
+    fn turn_faults(&self, _grid: Grid) -> Vec<(usize, PlanFault)> {
+        Vec::new()
     }
 
     /// How long a packet of drive `index` counts, which sends by its own clock, in a cycle of `period_ns`, ns. Requests

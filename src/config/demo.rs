@@ -46,7 +46,7 @@ pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Configur
         }
         vary(plan, &wanted, drives);
         for bus in &plan.buses {
-            for (_, fault) in bus.faults(period_ns) {
+            for (_, fault) in bus.faults(period_ns).into_iter().chain(bus.turn_faults(plan.cycle.grid())) {
                 root.report(&period, format!("bus {}: {} {}", bus.name(), fault.key, fault.message));
             }
         }

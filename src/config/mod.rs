@@ -101,7 +101,7 @@ fn known_protocols() -> String {
 
 fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> Configuration {
     let cycle = root.table("cycle", cycle::cycle);
-    let mut machine = Machine::new(cycle.period_ns);
+    let mut machine = Machine::new(cycle.period_ns, cycle.deadline_ns());
     if !root.gives("bus") {
         root.fault("bus", "missing; a machine needs a [[bus]] with at least one [[bus.drive]]");
     }

@@ -34,10 +34,10 @@ pub struct Paced<'a> {
 impl<'a> Paced<'a> {
     /// Axis `index` of `bus`.
     pub fn of(cycle: &CyclePlan, bus: &dyn BusPlan, index: usize, axis: &'a AxisPlan) -> Paced<'a> {
-        let (period_ns, deadline_ns) = (cycle.period_ns.max(1), cycle.deadline_ns());
-        let behind = |within_ns: u64| within_ns.saturating_sub(deadline_ns).div_ceil(period_ns);
+        let (period_ns, grid) = (cycle.period_ns.max(1), cycle.grid());
+        let behind = |within_ns: u64| grid.cycles_behind(within_ns);
         let connection = bus.reply_within_ns(index).map(|ns| Pace::Connection(behind(ns)));
-        let half_duplex = bus.turn_within_ns(index).map(|ns| Pace::HalfDuplex(behind(ns)));
+        let half_duplex = bus.turn_within_ns(index, grid).map(|ns| Pace::HalfDuplex(behind(ns)));
         // Its age counts from a packet that may have come in the window, to a later grid point.
         let own_clock =
             bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));

@@ -7,7 +7,7 @@ use crate::axis::group::out_of_step;
 use crate::axis::{
     AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, is_plain_name,
 };
-use crate::bus::{BusPlan, OwnCounter};
+use crate::bus::{BusPlan, Grid, OwnCounter};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
 use crate::time::{MS, Ns, S, US};
@@ -121,7 +121,10 @@ impl Plan {
         }
         errors.extend(self.device_faults(&axes));
         for bus in &self.buses {
-            let (faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
+            let (mut faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
+            if faults.is_empty() {
+                faults = bus.turn_faults(self.cycle.grid());
+            }
             errors.extend(faults.into_iter().map(|(index, PlanFault { key, message })| {
                 let drive = axes.get(index).map_or_else(String::new, |axis| format!("drive {}: ", axis.name));
                 format!("bus {}: {drive}{key}: {message}", bus.name())
@@ -310,6 +313,11 @@ impl CyclePlan {
     /// Until when replies are taken, ns after the grid point.
     pub fn deadline_ns(&self) -> u64 {
         (self.period_ns as f64 * self.receive_deadline).round() as u64
+    }
+
+    /// The period and the window.
+    pub fn grid(&self) -> Grid {
+        Grid { period_ns: self.period_ns, deadline_ns: self.deadline_ns() }
     }
 
     /// The delay from which a cycle is late, ns.

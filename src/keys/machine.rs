@@ -18,6 +18,8 @@ pub struct Machine {
     interfaces: HashMap<String, Place>,
     /// The period of the cycle.
     pub period_ns: u64,
+    /// The end of its window, ns after the slot.
+    pub deadline_ns: u64,
     /// Why the period of the cycle does not suit a bus.
     pub periods: Vec<String>,
     /// Stop groups by id, with their members.
@@ -43,9 +45,9 @@ pub enum Claim {
 }
 
 impl Machine {
-    /// Nothing of it is known yet but the period of its cycle.
-    pub fn new(period_ns: u64) -> Machine {
-        Machine { period_ns, ..Machine::default() }
+    /// Nothing of it is known yet but the period of its cycle, and the end of its window.
+    pub fn new(period_ns: u64, deadline_ns: u64) -> Machine {
+        Machine { period_ns, deadline_ns, ..Machine::default() }
     }
 
     /// The name of a `kind`, a drive or a device.
@@ -60,11 +62,11 @@ impl Machine {
         }
     }
 
-    /// The interface of a bus without IP.
-    pub fn claim_interface(&mut self, table: &Table<'_>, interface: &str) {
-        if let Some(first) = seen_at(&mut self.interfaces, interface, table.place("interface")) {
-            let remedy = "there is one bus per interface, add the drives to that bus";
-            table.fault("interface", format!("is already that of the bus of {first}; {remedy}"));
+    /// The interface of a bus without IP, or its port, as `key` says.
+    pub fn claim_interface(&mut self, table: &Table<'_>, key: &'static str, interface: &str) {
+        if let Some(first) = seen_at(&mut self.interfaces, interface, table.place(key)) {
+            let remedy = format!("there is one bus per {key}, add the drives to that bus");
+            table.fault(key, format!("is already that of the bus of {first}; {remedy}"));
         }
     }
 

@@ -178,7 +178,9 @@ pub fn assemble<C: Clock>(
                 of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer, period));
             }
         }
-        let is_polled = (0..entries.len() - first).any(|index| bus_plan.turn_within_ns(index).is_some());
+        let grid = plan.cycle.grid();
+        let is_polled =
+            (0..entries.len() - first).any(|index| bus_plan.turn_within_ns(index, grid).is_some());
         let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
         let (clock_in, clock) = cell::cell(None::<BusClock>);
         let devices = names.into_iter().map(str::to_owned).collect();

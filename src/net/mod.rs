@@ -45,7 +45,7 @@ pub use frames::Frames;
 pub use groups::Groups;
 pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
-pub use serial::{Parity, Serial, SerialLine};
+pub use serial::{Parity, Rs485, Serial, SerialLine};
 pub use stream::{Broken, Handshake, HandshakeState, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;

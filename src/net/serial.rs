@@ -24,6 +24,8 @@ pub struct SerialLine {
     pub rate: u32,
     /// The parity bit.
     pub parity: Parity,
+    /// Who switches the direction of the wire.
+    pub rs485: Rs485,
 }
 
 /// The parity bit of each byte.
@@ -36,7 +38,25 @@ pub enum Parity {
     Even,
 }
 
+/// Who switches a transceiver of RS-485 from receiving to sending and back.
+///
+/// Some adapters, and some drivers, also receive what they send themselves. No request of the operating system tells
+/// which adapter does: only what comes back does, and whoever uses the port compares it with what it sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Rs485 {
+    /// The adapter, by the bytes that it is given: nothing is set.
+    #[default]
+    Adapter,
+    /// The driver of the port, by RTS; it receives nothing meanwhile, where it can. A driver without this is refused.
+    Driver,
+}
+
 impl SerialLine {
+    /// Whether both have the same bits on the wire.
+    pub fn agrees_with(&self, other: &SerialLine) -> bool {
+        (self.rate, self.parity) == (other.rate, other.parity)
+    }
+
     /// The time of so many bits on the wire, ns, rounded up.
     pub fn bits_ns(&self, bits: u64) -> u64 {
         bits.saturating_mul(S).div_ceil(u64::from(self.rate.max(1)))

@@ -3,19 +3,24 @@
 //!
 //! `nix` has no rates but the standard ones: TCSETS2 with BOTHER takes any, such as the 500 kbit/s and 1.5 Mbit/s of
 //! PROFIBUS.
+//!
+//! `rs485` is the direction of an RS-485 transceiver.
 
 use std::fs::OpenOptions;
 use std::io;
 use std::mem::zeroed;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
-use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 
-use super::serial::{Parity, SerialLine};
+use super::serial::{Parity, Rs485, SerialLine};
 use crate::errors::no_descriptor;
 
-/// The rate of a driver may differ from the requested one by this fraction: a receiver samples the last of 11 bits in
-/// its middle, so that both ends together may be 4 % apart.
-const RATE_TOLERANCE: f64 = 0.02;
+mod rs485;
+
+/// The rate of a driver may differ from the requested one by this fraction, ppm: IEC 61158-2 allows each station of a
+/// PROFIBUS 0.3 %. A receiver alone would do with more, as it samples the last of 11 bits in its middle; but slaves
+/// measure their timeouts in bits, and repeaters send each byte again at their own rate.
+const RATE_TOLERANCE_PPM: u64 = 3_000;
 
 /// In `serial_struct.flags`: the driver hands on each byte at once (linux/tty_flags.h). An FTDI adapter waits for up to
 /// 16 ms otherwise.
@@ -52,34 +57,80 @@ struct SerialStruct {
 ///
 /// Each with the path and the remedy.
 pub(crate) fn open(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
-    let refused = |error: io::Error| refused(path, line, error);
+    let port = claim(path).map_err(|error| refused(path, line, error))?;
+    if let Err(error) = set(&port, line) {
+        release(&port);
+        return Err(refused(path, line, error));
+    }
+    low_latency(&port);
+    flush(&port);
+    Ok(port)
+}
+
+/// What the driver of a port makes of its settings.
+#[cfg(feature = "doctor")]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Tried {
+    /// The rate that it sets, bit/s.
+    pub rate: u32,
+    /// Why it is refused with that, or with its parity.
+    pub refused: Option<String>,
+    /// It can switch the direction of RS-485.
+    pub switches: bool,
+}
+
+/// Tries the settings of `line` on port `path`, and puts its own back. For a port that nobody uses; one that somebody
+/// has locked is refused as it is.
+#[cfg(feature = "doctor")]
+pub(crate) fn try_out(path: &str, line: &SerialLine) -> io::Result<Tried> {
+    let port = open_device(path)?;
+    let mut is_locked: libc::c_int = 0;
+    // SAFETY: the kernel writes one int. Root opens a port that is locked so.
+    done(unsafe { libc::ioctl(port.as_raw_fd(), libc::TIOCGEXCL, &raw mut is_locked) })?;
+    if is_locked != 0 {
+        return Err(io::Error::from_raw_os_error(libc::EBUSY));
+    }
+    lock(&port)?;
+    let tried = settings(&port).and_then(|before| {
+        let refused = set(&port, &SerialLine { rs485: Rs485::Adapter, ..*line }).err();
+        let rate = settings(&port)?.c_ospeed;
+        apply(&port, &before)?;
+        let refused = refused.map(|error| error.to_string());
+        Ok(Tried { rate, refused, switches: rs485::is_available(&port) })
+    });
+    release(&port);
+    tried
+}
+
+/// Opens it, and keeps others out.
+fn claim(path: &str) -> io::Result<OwnedFd> {
+    let port = open_device(path)?;
+    lock(&port)?;
+    Ok(port)
+}
+
+fn open_device(path: &str) -> io::Result<OwnedFd> {
     let port = OpenOptions::new()
         .read(true)
         .write(true)
         // Without waiting for a carrier, without becoming the controlling terminal, and in no child process (the
         // standard library opens with O_CLOEXEC).
         .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
-        .open(path)
-        .map_err(refused)?;
-    let facts = port.metadata().map_err(refused)?;
-    if !facts.file_type().is_char_device() {
-        return Err(refused(io::Error::from_raw_os_error(libc::ENOTTY)));
+        .open(path)?;
+    if !port.metadata()?.file_type().is_char_device() {
+        return Err(io::Error::from_raw_os_error(libc::ENOTTY));
     }
-    let port = OwnedFd::from(port);
+    Ok(port.into())
+}
+
+fn lock(port: &OwnedFd) -> io::Result<()> {
     let fd = port.as_raw_fd();
     // Whoever respects such a lock (picocom, pyserial, another master) does not use it, root included ...
     // SAFETY: plain numbers.
-    done(unsafe { libc::flock(fd, libc::LOCK_EX | libc::LOCK_NB) }).map_err(refused)?;
+    done(unsafe { libc::flock(fd, libc::LOCK_EX | libc::LOCK_NB) })?;
     // ... and nobody else opens it from now on, but root.
     // SAFETY: a request without an argument.
-    done(unsafe { libc::ioctl(fd, libc::TIOCEXCL) }).map_err(refused)?;
-    if let Err(error) = set(&port, line, is_pseudo_terminal(facts.rdev())) {
-        release(&port);
-        return Err(refused(error));
-    }
-    low_latency(&port);
-    flush(&port);
-    Ok(port)
+    done(unsafe { libc::ioctl(fd, libc::TIOCEXCL) })
 }
 
 /// The other program may open it again. A pseudo-terminal would remember otherwise that it was one's own.
@@ -135,16 +186,34 @@ pub(crate) fn flush(port: &impl AsRawFd) -> bool {
 }
 
 /// No real wire: it has no parity, and any rate (Unix98 slaves, Documentation/admin-guide/devices.txt).
-fn is_pseudo_terminal(device: u64) -> bool {
-    (136..=143).contains(&libc::major(device))
+fn is_pseudo_terminal(port: &OwnedFd) -> io::Result<bool> {
+    // SAFETY: all bytes zero are valid facts of a file.
+    let mut facts: libc::stat = unsafe { zeroed() };
+    // SAFETY: the kernel writes a live value.
+    done(unsafe { libc::fstat(port.as_raw_fd(), &raw mut facts) })?;
+    Ok((136..=143).contains(&libc::major(facts.st_rdev)))
 }
 
-fn set(port: &OwnedFd, line: &SerialLine, pseudo: bool) -> io::Result<()> {
-    let fd = port.as_raw_fd();
+/// Its settings as the driver reports them.
+fn settings(port: &OwnedFd) -> io::Result<libc::termios2> {
     // SAFETY: all bytes zero are valid settings.
     let mut settings: libc::termios2 = unsafe { zeroed() };
     // SAFETY: the kernel writes the settings of a live value.
-    done(unsafe { libc::ioctl(fd, libc::TCGETS2, &raw mut settings) })?;
+    done(unsafe { libc::ioctl(port.as_raw_fd(), libc::TCGETS2, &raw mut settings) })?;
+    Ok(settings)
+}
+
+fn apply(port: &OwnedFd, settings: &libc::termios2) -> io::Result<()> {
+    // SAFETY: the kernel reads the settings of a live value.
+    done(unsafe { libc::ioctl(port.as_raw_fd(), libc::TCSETS2, std::ptr::from_ref(settings)) })
+}
+
+fn set(port: &OwnedFd, line: &SerialLine) -> io::Result<()> {
+    let mut settings = settings(port)?;
+    // First of all: until it is set, a transceiver may be sending.
+    if line.rs485 == Rs485::Driver {
+        rs485::switch_on(port)?;
+    }
     // Raw: every byte as it comes. A byte with a wrong parity is read as 0, so that the telegram keeps its length.
     settings.c_iflag = libc::IGNBRK | if line.parity == Parity::Even { libc::INPCK } else { 0 };
     settings.c_oflag = 0;
@@ -159,24 +228,28 @@ fn set(port: &OwnedFd, line: &SerialLine, pseudo: bool) -> io::Result<()> {
     // gone. With VMIN = 0 both would be 0.
     settings.c_cc[libc::VMIN] = 1;
     settings.c_cc[libc::VTIME] = 0;
-    // SAFETY: the kernel reads the settings of a live value, and writes them below.
-    done(unsafe { libc::ioctl(fd, libc::TCSETS2, &raw const settings) })?;
+    apply(port, &settings)?;
     // It takes what it can of them and reports no error.
-    // SAFETY: as above.
-    done(unsafe { libc::ioctl(fd, libc::TCGETS2, &raw mut settings) })?;
-    let (wanted, rate) = (f64::from(line.rate), f64::from(settings.c_ospeed));
-    if (rate - wanted).abs() > wanted * RATE_TOLERANCE || line.rate == 0 {
+    let taken = self::settings(port)?;
+    if ![taken.c_ispeed, taken.c_ospeed].into_iter().all(|rate| is_near(line.rate, rate)) {
         let message = format!(
-            "its driver has {} bit/s in place of {}: choose a rate that the adapter supports",
-            settings.c_ospeed, line.rate
+            "its driver has {} bit/s in place of {}, and 0.3 % off is the most: choose a rate that the adapter supports",
+            taken.c_ospeed, line.rate
         );
         return Err(io::Error::new(io::ErrorKind::Unsupported, message));
     }
-    if line.parity == Parity::Even && settings.c_cflag & libc::PARENB == 0 && !pseudo {
-        let message = "its driver has no parity bit: use another adapter";
+    let has = |flags| taken.c_cflag & flags != 0;
+    if line.parity == Parity::Even && (!has(libc::PARENB) || has(libc::PARODD)) && !is_pseudo_terminal(port)?
+    {
+        let message = "its driver has no even parity bit: use another adapter";
         return Err(io::Error::new(io::ErrorKind::Unsupported, message));
     }
     Ok(())
+}
+
+/// Whether a wire of `wanted` bits a second can have `rate`.
+pub(crate) fn is_near(wanted: u32, rate: u32) -> bool {
+    wanted > 0 && u64::from(rate.abs_diff(wanted)) * 1_000_000 <= u64::from(wanted) * RATE_TOLERANCE_PPM
 }
 
 /// Where the driver has it.
@@ -225,8 +298,9 @@ fn refused(path: &str, line: &SerialLine, error: io::Error) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::net::serial::testing::Pty;
 
-    const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even };
+    const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even, rs485: Rs485::Adapter };
 
     #[test]
     fn each_refusal_names_the_port_and_the_remedy() {
@@ -257,6 +331,24 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         let path = file.path().to_str().unwrap();
         assert!(text(path).contains("is no serial port"), "{}", text(path));
+    }
+
+    #[test]
+    fn a_rate_may_be_three_parts_in_a_thousand_off() {
+        assert!(is_near(1_500_000, 1_495_500) && is_near(1_500_000, 1_504_500));
+        assert!(!is_near(1_500_000, 1_495_499) && !is_near(1_500_000, 1_504_501));
+        // 921600 / 2, a usual UART's nearest to 500 kbit/s; and 45.45 kbit/s as a whole number.
+        assert!(!is_near(500_000, 460_800) && is_near(45_450, 45_455));
+        assert!(!is_near(0, 0) && is_near(u32::MAX, u32::MAX) && !is_near(9_600, u32::MAX));
+    }
+
+    #[test]
+    fn a_driver_that_cannot_switch_the_direction_is_refused() {
+        let pty = Pty::new();
+        let text = open(&pty.path, &SerialLine { rs485: Rs485::Driver, ..LINE }).unwrap_err().to_string();
+        assert!(text.contains(&pty.path) && text.contains("rs485 = \"adapter\""), "{text}");
+        // It is free again, and unlocked.
+        open(&pty.path, &LINE).unwrap();
     }
 
     #[test]

@@ -58,6 +58,8 @@ pub struct Injected {
     pub cut: u64,
     /// Segments lost, repetitions included.
     pub segments: u64,
+    /// Telegrams on a serial wire that lost a byte.
+    pub shortened: u64,
 }
 
 /// A fault of the drive itself, injected when a datagram passes.
@@ -88,6 +90,8 @@ pub struct Injector {
     carrier: Carrier,
     /// The receiver's check sequence rejects corrupted parcels.
     checked: bool,
+    /// Telegrams are bytes in a row, of which one may be lost.
+    serial: bool,
     /// By [`Way`].
     lanes: [Lane; 2],
     stalled_until: Time,
@@ -121,6 +125,7 @@ struct Lot {
     wrong_id: bool,
     split: bool,
     cut: bool,
+    shorten: bool,
 }
 
 impl Lane {
@@ -174,7 +179,7 @@ impl Lane {
         lost.into()
     }
 
-    fn draw(&mut self, plan: &FaultPlan, way: Way, carrier: Carrier) -> Lot {
+    fn draw(&mut self, plan: &FaultPlan, way: Way, carrier: Carrier, serial: bool) -> Lot {
         let (request, stream) = (way == Way::Request, carrier == Carrier::Stream);
         // This order is fixed: a seed shall make the same faults in every version.
         Lot {
@@ -190,6 +195,7 @@ impl Lane {
             wrong_id: !request && self.happens(plan.wrong_id),
             split: stream && self.happens(plan.split),
             cut: stream && !request && self.happens(plan.cut),
+            shorten: serial && self.happens(plan.lost_byte),
         }
     }
 }
@@ -212,6 +218,7 @@ impl Injector {
             plan,
             carrier,
             checked: false,
+            serial: false,
             stalled_until: Time::default(),
             injected: Injected::default(),
         }
@@ -223,10 +230,15 @@ impl Injector {
         Injector { checked: true, ..Injector::new(plan, Carrier::Datagrams) }
     }
 
+    /// The same for telegrams on a serial wire.
+    pub(super) fn of_bytes(plan: FaultPlan) -> Injector {
+        Injector { serial: true, ..Injector::new(plan, Carrier::Datagrams) }
+    }
+
     /// Uses the faults of `plan` from now on; the counts restart. Parcels under way on a stream are not overtaken.
     pub(super) fn change(&mut self, plan: FaultPlan) {
-        let before =
-            std::mem::replace(self, Injector { checked: self.checked, ..Injector::new(plan, self.carrier) });
+        let Injector { checked, serial, carrier, .. } = *self;
+        let before = std::mem::replace(self, Injector { checked, serial, ..Injector::new(plan, carrier) });
         for (lane, before) in self.lanes.iter_mut().zip(before.lanes) {
             (lane.behind, lane.gaps) = (before.behind, before.gaps);
         }
@@ -258,7 +270,7 @@ impl Injector {
         queue: &mut Queue,
     ) -> Option<DriveFault> {
         let stream = self.carrier == Carrier::Stream;
-        let lot = self.lanes[way as usize].draw(&self.plan, way, self.carrier);
+        let lot = self.lanes[way as usize].draw(&self.plan, way, self.carrier, self.serial);
         let met = if way == Way::Request { self.meets(now, &lot) } else { Met::Receiving };
         let fault = match met {
             Met::Receiving => None,
@@ -345,6 +357,11 @@ impl Injector {
             }
             let bit = lot.bit % (parcel.bytes.len() as u64 * 8);
             parcel.bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
+        }
+        if lot.shorten && parcel.bytes.len() > 1 {
+            injected.shortened += 1;
+            let place = lot.bit as usize % parcel.bytes.len();
+            parcel.bytes.remove(place);
         }
         if lot.reorder && lane.held.is_none() {
             injected.reordered += 1;

@@ -37,6 +37,8 @@ pub(crate) fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, in
         wrong_id: rate(table, "wrong_id"),
         split: of_stream(table, "split"),
         cut: of_stream(table, "cut"),
+        // Read where there is a serial wire.
+        lost_byte: 0.0,
         segment_loss: of_stream(table, "segment_loss"),
         answer_ns: table.time("answer_time", ..=S, "the time from a request to its reply").unwrap_or(0),
     }

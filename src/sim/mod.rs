@@ -268,6 +268,8 @@ pub struct FaultPlan {
     /// retransmission timeout, 200 ms, and after twice the time each time after that; later segments of its
     /// direction wait behind it. No effect on datagrams.
     pub segment_loss: f64,
+    /// A telegram on a serial wire has lost one of its bytes. No effect elsewhere.
+    pub lost_byte: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,
 }

@@ -8,9 +8,9 @@ use std::any::Any;
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use super::FaultPlan;
 use super::drives::SHORTEST_RUN_NS;
 use super::fault::{Datagram, DriveFault, Injected, Injector, Parcel, Queue, Way};
-use super::{Carrier, FaultPlan};
 use crate::net::SerialLine;
 use crate::time::Time;
 
@@ -29,7 +29,8 @@ pub trait SimSerial: Any + Send {
     /// others are 0.
     fn receive(&mut self, now: Time, bytes: &[u8]);
 
-    /// When it wants to run by its own clock, to answer for example; queried after every other call.
+    /// When it wants to run by its own clock, to answer for example; queried after every other call. What was due before
+    /// the wire's first moment runs then.
     fn next_due(&self) -> Option<Time>;
 
     /// Its own clock has come to that: what it appends to `out` it sends from now on.
@@ -94,25 +95,28 @@ pub(super) struct Medium {
     out: Vec<u8>,
     /// The master has other settings.
     garbled: bool,
+    /// Its first moment: no drive runs before it.
+    begun: Option<Time>,
 }
 
 impl Medium {
     pub(super) fn new(wire: SerialWire) -> Medium {
         Medium {
-            injector: Injector::new(wire.faults.clone(), Carrier::Datagrams),
+            injector: Injector::of_bytes(wire.faults.clone()),
             sending: Vec::new(),
             under_way: [Queue::new(UNDER_WAY), Queue::new(UNDER_WAY)],
             rests: vec![Time::default(); wire.drives.len()],
             inbox: VecDeque::new(),
             out: Vec::new(),
             garbled: false,
+            begun: None,
             wire,
         }
     }
 
     /// The master sends and receives with these settings.
     pub(super) fn set_master(&mut self, line: &SerialLine) {
-        self.garbled = *line != self.wire.line;
+        self.garbled = !line.agrees_with(&self.wire.line);
     }
 
     /// Uses the faults of `plan` from now on; the counts restart.
@@ -236,6 +240,7 @@ impl Medium {
     /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there
     /// is nothing.
     pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, Way, &Parcel)) -> bool {
+        let begun = *self.begun.get_or_insert(now);
         let Some(due) = self.next_due().filter(|due| *due <= now) else { return false };
         if let Some(k) = self.sending.iter().position(|sending| self.end(sending) <= due) {
             self.deliver(due);
@@ -256,7 +261,7 @@ impl Medium {
             self.begin(due, by, parcel.bytes.clone());
             self.under_way[Way::Reply as usize].recycle(parcel);
         } else if let Some((_, k)) = self.drive_due() {
-            self.run_drive(due, k);
+            self.run_drive(due.max(begun), k);
         }
         true
     }

@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex};
 
 use super::{Carrier, FaultPlan, SimDrive, SimSegment, SimSerial};
-use crate::net::{Parity, SerialLine};
+use crate::net::{Parity, Rs485, SerialLine};
 use crate::time::{MS, Time};
 
 /// The peers connected to the drive of a test, each with the begin of a request. It never waits for a peer.
@@ -291,7 +291,7 @@ pub struct Slave {
 }
 
 impl Slave {
-    pub const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even };
+    pub const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even, rs485: Rs485::Adapter };
 
     pub fn new(number: u8) -> Slave {
         Slave {

@@ -2,6 +2,7 @@
 
 mod errors;
 mod ethercat;
+mod profibus;
 mod slaves;
 
 use std::net::Ipv4Addr;
@@ -33,7 +34,7 @@ fn machine(section: &str, fragment: &str) -> String {
     )
 }
 
-/// The same with a Unidrive, a MOONS' drive or an EtherCAT line, in the sections that begin so; the whole file; and
+/// The same with a drive of another protocol or an EtherCAT line, in the sections that begin so; the whole file; and
 /// [`FOUR`] with it.
 fn any_machine(section: &str, fragment: &str) -> String {
     match section {
@@ -43,6 +44,9 @@ fn any_machine(section: &str, fragment: &str) -> String {
     }
     if let Some(rest) = section.strip_prefix("moons") {
         return moons(rest.trim_start_matches('-'), fragment);
+    }
+    if let Some(rest) = section.strip_prefix("lenze") {
+        return profibus::wire(rest.trim_start_matches('-'), fragment);
     }
     match (section.strip_prefix("unidrive"), section.strip_prefix("ethercat")) {
         (Some(rest), _) => unidrive(rest.trim_start_matches('-'), fragment),
@@ -1261,10 +1265,14 @@ proptest! {
             ),
             1..6,
         ),
-        of_kollmorgen: bool,
+        which in 0_usize..3,
     ) {
-        let samples = [include_str!("../../rt-config/linmot.toml"), include_str!("../../rt-config/kollmorgen.toml")];
-        let sample = samples[usize::from(of_kollmorgen)].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
+        let samples = [
+            include_str!("../../rt-config/linmot.toml"),
+            include_str!("../../rt-config/kollmorgen.toml"),
+            include_str!("../../rt-config/lenze.toml"),
+        ];
+        let sample = samples[which].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
         let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();
         for (line, value) in changes {
             let line = line.index(lines.len());

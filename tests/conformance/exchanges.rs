@@ -38,7 +38,7 @@ pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject)
 
 pub fn each_due_slot_is_one_request_and_one_exchange(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 3);
-    if line.can.stream || line.can.shared || line.can.sessions {
+    if line.can.stream || line.can.shared || line.can.sessions || line.can.bytes {
         // Before that there is nobody to ask.
         line.online();
         line.settle();
@@ -233,6 +233,9 @@ pub fn what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed
 }
 
 pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
+    if subject.can().bytes {
+        return not_applicable(subject, "a flood", "a wire has no room for one");
+    }
     let mut line = Line::new(subject, 2);
     line.online();
     if line.can.stream {

@@ -78,9 +78,10 @@ pub fn what_waits_for_its_turn_is_neither_unsent_nor_missed(subject: &'static dy
     // The loop says the same.
     let mut m = Machine::new(subject, MANY, |_, _| {});
     m.ready();
+    // To bring it up is no exchange.
+    let before = m.sim.status().missed;
     m.run(400);
-    let status = *m.sim.status();
-    assert_eq!(status.missed, 0);
+    assert_eq!(m.sim.status().missed, before);
     let end = m.sim.finish();
     for drive in &end.drives {
         assert!(drive.losses == 0 && drive.counters.answered >= 200, "{drive:?}");

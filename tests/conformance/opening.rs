@@ -14,14 +14,17 @@ pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
     assert_eq!(names, ["n7", "n6", "n5"]);
     let reported = plan.describe(PERIOD);
-    // What a line has besides has a line each behind them.
-    let more = subject.can().shared && reported.len() > 3;
+    // What a line, or a wire, has besides has a line each behind them.
+    let can = subject.can();
+    let more = (can.shared || can.half_duplex) && reported.len() > 3;
     assert!(reported.len() == 3 || more, "a paragraph a drive: {reported:#?}");
     assert!(reported.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
-    let Simulated { drives, segments, .. } = subject.simulated(&drives);
+    let Simulated { drives, segments, wires, .. } = subject.simulated(&drives);
     // On a line the first drive stands last.
     let slaves = if subject.can().shared { subject.place(0, 3) + 1 } else { 3 };
-    assert_eq!(drives.len() + segments.iter().map(|segment| segment.slaves()).sum::<usize>(), slaves);
+    let on_wires: usize = wires.iter().map(|wire| wire.drives.len()).sum();
+    let on_lines: usize = segments.iter().map(|segment| segment.slaves()).sum();
+    assert_eq!(drives.len() + on_lines + on_wires, slaves);
     let addresses: Vec<_> = drives.iter().map(|drive| drive.address()).collect();
     assert_eq!(plan.addresses(), addresses);
     assert!(!plan.protocol().is_empty() && !plan.name().is_empty());

@@ -12,8 +12,19 @@ use crate::conformance::subject::{Drive, Subject, not_applicable};
 
 const STOP: Command = Command::Stop { deceleration: None };
 
+fn comes_up_off(subject: &'static dyn Subject) -> bool {
+    let off = subject.can().comes_up_off;
+    if off {
+        not_applicable(subject, "a drive found running", "to bring it up takes its power");
+    }
+    off
+}
+
 /// An untouched drive is found as `running` says, and whatever the link does, it stays so until the first order.
 fn stays_as_found(subject: &'static dyn Subject, running: bool) {
+    if running && comes_up_off(subject) {
+        return;
+    }
     let mut line = Line::with(subject, 1, |_, drive| drive.running = running);
     line.meet();
     let (found, state) = (line.said(0), line.state(0));
@@ -49,6 +60,9 @@ pub fn a_drive_found_running_runs_on_until_the_first_order(subject: &'static dyn
 
 pub fn an_order_without_a_verb_keeps_the_state_of_the_drive(subject: &'static dyn Subject) {
     for running in [false, true] {
+        if running && comes_up_off(subject) {
+            return;
+        }
         let mut line = Line::with(subject, 1, |_, drive| drive.running = running);
         line.online();
         let state = line.state(0);
@@ -63,6 +77,9 @@ pub fn an_order_without_a_verb_keeps_the_state_of_the_drive(subject: &'static dy
 }
 
 pub fn a_drive_found_running_is_taken_over_and_stopped_with_its_power_on(subject: &'static dyn Subject) {
+    if comes_up_off(subject) {
+        return;
+    }
     for stop in [STOP, Command::QuickStop] {
         let mut line = Line::with(subject, 1, |_, drive| drive.running = true);
         line.online();
@@ -580,6 +597,8 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         line.online();
         // Lost, doubled, or late by an exchange.
         let (drop, duplicate, delay) = match line.can.stream {
+            // An answer is in its slot time, or none.
+            false if line.can.bytes => (0.3, 0.1, 0.0),
             false => (0.3, 0.1, 0.1),
             // Each of them may cost a connection, and a handshake has to pass to open the next one.
             true => (0.005, 0.002, 0.01),

@@ -5,7 +5,7 @@ use std::io::Write;
 use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Call};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::sim::{SimSegment, Simulated};
+use fieldbeat::sim::{SimSegment, SimSerial, Simulated};
 
 /// One protocol, in one way of configuring it.
 ///
@@ -76,6 +76,29 @@ pub trait Subject: Sync {
     /// Brings about the fault of [`fault`](Self::fault) in the drive at this place of a line.
     fn provoke(&self, _line: &mut dyn SimSegment, _place: usize) {}
 
+    /// On a serial wire, the drive that a telegram of the master goes to; `None`: to none, or to all.
+    fn requested(&self, _telegram: &[u8]) -> Option<usize> {
+        None
+    }
+
+    /// That telegram is an exchange, of a drive that is in data exchange or not: what sets it up is none.
+    fn is_exchange(&self, _telegram: &[u8], _open: bool) -> bool {
+        true
+    }
+
+    /// Whether the drive is in data exchange behind that telegram.
+    fn opens(&self, _telegram: &[u8], open: bool) -> bool {
+        open
+    }
+
+    /// From the begin of an exchange on a serial wire to its answer, but for two latencies of the world, ns.
+    fn answer_ns(&self) -> u64 {
+        0
+    }
+
+    /// Brings about the fault of [`fault`](Self::fault) in a drive on a serial wire.
+    fn provoke_slave(&self, _drive: &mut dyn SimSerial) {}
+
     /// Whether this request, behind those `before` it, tells the drive to stop: along a ramp, or by its quick stop.
     fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;
 
@@ -134,10 +157,15 @@ pub struct Can {
     pub steep_stops: bool,
     /// One request is on the wire at a time: the others wait for their turns.
     pub half_duplex: bool,
+    /// That wire is one of bytes that all drives share: what is late or broken may be lost with what it meets, and is
+    /// counted by whoever had the turn.
+    pub bytes: bool,
     /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive
     /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
     /// asked.
     pub shared: bool,
+    /// To bring it up takes its power: it is never found running.
+    pub comes_up_off: bool,
     /// What is found running without the watchdog of its plan is set up anew before it gets power again.
     pub rearmed: bool,
 }

@@ -71,7 +71,7 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
         requested.len()
     };
     // Who has no connection cannot even be asked.
-    let requested = if m.can.stream { 0..=0 } else { 24..=26 };
+    let requested = if m.can.stream || m.can.bytes { 0..=0 } else { 24..=26 };
     assert!(shared || requested.contains(&rarely(&m, 0)));
     m.mute(1, false);
     m.until("it online", 10_000, |m| m.feedback(1).link == Link::Online);
@@ -80,6 +80,8 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
     m.run(2);
     let received = m.received(1);
     m.run(1_000);
+    // What has been in operation is sent its exchanges.
+    let requested = if m.can.bytes { 24..=26 } else { requested };
     // On a line the frames pass all the same; the exchanges are counted below.
     assert!(shared || requested.contains(&rarely(&m, received)));
     // Who answers lost nothing by it.
@@ -210,7 +212,7 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
         let unsent = match m.can {
             Can { stream: true, .. } | Can { sessions: true, .. } => c.unsent.saturating_sub(1),
             // And before a line was up, nobody could be asked.
-            Can { shared: true, .. } => 0,
+            Can { shared: true, .. } | Can { bytes: true, .. } => 0,
             _ => c.unsent,
         };
         // Before the first request nothing had come that could answer it.
@@ -285,6 +287,9 @@ pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject:
 }
 
 pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static dyn Subject) {
+    if subject.can().comes_up_off {
+        return not_applicable(subject, "a drive found running", "to bring it up takes its power");
+    }
     let mut m = Machine::new(subject, 2, |index, drive| {
         drive.running = true;
         drive.axis.on_found_running = [FoundRunning::Stop, FoundRunning::Refuse][index];
@@ -363,6 +368,9 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
         "its number",
         if m.can.shared {
             200
+        } else if m.can.bytes {
+            // It comes with a turn of its own.
+            10
         } else if m.can.whole {
             1
         } else {
@@ -466,7 +474,8 @@ pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &
     m.until_end(20_000);
     let said = |index| m.tape(index, |tape| tape.said());
     assert!([0, 1].iter().all(|index| !said(*index).powered));
-    assert!(said(read).powered && said(read).moving, "not ours to stop");
+    let left_alone = said(read).powered && said(read).moving;
+    assert!(left_alone || m.can.comes_up_off, "not ours to stop");
     let before_off = m.tape(0, |tape| tape.all_said().into_iter().rev().find(|said| said.powered));
     assert!(before_off.is_some_and(|said| !said.moving), "power went off in mid-motion");
     m.assert_grid();

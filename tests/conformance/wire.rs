@@ -1,6 +1,8 @@
 //! What goes over the wire, written down on its way: drives and carriers that tell what passed through them, and that
 //! misbehave where the world's faults cannot (a drive that hears and acts but is not heard, a refused send).
 
+mod serial;
+
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
@@ -10,13 +12,14 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::internals::bus::Bus;
 use fieldbeat::internals::net::frames::Unsent;
 use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, Frames, Groups, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
-    UdpOptions,
+    Broken, Carriers, Datagrams, Frames, Groups, LinkNotes, Outbox, Received, Sent, Serial, SerialLine,
+    StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
 use fieldbeat::{OpenError, Time};
 
+use self::serial::{TappedSerial, TappedSlave};
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 
 /// ENOBUFS: what a full send buffer answers.
@@ -67,6 +70,9 @@ pub struct Tape {
     pub taken: u64,
     /// What another master is about to send to it.
     pub meddled: Option<Vec<u8>>,
+    /// On a serial wire: faults that it is to have from now on, and what is put on the wire in its place, and when.
+    pub faults: Option<FaultPlan>,
+    pub injected: Vec<(Time, Vec<u8>)>,
     /// The master's end of its connection, if it has any.
     pub peer: Option<SocketAddrV4>,
     /// The bus has that connection: what comes on it is no handshake.
@@ -125,15 +131,21 @@ pub struct Wire {
     log: Arc<Mutex<Log>>,
     /// Of its line, if it has one.
     interface: Option<Arc<str>>,
+    /// Its serial port, if it has one.
+    port: Option<Arc<str>>,
 }
 
 impl Wire {
     /// The wire of these drives, and all that is simulated of it.
     pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> (Wire, Simulated) {
         let plan: Arc<dyn BusPlan> = subject.plan(drives).into();
-        let Simulated { drives: simulated, mut segments, .. } = subject.simulated(drives);
-        let line = segments.pop();
+        let Simulated { drives: simulated, mut segments, mut wires, .. } = subject.simulated(drives);
+        let (line, serial) = (segments.pop(), wires.pop());
         let ends: Vec<_> = match &line {
+            None if serial.is_some() => {
+                let usual = FaultPlan { answer_ns: subject.answer_ns(), ..FaultPlan::default() };
+                vec![(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0), usual); drives.len()]
+            }
             None => simulated.iter().map(|drive| (process_data(&**drive).1, drive.faults())).collect(),
             // Nobody has an address.
             Some(line) => {
@@ -152,13 +164,16 @@ impl Wire {
             halved: false,
             taken: 0,
             meddled: None,
+            faults: None,
+            injected: Vec::new(),
             peer: None,
             open: false,
             opened: 0,
         };
         let log = Log { drives: ends.into_iter().map(tape).collect(), ..Log::default() };
         let interface = line.as_ref().map(|line| line.interface().into());
-        let wire = Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface };
+        let port = serial.as_ref().map(|wire| wire.port.as_str().into());
+        let wire = Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface, port };
         let tap = |(index, drive): (usize, Box<dyn SimDrive>)| {
             let (wire, (socket, _)) = (wire.clone(), process_data(&*drive));
             Box::new(TappedDrive { drive, index, socket, wire, part: Vec::new(), said: None, reported: None })
@@ -168,7 +183,15 @@ impl Wire {
             let drives = vec![TappedEnd::default(); drives.len()];
             Box::new(TappedLine { line, wire: wire.clone(), drives, cut: None }) as Box<dyn SimSegment>
         };
+        let tap_slave = |(index, drive)| {
+            Box::new(TappedSlave::new(drive, index, wire.clone())) as Box<dyn fieldbeat::sim::SimSerial>
+        };
+        let tap_wire = |mut serial: fieldbeat::sim::SerialWire| {
+            serial.drives = serial.drives.into_iter().enumerate().map(tap_slave).collect();
+            serial
+        };
         let simulated = Simulated {
+            wires: serial.into_iter().map(tap_wire).collect(),
             drives: simulated.into_iter().enumerate().map(tap).collect(),
             segments: line.into_iter().map(tap_line).collect(),
             ..Simulated::default()
@@ -186,7 +209,7 @@ impl Wire {
     /// Pulls the plug of drive `index`, or puts it in again.
     pub fn plug(&self, world: &World, index: usize, plugged: bool) {
         let address = self.address(index);
-        match self.interface {
+        match self.interface.as_ref().or(self.port.as_ref()) {
             Some(_) => self.log().drives[index].unplugged = !plugged,
             None => assert!(if plugged { world.plug(address) } else { world.unplug(address) }),
         }
@@ -194,6 +217,9 @@ impl Wire {
 
     /// Switches drive `index` off and on again.
     pub fn restart(&self, world: &World, index: usize) {
+        if let Some(port) = &self.port {
+            return assert!(world.restart_on(port, index));
+        }
         assert!(match &self.interface {
             Some(line) => world.restart_slave(line, self.place(index)),
             None => world.restart(self.address(index)),
@@ -202,6 +228,10 @@ impl Wire {
 
     /// From here on the wire of drive `index`, or its line, has these faults.
     pub fn faults(&self, world: &World, index: usize, plan: FaultPlan) {
+        if self.port.is_some() {
+            self.log().drives[index].faults = Some(plan);
+            return;
+        }
         assert!(match &self.interface {
             Some(line) => world.set_segment_faults(line, plan),
             None => world.set_faults(self.address(index), plan),
@@ -210,6 +240,9 @@ impl Wire {
 
     /// What comes from `from` is at the master at the instant `at`.
     pub fn inject(&self, world: &World, index: usize, from: SocketAddrV4, bytes: &[u8], at: Time) {
+        if self.port.is_some() {
+            return self.log().drives[index].injected.push((at, bytes.to_vec()));
+        }
         match &self.interface {
             Some(line) => assert!(world.inject_frame(line, bytes, at)),
             None => world.inject(self.master(index), from, bytes, at),
@@ -228,7 +261,8 @@ impl Wire {
     /// Where what drive `index` sends goes to.
     pub fn master(&self, index: usize) -> SocketAddrV4 {
         let log = self.log();
-        log.drives[index].peer.or(log.master).expect("the bus is open")
+        let none = self.port.as_ref().map(|_| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0));
+        log.drives[index].peer.or(log.master).or(none).expect("the bus is open")
     }
 }
 
@@ -520,6 +554,11 @@ impl Carriers for Tapped<'_> {
         let carrier = self.carriers.streams(peers)?;
         let parts = vec![Part::default(); addresses.len()];
         Ok(Box::new(TappedStreams { carrier, wire: self.wire.clone(), parts }))
+    }
+
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        let carrier = self.carriers.serial(port, line)?;
+        Ok(Box::new(TappedSerial::new(carrier, self.wire.clone())))
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {

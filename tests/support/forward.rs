@@ -1,7 +1,8 @@
 //! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes
 //! through.
 
-/// All of `BusPlan` but `open`, by the plan in this field.
+/// All of `BusPlan` but `open`, by the plan in this field; and but `turn_faults`: tests let more be due than a wire can
+/// carry.
 #[macro_export]
 macro_rules! forward_bus_plan {
     ($field:tt) => {
@@ -25,8 +26,12 @@ macro_rules! forward_bus_plan {
             self.$field.reply_within_ns(index)
         }
 
-        fn turn_within_ns(&self, index: usize) -> Option<u64> {
-            self.$field.turn_within_ns(index)
+        fn turn_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64> {
+            self.$field.turn_within_ns(index, grid)
+        }
+
+        fn before_stop(&self, index: usize) -> u32 {
+            self.$field.before_stop(index)
         }
 
         fn fresh_within_ns(&self, index: usize, period_ns: u64) -> Option<u64> {

@@ -1,8 +1,8 @@
 //! All drives of one PROFIBUS wire: stations, the link layer and the port, as a [`Bus`].
 //!
 //! What is due is queued, and has its turn in the order of the plan, round and round. The next telegram leaves when the
-//! one before is closed and the wire was idle, in `send` or in `poll`, as long as the window lasts. Global_Control goes
-//! before the drives when it is due. A token and a search for other masters take what is left of a round.
+//! one before is closed and the wire was idle, in `send` or in `poll`, as long as the window lasts. Global_Control, a
+//! token and a search for other masters follow when the round is over; Global_Control does not wait for that for ever.
 
 use std::os::fd::RawFd;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use super::wire::sap::global_control;
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Broken, Carriers, Lock, Place, Serial};
 use crate::rt::Regions;
-use crate::time::Time;
+use crate::time::{S, Time};
 
 /// Steps of the wire in one call: a telegram and what follows from it each.
 const MOST_STEPS: usize = 16;
@@ -26,6 +26,8 @@ const MOST_READS: usize = 4;
 const MOST_TELEGRAMS: usize = 32;
 /// So many tokens of another master in a row are one: of all telegrams they alone have no check byte.
 const TOKENS: u8 = 2;
+/// A master that was not received for so long is gone, ns.
+const OTHER_GONE_NS: u64 = S;
 /// Cycles that the orderly end may wait for one telegram.
 const END_WITHIN: u32 = 100;
 
@@ -39,6 +41,8 @@ pub(super) struct ProfibusBus {
     next: u8,
     /// The drive whose turn was last: what belongs to nobody is counted for it.
     last: u8,
+    /// So many turns come before one may be acyclic again: each round has room for one.
+    acyclic_after: usize,
     /// A drive is in Data_Exchange: Global_Control is sent.
     operates: bool,
     /// When Global_Control is due.
@@ -54,13 +58,16 @@ pub(super) struct ProfibusBus {
     highest: u8,
     /// When the telegram under way began.
     began_at: Time,
+    /// The slot of the grid.
+    grid: Time,
     line: Line,
     stations: Vec<Station>,
     net: Box<dyn Serial>,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    /// Of the telegrams of another master: its address, and how many tokens it has sent.
+    /// Of the telegrams of another master: its address, how many in a row, and the slot of the newest.
     other: Option<(u8, u8)>,
+    other_at: Time,
     end: End,
     waits: u32,
     notes: WireNotes,
@@ -122,6 +129,7 @@ impl ProfibusBus {
             starting: 0,
             next: 0,
             last: 0,
+            acyclic_after: 0,
             operates: false,
             control_at: Time(0),
             control_every_ns: plan.global_control_ns,
@@ -132,10 +140,12 @@ impl ProfibusBus {
             gap_address: plan.address,
             highest: plan.highest_address,
             began_at: Time(0),
+            grid: Time(0),
             line: Line::new(plan),
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
             other: None,
+            other_at: Time(0),
             end: End::None,
             waits: 0,
             notes: WireNotes::new(&plan.device, known, net.notes()),
@@ -228,8 +238,8 @@ impl ProfibusBus {
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
         self.notes.set(index.into(), station.note());
-        if station.exchanges() {
-            // Its outputs count from a Global_Control on that comes after it has become ready.
+        if station.exchanges() && station.starts() {
+            // Its outputs count from the next Global_Control on.
             (self.operates, self.control_at) = (true, Time(0));
         }
     }
@@ -243,6 +253,7 @@ impl ProfibusBus {
             _ => None,
         };
         let place = place.unwrap_or(self.last.into());
+        let again = self.stations.get(place).is_some_and(Station::was_answered);
         let Some(counters) = slots.get_mut(place).map(|slot| &mut slot.counters) else { return };
         match what {
             Unusual::Garbage(why, expected) => {
@@ -261,6 +272,8 @@ impl ProfibusBus {
                 }
                 .count(counters);
                 match why {
+                    // It has answered already.
+                    Unrelated::Late if again => counters.duplicate += 1,
                     Unrelated::Late => counters.late += 1,
                     Unrelated::Station | Unrelated::Kind => counters.foreign += 1,
                 }
@@ -287,7 +300,7 @@ impl ProfibusBus {
             Some((before, tokens)) if before == address => tokens.saturating_add(1),
             _ => 1,
         };
-        self.other = Some((address, tokens));
+        (self.other, self.other_at) = (Some((address, tokens)), self.grid);
         if is_token && tokens < TOKENS {
             return;
         }
@@ -313,11 +326,7 @@ impl ProfibusBus {
                     }
                 }
                 Ready::Claim => {
-                    if self.hand_over(slots) && !self.line.is_up() {
-                        // The wire was silent for long enough: there is no other master any more.
-                        self.other = None;
-                        self.notes.set_other(None);
-                    }
+                    self.hand_over(slots);
                     return;
                 }
                 Ready::Overdue { job, instead, failed } => {
@@ -373,7 +382,11 @@ impl ProfibusBus {
     #[inline]
     fn start_next(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
         if self.operates && now >= self.control_at {
-            return self.control(now, GlobalControl::OPERATE, slots);
+            // Behind a round of the drives, as long as it is not late.
+            let late = now >= self.control_at + self.control_every_ns;
+            if self.queued == 0 || late {
+                return self.control(now, GlobalControl::OPERATE, slots);
+            }
         }
         if self.queued == 0 {
             return self.round_over && self.search(cycle, now, slots);
@@ -397,7 +410,8 @@ impl ProfibusBus {
         if slot.exchange != Exchange::Queued {
             return true;
         }
-        if !self.line.request(index, |out| station.request(slot, out)) {
+        let may_be_acyclic = self.acyclic_after == 0;
+        if !self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) {
             station.unsent(slot);
             return true;
         }
@@ -405,13 +419,17 @@ impl ProfibusBus {
             Ok((at, count)) => {
                 if self.line.sent(at, count) {
                     self.began_at = at;
+                    self.acyclic_after = match station.is_acyclic() {
+                        true => self.own_slots.len() - 1,
+                        false => self.acyclic_after.saturating_sub(1),
+                    };
                     let within = at + self.line.closed_within_ns();
                     let more = within.since(cycle.deadline).div_ceil(cycle.period_ns.max(1));
                     station.sent(at, cycle.deadline + more * cycle.period_ns, slot);
                     return true;
                 }
                 station.unsent(slot);
-                false
+                true
             }
             Err(broken) => {
                 station.unsent(slot);
@@ -516,6 +534,7 @@ impl Bus for ProfibusBus {
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.grid = cycle.grid;
         if self.net.opened().is_some() {
             self.opened(cycle.grid);
         }
@@ -535,6 +554,10 @@ impl Bus for ProfibusBus {
         self.go_on(cycle, cycle.grid, slots);
         if self.starting != 0 {
             self.let_start(cycle, slots);
+        }
+        if self.other.is_some() && cycle.grid.since(self.other_at) > OTHER_GONE_NS {
+            self.other = None;
+            self.notes.set_other(None);
         }
     }
 

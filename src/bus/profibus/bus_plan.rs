@@ -12,40 +12,8 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
-use crate::bus::{Bus, BusPlan, OpenError, OwnCounter, drives};
+use crate::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
 use crate::net::Carriers;
-
-/// The bytes of a telegram around its data, and those of a token.
-const AROUND: usize = 9;
-const TOKEN: usize = 3;
-
-impl ProfibusPlan {
-    /// The longest turn of drive `index`, ns: its request with all repetitions, none of which is answered in time.
-    pub fn longest_turn_ns(&self, index: usize) -> u64 {
-        let Some((outputs, inputs)) = self.drives.get(index).and_then(LenzeDrive::lengths) else { return 0 };
-        let line = self.line();
-        let once = line.span_ns(outputs + AROUND)
-            + self.slot_ns()
-            + line.span_ns(inputs + AROUND)
-            + line.bits_ns(self.bits.idle.max(self.bits.sync).into());
-        once.saturating_mul(1 + u64::from(self.retries))
-    }
-
-    /// The turn of drive `index` if it is answered at once, ns.
-    pub fn usual_turn_ns(&self, index: usize) -> u64 {
-        let Some((outputs, inputs)) = self.drives.get(index).and_then(LenzeDrive::lengths) else { return 0 };
-        let line = self.line();
-        let bits = self.bits.max_tsdr.saturating_add(self.bits.idle.max(self.bits.sync));
-        line.span_ns(outputs + inputs + 2 * AROUND) + line.bits_ns(bits.into())
-    }
-
-    /// All turns of a round, each of them the longest, and what the master sends besides.
-    fn longest_round_ns(&self) -> u64 {
-        let turns: u64 = (0..self.drives.len()).map(|index| self.longest_turn_ns(index)).sum();
-        let own = self.line().span_ns(TOKEN + AROUND + 4 + 6) + 2 * self.slot_ns();
-        turns.saturating_add(own)
-    }
-}
 
 impl BusPlan for ProfibusPlan {
     fn name(&self) -> &str {
@@ -62,12 +30,22 @@ impl BusPlan for ProfibusPlan {
 
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
         let same: fn(&LenzeDrive, &LenzeDrive) -> bool = |one, other| one.address == other.address;
-        let taken = "is taken by another drive; one drive per address";
-        drives::faults(&self.drives, period_ns, |drive| &drive.axis, |_, _| Vec::new(), same, taken)
+        let none = |_: &LenzeDrive, _| Vec::new();
+        let drives =
+            drives::faults(&self.drives, period_ns, |drive| &drive.axis, none, same, super::ADDRESS_TAKEN);
+        let own = self.own_faults().into_iter().map(|fault| (0, fault));
+        let of_drive = |(index, drive): (usize, &LenzeDrive)| {
+            self.drive_faults(drive).into_iter().map(move |fault| (index, fault))
+        };
+        own.chain(self.drives.iter().enumerate().flat_map(of_drive)).chain(drives).collect()
     }
 
-    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
-        Some(self.longest_round_ns())
+    fn turn_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
+        Some(self.turn_within(index, grid))
+    }
+
+    fn turn_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
+        self.schedule_faults(grid)
     }
 
     fn before_stop(&self, _index: usize) -> u32 {
@@ -76,8 +54,8 @@ impl BusPlan for ProfibusPlan {
     }
 
     fn describe(&self, _period_ns: u64) -> Vec<String> {
-        let one = |drive: &LenzeDrive| format!("{} address {}", self.device, drive.address);
-        self.drives.iter().map(one).collect()
+        let drives = (0..self.drives.len()).map(|index| self.describe_drive(index));
+        drives.chain([self.describe_wire()]).collect()
     }
 
     fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {

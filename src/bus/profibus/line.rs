@@ -16,6 +16,9 @@ use crate::time::Time;
 
 /// Room for what arrives: an answer, and an own telegram that the adapter returns.
 const INBOX: usize = 2 * MAX;
+/// Bytes of an answer around its data, and of one with a usual diagnosis.
+const ANSWER: usize = 9;
+const DIAGNOSIS: usize = 64;
 /// Bit 6 of a function code: a request.
 const REQUEST: u8 = 1 << 6;
 /// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
@@ -367,7 +370,7 @@ impl Line {
     fn sent_in_part(&mut self, at: Time, count: usize) -> bool {
         let claiming = matches!(self.timing.state, State::Claiming(_));
         if count == 0 && self.taken == 0 {
-            self.timing.free_at = at + self.timing.idle_ns;
+            self.timing.free_at = self.timing.free_at.max(at + self.timing.idle_ns);
             // One that is repeated waits on.
             match self.timing.state {
                 State::Sending => self.timing.state = State::Repeating,
@@ -407,7 +410,13 @@ impl Line {
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
     #[inline]
     pub(super) fn closed_within_ns(&self) -> u64 {
-        let once = self.line.span_ns(usize::from(self.length)) + self.slot_ns + self.timing.idle_ns;
+        let answer = match self.expected {
+            Expected { data: Some(data), .. } => usize::from(data) + ANSWER,
+            // An acyclic answer may have any length, a diagnosis is short.
+            Expected { acknowledge: true, .. } => MAX,
+            Expected { .. } => DIAGNOSIS,
+        };
+        let once = self.line.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
         once * (u64::from(self.left) + 1)
     }
 
@@ -565,3 +574,6 @@ impl Expected {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,19 +12,30 @@
 //! | `acyclic` | parameters, in the drive's own turns |
 //! | `target`, `catalogue`, `notation` | what a call is for; known codes; how people write them |
 //! | `bus`, `bus_plan` | line, stations and port as one bus |
+//! | `schedule` | its turns on the grid: whether they fit, and how long one waits |
+//! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
+//! | `config` | its keys in a configuration |
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
+//!
+//! What follows is the reference of docs/ for its configuration.
+#![cfg_attr(feature = "config", doc = include_str!("../../../docs/src/configuration-profibus.md"))]
 
 mod acyclic;
 mod bus;
 mod bus_plan;
 mod catalogue;
+mod check;
+#[cfg(feature = "config")]
+mod config;
 pub(crate) mod counters;
+mod describe;
 mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
 mod plan;
 mod profile;
+mod schedule;
 mod start_up;
 mod station;
 pub(crate) mod target;
@@ -33,9 +44,22 @@ pub(crate) mod wire;
 pub use native::{NATIVE_WORDS, Native, NativeInputs, NativeOutput};
 pub use plan::{
     ADDRESS_MAX, Bits, CHANNEL, DATA_MAX, DriveProfile, LEAST_SLOT_BITS, LenzeDrive, Numbers, ParameterPath,
-    ProfibusPlan, RATES, RETRIES_MAX, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, USUAL_MAX_TSDR,
+    ProfibusPlan, RATES, RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, USUAL_MAX_TSDR,
     Watchdog,
 };
 
 /// The protocol's name in configurations.
 pub const PROTOCOL: &str = "profibus-dp";
+
+/// Why a drive cannot have its address.
+const ADDRESS_TAKEN: &str = "is taken by another drive; one drive per address";
+
+/// This protocol, for the list of all of them.
+pub(super) const REGISTERED: super::Protocol = super::Protocol {
+    name: PROTOCOL,
+    drives: "Lenze with EMF2133IB",
+    #[cfg(feature = "config")]
+    read: config::bus,
+    #[cfg(feature = "cli")]
+    tools: &[],
+};

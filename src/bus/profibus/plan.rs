@@ -6,6 +6,7 @@
 use super::wire::dp::{self, dpv1};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+pub use crate::net::Rs485;
 use crate::net::{Parity, SerialLine};
 use crate::time::MS;
 
@@ -40,7 +41,7 @@ pub struct ProfibusPlan {
     pub address: u8,
     /// The times of the wire, in its bits.
     pub bits: Bits,
-    /// A request without a correct answer is repeated so many times: 1 ..= 15.
+    /// A request without a correct answer is repeated so many times, at most 15. A file has 1 at least.
     pub retries: u8,
     /// The master sends a token to itself in each round, as a bus monitor expects. It claims the token in any case.
     pub token: bool,
@@ -52,6 +53,8 @@ pub struct ProfibusPlan {
     pub global_control_ns: u64,
     /// The adapter returns what the master sends: that is skipped.
     pub echo: bool,
+    /// Who switches the direction of the wire.
+    pub rs485: Rs485,
     /// The drives; one address each.
     pub drives: Vec<LenzeDrive>,
 }
@@ -114,6 +117,8 @@ pub struct LenzeDrive {
     /// The code of a fault is the word at this place of the extended diagnosis, counted from 0 at its header; `None`:
     /// there is none.
     pub fault_at: Option<u8>,
+    /// Its extended diagnosis has at most so many bytes (Max_Diag_Data_Len of its GSD, less 6): for the time of a turn.
+    pub extended_diagnosis: u8,
 }
 
 /// The state machine of a drive.
@@ -252,13 +257,14 @@ impl ProfibusPlan {
             highest_address: 126,
             global_control_ns: 100 * MS,
             echo: false,
+            rs485: Rs485::default(),
             drives,
         }
     }
 
     /// How bytes are sent.
     pub fn line(&self) -> SerialLine {
-        SerialLine { rate: self.rate, parity: Parity::Even }
+        SerialLine { rate: self.rate, parity: Parity::Even, rs485: self.rs485 }
     }
 
     /// The slot time: from the last byte of a request to the first one of its answer, ns.
@@ -298,6 +304,7 @@ impl LenzeDrive {
             further: Vec::new(),
             show: [const { None }; MONITOR_CHANNELS],
             fault_at: Some(1),
+            extended_diagnosis: 3,
         }
     }
 

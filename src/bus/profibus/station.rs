@@ -38,6 +38,8 @@ const AT_DATA: usize = 7;
 const ANY_ERROR: u16 = 0x1000;
 /// So many diagnoses may come without the code of a fault.
 const UNNAMED: u8 = 5;
+/// A motor turns from this part of its full speed on (assumed): below it is noise of the measurement.
+const MOVES_FROM: u16 = 256;
 /// Bit 7 of either status word: a warning; bit 10: the set point is reached.
 const WARNING: u16 = 1 << 7;
 const REACHED: u16 = 1 << 10;
@@ -90,8 +92,10 @@ pub(super) struct Station {
     inputs_len: u8,
     /// The sum of the telegram without its function code.
     sum: u8,
-    /// Counts of standstill at most.
-    still: i16,
+    /// It moves from so many counts of its actual value on.
+    moves_from: u16,
+    /// Its last telegram was answered.
+    was_answered: bool,
     fault_at: Option<u8>,
     start_up: StartUp,
     velocity_per_count: f64,
@@ -143,7 +147,8 @@ impl Station {
             actual_at: word(drive.scale.actual, inputs)?,
             inputs_len: u8::try_from(inputs).ok()?,
             sum: 0,
-            still: (drive.axis.stop.standstill * scale.abs()).clamp(1.0, 32_000.0) as i16,
+            moves_from: (drive.scale.full_count.unsigned_abs() / MOVES_FROM).max(1),
+            was_answered: false,
             fault_at: drive.fault_at,
             start_up: StartUp::new(drive, own)?,
             velocity_per_count: 1.0 / scale,
@@ -193,6 +198,11 @@ impl Station {
     #[inline]
     pub(super) fn starts(&self) -> bool {
         self.start_up.is_due()
+    }
+
+    /// Its last telegram was answered.
+    pub(super) fn was_answered(&self) -> bool {
+        self.was_answered
     }
 
     /// Why it is not in Data_Exchange.
@@ -252,12 +262,17 @@ impl Station {
         }
     }
 
-    /// Writes the telegram of its turn, and returns its length and what answers it.
+    /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
     #[inline]
-    pub(super) fn request(&mut self, slot: &Slot, out: &mut [u8; MAX]) -> Option<(usize, Expected)> {
+    pub(super) fn request(
+        &mut self,
+        slot: &Slot,
+        may_be_acyclic: bool,
+        out: &mut [u8; MAX],
+    ) -> Option<(usize, Expected)> {
         let usual = self.start_up.is_over() && slot.link == Link::Online && !self.diagnosis_due;
         if !usual || self.acyclic.data_unit().is_some() {
-            self.sending = self.choose(slot);
+            self.sending = self.choose(slot, may_be_acyclic);
             if self.sending != Sending::DataExchange {
                 return self.request_other(out);
             }
@@ -281,14 +296,14 @@ impl Station {
 
     /// What its turn is used for.
     #[inline(never)]
-    fn choose(&self, slot: &Slot) -> Sending {
+    fn choose(&self, slot: &Slot, may_be_acyclic: bool) -> Sending {
         match slot.link {
             _ if !self.start_up.is_over() => Sending::StartUp,
             // What is new, a stop above all, comes first.
             _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
             _ if self.diagnosis_due => Sending::Diagnosis,
             Link::Unseen | Link::Lost => Sending::Diagnosis,
-            _ if self.acyclic.data_unit().is_some() => Sending::Msac1,
+            _ if may_be_acyclic && self.acyclic.data_unit().is_some() => Sending::Msac1,
             _ => Sending::DataExchange,
         }
     }
@@ -306,6 +321,12 @@ impl Station {
         let acknowledge = !matches!(service, Service::SlaveDiag);
         let expected = Expected { da: self.address, saps: service.saps(), acknowledge, data: None };
         Some((head.emit(data, out)?, expected))
+    }
+
+    /// The telegram of its turn is one of MSAC1.
+    #[inline]
+    pub(super) fn is_acyclic(&self) -> bool {
+        self.sending == Sending::Msac1
     }
 
     /// The telegram of its turn left at `at`; the first time, if it is repeated.
@@ -346,6 +367,7 @@ impl Station {
     #[inline]
     pub(super) fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
         self.count = if self.count == FIRST { SECOND } else { self.count ^ FCB };
+        self.was_answered = true;
         let Answer::Data { high, data } = answer else { return self.answered_without(at, answer, slot) };
         if self.sending != Sending::DataExchange {
             return self.answered_other(at, data, slot);
@@ -430,7 +452,7 @@ impl Station {
     /// The telegram of its turn has failed: nothing answers it, however often it was repeated. The next one counts anew.
     #[cold]
     pub(super) fn failed(&mut self, slot: &mut Slot) {
-        self.count = FIRST;
+        (self.count, self.was_answered) = (FIRST, false);
         match self.sending {
             Sending::StartUp => self.start_up.failed(),
             Sending::Msac1 => self.acyclic.lost(Turn::Msac1),
@@ -507,7 +529,7 @@ impl Station {
         }
         let report = &mut slot.status;
         (report.at, report.velocity) = (at, f64::from(actual) * self.velocity_per_count);
-        let turns = actual.unsigned_abs() >= self.still.unsigned_abs() || self.profile.is_turning();
+        let turns = actual.unsigned_abs() >= self.moves_from || self.profile.is_turning();
         report.moving = report.state.is_powered() && turns;
         slot.notices.fresh = true;
         if !self.shown.is_empty() {

@@ -10,7 +10,7 @@ use crate::net::{Carriers, Os};
 use crate::rt::testing::in_own_process;
 use crate::rt::{Clock, MonotonicClock, PollSet};
 
-const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even };
+const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even, rs485: Rs485::Adapter };
 
 fn open(path: &str) -> Box<dyn Serial> {
     let mut port = Os::default().serial(path, &LINE).unwrap();
@@ -20,13 +20,17 @@ fn open(path: &str) -> Box<dyn Serial> {
 
 #[test]
 fn a_byte_takes_its_bits() {
-    let line = |rate, parity| SerialLine { rate, parity };
+    let line = |rate, parity| SerialLine { rate, parity, ..LINE };
     assert_eq!(line(9_600, Parity::None).span_ns(1), 1_041_667);
     // The sheet of PROFIBUS: 11 bits of 2 µs, and of 2/3 µs.
     assert_eq!(line(500_000, Parity::Even).span_ns(1), 22_000);
     assert_eq!(line(1_500_000, Parity::Even).span_ns(1), 7_334);
     assert_eq!(line(1_500_000, Parity::Even).span_ns(3), 22_000);
     assert_eq!(line(500_000, Parity::Even).bits_ns(33), 66_000);
+    // 83.3 ns a bit: rounded once, for all of them together.
+    let fastest = line(12_000_000, Parity::Even);
+    assert_eq!((fastest.bits_ns(1), fastest.bits_ns(33), fastest.span_ns(1)), (84, 2_750, 917));
+    assert_eq!((fastest.span_ns(12), fastest.span_ns(249 + 6)), (11_000, 233_750));
     assert_eq!((line(0, Parity::Even).span_ns(0), line(1, Parity::None).span_ns(usize::MAX)), (0, u64::MAX));
 }
 
@@ -67,7 +71,7 @@ fn a_port_has_the_settings_of_its_wire() {
     drop(port);
     // One that no standard has.
     let mut odd =
-        Os::default().serial(&pty.path, &SerialLine { rate: 123_457, parity: Parity::None }).unwrap();
+        Os::default().serial(&pty.path, &SerialLine { rate: 123_457, parity: Parity::None, ..LINE }).unwrap();
     opened(&mut *odd);
     assert_eq!((pty.settings().c_ospeed, pty.settings().c_iflag), (123_457, libc::IGNBRK));
 }

@@ -22,6 +22,7 @@ fn stormy() -> FaultPlan {
         split: 0.0,
         cut: 0.0,
         segment_loss: 0.0,
+        lost_byte: 0.0,
         answer_ns: 100,
     }
 }

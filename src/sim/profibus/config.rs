@@ -7,38 +7,49 @@ use super::{
 use crate::bus::profibus::{LenzeDrive, ProfibusPlan};
 use crate::keys::bus;
 use crate::keys::table::Table;
-use crate::sim::Carrier;
 use crate::sim::keys::faults;
+use crate::sim::{Carrier, FaultPlan, SimBus};
 use crate::time::{MS, S};
 
 /// Reads the simulated wire of a `[[bus]]` that is read otherwise.
 pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> ProfibusSegment {
     let default = ProfibusSegment::of(plan);
-    let drives = bus::simulated(table, &plan.drives, |table, drive, _| settings(table, drive));
-    table.table("simulate", |table| ProfibusSegment {
+    let drives = bus::simulated(table, &plan.drives, |table, drive, _| LenzeSettings {
+        last_master: plan.address,
+        ..settings(table, drive)
+    });
+    let segment = table.table("simulate", |table| ProfibusSegment {
         own_port: table.text("port", "a serial port, like \"/dev/ttyUSB1\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())
         }),
-        faults: faults(table, Carrier::Datagrams, period_ns, 0),
-        foreign: table.integer("second_master", 0..=126, "the address of another master on the wire").map(
-            |address| {
-                let default = ForeignSettings::new(address);
-                let every = "how often the other master sends its token";
-                ForeignSettings {
-                    every_ns: table
-                        .time("second_master_every", MS..=600 * S, every)
-                        .unwrap_or(default.every_ns),
-                    after_ns: table
-                        .time("second_master_after", ..=600 * S, "when the other master appears")
-                        .unwrap_or(default.after_ns),
-                    ..default
-                }
-            },
-        ),
+        faults: FaultPlan {
+            lost_byte: table.number("lost_byte", 0.0..=1.0, "a probability for each telegram").unwrap_or(0.0),
+            ..faults(table, Carrier::Datagrams, period_ns, 0)
+        },
+        foreign: foreign(table),
         noise: table
             .time("noise_every", MS..=600 * S, "the mean time between bursts of noise")
             .map(|every_ns| NoiseSettings { every_ns, ..NoiseSettings::default() }),
         drives,
+        ..default
+    });
+    // A drive whose plan is wrong has that reported.
+    if plan.drives.iter().all(|drive| drive.faults().is_empty()) {
+        segment.faults().into_iter().for_each(|(_, fault)| table.fault(fault.key, fault.message));
+    }
+    segment
+}
+
+/// Another master, if it has an address.
+fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
+    let address = table.integer("second_master", 0..=126, "the address of another master on the wire");
+    let every = "how often the other master sends its token";
+    let every_ns = table.time("second_master_every", MS..=600 * S, every);
+    let after_ns = table.time("second_master_after", ..=600 * S, "when the other master appears");
+    let default = ForeignSettings::new(address?);
+    Some(ForeignSettings {
+        every_ns: every_ns.unwrap_or(default.every_ns),
+        after_ns: after_ns.unwrap_or(default.after_ns),
         ..default
     })
 }

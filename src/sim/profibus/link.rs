@@ -4,7 +4,6 @@
 //! with the same bit again is answered from it, whatever it brings.
 
 use super::Misuse;
-use super::receiver::Before;
 use super::telegram::{self, BROADCAST, Frame, Telegram};
 use crate::net::SerialLine;
 use crate::time::Time;
@@ -51,7 +50,7 @@ pub(super) trait Services {
     fn request(&mut self, now: Time, frame: &Frame<'_>, misuse: &mut Misuse, out: &mut Vec<u8>) -> Answer;
 
     /// A request that is answered from memory.
-    fn repeated(&mut self, now: Time, master: u8);
+    fn repeated(&mut self, now: Time, frame: &Frame<'_>);
 
     /// A telegram to this station, or to all, that nobody answers.
     fn unanswered(&mut self, now: Time, frame: &Frame<'_>, misuse: &mut Misuse);
@@ -144,10 +143,11 @@ impl Link {
     }
 
     /// A whole telegram that ends at `now`.
-    pub(super) fn telegram(&mut self, now: Time, before: Before, bytes: &[u8], services: &mut impl Services) {
+    /// There was silence for a request before it, or not.
+    pub(super) fn telegram(&mut self, now: Time, silence: bool, bytes: &[u8], services: &mut impl Services) {
         let frame = match telegram::parse(bytes) {
             Ok(Telegram::Token { .. }) => {
-                self.misuse.too_early += u64::from(before == Before::Busy);
+                self.misuse.too_early += u64::from(!silence);
                 return;
             }
             Ok(Telegram::Frame(frame)) if frame.is_request() => frame,
@@ -156,10 +156,8 @@ impl Link {
         if frame.to != self.address && frame.to != BROADCAST {
             return;
         }
-        match before {
-            Before::Silence => {}
-            Before::Busy => return self.misuse.too_early += 1,
-            Before::Debris => return,
+        if !silence {
+            return self.misuse.too_early += 1;
         }
         if frame.from >= BROADCAST || frame.from == self.address {
             return self.misuse.source += 1;
@@ -206,7 +204,7 @@ impl Link {
             self.misuse.changed_retry += u64::from(memory.request != bytes);
             self.answer.clear();
             self.answer.extend_from_slice(&memory.answer);
-            services.repeated(now, frame.from);
+            services.repeated(now, frame);
             return self.answer_at(now, services);
         }
         self.data.clear();

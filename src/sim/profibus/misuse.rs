@@ -24,7 +24,7 @@ pub struct Misuse {
     /// Outputs of a wrong length: it leaves Data_Exchange.
     pub output_length: u64,
     /// A service of a master that has not parametrised the slave, or is not due in its state: Chk_Cfg, Set_Prm of
-    /// another master, MSAC1 outside Data_Exchange.
+    /// another master, MSAC1 outside Data_Exchange. Not if the slave lost its master by itself.
     pub state: u64,
     /// A Set_Prm with bits or times that are none.
     pub parameters: u64,

@@ -63,7 +63,8 @@ use crate::time::Time;
 impl ProfibusSegment {
     /// Drives with default settings for each of the bus.
     pub fn of(plan: &ProfibusPlan) -> ProfibusSegment {
-        let drives = plan.drives.iter().map(LenzeSettings::of).collect();
+        let of = |drive| LenzeSettings { last_master: plan.address, ..LenzeSettings::of(drive) };
+        let drives = plan.drives.iter().map(of).collect();
         let segment = ProfibusSegment::new(plan.device.clone(), plan.rate, drives);
         ProfibusSegment { echo: plan.echo, ..segment }
     }
@@ -90,16 +91,15 @@ impl SimBus for ProfibusSegment {
     fn faults(&self) -> Vec<(Option<String>, PlanFault)> {
         let mut faults = Vec::new();
         for drive in &self.drives {
-            let (name, words) = (Some(format!("address {}", drive.address)), 2 * drive.outputs.len());
             let channel = if drive.channel == Channel::None { 0 } else { 8 };
-            let own = (channel + words, channel + 2 * drive.inputs.len());
-            let sizes = prm::sizes(&drive.configuration);
-            if sizes != Some(own) {
+            let (outputs, inputs) = (channel + 2 * drive.outputs.len(), channel + 2 * drive.inputs.len());
+            if prm::sizes(&drive.configuration) != Some((outputs, inputs)) {
                 let message = format!(
-                    "the configuration is not that of {} bytes of outputs and {} of inputs: correct one of them",
-                    own.0, own.1
+                    "the configuration of the drive at address {} is not that of {outputs} bytes of outputs and \
+                     {inputs} of inputs: correct one of them",
+                    drive.address
                 );
-                faults.push((name, PlanFault::new("simulate", message)));
+                faults.push((None, PlanFault::new("simulate", message)));
             }
         }
         faults
@@ -252,7 +252,7 @@ impl SimSerial for LenzeSim {
         }
         self.link.overlap(now, bytes.len());
         let LenzeSim { receiver, link, slave, .. } = self;
-        receiver.take(now, bytes, |end, before, bytes| link.telegram(end, before, bytes, slave));
+        receiver.take(now, bytes, |end, silence, bytes| link.telegram(end, silence, bytes, slave));
     }
 
     fn next_due(&self) -> Option<Time> {

@@ -8,15 +8,16 @@ use crate::time::Time;
 #[derive(Debug)]
 pub struct ForeignMaster {
     settings: ForeignSettings,
+    /// Before its first run: at once, whenever that is.
     next: Option<Time>,
+    begun: bool,
     /// Telegrams that it has sent.
     pub sent: u64,
 }
 
 impl ForeignMaster {
     pub(super) fn new(settings: ForeignSettings) -> ForeignMaster {
-        let next = Some(Time(0) + settings.after_ns);
-        ForeignMaster { settings, next, sent: 0 }
+        ForeignMaster { settings, next: Some(Time(0)), begun: false, sent: 0 }
     }
 }
 
@@ -28,6 +29,10 @@ impl SimSerial for ForeignMaster {
     }
 
     fn run(&mut self, now: Time, out: &mut Vec<u8>) {
+        if !std::mem::replace(&mut self.begun, true) && self.settings.after_ns > 0 {
+            self.next = Some(now + self.settings.after_ns);
+            return;
+        }
         let turn = self.settings.telegrams.len().max(1) as u64;
         if let Some(telegram) = self.settings.telegrams.get((self.sent % turn) as usize) {
             out.extend_from_slice(telegram);
@@ -47,21 +52,15 @@ impl SimSerial for ForeignMaster {
 pub struct Noise {
     settings: NoiseSettings,
     random: fastrand::Rng,
-    next: Time,
+    /// `None` before its first run.
+    next: Option<Time>,
     /// Bursts so far.
     pub bursts: u64,
 }
 
 impl Noise {
     pub(super) fn new(settings: NoiseSettings) -> Noise {
-        let mut noise =
-            Noise { settings, random: fastrand::Rng::with_seed(settings.seed), next: Time(0), bursts: 0 };
-        noise.next = noise.after(Time(0));
-        noise
-    }
-
-    fn after(&mut self, now: Time) -> Time {
-        now + self.random.u64(1..=self.settings.every_ns.max(1).saturating_mul(2))
+        Noise { settings, random: fastrand::Rng::with_seed(settings.seed), next: None, bursts: 0 }
     }
 }
 
@@ -69,14 +68,17 @@ impl SimSerial for Noise {
     fn receive(&mut self, _now: Time, _bytes: &[u8]) {}
 
     fn next_due(&self) -> Option<Time> {
-        Some(self.next)
+        Some(self.next.unwrap_or_default())
     }
 
     fn run(&mut self, now: Time, out: &mut Vec<u8>) {
-        let count = self.random.u8(1..=self.settings.bytes.max(1));
-        out.extend((0..count).map(|_| self.random.u8(..)));
-        self.bursts += 1;
-        self.next = self.after(now);
+        if self.next.is_some() {
+            let count = self.random.u8(1..=self.settings.bytes.max(1));
+            out.extend((0..count).map(|_| self.random.u8(..)));
+            self.bursts += 1;
+        }
+        let pause_ns = self.random.u64(1..=self.settings.every_ns.max(1).saturating_mul(2));
+        self.next = Some(now + pause_ns);
     }
 
     fn restart(&mut self, _now: Time) {}

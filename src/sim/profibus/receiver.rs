@@ -32,7 +32,7 @@ pub struct Broken {
 
 /// The silence before a telegram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Before {
+enum Before {
     /// Enough for a request.
     Silence,
     /// Too little, behind something whole.
@@ -88,8 +88,9 @@ impl Receiver {
         self.debris = false;
     }
 
-    /// Bytes in a row, the last one of which ends at `now`: hands each whole telegram on, with its end.
-    pub(super) fn take(&mut self, now: Time, bytes: &[u8], mut telegram: impl FnMut(Time, Before, &[u8])) {
+    /// Bytes in a row, the last one of which ends at `now`: hands each whole telegram on, with its end, and whether
+    /// there was enough silence for a request.
+    pub(super) fn take(&mut self, now: Time, bytes: &[u8], mut telegram: impl FnMut(Time, bool, &[u8])) {
         let begin = now - self.line.span_ns(bytes.len());
         let silence = self.quiet_since.map_or(u64::MAX, |end| begin.since(end));
         self.quiet_since = Some(now);
@@ -111,7 +112,11 @@ impl Receiver {
             if whole {
                 let pending = std::mem::take(&mut self.pending);
                 match telegram::parse(&pending) {
-                    Ok(_) => telegram(begin + self.line.span_ns(k + 1), self.before, &pending),
+                    Ok(_) if self.before == Before::Debris => self.broken.unsynchronised += 1,
+                    Ok(_) => {
+                        let end = begin + self.line.span_ns(k + 1);
+                        telegram(end, self.before == Before::Silence, &pending);
+                    }
                     Err(damage) => return self.give_up(damage),
                 }
                 (self.pending, self.before, self.debris) = (pending, self.silence(0), false);

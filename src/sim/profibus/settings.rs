@@ -2,7 +2,7 @@
 //! parameters, motor.
 
 use crate::bus::profibus::{DriveProfile, Numbers, RATES, USUAL_MAX_TSDR};
-use crate::net::{Parity, SerialLine};
+use crate::net::{Parity, Rs485, SerialLine};
 use crate::sim::FaultPlan;
 use crate::time::{MS, S};
 
@@ -44,7 +44,7 @@ impl ProfibusSegment {
 
     /// How bytes are sent on it.
     pub fn line(&self) -> SerialLine {
-        SerialLine { rate: self.rate, parity: Parity::Even }
+        SerialLine { rate: self.rate, parity: Parity::Even, rs485: Rs485::Adapter }
     }
 }
 
@@ -79,6 +79,8 @@ pub struct LenzeSettings {
     pub boot_ns: u64,
     /// Comes up enabled and running at this speed, rpm, as if another master had died.
     pub running: Option<f64>,
+    /// The address of that master. Default 2.
+    pub last_master: u8,
 }
 
 impl LenzeSettings {
@@ -99,6 +101,7 @@ impl LenzeSettings {
             motor: LenzeMotorSettings::default(),
             boot_ns: 500 * MS,
             running: None,
+            last_master: 2,
         }
     }
 }

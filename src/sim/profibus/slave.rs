@@ -11,7 +11,7 @@
 //! | Clear | outputs are safe until Operate |
 //! | Global_Control outside Data_Exchange | nothing |
 //! | min Tsdr below 11 bits or beyond MaxTsdr, reserved bits | Prm_Fault |
-//! | a request answered from memory | feeds the watchdog |
+//! | the watchdog | is fed by Data_Exchange, one answered from memory included, Set_Prm and Chk_Cfg; nothing else |
 
 use super::Misuse;
 use super::acyclic::Acyclic;
@@ -93,6 +93,8 @@ pub(super) struct Slave {
     /// It was last addressed by its master.
     fed: Time,
     operate: bool,
+    /// It left its master by itself, which that one does not know: power was lost, or its watchdog expired.
+    orphaned: bool,
     prm_fault: bool,
     cfg_fault: bool,
     not_supported: bool,
@@ -112,7 +114,7 @@ pub(super) struct Slave {
 
 impl Slave {
     pub(super) fn new(settings: &LenzeSettings, line: SerialLine) -> Slave {
-        Slave {
+        let mut slave = Slave {
             line,
             state: DpState::WaitPrm,
             ready_at: Time(0),
@@ -120,6 +122,7 @@ impl Slave {
             parameters: Parameters::default(),
             fed: Time(0),
             operate: false,
+            orphaned: false,
             prm_fault: false,
             cfg_fault: false,
             not_supported: false,
@@ -133,14 +136,23 @@ impl Slave {
             drive: Drive::new(settings),
             events: Events::default(),
             settings: settings.clone(),
+        };
+        slave.outputs.resize(slave.sizes.0, 0);
+        if settings.running.is_some() {
+            // As its master has left it, without a watchdog.
+            (slave.state, slave.master, slave.operate) =
+                (DpState::DataExchange, Some(settings.last_master), true);
         }
+        slave
     }
 
     /// Power came back.
     pub(super) fn restart(&mut self) {
         self.leave();
+        self.orphaned = true;
         self.parameters = Parameters::default();
         (self.prm_fault, self.cfg_fault, self.not_supported) = (false, false, false);
+        (self.reported, self.static_diagnosis) = ((None, false), false);
         self.drive.restart();
     }
 
@@ -160,6 +172,7 @@ impl Slave {
             self.drive.advance(expiry);
             self.events.watchdogs += 1;
             self.leave();
+            self.orphaned = true;
         }
         self.ready(now);
         self.drive.advance(now);
@@ -284,6 +297,7 @@ impl Slave {
             Ok(prm::Request::Keep(parameters)) => self.parameters = parameters,
             Ok(prm::Request::Lock(parameters)) => {
                 (self.parameters, self.master, self.fed) = (parameters, Some(frame.from), now);
+                self.orphaned = false;
                 (self.prm_fault, self.cfg_fault, self.not_supported) = (false, false, false);
                 self.events.parametrised += 1;
                 if self.state == DpState::WaitPrm {
@@ -304,7 +318,7 @@ impl Slave {
 
     fn chk_cfg(&mut self, now: Time, frame: &Frame<'_>, misuse: &mut Misuse) -> Answer {
         if self.state == DpState::WaitPrm || self.master != Some(frame.from) {
-            misuse.state += 1;
+            misuse.state += u64::from(!self.orphaned);
             return self.not_active();
         }
         self.fed = now;
@@ -320,10 +334,9 @@ impl Slave {
 
     fn acyclic(&mut self, now: Time, frame: &Frame<'_>, misuse: &mut Misuse, out: &mut Vec<u8>) -> Answer {
         if self.state != DpState::DataExchange || self.master != Some(frame.from) || !self.parameters.dpv1 {
-            misuse.state += 1;
+            misuse.state += u64::from(!self.orphaned);
             return self.not_active();
         }
-        self.fed = now;
         self.acyclic.request(now, frame.data, &mut self.drive, misuse, out)
     }
 
@@ -372,9 +385,9 @@ impl Services for Slave {
         }
     }
 
-    fn repeated(&mut self, now: Time, master: u8) {
+    fn repeated(&mut self, now: Time, frame: &Frame<'_>) {
         self.advance(now);
-        if self.master == Some(master) {
+        if self.master == Some(frame.from) && frame.saps == (None, None) {
             self.fed = now;
         }
     }

@@ -19,6 +19,8 @@ pub(super) const BROADCAST: u8 = 127;
 /// The bit of a function code that is a request.
 const REQUEST: u8 = 0x40;
 
+/// The least and the largest length in an SD2.
+const LENGTHS: (u8, u8) = (4, 249);
 /// The bytes of a telegram of 8 data bytes of the form SD3.
 const SD3_DATA: usize = 8;
 
@@ -70,11 +72,13 @@ pub(super) fn length(bytes: &[u8]) -> Result<Option<usize>, Damage> {
         [mark::SD4, ..] => Ok(Some(3)),
         [mark::SD1, ..] => Ok(Some(6)),
         [mark::SD3, ..] => Ok(Some(SD3_DATA + 6)),
-        [mark::SD2, length, again, second, ..] => match (4..=249).contains(&length) && again == length {
-            true if second == mark::SD2 => Ok(Some(usize::from(length) + 6)),
-            true => Err(Damage::Start),
-            false => Err(Damage::Length),
-        },
+        [mark::SD2, length, again, second, ..] => {
+            match (LENGTHS.0..=LENGTHS.1).contains(&length) && again == length {
+                true if second == mark::SD2 => Ok(Some(usize::from(length) + 6)),
+                true => Err(Damage::Start),
+                false => Err(Damage::Length),
+            }
+        }
         [mark::SD2, ..] => Ok(None),
         _ => Err(Damage::Start),
     }
@@ -120,20 +124,21 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Telegram<'_>, Damage> {
 pub(super) fn append(frame: &Frame<'_>, short: bool, out: &mut Vec<u8>) {
     let (to, from) = frame.saps;
     let mark = |address: u8, sap: Option<u8>| address | if sap.is_some() { EXTENSION } else { 0 };
-    let mut body = vec![mark(frame.to, to), mark(frame.from, from), frame.function];
-    body.extend(to);
-    body.extend(from);
-    body.extend_from_slice(frame.data);
-    match body.len() - 3 {
+    let data = usize::from(to.is_some()) + usize::from(from.is_some()) + frame.data.len();
+    match data {
         0 => out.push(mark::SD1),
         SD3_DATA if short => out.push(mark::SD3),
         _ => {
-            let length = body.len().min(249) as u8;
+            let length = (data + 3).min(LENGTHS.1.into()) as u8;
             out.extend([mark::SD2, length, length, mark::SD2]);
         }
     }
-    out.extend_from_slice(&body);
-    out.extend([check_sum(&body), mark::END]);
+    let body = out.len();
+    out.extend([mark(frame.to, to), mark(frame.from, from), frame.function]);
+    out.extend(to);
+    out.extend(from);
+    out.extend_from_slice(frame.data);
+    out.extend([check_sum(&out[body..]), mark::END]);
 }
 
 /// Appends a positive acknowledgement.

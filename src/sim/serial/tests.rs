@@ -122,6 +122,25 @@ fn a_two_wire_adapter_echoes_and_other_settings_garble() {
     assert_eq!(read(&mut medium, end + 10 * BYTE), [0; 3]);
 }
 
+#[test]
+fn at_12_mbit_s_no_byte_is_early_and_rounding_costs_less_than_a_ns_a_telegram() {
+    const LONG: u64 = 7;
+    let line = SerialLine { rate: 12_000_000, ..Slave::LINE };
+    let mut medium = Medium::new(SerialWire { line, echo: true, ..wire(&[]) });
+    for _ in 0..500 {
+        medium.write(START, &[1; LONG as usize]);
+    }
+    for telegram in 0..500 {
+        for byte in 1..=LONG {
+            // 11 bits of 1000 / 12 ns, of all bytes so far.
+            let exact = (telegram * LONG + byte) * 11_000;
+            assert!(!medium.is_readable(START + (exact.div_ceil(12) - 1)), "{telegram}: {byte}");
+            assert_eq!(read(&mut medium, START + (exact / 12 + telegram + 1)), [1], "{telegram}: {byte}");
+        }
+    }
+    assert_eq!(medium.next_due(), None);
+}
+
 /// What the master receives for so many requests, one a millisecond, with these faults.
 fn exchange(faults: FaultPlan, count: u8) -> (Vec<Vec<u8>>, Medium) {
     let mut medium = Medium::new(SerialWire { faults, ..wire(&[7, 9]) });
@@ -149,6 +168,8 @@ fn each_fault_does_to_telegrams_what_its_name_says() {
     assert_eq!((&received[1][..], medium.injected().wrong_id), (&[135 ^ 0x40, 1, 2][..], 4));
     let (received, medium) = only(|plan| plan.corrupt = 1.0);
     assert_eq!((received.concat().len(), medium.injected().corrupted), (0, 4), "no slave knows its request");
+    let (received, medium) = only(|plan| plan.lost_byte = 1.0);
+    assert_eq!((received.concat().len(), medium.injected().shortened), (0, 4), "each is too short");
     let (received, medium) = only(|plan| plan.delay = 1.0);
     assert_eq!((&received[1][..], medium.injected().delayed), (&[135, 1, 2][..], 8));
     let (received, medium) = only(|plan| plan.duplicate = 1.0);

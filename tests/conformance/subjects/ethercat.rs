@@ -190,6 +190,8 @@ impl Subject for EtherCat {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
+            comes_up_off: false,
             shared: true,
             rearmed: self.slaves != Slaves::Strict,
         }

@@ -83,6 +83,8 @@ impl Subject for EthernetIp {
             sessions: true,
             steep_stops: true,
             half_duplex: false,
+            bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

@@ -58,6 +58,8 @@ impl Subject for LinUdp {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

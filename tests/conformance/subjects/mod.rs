@@ -4,4 +4,5 @@ pub mod ethercat;
 pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
+pub mod profibus;
 pub mod toy;

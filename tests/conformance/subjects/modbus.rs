@@ -117,6 +117,8 @@ impl Subject for Modbus {
             sessions: false,
             steep_stops: false,
             half_duplex: false,
+            bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use fieldbeat::axis::{
     AxisPlan, Call, CallError, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units,
 };
-use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::{BusPlan, Grid};
 use fieldbeat::internals::axis::acyclic;
 use fieldbeat::internals::axis::acyclic::{AcyclicEnds, Commanding, Notation, Port};
 use fieldbeat::internals::bus::desired::{
@@ -178,6 +178,8 @@ impl Subject for Toy {
             sessions: false,
             steep_stops: false,
             half_duplex: self.0 == ToyWire::HalfDuplex,
+            bytes: false,
+            comes_up_off: false,
             shared: false,
             rearmed: false,
         }
@@ -305,7 +307,7 @@ impl BusPlan for ToyPlan {
         (self.wire == ToyWire::Later).then_some(WINDOW + PERIOD)
     }
 
-    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
+    fn turn_within_ns(&self, _index: usize, _grid: Grid) -> Option<u64> {
         (self.wire == ToyWire::HalfDuplex).then(|| half_duplex::turn_within_ns(self.drives.len()))
     }
 

@@ -36,9 +36,15 @@ pub const PROFILE: Profile = Profile { velocity: 8.0, acceleration: 80.0, decele
 pub fn drive(index: usize) -> LenzeDrive {
     let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index as u8);
     drive.axis.profile = PROFILE;
+    drive.axis.limits.velocity = Some(20.0);
     drive.axis.stop.deceleration = 80.0;
     drive.axis.jog_deadman = None;
     drive
+}
+
+/// A cycle of 1 ms whose window has room for two drives at 1.5 Mbit/s.
+pub fn cycle() -> CyclePlan {
+    CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() }
 }
 
 /// A wire of this rate with so many drives.

@@ -73,7 +73,7 @@ fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
     let interface = table.text("interface", "the name of a network interface, like \"eth1\"", |text| {
         (!text.is_empty()).then(|| text.to_owned())
     })?;
-    machine.claim_interface(table, &interface);
+    machine.claim_interface(table, "interface", &interface);
     Some(interface)
 }
 

@@ -1,7 +1,6 @@
 //! The services of DP-V0: what is in their data (sheet, 6). Data_Exchange has process data, and nothing of its own.
 
-use std::fmt;
-
+use super::words::bits;
 use super::{Reader, Writer};
 
 /// The answer to Slave_Diag.
@@ -48,82 +47,25 @@ impl<'a> Diagnosis<'a> {
     }
 }
 
-/// The first three bytes of a diagnosis; bit 8 is bit 0 of the second byte.
-#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
-pub struct DiagnosisStatus(pub u32);
-
-impl DiagnosisStatus {
-    /// Set by a master: the slave does not answer.
-    pub const NON_EXISTENT: u32 = 1 << 0;
-    /// It is not ready for Data_Exchange.
-    pub const NOT_READY: u32 = 1 << 1;
-    /// The configuration of Chk_Cfg is not its own.
-    pub const CFG_FAULT: u32 = 1 << 2;
-    /// The extended diagnosis is one of a fault.
-    pub const EXT_DIAG: u32 = 1 << 3;
-    /// It does not support what was requested.
-    pub const NOT_SUPPORTED: u32 = 1 << 4;
-    /// Set by a master: a reply was invalid.
-    pub const INVALID_REPLY: u32 = 1 << 5;
-    /// The last Set_Prm was wrong: ident number, length, values.
-    pub const PRM_FAULT: u32 = 1 << 6;
-    /// Another master has it.
-    pub const MASTER_LOCK: u32 = 1 << 7;
-    /// It wants to be parametrised again.
-    pub const PRM_REQ: u32 = 1 << 8;
-    /// Its inputs are not valid; the diagnosis is read until it ends.
-    pub const STAT_DIAG: u32 = 1 << 9;
-    /// Always 1.
-    pub const ALWAYS: u32 = 1 << 10;
-    /// Its watchdog is on.
-    pub const WD_ON: u32 = 1 << 11;
-    /// Its inputs are frozen.
-    pub const FREEZE: u32 = 1 << 12;
-    /// Its outputs are synchronised.
-    pub const SYNC: u32 = 1 << 13;
-    /// Set by a master: it is deactivated.
-    pub const DEACTIVATED: u32 = 1 << 15;
-    /// There is more diagnosis than fits.
-    pub const OVERFLOW: u32 = 1 << 23;
-
-    const NAMES: [(u32, &'static str); 16] = [
-        (Self::NON_EXISTENT, "non-existent"),
-        (Self::NOT_READY, "not ready"),
-        (Self::CFG_FAULT, "configuration fault"),
-        (Self::EXT_DIAG, "extended diagnosis"),
-        (Self::NOT_SUPPORTED, "not supported"),
-        (Self::INVALID_REPLY, "invalid reply"),
-        (Self::PRM_FAULT, "parametrisation fault"),
-        (Self::MASTER_LOCK, "locked by another master"),
-        (Self::PRM_REQ, "parametrisation requested"),
-        (Self::STAT_DIAG, "static diagnosis"),
-        (Self::ALWAYS, "slave"),
-        (Self::WD_ON, "watchdog on"),
-        (Self::FREEZE, "freeze"),
-        (Self::SYNC, "sync"),
-        (Self::DEACTIVATED, "deactivated"),
-        (Self::OVERFLOW, "overflow"),
-    ];
-
-    /// All of `bits` are 1.
-    pub const fn has(self, bits: u32) -> bool {
-        self.0 & bits == bits
-    }
-
-    /// One of `bits` is 1.
-    pub const fn has_any(self, bits: u32) -> bool {
-        self.0 & bits != 0
-    }
-
-    /// The names of the bits that are 1. Reserved ones have none.
-    pub fn names(self) -> impl Iterator<Item = &'static str> {
-        Self::NAMES.into_iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| name)
-    }
-}
-
-impl fmt::Debug for DiagnosisStatus {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        super::words::write_word(f, "DiagnosisStatus", format_args!("{:#08x}", self.0), self.names())
+bits! {
+    /// The first three bytes of a diagnosis; bit 8 is bit 0 of the second byte.
+    pub struct DiagnosisStatus(u32) {
+        NON_EXISTENT = 0: "non-existent", "Set by a master.";
+        NOT_READY = 1: "not ready", "For Data_Exchange.";
+        CFG_FAULT = 2: "configuration fault", "That of Chk_Cfg is not its own.";
+        EXT_DIAG = 3: "extended diagnosis", "It is one of a fault.";
+        NOT_SUPPORTED = 4: "not supported";
+        INVALID_REPLY = 5: "invalid reply", "Set by a master.";
+        PRM_FAULT = 6: "parametrisation fault", "Ident number, length or values of the last Set_Prm.";
+        MASTER_LOCK = 7: "locked by another master";
+        PRM_REQ = 8: "parametrisation requested";
+        STAT_DIAG = 9: "static diagnosis", "Its inputs are not valid; the diagnosis is read until this ends.";
+        ALWAYS = 10: "slave", "Always 1.";
+        WD_ON = 11: "watchdog on";
+        FREEZE = 12: "freeze";
+        SYNC = 13: "sync";
+        DEACTIVATED = 15: "deactivated", "Set by a master.";
+        OVERFLOW = 23: "overflow", "There is more diagnosis than fits.";
     }
 }
 
@@ -256,39 +198,27 @@ pub struct Module {
 }
 
 impl Configuration<'_> {
-    /// The modules; an `Err` ends them: its bytes pass the end.
-    pub fn modules(&self) -> impl Iterator<Item = Result<Module, CutModule>> {
+    /// The modules; `None` ends them: the bytes of one pass the end.
+    pub fn modules(&self) -> impl Iterator<Item = Option<Module>> {
         let mut reader = Reader(self.0);
         std::iter::from_fn(move || {
             let identifier = reader.byte()?;
-            let module = if identifier & 0x30 == 0 {
-                special(identifier, &mut reader)
-            } else {
-                Some(plain(identifier))
-            };
-            Some(module.ok_or_else(|| {
+            let plain = (identifier & 0x30 != 0).then(|| plain(identifier));
+            let module = plain.or_else(|| special(identifier, &mut reader));
+            if module.is_none() {
                 reader.0 = &[];
-                CutModule { identifier }
-            }))
+            }
+            Some(module)
         })
     }
 
-    /// All of them together; `None` if the last one passes the end.
+    /// Bytes of inputs and outputs of all modules; `None` if the last one passes the end.
     pub fn sizes(&self) -> Option<(usize, usize)> {
-        let mut sum = (0, 0);
-        for module in self.modules() {
-            let Module { inputs, outputs, .. } = module.ok()?;
-            sum = (sum.0 + usize::from(inputs), sum.1 + usize::from(outputs));
-        }
-        Some(sum)
+        self.modules().try_fold((0, 0), |(inputs, outputs), module| {
+            let module = module?;
+            Some((inputs + usize::from(module.inputs), outputs + usize::from(module.outputs)))
+        })
     }
-}
-
-/// A module of which bytes are missing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CutModule {
-    /// Its first byte.
-    pub identifier: u8,
 }
 
 /// An identifier byte: bit 7 consistent, bit 6 words, bits 5 and 4 outputs and inputs, bits 3 ... 0 the length - 1.

@@ -2,140 +2,113 @@
 //!
 //! The commands that a master sends are constants; which one is next is decided elsewhere.
 
-use std::fmt;
-
 use crate::axis::State;
 
-/// Defines a word and what is common to all of them: bits of which `names` has the names.
-macro_rules! word {
-    ($(#[$about:meta])* $Word:ident, $names:expr) => {
+/// Defines a word by its bits, each with its number and its name.
+macro_rules! bits {
+    (
+        $(#[$about:meta])*
+        pub struct $Word:ident($bits:ty) { $($BIT:ident = $bit:literal: $name:literal $(, $more:literal)?;)+ }
+    ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
-        pub struct $Word(pub u16);
+        pub struct $Word(pub $bits);
 
         impl $Word {
-            const NAMES: &[(u16, &'static str)] = &$names;
+            $(
+                #[doc = concat!("Bit ", $bit, ": ", $name, ".", $(" ", $more)?)]
+                pub const $BIT: $bits = 1 << $bit;
+            )+
 
             /// All of `bits` are 1.
-            pub const fn has(self, bits: u16) -> bool {
+            pub const fn has(self, bits: $bits) -> bool {
                 self.0 & bits == bits
             }
 
+            /// One of `bits` is 1.
+            pub const fn has_any(self, bits: $bits) -> bool {
+                self.0 & bits != 0
+            }
+
             /// With `bits` as 1.
-            pub const fn with(self, bits: u16) -> $Word {
+            pub const fn with(self, bits: $bits) -> $Word {
                 $Word(self.0 | bits)
             }
 
             /// With `bits` as 0.
-            pub const fn without(self, bits: u16) -> $Word {
+            pub const fn without(self, bits: $bits) -> $Word {
                 $Word(self.0 & !bits)
             }
 
             /// The names of the bits that are 1. Reserved ones have none.
             pub fn names(self) -> impl Iterator<Item = &'static str> {
-                Self::NAMES.iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| *name)
+                let names = [$(($Word::$BIT, $name)),+];
+                names.into_iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| name)
             }
         }
 
-        impl fmt::Debug for $Word {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write_word(f, stringify!($Word), format_args!("{:#06x}", self.0), self.names())
+        impl std::fmt::Debug for $Word {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                write!(f, "{}({:#0width$x}", stringify!($Word), self.0, width = 2 + size_of::<$bits>() * 2)?;
+                for (index, name) in self.names().enumerate() {
+                    write!(f, "{}{name}", if index == 0 { ": " } else { ", " })?;
+                }
+                f.write_str(")")
             }
         }
     };
 }
+pub(super) use bits;
 
-word! {
+bits! {
     /// The control word of DRIVECOM, profile 21. Its bits are those of CiA 402 (the sheet names the commands; the bits
     /// are assumed).
-    DrivecomControl, [
-        (Self::SWITCH_ON, "switch on"),
-        (Self::ENABLE_VOLTAGE, "enable voltage"),
-        (Self::NO_QUICK_STOP, "no quick stop"),
-        (Self::ENABLE_OPERATION, "enable operation"),
-        (Self::RAMP_ENABLE, "ramp enable"),
-        (Self::RAMP_RUN, "ramp run"),
-        (Self::SETPOINT, "setpoint"),
-        (Self::FAULT_RESET, "fault reset"),
-    ]
+    pub struct DrivecomControl(u16) {
+        SWITCH_ON = 0: "switch on";
+        ENABLE_VOLTAGE = 1: "enable voltage", "0: the voltage is inhibited, the motor coasts.";
+        NO_QUICK_STOP = 2: "no quick stop", "0: quick stop.";
+        ENABLE_OPERATION = 3: "enable operation";
+        RAMP_ENABLE = 4: "ramp enable", "0: the output of the ramp generator is 0.";
+        RAMP_RUN = 5: "ramp run", "0: the ramp generator holds its output.";
+        SETPOINT = 6: "setpoint", "0: the input of the ramp generator is 0.";
+        FAULT_RESET = 7: "fault reset", "The rising edge counts.";
+    }
 }
 
 impl DrivecomControl {
-    /// Bit 0: switch on.
-    pub const SWITCH_ON: u16 = 1 << 0;
-    /// Bit 1: 0 = voltage inhibited, the motor coasts.
-    pub const ENABLE_VOLTAGE: u16 = 1 << 1;
-    /// Bit 2: 0 = quick stop.
-    pub const NO_QUICK_STOP: u16 = 1 << 2;
-    /// Bit 3: enable operation.
-    pub const ENABLE_OPERATION: u16 = 1 << 3;
-    /// Bit 4: 0 = the output of the ramp generator is 0.
-    pub const RAMP_ENABLE: u16 = 1 << 4;
-    /// Bit 5: 0 = the ramp generator holds its output.
-    pub const RAMP_RUN: u16 = 1 << 5;
-    /// Bit 6: 0 = the input of the ramp generator is 0.
-    pub const SETPOINT: u16 = 1 << 6;
-    /// Bit 7: the rising edge resets a fault.
-    pub const FAULT_RESET: u16 = 1 << 7;
-
-    /// 0006h: be ready to switch on.
+    /// Be ready to switch on.
     pub const SHUTDOWN: DrivecomControl = DrivecomControl(0x0006);
-    /// 0007h: switch on.
+    /// Switch on.
     pub const SWITCHED_ON: DrivecomControl = DrivecomControl(0x0007);
-    /// 000Fh: enable operation. The ramp generator is at 0.
+    /// Enable operation. The ramp generator is at 0.
     pub const ENABLED: DrivecomControl = DrivecomControl(0x000F);
-    /// 007Fh: enable operation, and follow the setpoint.
+    /// Enable operation, and follow the setpoint.
     pub const RUN: DrivecomControl = DrivecomControl(0x007F);
-    /// 0002h: quick stop.
+    /// Quick stop.
     pub const QUICK_STOP: DrivecomControl = DrivecomControl(0x0002);
-    /// 0000h: inhibit the voltage.
+    /// Inhibit the voltage.
     pub const INHIBIT: DrivecomControl = DrivecomControl(0x0000);
 }
 
-word! {
-    /// The status word of DRIVECOM (EMF2133IB manual, page 76).
-    DrivecomStatus, [
-        (Self::READY, "ready to start"),
-        (Self::SWITCHED_ON, "switched on"),
-        (Self::OPERATION_ENABLED, "operation enabled"),
-        (Self::FAULT, "fault"),
-        (Self::VOLTAGE_INHIBIT, "voltage inhibited"),
-        (Self::NO_QUICK_STOP, "no quick stop"),
-        (Self::SWITCH_ON_INHIBIT, "switch-on inhibit"),
-        (Self::WARNING, "warning"),
-        (Self::MESSAGE, "message"),
-        (Self::REMOTE, "remote"),
-        (Self::SETPOINT_REACHED, "setpoint reached"),
-        (Self::LIMIT, "limit"),
-    ]
+bits! {
+    /// The status word of DRIVECOM (EMF2133IB manual, page 76). Bits 7 and up are assumed.
+    pub struct DrivecomStatus(u16) {
+        READY = 0: "ready to start";
+        SWITCHED_ON = 1: "switched on";
+        OPERATION_ENABLED = 2: "operation enabled";
+        FAULT = 3: "fault";
+        VOLTAGE_INHIBIT = 4: "voltage inhibited";
+        NO_QUICK_STOP = 5: "no quick stop", "0: quick stop.";
+        SWITCH_ON_INHIBIT = 6: "switch-on inhibit";
+        WARNING = 7: "warning";
+        MESSAGE = 8: "message";
+        REMOTE = 9: "remote", "The bus is in control.";
+        SETPOINT_REACHED = 10: "setpoint reached";
+        LIMIT = 11: "limit";
+    }
 }
 
 impl DrivecomStatus {
-    /// Bit 0: ready to start.
-    pub const READY: u16 = 1 << 0;
-    /// Bit 1: switched on.
-    pub const SWITCHED_ON: u16 = 1 << 1;
-    /// Bit 2: operation enabled.
-    pub const OPERATION_ENABLED: u16 = 1 << 2;
-    /// Bit 3: fault.
-    pub const FAULT: u16 = 1 << 3;
-    /// Bit 4: voltage inhibited.
-    pub const VOLTAGE_INHIBIT: u16 = 1 << 4;
-    /// Bit 5: 0 = quick stop.
-    pub const NO_QUICK_STOP: u16 = 1 << 5;
-    /// Bit 6: switching on is inhibited.
-    pub const SWITCH_ON_INHIBIT: u16 = 1 << 6;
-    /// Bit 7: warning (assumed, as all that follow).
-    pub const WARNING: u16 = 1 << 7;
-    /// Bit 8: message.
-    pub const MESSAGE: u16 = 1 << 8;
-    /// Bit 9: the bus is in control.
-    pub const REMOTE: u16 = 1 << 9;
-    /// Bit 10: the setpoint is reached.
-    pub const SETPOINT_REACHED: u16 = 1 << 10;
-    /// Bit 11: a limit is active.
-    pub const LIMIT: u16 = 1 << 11;
-
     /// Its state; [`State::Unknown`]: none of the manual's.
     pub const fn state(self) -> State {
         // A fault reaction is looked for before a fault, as the manual does.
@@ -153,94 +126,48 @@ impl DrivecomStatus {
     }
 }
 
-word! {
+bits! {
     /// The control word of PROFIdrive, STW1 (FPBA-01 manual).
-    ProfidriveControl, [
-        (Self::ON, "on"),
-        (Self::NO_OFF2, "no OFF2"),
-        (Self::NO_OFF3, "no OFF3"),
-        (Self::ENABLE_OPERATION, "enable operation"),
-        (Self::RAMP_ENABLE, "ramp enable"),
-        (Self::RAMP_RUN, "ramp run"),
-        (Self::SETPOINT, "setpoint"),
-        (Self::FAULT_RESET, "fault reset"),
-        (Self::JOG_1, "jog 1"),
-        (Self::JOG_2, "jog 2"),
-        (Self::BY_PLC, "control by PLC"),
-    ]
+    pub struct ProfidriveControl(u16) {
+        ON = 0: "on", "0: OFF1, ramp down and power off.";
+        NO_OFF2 = 1: "no OFF2", "0: the motor coasts.";
+        NO_OFF3 = 2: "no OFF3", "0: quick stop.";
+        ENABLE_OPERATION = 3: "enable operation";
+        RAMP_ENABLE = 4: "ramp enable", "0: the output of the ramp generator is 0.";
+        RAMP_RUN = 5: "ramp run", "0: the ramp generator holds its output.";
+        SETPOINT = 6: "setpoint", "0: the input of the ramp generator is 0.";
+        FAULT_RESET = 7: "fault reset", "The rising edge counts.";
+        JOG_1 = 8: "jog 1";
+        JOG_2 = 9: "jog 2";
+        BY_PLC = 10: "control by PLC", "0: the drive ignores the process data. DRIVECOM has no such bit.";
+    }
 }
 
 impl ProfidriveControl {
-    /// Bit 0: on; 0 = OFF1, ramp down and power off.
-    pub const ON: u16 = 1 << 0;
-    /// Bit 1: 0 = OFF2, the motor coasts.
-    pub const NO_OFF2: u16 = 1 << 1;
-    /// Bit 2: 0 = OFF3, quick stop.
-    pub const NO_OFF3: u16 = 1 << 2;
-    /// Bit 3: enable operation.
-    pub const ENABLE_OPERATION: u16 = 1 << 3;
-    /// Bit 4: 0 = the output of the ramp generator is 0.
-    pub const RAMP_ENABLE: u16 = 1 << 4;
-    /// Bit 5: 0 = the ramp generator holds its output.
-    pub const RAMP_RUN: u16 = 1 << 5;
-    /// Bit 6: 0 = the input of the ramp generator is 0.
-    pub const SETPOINT: u16 = 1 << 6;
-    /// Bit 7: the rising edge acknowledges a fault.
-    pub const FAULT_RESET: u16 = 1 << 7;
-    /// Bit 8: jog 1.
-    pub const JOG_1: u16 = 1 << 8;
-    /// Bit 9: jog 2.
-    pub const JOG_2: u16 = 1 << 9;
-    /// Bit 10: 0 = the drive ignores the process data. DRIVECOM has no such bit.
-    pub const BY_PLC: u16 = 1 << 10;
-
-    /// 047Eh: everything but on.
+    /// Everything but on.
     pub const READY: ProfidriveControl = ProfidriveControl(0x047E);
-    /// 047Fh: on, and follow the setpoint.
+    /// On, and follow the setpoint.
     pub const RUN: ProfidriveControl = ProfidriveControl(0x047F);
 }
 
-word! {
+bits! {
     /// The status word of PROFIdrive, ZSW1 (FPBA-01 manual).
-    ProfidriveStatus, [
-        (Self::READY, "ready to switch on"),
-        (Self::SWITCHED_ON, "ready to operate"),
-        (Self::OPERATION_ENABLED, "operation enabled"),
-        (Self::FAULT, "fault"),
-        (Self::NO_OFF2, "no OFF2"),
-        (Self::NO_OFF3, "no OFF3"),
-        (Self::SWITCH_ON_INHIBIT, "switch-on inhibit"),
-        (Self::WARNING, "warning"),
-        (Self::WITHIN_TOLERANCE, "within tolerance"),
-        (Self::REMOTE, "control requested"),
-        (Self::SETPOINT_REACHED, "setpoint reached"),
-    ]
+    pub struct ProfidriveStatus(u16) {
+        READY = 0: "ready to switch on";
+        SWITCHED_ON = 1: "ready to operate";
+        OPERATION_ENABLED = 2: "operation enabled";
+        FAULT = 3: "fault";
+        NO_OFF2 = 4: "no OFF2";
+        NO_OFF3 = 5: "no OFF3", "0: quick stop.";
+        SWITCH_ON_INHIBIT = 6: "switch-on inhibit";
+        WARNING = 7: "warning";
+        WITHIN_TOLERANCE = 8: "within tolerance";
+        REMOTE = 9: "control requested";
+        SETPOINT_REACHED = 10: "setpoint reached", "Frequency or speed, as compared in the drive.";
+    }
 }
 
 impl ProfidriveStatus {
-    /// Bit 0: ready to switch on.
-    pub const READY: u16 = 1 << 0;
-    /// Bit 1: ready to operate.
-    pub const SWITCHED_ON: u16 = 1 << 1;
-    /// Bit 2: operation enabled.
-    pub const OPERATION_ENABLED: u16 = 1 << 2;
-    /// Bit 3: fault.
-    pub const FAULT: u16 = 1 << 3;
-    /// Bit 4: 0 = OFF2.
-    pub const NO_OFF2: u16 = 1 << 4;
-    /// Bit 5: 0 = OFF3.
-    pub const NO_OFF3: u16 = 1 << 5;
-    /// Bit 6: switching on is inhibited.
-    pub const SWITCH_ON_INHIBIT: u16 = 1 << 6;
-    /// Bit 7: warning.
-    pub const WARNING: u16 = 1 << 7;
-    /// Bit 8: the speed is within its tolerance.
-    pub const WITHIN_TOLERANCE: u16 = 1 << 8;
-    /// Bit 9: the drive wants to be controlled by the bus.
-    pub const REMOTE: u16 = 1 << 9;
-    /// Bit 10: the compared value of frequency or speed is reached.
-    pub const SETPOINT_REACHED: u16 = 1 << 10;
-
     /// Its state in terms of CiA 402; [`State::Unknown`]: no state of the profile.
     ///
     /// The sheet has the bits, not the table of states. This one is the profile's general state machine: S1 to S5 by
@@ -260,20 +187,6 @@ impl ProfidriveStatus {
             _ => State::Unknown,
         }
     }
-}
-
-/// A word in a message: its bits, and their names.
-pub(super) fn write_word(
-    f: &mut fmt::Formatter<'_>,
-    word: &str,
-    bits: fmt::Arguments<'_>,
-    names: impl Iterator<Item = &'static str>,
-) -> fmt::Result {
-    write!(f, "{word}({bits}")?;
-    for (index, name) in names.enumerate() {
-        write!(f, "{}{name}", if index == 0 { ": " } else { ", " })?;
-    }
-    f.write_str(")")
 }
 
 #[cfg(test)]

@@ -26,7 +26,8 @@ fn the_telegrams_of_the_sheet_are_answered_as_the_sheet_has_it() {
         let settings = LenzeSettings { channel: Channel::Pkw, ..LenzeSettings::new(SLAVE) };
         let mut bench = Bench::at(rate, settings);
         for (request, answer) in table {
-            bench.wait(bench.line.bits_ns(33));
+            // Behind Chk_Cfg it takes a millisecond.
+            bench.wait(2 * MS + bench.line.bits_ns(33));
             bench.put(&hex(request));
             let reply = bench.take(3 * MS + bench.line.bits_ns(800) + bench.line.span_ns(40));
             let expected = (!answer.is_empty()).then(|| hex(answer));

@@ -1,7 +1,12 @@
 //! The slaves on their wire in plain time, with a master that is a list of telegrams.
 
+mod acyclic;
+mod channel;
+mod drive;
 mod exchange;
 mod link;
+mod slave;
+mod wire;
 
 use std::any::Any;
 
@@ -186,9 +191,23 @@ impl Bench {
         assert_eq!(self.set_prm(&PRM), 0xE5);
         assert_eq!(self.chk_cfg(&[0xF3, 0xF1]), 0xE5);
         self.wait(2 * MS);
-        assert_eq!(self.diagnose()[..4], [0, 0x0C, 0, self.master]);
+        let diagnosis = self.diagnose();
+        assert_eq!([diagnosis[0] & !8, diagnosis[1], diagnosis[3]], [0, 0x0C, self.master]);
         self.control(0, 0);
         assert_eq!(self.slave().misuse(), Misuse::default());
+    }
+
+    /// The same for a master that is not the first one.
+    fn up_as(&mut self, parametrised: u64) {
+        assert_eq!((self.set_prm(&PRM), self.chk_cfg(&[0xF3, 0xF1])), (0xE5, 0xE5));
+        self.wait(2 * MS);
+        assert_eq!(self.diagnose()[3], self.master);
+        assert_eq!(self.slave().events().parametrised, parametrised);
+    }
+
+    fn truth_state(&mut self) -> (DpState, State) {
+        self.rpm();
+        (self.slave().dp_state().0, self.slave().axis_state())
     }
 
     /// An exchange of the two words, without a job: status word and actual value.

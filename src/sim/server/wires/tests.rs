@@ -17,15 +17,22 @@ fn name(what: &str) -> String {
     format!("{}wire-{what}-{}", local::PREFIX, std::process::id())
 }
 
-fn start(port: &str, own_port: Option<String>, faults: FaultPlan) -> io::Result<SimServer> {
-    let wire = SerialWire {
+fn wire(port: &str) -> SerialWire {
+    SerialWire {
         port: port.into(),
-        own_port,
+        own_port: None,
         line: Slave::LINE,
         echo: false,
-        faults,
+        faults: FaultPlan::default(),
         drives: [7, 9].map(|number| Box::new(Slave::new(number)) as Box<dyn SimSerial>).into(),
-    };
+    }
+}
+
+fn start(port: &str, own_port: Option<String>, faults: FaultPlan) -> io::Result<SimServer> {
+    serve(SerialWire { own_port, faults, ..wire(port) })
+}
+
+fn serve(wire: SerialWire) -> io::Result<SimServer> {
     SimServer::start(Simulated { wires: vec![wire], ..Simulated::default() }, ServerOptions::default())
 }
 
@@ -70,6 +77,18 @@ fn a_local_wire_answers_and_counts() {
     let counts = (stats.received, stats.answered, stats.unsent);
     assert_eq!((stats.interface.as_str(), counts), (port.as_str(), (51, 51, 0)));
     assert!(server.stats().is_empty());
+}
+
+#[test]
+fn a_local_wire_echoes_if_it_is_to() {
+    let port = name("echoes");
+    let server = serve(SerialWire { echo: true, ..wire(&port) }).unwrap();
+    let mut master = open(&port);
+    for value in 0..20 {
+        assert_eq!(exchange(&mut *master, 7, value).unwrap(), Slave::request(7, value));
+        assert_eq!(answer(&mut *master).unwrap(), [135, value, value + 1]);
+    }
+    drop(server);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A master's port in a world.
 
 use super::*;
-use crate::net::{Carriers, Parity};
+use crate::net::{Carriers, Parity, Rs485};
 use crate::rt::{Clock, PollSet};
 use crate::sim::Simulated;
 use crate::sim::testing::Slave;
@@ -11,16 +11,23 @@ use crate::time::{MS, S, US};
 const PORT: &str = "/dev/ttyUSB0";
 const BYTE: u64 = 22 * US;
 
-fn world(faults: &FaultPlan) -> World {
-    let wire = |port: &str| SerialWire {
+fn wire(port: &str) -> SerialWire {
+    SerialWire {
         port: port.into(),
         own_port: None,
         line: Slave::LINE,
         echo: false,
-        faults: faults.clone(),
+        faults: FaultPlan::default(),
         drives: [7, 9].map(|number| Box::new(Slave::new(number)) as Box<dyn SimSerial>).into(),
-    };
-    let wires = vec![wire(PORT), wire("/dev/ttyUSB1")];
+    }
+}
+
+fn world(faults: &FaultPlan) -> World {
+    let wire = |port| SerialWire { faults: faults.clone(), ..wire(port) };
+    world_of(vec![wire(PORT), wire("/dev/ttyUSB1")])
+}
+
+fn world_of(wires: Vec<SerialWire>) -> World {
     World::new(
         Simulated { wires, ..Simulated::default() },
         WorldOptions { read_ns: 0, ..WorldOptions::default() },
@@ -68,6 +75,40 @@ fn an_exchange_takes_its_bits_and_wakes_the_waiting_at_its_end() {
     assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.received.len()), Some(6));
     assert_eq!(world.look_on("/dev/ttyUSB1", 1, |slave: &mut Slave, _| slave.received.len()), Some(0));
     assert_eq!(world.look_on(PORT, 2, |slave: &mut Slave, _| slave.number), None);
+}
+
+#[test]
+fn at_12_mbit_s_an_exchange_takes_its_bits_too_and_its_echo() {
+    let line = SerialLine { rate: 12_000_000, ..Slave::LINE };
+    let world = world_of(vec![SerialWire { line, echo: true, ..wire(PORT) }]);
+    // Who switches the direction makes no difference on the wire.
+    let mut port = world.serial(PORT, &SerialLine { rs485: Rs485::Driver, ..line }).unwrap();
+    until_open(&world, &mut *port);
+    let begin = world.now();
+    port.send(0, &Slave::request(7, 5)).unwrap();
+    assert!(world.clock().wait(&mut PollSet::default(), begin + S));
+    // 33 bits of 1000 / 12 ns, twice, and the slave's time.
+    world.advance(2_750 + 22 * US + 2_750 - 1 - world.now().since(begin));
+    assert_eq!(read(&mut *port), [7, 5, !5, 135, 5]);
+    world.advance(1);
+    assert_eq!(read(&mut *port), [1]);
+}
+
+#[test]
+fn a_full_driver_takes_more_as_it_sends_and_nothing_is_lost() {
+    let world = world(&FaultPlan::default());
+    let mut port = open(&world);
+    let bytes: Vec<u8> = (0..5_000_u32).map(|n| (n % 251) as u8).collect();
+    let mut send = |from: usize| port.send(0, &bytes[from..]).unwrap().1;
+    let taken = send(0);
+    // One of them has begun.
+    assert_eq!((taken, send(taken), send(taken + 1)), (4_096, 1, 0));
+    world.advance(100 * BYTE);
+    assert_eq!(send(4_097), 100);
+    world.advance(3_000 * BYTE);
+    assert_eq!((send(4_197), port.unsent()), (803, Ok(5_000 - 3_101)));
+    world.advance(2_000 * BYTE);
+    assert_eq!(world.look_on(PORT, 0, |slave: &mut Slave, _| slave.received == bytes), Some(true));
 }
 
 #[test]
