@@ -108,8 +108,9 @@ fn above(root: &Root, name: &str) -> Vec<String> {
 
 /// Above a UART there are, from Linux 6.5 on, two devices without a driver of their own (drivers/tty/serial/serial_base_bus.c).
 fn driver(root: &Root, name: &str) -> Option<String> {
-    let drivers = above(root, name).into_iter().filter_map(|device| root.link(&format!("{device}/driver")));
-    drivers.into_iter().find(|driver| driver != "port" && driver != "ctrl")
+    let mut drivers =
+        above(root, name).into_iter().filter_map(|device| root.link(&format!("{device}/driver")));
+    drivers.find(|driver| driver != "port" && driver != "ctrl")
 }
 
 /// What the port is served by: the UART's interrupt, or that of the host controller that it is plugged into.

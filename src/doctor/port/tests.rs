@@ -77,8 +77,8 @@ fn found(host: &Host, port: &Port, subject: &Subject) -> Vec<Finding> {
         assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
         assert_eq!(matches!(finding.verdict, Poor | Bad), finding.fix.is_some(), "{finding:?}");
         // Behind its label it fits into 100 columns.
-        let commands = [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
-        assert!(commands.into_iter().all(|line| line.chars().count() <= 84), "{finding:?}");
+        let mut commands = [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
+        assert!(commands.all(|line| line.chars().count() <= 84), "{finding:?}");
     }
     findings
 }
