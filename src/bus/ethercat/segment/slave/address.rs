@@ -1,7 +1,7 @@
 //! Whether a slave is there, and its station address.
 //!
-//! Absence is what a read says: the controller of every slave takes part in that. A write that is not carried out was
-//! refused. Until a slave has its station address it is reached by its position, since the addresses that another
+//! Absence is what a read says: the controller of every slave takes part in that. Where the broadcast counts more slaves
+//! than are in front of it, its note says so. A write that is not carried out was refused. Until a slave has its station address it is reached by its position, since the addresses that another
 //! master has left may be those of other positions.
 
 use super::receive::al;
@@ -101,6 +101,9 @@ impl Slave {
         self.known &= !restarted;
         if restarted {
             (self.clock_set, self.ours) = (false, false);
+        }
+        if restarted && station != self.station() {
+            // It was switched off.
             (self.refused, self.refusals) = (Note::None, 0);
         }
         if !self.goes_on(now) {

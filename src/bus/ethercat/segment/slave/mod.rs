@@ -60,6 +60,8 @@ const LOOK_EVERY_NS: u64 = 100 * MS;
 /// The pause after the first refusal; after each further one twice as long, up to the longest.
 const REFUSED_FOR_NS: u64 = S;
 const REFUSED_MOST_NS: u64 = 30 * S;
+/// A slave that leaves OP sooner than this after it came there counts as refused again, ns.
+const STAYS_NS: u64 = 2 * S;
 /// The tolerance of SYNC0 of a drive that is found in OP.
 const SYNC_OFF_NS: i64 = 10 * US as i64;
 /// FMMUs and SyncManagers that are cleared in a slot.
@@ -89,6 +91,8 @@ pub struct Context<'a> {
     pub first_delay_ns: Option<u32>,
     /// The segment has a time, and not from this slave: SYNC0 comes where that has it.
     pub has_time: bool,
+    /// How many slaves the broadcast counts in this answer's frame.
+    pub counted: u16,
     /// The other slave of this segment that has the station address in this answer, by its position.
     pub in_use: Option<u16>,
     /// The same of one that was given this address, and may not be reached by it any more.
@@ -215,6 +219,8 @@ pub struct Slave {
     refused: Note,
     /// How often that was, in a row.
     refusals: u8,
+    /// When it came to OP, or fell from there.
+    moved_at: Time,
     /// The state last reported, and whether its mailbox was opened.
     pub reported: Option<AlState>,
     pub is_open: bool,
@@ -268,6 +274,7 @@ impl Slave {
             remark: Note::None,
             refused: Note::None,
             refusals: 0,
+            moved_at: Time(0),
             reported: None,
             is_open: false,
             shown: AlStatus::default(),
@@ -387,12 +394,27 @@ impl Slave {
         self.enter(now, Step::Refused(pause));
     }
 
-    /// No slave answers at its position.
-    fn absent(&mut self, now: Time) {
+    /// It has left OP by itself. True: right after it came there, and again, so that it has to wait; the first time it
+    /// is brought back at once.
+    fn falls_again(&mut self, now: Time) -> bool {
+        let has_stayed = self.way.was_operational && now.since(self.moved_at) > STAYS_NS;
+        self.moved_at = now;
+        if has_stayed {
+            self.refusals = 0;
+            return false;
+        }
+        let fell_before = self.refusals > 0;
+        self.refusals = self.refusals.max(1);
+        fell_before
+    }
+
+    /// No slave answers at its position; so many the broadcast counts.
+    fn absent(&mut self, now: Time, counted: u16) {
         (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
         self.delay_ns = None;
         (self.refused, self.refusals) = (Note::None, 0);
-        self.start_over(now, LOOK_EVERY_NS, Note::Absent);
+        let note = if counted > self.plan.place { Note::Unreachable(counted) } else { Note::Absent };
+        self.start_over(now, LOOK_EVERY_NS, note);
     }
 
     /// The frames no longer reach it.

@@ -43,7 +43,7 @@ impl Slave {
         if let Some(missing) = context.missing.filter(|_| !may_be_zero) {
             self.silent += 1;
             if matches!(self.step, Step::Look | Step::There(_) | Step::Refused(_)) {
-                self.absent(now);
+                self.absent(now, context.counted);
             } else if self.silent >= SILENT {
                 self.silent(now, missing);
             }
@@ -197,7 +197,7 @@ impl Slave {
             }
             AlState::Op => {
                 (self.way.al, self.way.was_operational) = (Some(AlState::Op), true);
-                (self.note, self.refused, self.refusals) = (Note::None, Note::None, 0);
+                (self.note, self.refused, self.moved_at) = (Note::None, Note::None, now);
                 self.enter(now, Step::Up);
                 return Happened::Operational;
             }
@@ -217,12 +217,14 @@ impl Slave {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
         // The image may not have shown it.
         self.way.al = status.state();
+        let fallen = Note::State { to: AlState::Op, code };
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
             // Its own watchdog has stopped it.
             Some(AlState::SafeOp) if self.way.joined => self.set_up(now),
+            _ if status.error() && self.falls_again(now) => self.refuse(now, fallen),
             Some(AlState::Op | AlState::SafeOp) => {
-                self.note = Note::State { to: AlState::Op, code };
+                self.note = fallen;
                 // By way of SAFEOP, where the grid has to be locked first.
                 self.enter(now, Step::acknowledged(AlState::SafeOp, self.acknowledgement(status, code)));
             }
