@@ -13,7 +13,7 @@ use super::*;
 use crate::bus::ethercat::image::{Image, Mark, Read};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, KollmorgenDrive, SlavePlan};
-use crate::bus::ethercat::wire::frame::{Builder, Command, position};
+use crate::bus::ethercat::wire::frame::{Builder, Command, datagrams, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimSegment;
@@ -90,6 +90,8 @@ struct Rig {
     lossy: bool,
     /// The next frame comes back when it is asked for.
     late: bool,
+    /// What is requested of the slave at this position comes back as if it had not been there.
+    mute: Option<u16>,
     held: Option<(Sent, Vec<u8>, u16)>,
 }
 
@@ -117,6 +119,7 @@ impl Rig {
             number: 0,
             lossy: false,
             late: false,
+            mute: None,
             held: None,
         }
     }
@@ -141,6 +144,9 @@ impl Rig {
             if !came || self.lossy && self.number.is_multiple_of(7) {
                 self.line.lost(at, number == 0, &mut self.reported);
                 continue;
+            }
+            if let Some(place) = self.mute {
+                uncount(place, frame.bytes(), &mut received);
             }
             let Read::Good(counter) = frame.read(&received) else { panic!("a frame of our own") };
             let sent = Sent { cycle: self.cycle, at };
@@ -214,6 +220,18 @@ impl Rig {
     fn all_up(&mut self, most: usize) -> usize {
         let count = self.line.slaves.len();
         self.until("all in OP", most, |rig| (0..count).all(|index| rig.line.is_operational(index)))
+    }
+}
+
+/// The working counters of what was sent to the slave at this position are 0.
+fn uncount(place: u16, sent: &[u8], received: &mut [u8]) {
+    for datagram in datagrams(sent).unwrap().map_while(Result::ok) {
+        if let Some(Command::Aprd(to, _) | Command::Apwr(to, _)) = datagram.command()
+            && to == position(place)
+        {
+            let counter = datagram.place.data().end;
+            received[counter..counter + 2].fill(0);
+        }
     }
 }
 
