@@ -8,7 +8,7 @@ use std::fmt::Debug;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use super::counters::{BusClock, Counters, Unmatched};
+use super::counters::{BusClock, Counters, OWN_COUNTERS, Unmatched};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
 use crate::axis::acyclic::AcyclicEnds;
@@ -170,9 +170,9 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
-    /// How many emergencies of device `index` were lost, since a queue for them was full.
-    fn emergencies_lost(&self, _index: usize) -> u64 {
-        0
+    /// What `BusPlan::own_counters` name, of device `index`, which is not a drive.
+    fn device_counters(&self, _index: usize) -> [u64; OWN_COUNTERS] {
+        [0; OWN_COUNTERS]
     }
 
     /// How many of the arrived datagrams the kernel dropped, where only a normal thread may query it.

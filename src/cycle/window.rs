@@ -305,7 +305,7 @@ mod tests {
     fn open_bus(bus: Box<dyn Bus>, slots: Range<usize>, is_polled: bool) -> OpenBus {
         OpenBus {
             bus,
-            info: BusInfo { name: String::new(), devices: Vec::new(), notes: None },
+            info: BusInfo { name: String::new(), devices: Vec::new(), own_counters: &[], notes: None },
             first: slots.start,
             end: slots.end,
             is_at_work: false,
