@@ -18,7 +18,7 @@ output_control = 0x24
 clock = "short"
 fmmus = 3
 left = "watchdog"
-sii = { owned_by_slave = true, read_in_preop = true, eight_bytes = true, busy = "2ms", loading = "50ms" }
+sii = { owned_by_slave = true, read_in_preop = true, eight_bytes = true, busy = "2ms", loading = "50ms", fails_every = 5 }
 mailbox = { delay = "1s", delay_every = 3, lose_every = 5, resends = false }
 [[bus.device]]
 name = "out"
@@ -34,15 +34,15 @@ simulate = { type = "EL1008", left = "unwatched", behind = { slave = "k", port =
         "settling: 1024",
         "0: SlaveSettings { model: None, emulated: None, exact_managers: true, output_control: Some(36), clock: \
          Some(Short), fmmus: Some(3), sii: SiiSettings { owned_by_slave: true, read_in_preop: true, eight: true, \
-         busy_ns: 2000000, loading_ns: 50000000, slips: false, content: Sound }, mailbox: MailboxSettings { \
-         delay_ns: 1000000000, delay_every: 3, lose_every: 5, resends: false }, behind: None, wired_to: None, left: \
+         busy_ns: 2000000, loading_ns: 50000000, slips: false, fails_every: 5, content: Sound }, mailbox: \
+         MailboxSettings { delay_ns: 1000000000, delay_every: 3, lose_every: 5, resends: false }, behind: None, wired_to: None, left: \
          Some(Left { station: 4098, alias_on: false, al: (20, 27)",
         "1: SlaveSettings { model: Some(El2008), emulated: Some(false)",
-        "slips: true, content: Garbage }",
+        "slips: true, fails_every: 0, content: Garbage }",
         "wired_to: Some(2)",
         "behind: Some(Behind { place: 0, port: 2 })",
         "2: SlaveSettings { model: Some(El1008), emulated: None",
-        "managers: [], unwatched: true, sync0_ns: Some(1000000)",
+        "managers: [], unwatched: true, sync0_ns: Some(1000000), sii_given: true, sii_failed: true }",
     ] {
         assert!(all.contains(part), "{part}\n{all}");
     }

@@ -208,6 +208,11 @@ impl Chip {
         self.memory[usize::from(address::SII_OWNER)] & SLAVES != 0
     }
 
+    /// A command of its SII has failed.
+    pub(super) fn fail_sii(&mut self) {
+        self.eeprom.fail();
+    }
+
     /// The processor has the SII now, and keeps it until it is taken by force.
     pub(super) fn give_sii(&mut self) {
         self.put(address::SII_OWNER, &[SLAVES; 2]);

@@ -62,6 +62,9 @@ impl Esc {
             self.chip.write(address::DC_START, &start.to_le_bytes());
             self.chip.write(address::DC_CONTROL, &SYNC0_ON);
         }
+        if left.sii_failed {
+            self.chip.fail_sii();
+        }
         if left.sii_given {
             self.chip.give_sii();
         }

@@ -178,9 +178,18 @@ fn an_sii_is_taken_read_and_given_back_however_slow_it_is() {
         "sii.busy = \"5ms\"",
         "sii.loading = \"200ms\"",
         "sii.slips = true",
+        "sii.fails_every = 3",
     ] {
         drive_up_and_down(keys);
     }
+}
+
+#[test]
+fn an_sii_that_is_not_loaded_or_always_fails_is_refused_by_name() {
+    let why = drive_refused("sii.content = \"unloaded\"");
+    assert!(why.contains("it has not loaded its EEPROM"), "{why}");
+    let why = drive_refused("sii.fails_every = 1");
+    assert!(why.contains("refuses to be read"), "{why}");
 }
 
 #[test]
