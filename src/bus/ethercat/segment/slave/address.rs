@@ -1,8 +1,9 @@
 //! Whether a slave is there, and its station address.
 //!
-//! Absence is what a read says: the controller of every slave takes part in that. Where the broadcast counts more slaves
-//! than are in front of it, its note says so. A write that is not carried out was refused. Until a slave has its station address it is reached by its position, since the addresses that another
-//! master has left may be those of other positions.
+//! Absence is what a read says: the controller of every slave takes part in that. Where the broadcast counts more
+//! slaves than are in front of it, its note says so. A write that is not carried out was refused. Until a slave has its
+//! station address it is reached by its position, since the addresses that another master has left may be those of
+//! other positions.
 
 use super::receive::al;
 use super::request::{EMULATION_AT, LOOK};
