@@ -1,5 +1,5 @@
-//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated line in a process of its
-//! own.
+//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated segment in a process of
+//! its own.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use super::support::{
 };
 use super::{ask, await_online, await_status, master, metrics, simulation};
 
-/// The name of a line that no other test has.
+/// The name of a segment that no other test has.
 fn line(test: u8) -> String {
     format!("local:processes-{}-{test}", std::process::id())
 }
@@ -31,7 +31,7 @@ fn await_cycles(config: &Path, more: u64) {
     });
 }
 
-/// A line of a drive for velocities and one for positions, patient with a busy computer.
+/// A segment of a drive for velocities and one for positions, patient with a busy computer.
 fn text(interface: &str) -> String {
     format!(
         "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\n\
@@ -118,12 +118,12 @@ fn a_simulation_that_is_killed_is_a_line_that_is_lost_and_it_comes_back() {
 }
 
 #[test]
-fn objects_are_read_written_and_refused_alone_and_beside_a_master() {
+fn objects_are_read_written_and_refused_alone_and_next_to_a_master() {
     let (_machine, config) = machine(172);
     let _sim = simulation(&config);
     let works = || {
         let does = |what: &str, rest: &str| ask(&format!("param {what}"), &config, rest);
-        // One after the other, each by a master of its own: none of them leaves the line spoiled for the next.
+        // One after the other, each by a master of its own: none of them leaves the segment spoiled for the next.
         let word = does("get", "turns 0x6041:0").expect(0).out.clone();
         assert!(word.starts_with("turns 0x6041:0: "), "{word}");
         let word = does("get", "moves status-word --json").expect(0).json();
@@ -189,7 +189,7 @@ fn another_slave_than_configured_is_named_with_its_place() {
 }
 
 #[test]
-fn an_interface_that_is_none_is_told_in_one_line() {
+fn an_interface_that_is_none_is_reported_in_one_line() {
     let machine = Machine::new(175);
     let config = machine.write("none.toml", text("eth-none-77"));
     master(&config, &[]).end().refused(&["there is no network interface eth-none-77"]);
@@ -203,7 +203,7 @@ fn an_interface_that_is_none_is_told_in_one_line() {
 }
 
 #[test]
-fn an_ordinary_user_is_told_which_right_a_line_needs() {
+fn an_ordinary_user_learns_which_right_a_segment_needs() {
     let machine = Machine::new(176);
     let config = machine.write("lo.toml", text("lo"));
     let ended = Program::spawn(as_ordinary_user(&machine).arg("run").arg(&config)).end();
@@ -211,7 +211,7 @@ fn an_ordinary_user_is_told_which_right_a_line_needs() {
 }
 
 #[test]
-fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_master_only() {
+fn a_device_that_is_refused_is_named_on_the_terminal_and_accessed_through_its_master_only() {
     let (machine, _) = machine(179);
     let io = "[[bus.device]]\nname = \"io\"\noutputs = { start = 0x1000, length = 1 }\n";
     let good = text(&line(179)) + io;

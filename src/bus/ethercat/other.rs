@@ -219,8 +219,8 @@ mod tests {
         }
     }
 
-    /// Who has frames there, and for how long it was listened, ms.
-    fn heard(interface: &str, fd: Option<RawFd>, arriving: Vec<(u64, Vec<u8>)>) -> (Option<Mac>, u64) {
+    /// Who has frames there, and for how long it was listened to, ms.
+    fn found(interface: &str, fd: Option<RawFd>, arriving: Vec<(u64, Vec<u8>)>) -> (Option<Mac>, u64) {
         let mut net = Interface { now: Cell::new(Time(S)), arriving: arriving.into(), fd };
         let mac = listen(interface, &mut net);
         (mac, net.now().since(Time(S)) / MS)
@@ -232,17 +232,17 @@ mod tests {
             |period: u64| (0..50).map(|n| (2 + n * period, frame([0x20; 6], None))).collect::<Vec<_>>();
         let other = Some([0x20; 6]);
         for (period, after) in [(1, 12), (4, 18), (10, 22), (30, 62)] {
-            assert_eq!(heard("eth1", Some(0), cyclic(period)), (other, after), "{period} ms");
+            assert_eq!(found("eth1", Some(0), cyclic(period)), (other, after), "{period} ms");
         }
         // Another instance of this program has the address of this one.
         let own = (0..9).map(|n| (n * 5, frame([0x10; 6], Some([7; 8])))).collect();
-        assert_eq!(heard("eth1", Some(0), own), (Some([0x10; 6]), 10));
+        assert_eq!(found("eth1", Some(0), own), (Some([0x10; 6]), 10));
         for nothing in [vec![], vec![(3, frame([0x20; 6], None))], vec![(4, frame([0x20; 6], None)); 20]] {
-            assert_eq!(heard("eth1", Some(0), nothing), (None, LISTEN_NS / MS), "a burst at most");
+            assert_eq!(found("eth1", Some(0), nothing), (None, LISTEN_NS / MS), "a burst at most");
         }
         // Where frames return to their sender only, and where no time passes, nobody waits.
-        assert_eq!(heard("local:line", Some(0), cyclic(1)), (None, 0));
-        assert_eq!(heard("eth1", None, cyclic(1)), (None, 0));
+        assert_eq!(found("local:line", Some(0), cyclic(1)), (None, 0));
+        assert_eq!(found("eth1", None, cyclic(1)), (None, 0));
     }
 
     #[test]

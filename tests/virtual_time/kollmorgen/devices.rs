@@ -1,4 +1,5 @@
-//! Slaves that are no drives, and slaves that are refused: what is told of them, and what they do not do by themselves.
+//! Slaves that are no drives, and slaves that are refused: what is reported of them, and what they do not do by
+//! themselves.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -35,7 +36,7 @@ fn line(drives: Vec<KollmorgenDrive>, devices: Vec<Device>) -> EthercatPlan {
     EthercatPlan { devices, ..EthercatPlan::new(LINE, drives) }
 }
 
-/// What is told of the slaves in the end.
+/// What is reported of the slaves in the end.
 fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
     let end = machine.sim.finish();
     let drives = end.drives.into_iter().map(|drive| drive.not_connected);
@@ -44,7 +45,7 @@ fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
 }
 
 #[test]
-fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
+fn a_device_that_is_refused_is_reported_by_its_name_and_one_in_operation_is_not() {
     let mut other = line(vec![drive(0, Family::S700)], vec![io(1)]);
     let world = EthercatSim::of(&other);
     other.devices[0].slave.identity = Expected { product: Some(77), ..Expected::default() };
@@ -253,7 +254,7 @@ impl Carrier for Turns<'_> {
 }
 
 #[test]
-fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
+fn a_drive_with_another_resolution_is_refused_unless_that_is_not_compared() {
     let refused = |prbase: u8, turns: u32, check: bool| {
         let mut odd = drive(0, Family::S700);
         odd.check_prbase = check;

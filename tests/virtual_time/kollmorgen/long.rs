@@ -1,4 +1,4 @@
-//! Long lines: all slaves come up by the one slot of the first frame, a step of one of them at a time.
+//! Long segments: all slaves come up by the one slot of the first frame, a step of one of them at a time.
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, SlavePlan};
@@ -68,7 +68,7 @@ fn a_segment_of_64_drives_with_clocks_as_slow_as_real_ones_is_up_within_15_secon
 }
 
 #[test]
-fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
+fn a_segment_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
     let mut machine = up_within(10_000, plan(64));
     assert_frames(&mut machine, 1);
     machine.done(63, Command::Enable);
@@ -78,9 +78,9 @@ fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
     machine.end_well();
 }
 
-/// Of AKD drives with all that they can tell, 40 bytes each, no frame has room for 40.
+/// Of AKD drives with all that they can report, 40 bytes each, no frame has room for 40.
 #[test]
-fn a_line_whose_process_data_take_more_than_one_frame_comes_up_whole() {
+fn a_segment_whose_process_data_take_more_than_one_frame_comes_up_whole() {
     let wide = |place| with(place, Family::Akd, 0x1702, 0x1B20);
     let mut machine = up(EthercatPlan::new(LINE, (0..40).map(wide).collect()));
     assert_frames(&mut machine, 2);

@@ -366,7 +366,7 @@ impl Note {
                 if writes { "written" } else { "read" }
             ),
             Note::NotDone(Missing { register, is_write }) => {
-                let what = if is_write { "take what is written to" } else { "answer when it is asked for" };
+                let what = if is_write { "take what is written to" } else { "return what is read from" };
                 format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
             }
             Note::OtherTime(other) => format!(
