@@ -2,10 +2,11 @@
 //!
 //! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated segment of
 //! two drives, whose processors have their SIIs and want them back before PREOP, and a terminal without a processor,
-//! whose outputs are registers; the bytes choose commands, and what becomes of the frames: lost, late, twice, cut off, with other bytes here
-//! and there, circulated, or somebody else's. What has to hold stands in the checks behind each step; they know the
-//! frames and what is desired, and nothing of how the bus keeps its books: what is written is what is desired, and a
-//! drive has answered only if a frame came that is the one that was sent, and its own part of it says what is reported.
+//! whose outputs are registers; the bytes choose commands, and what becomes of the frames: lost, late, twice, cut off,
+//! with other bytes here and there, circulated, or somebody else's. What has to hold stands in the checks behind each
+//! step; they know the frames and what is desired, and nothing of how the bus keeps its books: what is written is what
+//! is desired, and a drive has answered only if a frame came that is the one that was sent, and its own part of it says
+//! what is reported.
 
 use std::collections::VecDeque;
 use std::io;

@@ -37,7 +37,8 @@ fn busy_until(machine: &mut Machine, most: u64, done: impl Fn(&Machine) -> bool)
 
 #[test]
 fn a_segment_that_was_switched_off_and_on_locks_again_on_a_busy_host() {
-    // How long it was off, ms: at 0 the master does not notice before the slaves are back. Dark, both clocks drift apart.
+    // How long it was off, ms: at 0 the master does not notice before the slaves are back. Meanwhile the clocks drift
+    // apart.
     for (leads, settling, off_ms, most) in [
         (false, 32, 0, 3_000),
         (true, 32, 0, 3_000),
