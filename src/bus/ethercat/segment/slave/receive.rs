@@ -21,7 +21,7 @@ impl Slave {
         let happened = self.take_answers(context, answers);
         let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
         let running = match step {
-            Step::FoundClock if is_received => self.found_clock(context, answers),
+            Step::FoundClock { refused } if is_received => self.found_clock(context, refused, answers),
             _ => None,
         };
         (happened, running)
@@ -71,7 +71,7 @@ impl Slave {
             },
             Step::SiiBack { .. } if self.ending => self.start_over(now, 0, self.note),
             Step::SiiBack { refused: Note::None } => self.identified(now),
-            Step::SiiBack { refused } => self.refuse(now, refused),
+            Step::SiiBack { refused } => self.leave_running(now, refused),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
             Step::Join => self.join(now),
@@ -105,7 +105,7 @@ impl Slave {
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
             Step::Code => return self.receive_code(now, first.data),
-            Step::Rest(_) | Step::FoundClock => {}
+            Step::Rest(_) | Step::FoundClock { .. } => {}
             Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
@@ -205,7 +205,7 @@ impl Slave {
                 self.start_over(now, 0, Note::None);
             }
             AlState::Init | AlState::Boot => {
-                (self.way.mailbox_open, self.other_time) = (false, false);
+                (self.way.mailbox_open, self.looked_at, self.other_time) = (false, true, false);
                 self.enter(now, Step::Ports);
             }
         }
