@@ -38,6 +38,7 @@ impl Slave {
             Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
             Step::Sii(reader) => reader.writes(),
             Step::Twin { .. } | Step::Free { .. } => true,
+            Step::Watchdog => !self.sets_watchdog(),
             _ => false,
         };
         if let Some(missing) = context.missing.filter(|_| !may_be_zero) {
@@ -85,7 +86,8 @@ impl Slave {
             Step::Free { joins } => self.enter(now, Step::Address { joins }),
             Step::Address { joins } => self.was_addressed(now, answers[1], joins),
             Step::Mailbox => self.enter(now, Step::to(AlState::PreOp)),
-            Step::Watchdog => self.enter(now, Step::WatchdogCheck),
+            Step::Watchdog if self.sets_watchdog() => self.enter(now, Step::WatchdogCheck),
+            Step::Watchdog => self.enter(now, Step::SyncManagers(0)),
             Step::WatchdogCheck => {
                 let values = [WATCHDOG_DIVIDER, self.watchdog()].map(u16::to_le_bytes);
                 let is_set = answers
