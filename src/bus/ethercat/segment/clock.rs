@@ -3,7 +3,7 @@
 //! SYNC0 comes at whole periods of that time, and a slot of the grid shall be a fixed time before it. So the master
 //! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. The time
 //! shown instead, less that, is the phase error: our own wake-up jitter is not part of it. Clocks of 32 bits wrap
-//! context every 4.3 s; since the error is small against that, it is the difference of the lower halves.
+//! around every 4.3 s; since the error is small against that, it is the difference of the lower halves.
 //!
 //! On a busy host frames leave late after they were stamped, several in a row, and show a time that is late by as
 //! much. So no single sample decides: the segment's time is the median of the first ones, and the lock is that of the
@@ -68,7 +68,7 @@ impl SegmentClock {
         let target = period_ns - ahead_ns % period_ns;
         SegmentClock {
             period_ns,
-            // Far from zero: a clock that is found running may be anywhere context it.
+            // Far from zero: a clock that is found running may be anywhere around it.
             origin_ns: ORIGIN_NS.next_multiple_of(period_ns) + target,
             window_ns: window_ns(period_ns),
             ..SegmentClock::default()
