@@ -20,7 +20,7 @@ use super::{Context, List, Mapped, Note, Slave, Step, Way};
 use crate::axis::FoundRunning;
 use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::slot::{Answers, Ask};
-use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
 use crate::time::{MS, Time};
 
 /// SyncManagers that are read, and the bytes from the divider of the watchdogs to that of the SyncManagers.
@@ -95,13 +95,14 @@ impl Slave {
         self.enter(now, if is_known { Step::FoundFmmus } else { Step::FoundClock { refused: Note::None } });
     }
 
-    /// It is refused, and runs on: for that its time has to be known.
+    /// It is refused, and runs on: for that its time has to be known, and that it may be the segment's.
     pub(super) fn leave_running(&mut self, now: Time, refused: Note) {
-        if self.looked_at {
-            self.refuse(now, refused);
-        } else {
-            self.enter(now, Step::FoundClock { refused });
+        if !self.looked_at {
+            return self.enter(now, Step::FoundClock { refused });
         }
+        let runs = self.may_be_found();
+        self.refuse(now, refused);
+        self.way.al = runs.then_some(AlState::Op);
     }
 
     /// Its FMMUs: those of its inputs replace none that another master writes by.
@@ -136,7 +137,7 @@ impl Slave {
         match refused {
             Note::None if is_as_planned && !is_dragged => self.enter(now, Step::FoundFmmus),
             Note::None => self.not_joinable(now),
-            refused => self.refuse(now, refused),
+            refused => self.leave_running(now, refused),
         }
         (running.is_cyclic() && !context.has_time).then_some(running)
     }
@@ -190,9 +191,9 @@ impl Slave {
 
     /// A slave that was only joined is set up completely, from INIT: found in OP again, it would be joined again,
     /// or treated as ours although its outputs were never released.
-    pub(super) fn set_up(&mut self, now: Time) {
+    pub(super) fn set_up(&mut self, now: Time, acknowledge: Option<AlStatus>) {
         self.start_over(now, 0, Note::Starting);
-        self.enter(now, Step::to(AlState::Init));
+        self.enter(now, Step::acknowledged(AlState::Init, acknowledge));
     }
 
     /// A joined drive is without power, or its outputs are wanted: what follows.
@@ -201,7 +202,7 @@ impl Slave {
         match context.powered {
             // Time to set it up completely.
             Some((false, at)) if at > self.since + 10 * MS => {
-                self.set_up(now);
+                self.set_up(now, None);
                 true
             }
             _ if self.way.mapped == Mapped::Inputs && context.wants_outputs => {

@@ -68,7 +68,7 @@ impl Slave {
         match end {
             Ok(found) if list == List::Power => match StatusWord(found as u16).state().is_powered() {
                 true => self.has_power(now),
-                false => self.set_up(now),
+                false => self.set_up(now, None),
             },
             Ok(found) if list == List::Mode => {
                 self.found_mode = Some(Mode(found as u8 as i8));

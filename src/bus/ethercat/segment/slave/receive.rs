@@ -222,7 +222,9 @@ impl Slave {
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
             // Its own watchdog has stopped it.
-            Some(AlState::SafeOp) if self.way.joined => self.set_up(now),
+            Some(AlState::SafeOp) if self.way.joined => {
+                self.set_up(now, self.acknowledgement(status, code));
+            }
             Some(AlState::Op | AlState::SafeOp) => {
                 self.note = Note::State { to: AlState::Op, code };
                 // By way of SAFEOP, where the grid has to be locked first.

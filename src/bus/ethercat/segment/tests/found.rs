@@ -67,6 +67,22 @@ fn a_drive_that_is_refused_and_runs_keeps_its_time() {
 }
 
 #[test]
+fn the_time_of_a_drive_that_is_refused_stays_the_segments_though_another_one_is_joined() {
+    let (mut plan, whole) = running(3, &[0, 1], 3);
+    plan.drives[0].slave.identity.product = Some(7);
+    let mut rig = Rig::on(&plan, whole);
+    rig.set_apart(1);
+    let before = [rig.time_off(0), rig.time_off(1)];
+    rig.run(2_000);
+    assert!(matches!(rig.note(0), Note::Product(_)), "{:?}", rig.note(0));
+    assert_eq!([1, 2].map(|index| rig.note(index)), [Note::None, Note::OtherTime(1)]);
+    for (place, before) in before.into_iter().enumerate() {
+        let off = rig.time_off(place) - before;
+        assert!(off.abs() < KEPT_NS, "{place} by {off} ns");
+    }
+}
+
+#[test]
 fn a_drive_that_runs_and_cannot_be_used_keeps_a_time_that_is_not_read() {
     let (plan, mut whole) = running(2, &[1], 2);
     whole.settings.fmmus = vec![8, 1];
