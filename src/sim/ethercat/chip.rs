@@ -7,16 +7,19 @@
 //! | `fmmu` | the same by logical addresses |
 //! | `effects` | the effects of a write |
 //! | `misuse` | counts what a master should not do |
+//! | `met` | counts what a master met |
 
 mod access;
 mod effects;
 mod fmmu;
+mod met;
 mod misuse;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
 
+pub use self::met::Met;
 pub use self::misuse::Misuse;
 use super::clock::Clock;
 use super::hardware::Settings;
@@ -92,6 +95,7 @@ pub(super) struct Chip {
     fed: Option<Time>,
     expired: bool,
     misuse: Misuse,
+    pub(super) met: Met,
 }
 
 impl Chip {
@@ -119,6 +123,7 @@ impl Chip {
             fed: None,
             expired: false,
             misuse: Misuse::default(),
+            met: Met::default(),
         };
         chip.describe(settings);
         chip
@@ -388,6 +393,7 @@ impl Chip {
         let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
         self.put(address::SII_DATA, &data);
         if let Some(at) = self.eeprom.slipped_to() {
+            self.met.sii_slipped += 1;
             self.put(address::SII_CONTROL + 2, &at.to_le_bytes());
         }
         self.put(address::ALIAS, &alias.to_le_bytes());
