@@ -109,7 +109,7 @@ pub trait Bus: Send {
     }
 
     /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
-    /// they are sent.
+    /// they are sent; and that is one reply that is waited for, whatever the number of drives.
     fn is_one_frame(&self) -> bool {
         false
     }
@@ -310,6 +310,7 @@ impl Exchange {
     }
 
     /// When its request was sent, as long as that is known.
+    #[inline]
     pub fn sent_at(&self) -> Option<Time> {
         match *self {
             Exchange::Owed { sent_at, .. }

@@ -186,6 +186,7 @@ pub fn assemble<C: Clock>(
         let info = BusInfo { name: bus_plan.name().to_owned(), devices, own_counters, notes };
         gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
         buses.push(OpenBus {
+            is_one_frame: bus.is_one_frame(),
             bus,
             info,
             first,

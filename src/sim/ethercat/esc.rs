@@ -1,5 +1,6 @@
 //! One slave: its controller and its firmware, and the effects of a datagram's commands (ETG.1000.4, 5.4).
 
+pub use super::chip::Met;
 use super::chip::{Chip, Misuse, Passage};
 use super::firmware::Firmware;
 use super::hardware::Settings;
@@ -103,6 +104,11 @@ impl Esc {
     /// What a master did since power-on that real hardware would not like.
     pub fn misuse(&self) -> Misuse {
         self.chip.misuse()
+    }
+
+    /// What a master met since power-on of that which sets this slave apart.
+    pub fn met(&self) -> Met {
+        self.chip.met
     }
 
     /// The outputs that it drives; none as long as none count.

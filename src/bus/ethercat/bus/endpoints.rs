@@ -190,6 +190,20 @@ impl Handler for Endpoints<'_> {
         }
     }
 
+    #[inline(always)] // As `take`.
+    fn take_all<'a>(&mut self, at: Time, in_window: bool, all: impl Iterator<Item = (Owner, &'a [u8])>) {
+        let al = AlState::Op;
+        // Decided once for all of them.
+        match in_window {
+            true => {
+                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: true }))
+            }
+            false => {
+                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: false }))
+            }
+        }
+    }
+
     fn passed_by(&mut self, owner: Owner) {
         self.count(owner, Own::PassedBy);
         let Some(End::Drive(_, slot)) = self.of(owner) else { return };

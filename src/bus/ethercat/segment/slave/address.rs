@@ -83,9 +83,9 @@ impl Slave {
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);
         self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
         self.note = Note::Starting;
-        // Of a drive that may move the time that it runs on comes first.
+        // A drive that may move has a time of its own, as long as that is not known.
         let has_time = self.may_be_found() && self.features.has_clock();
-        (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
+        (self.looked_at, self.other_time) = (!has_time, has_time);
         // A slave with an address that this master has given is the one that was set up with it, wherever it answers:
         // it may still have the FMMUs of that one, and carry out its outputs. That holds for the one with this address.
         let own = (self.given && station != self.station()).then_some((self.station(), self.plan.place));
@@ -109,11 +109,7 @@ impl Slave {
         }
         if !self.goes_on(now) {
             (self.known, self.ours) = (false, false);
-            if has_time {
-                self.enter(now, Step::FoundClock);
-            } else {
-                self.unmapped(now, 0);
-            }
+            self.unmapped(now, 0);
         }
         if restarted { Happened::Restarted } else { Happened::Nothing }
     }
@@ -155,14 +151,15 @@ impl Slave {
     pub(super) fn was_addressed(&mut self, now: Time, read: Option<Answer<'_>>, joins: bool) {
         let Some(read) = read else { return };
         if read.working_counter > 1 {
-            return self.refuse(now, Note::AddressTwice);
+            return self.leave_running(now, Note::AddressTwice);
         }
         if read.data != self.station().to_le_bytes() {
-            return self.refuse(now, Note::NotDone(Missing { register: address::STATION, is_write: true }));
+            let missing = Missing { register: address::STATION, is_write: true };
+            return self.leave_running(now, Note::NotDone(missing));
         }
         (self.way.addressed, self.given) = (true, true);
         match joins {
-            true => self.enter(now, Step::Join),
+            true => self.power(now),
             false if self.plan.sync => self.enter(now, Step::Time),
             false => self.continue_timed(now),
         }
