@@ -16,8 +16,8 @@
 //! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in every
 //!   fourth, in one cycle at 1 kHz.
 //! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
-//! - **Lines on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at 1 kHz,
-//!   and one of drives against a bare loop over the same bytes.
+//! - **Segments on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at
+//!   1 kHz, and one of drives against a bare loop over the same bytes.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That

@@ -1,5 +1,5 @@
-//! Slaves that are not like the usual ones: such that show a device id, clocks that settle as slowly as real ones. Others
-//! are rows of the conformance suite.
+//! Slaves that are not like the usual ones: such that show a device id, clocks that settle as slowly as real ones.
+//! Others are rows of the conformance suite.
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan, Terminals};

@@ -228,8 +228,8 @@ impl Profile {
         is_new
     }
 
-    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint. Built again for the
-    /// same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint. Built again for
+    /// the same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
     #[inline]
     pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, outputs: &mut [u8]) {
         self.grid = grid;
