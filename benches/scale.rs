@@ -16,14 +16,16 @@
 //! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in every
 //!   fourth, in one cycle at 1 kHz.
 //! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
-//! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
+//! - **Segments on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at
+//!   1 kHz, and one of drives against a bare loop over the same bytes.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
 //!   same.
 //! - With `--count`, in place of all that: **instructions a drive and cycle** of the loop without a socket, and its
-//!   system calls and allocations, each with its budget in `benches/budgets.csv`.
+//!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a line
+//!   of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -71,11 +73,15 @@ const LINE_ALONE: usize = 16;
 const LINE_DUEL: usize = 4;
 
 /// Both kinds in one cycle.
-const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0, moons: 0 };
+const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, ..Fleet::NONE };
 
 /// All kinds in one cycle: 32 LinMots and a line of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in
 /// every fourth.
-const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, line: 8, moons: 32 };
+const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, line: 8, moons: 32, ..Fleet::NONE };
+
+/// The drives of a machine among the couplers and terminals of one: 64 slaves, one frame.
+const DRIVES_OF_64: usize = 8;
+const TERMINALS_OF_64: usize = 56;
 
 /// MOONS' drives on sockets against the bare loop.
 const MOONS_DUEL: usize = 32;
@@ -117,7 +123,7 @@ fn main() -> ExitCode {
     let together = together(&granted, args.quick, &budgets, &mut report);
     let all_kinds = all_kinds(&granted, args.quick, &budgets, &mut report);
     let packets = packets_on_sockets(&granted, args.quick, &budgets, &mut report);
-    let line = line_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let lines_on_sockets = lines_on_sockets(&granted, args.quick, &budgets, &mut report);
     let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
@@ -168,7 +174,7 @@ fn main() -> ExitCode {
     report.append(together);
     report.append(all_kinds);
     report.append(packets);
-    report.append(line);
+    lines_on_sockets.into_iter().for_each(|line| report.append(line));
     whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
 }
@@ -183,18 +189,28 @@ const LINE_MOST: usize = 64;
 /// What is counted in place of being measured. At 64 drives the first-level misses are of interest, at 256 the
 /// second-level ones.
 fn scenarios() -> Vec<Scenario> {
-    let of = |protocol| COMPARED.map(|drives| Scenario { protocol, drives, caches: drives >= 64 });
+    let of =
+        |protocol| COMPARED.map(|drives| Scenario { caches: drives >= 64, ..Scenario::of(protocol, drives) });
+    let with_terminals = Scenario {
+        terminals: TERMINALS_OF_64,
+        caches: true,
+        ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
+    };
     [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
         .into_iter()
         .flat_map(of)
+        .chain([with_terminals])
         .collect()
 }
 
 /// The child: the loop over drives in memory, all in operation.
-fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
+fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     rig::be_virtual();
     let memory = InMemory(match protocol {
-        ethercat::PROTOCOL => (0..drives).step_by(LINE_MOST).map(|first| line_of(first, drives)).collect(),
+        ethercat::PROTOCOL => {
+            let line = |first| line_of(first, (drives - first).min(LINE_MOST), terminals);
+            (0..drives).step_by(LINE_MOST).map(line).collect()
+        }
         _ => Vec::new(),
     });
     let buses = match protocol {
@@ -224,10 +240,10 @@ fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
     Ran { calls: Some(calls.load(Ordering::Relaxed) - before), ..ran }
 }
 
-/// The drives from `first` on, of `all`, on a line of their own.
-fn line_of(first: usize, all: usize) -> NullLines {
+/// So many drives, from `first` on, and terminals on a line of their own.
+fn line_of(first: usize, drives: usize, terminals: usize) -> NullLines {
     let name = format!("local:count-{first}");
-    let mut plan = line::plan(&name, (all - first).min(LINE_MOST));
+    let mut plan = line::plan(&name, drives, terminals);
     plan.name = name;
     for (place, drive) in plan.drives.iter_mut().enumerate() {
         drive.axis.name = format!("k{}", first + place);
@@ -863,11 +879,16 @@ fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report:
     })
 }
 
-/// A line alone at 1 kHz: nothing is left out or lost, and its system calls; then against the bare loop.
-fn line_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
+/// A line alone at 1 kHz, and the same with couplers and terminals; then a line against the bare loop.
+fn lines_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 3] {
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
+    let fleets = [
+        ("a line", Fleet::line(LINE_ALONE)),
+        ("terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
+    ];
+    let [line, terminals] =
+        fleets.map(|(what, fleet)| line_alone_on_sockets(granted, what, fleet, alone, budgets, report));
     let steal = Steal::begin();
-    let Alone { end, calls, page_faults, .. } = alone_at_1_khz(granted, Fleet::line(LINE_ALONE), alone);
     let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     for _ in 0..rounds {
         let Some(duel) = duel(granted, Fleet::line(LINE_DUEL), 2 * MS, cycles) else { continue };
@@ -877,27 +898,54 @@ fn line_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &m
         bare_cpu.push(duel.theirs.cpu);
     }
     let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
-    let (status, drives) = (end.status, Kind::sum(&end.drives));
-    let p50 = calls.quantile(0.5).map(|p50| p50.value);
-    println!("\n{LINE_ALONE} drives on one line of this host at 1 kHz; steal {} ms", shown(steal.ms()));
-    println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
-    println!("  {drives}");
-    println!("  system calls a cycle, p50: {}", shown(p50));
     println!(
         "  {LINE_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
         Ns(2 * MS),
         shown(ratio),
         shown(cpu_ratio)
     );
+    let duel = json!({
+        "duel_drives": LINE_DUEL,
+        "sockets_ratio": ratio.map(|ratio| ratio.value),
+        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
+        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "steal_ms": steal.ms(),
+    });
+    [line, terminals, duel]
+}
+
+/// A line at 1 kHz: nothing is left out or lost, and its system calls, which are those of one frame.
+fn line_alone_on_sockets(
+    granted: &Granted,
+    what: &str,
+    fleet: Fleet,
+    cycles: usize,
+    budgets: &Budgets,
+    report: &mut Report,
+) -> Value {
+    let steal = Steal::begin();
+    let Alone { end, calls, page_faults, .. } = alone_at_1_khz(granted, fleet, cycles);
+    let (status, drives) = (end.status, Kind::sum(&end.drives));
+    let p50 = calls.quantile(0.5).map(|p50| p50.value);
+    println!(
+        "\n{} drives and {} couplers and terminals on one line of this host at 1 kHz; steal {} ms",
+        fleet.line,
+        fleet.terminals,
+        shown(steal.ms())
+    );
+    println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
+    println!("  {drives}");
+    println!("  system calls a cycle, p50: {}", shown(p50));
     report.check(
-        format!("a line: planned {} = executed + skipped", status.planned),
+        format!("{what}: planned {} = executed + skipped", status.planned),
         status.planned == status.executed + status.skipped,
     );
-    drives.check("a line", report);
-    within(report, budgets, "a line", &calls);
-    check_page_faults("a line", page_faults, budgets, report);
+    drives.check(what, report);
+    within(report, budgets, what, &calls);
+    check_page_faults(what, page_faults, budgets, report);
     json!({
-        "line_on_sockets": LINE_ALONE,
+        "line_on_sockets": fleet.line,
+        "line_terminals": fleet.terminals,
         "planned": status.planned,
         "executed": status.executed,
         "skipped": status.skipped,
@@ -905,10 +953,6 @@ fn line_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &m
         "answered": drives.answered,
         "missed": drives.missed,
         "syscalls_per_cycle": p50,
-        "duel_drives": LINE_DUEL,
-        "sockets_ratio": ratio.map(|ratio| ratio.value),
-        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
         "steal_ms": steal.ms(),
     })
 }
@@ -1057,6 +1101,7 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
         ("one Unidrive", Fleet::unidrives(1)),
         ("LinMots and Unidrives together", TOGETHER),
         ("a line of one", Fleet::line(1)),
+        ("a line with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
         ("32 MOONS' drives", Fleet::moons(MOONS_DUEL)),
     ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {

@@ -388,7 +388,7 @@ fn line_now() -> Time {
 impl Linked {
     /// All axes in operation and turning.
     fn operational(drives: usize) -> Linked {
-        let plan = line::plan("local:wire", drives);
+        let plan = line::plan("local:wire", drives, 0);
         let settled = Settled::default();
         let lines = NullLines(plan.clone(), line_now, Settled::clone(&settled));
         let lines = CountedNet::over(lines, &Calls::default());
@@ -491,10 +491,10 @@ impl Unlinked {
 
 /// What is counted in place of being measured.
 const SCENARIOS: [Scenario; 4] = [
-    Scenario { protocol: linudp::PROTOCOL, drives: 1, caches: false },
-    Scenario { protocol: modbus::PROTOCOL, drives: 1, caches: false },
-    Scenario { protocol: ethercat::PROTOCOL, drives: LINE, caches: false },
-    Scenario { protocol: ethernet_ip::PROTOCOL, drives: 1, caches: false },
+    Scenario::of(linudp::PROTOCOL, 1),
+    Scenario::of(modbus::PROTOCOL, 1),
+    Scenario::of(ethercat::PROTOCOL, LINE),
+    Scenario::of(ethernet_ip::PROTOCOL, 1),
 ];
 /// Exchanges that are counted.
 const COUNTED: u64 = 128;

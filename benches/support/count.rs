@@ -48,6 +48,8 @@ pub struct Scenario {
     pub protocol: &'static str,
     /// Drives that share one cycle.
     pub drives: usize,
+    /// Couplers and terminals in it.
+    pub terminals: usize,
     /// Whether misses of the caches are counted too, which takes three times as long.
     pub caches: bool,
 }
@@ -63,7 +65,7 @@ pub struct Ran {
     pub calls: Option<u64>,
 }
 
-/// Of a drive and cycle.
+/// Of a drive and cycle; where there are terminals, of a slave and cycle.
 #[derive(Clone, Copy, Debug)]
 struct Counts {
     instructions: f64,
@@ -226,7 +228,7 @@ fn under_callgrind(scenario: Scenario) -> Result<Counts, String> {
     let events = events(&path).map_err(|error| of(&error))?;
     let each = |names: &[&str]| {
         let all: Option<u64> = names.iter().map(|name| events.get(*name).copied()).sum();
-        all.map(|all| all as f64 / (cycles * scenario.drives as u64) as f64)
+        all.map(|all| all as f64 / (cycles * (scenario.drives + scenario.terminals) as u64) as f64)
     };
     let instructions = each(&["Ir"]).filter(|count| *count > 0.0);
     let instructions = instructions.ok_or_else(|| of(&"callgrind has counted nothing"))?;
@@ -263,9 +265,18 @@ fn valgrind() -> Result<(), String> {
 }
 
 impl Scenario {
+    /// Drives only; the caches are not simulated.
+    pub const fn of(protocol: &'static str, drives: usize) -> Scenario {
+        Scenario { protocol, drives, terminals: 0, caches: false }
+    }
+
     /// As the environment of the child and the table have it.
     pub fn name(&self) -> String {
-        format!("{}/{}", self.protocol, self.drives)
+        let Scenario { protocol, drives, terminals, .. } = self;
+        match terminals {
+            0 => format!("{protocol}/{drives}"),
+            terminals => format!("{protocol}/{drives}+{terminals}"),
+        }
     }
 
     /// Its row in the file of budgets.

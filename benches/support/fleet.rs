@@ -12,7 +12,6 @@ use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
-use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::ethernet_ip::MoonsDrives;
 use fieldbeat::sim::linudp::LinMots;
 use fieldbeat::sim::modbus::Unidrives;
@@ -73,29 +72,39 @@ pub struct Fleet {
     pub every: u32,
     /// Kollmorgen drives, on one line.
     pub line: usize,
+    /// Couplers and terminals, behind these drives.
+    pub terminals: usize,
     /// MOONS' drives, each in every cycle of so many as well: their interval.
     pub moons: usize,
 }
 
 impl Fleet {
+    /// No drive.
+    pub const NONE: Fleet = Fleet { linmots: 0, unidrives: 0, every: 1, line: 0, terminals: 0, moons: 0 };
+
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
-        Fleet { linmots: count, unidrives: 0, every: 1, line: 0, moons: 0 }
+        Fleet { linmots: count, ..Fleet::NONE }
     }
 
     /// Unidrives only, in every cycle.
     pub const fn unidrives(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: count, every: 1, line: 0, moons: 0 }
+        Fleet { unidrives: count, ..Fleet::NONE }
     }
 
     /// A line of Kollmorgen drives only.
     pub const fn line(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: 0, every: 1, line: count, moons: 0 }
+        Fleet { line: count, ..Fleet::NONE }
+    }
+
+    /// A line of so many Kollmorgen drives, and of so many couplers and terminals behind them.
+    pub const fn with_terminals(drives: usize, terminals: usize) -> Fleet {
+        Fleet { terminals, ..Fleet::line(drives) }
     }
 
     /// MOONS' drives only, in every cycle.
     pub const fn moons(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: 0, every: 1, line: 0, moons: count }
+        Fleet { moons: count, ..Fleet::NONE }
     }
 
     /// All of them.
@@ -138,7 +147,7 @@ impl Fleet {
 
     /// Its line on `side`.
     pub fn ethercat(self, side: Side) -> EthercatPlan {
-        line::plan(&format!("local:bench-{}", side as u8), self.line)
+        line::plan(&format!("local:bench-{}", side as u8), self.line, self.terminals)
     }
 
     /// Its buses on `side`: LinMots first.
@@ -165,18 +174,18 @@ impl Fleet {
         LinMots::of(&self.linudp(side)).build(&mut simulated);
         Unidrives(self.modbus(side).drives.iter().map(unidrive::simulated).collect()).build(&mut simulated);
         if self.line > 0 {
-            EthercatSegment::from(self.ethercat(side)).build(&mut simulated);
+            line::simulated(&self.ethercat(side)).build(&mut simulated);
         }
         MoonsDrives::of(&self.ethernet_ip(side)).build(&mut simulated);
         simulated
     }
 }
 
-/// As [`FromStr`] takes it: `32+32/8+16+0`.
+/// As [`FromStr`] takes it: `32+32/8+16+56+0`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Fleet { linmots, unidrives, every, line, moons } = self;
-        write!(f, "{linmots}+{unidrives}/{every}+{line}+{moons}")
+        let Fleet { linmots, unidrives, every, line, terminals, moons } = self;
+        write!(f, "{linmots}+{unidrives}/{every}+{line}+{terminals}+{moons}")
     }
 }
 
@@ -187,13 +196,15 @@ impl FromStr for Fleet {
         let (linmots, rest) = text.split_once('+').ok_or(())?;
         let (unidrives, rest) = rest.split_once('/').ok_or(())?;
         let (every, rest) = rest.split_once('+').ok_or(())?;
-        let (line, moons) = rest.split_once('+').ok_or(())?;
+        let (line, rest) = rest.split_once('+').ok_or(())?;
+        let (terminals, moons) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
             unidrives: number(unidrives)?,
             every: every.parse().map_err(|_| ())?,
             line: number(line)?,
+            terminals: number(terminals)?,
             moons: number(moons)?,
         })
     }

@@ -1,5 +1,5 @@
-//! A line of Kollmorgen drives in memory: simulated until all of them are in operation, and answered from memory from
-//! then on.
+//! A line of Kollmorgen drives, couplers and terminals in memory: simulated until all of them are in operation, and
+//! answered from memory from then on.
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -8,31 +8,53 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use fieldbeat::axis::{Limits, State};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
+use fieldbeat::bus::ethercat::{
+    Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Owner, SlavePlan, Watchdog,
+};
 use fieldbeat::internals::bus::ethercat::cia402::StatusWord;
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
+use fieldbeat::internals::bus::ethercat::wire::sii::Identity;
 use fieldbeat::internals::net::frames::{MAC, Unsent};
 use fieldbeat::internals::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::internals::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Model, SlaveSettings};
 use fieldbeat::time::{MS, Time};
 
 use super::rig;
 
-/// Inputs of a drive in its frame, 1B03h, with its AL status in front.
-const INPUTS: usize = 2 + 8;
-/// In the latter: actual position and status word.
-const POSITION: std::ops::Range<usize> = 2..6;
-const STATUS: std::ops::Range<usize> = 8..10;
-/// So many frames in a row all drives have to be in operation: until the last one of a long segment has read its mode
+/// AL status, in front of the inputs of each slave.
+const AL: usize = 2;
+const OPERATIONAL: u8 = 8;
+/// In both, of a drive with 1B03h: actual position and status word.
+const POSITION: usize = 2;
+const STATUS: usize = 8;
+/// So many frames in a row all slaves have to be in operation: until the last one of a long segment has read its mode
 /// and its reference by the mailbox.
 const SETTLED: u32 = 1_000;
 /// And so many more at most until one of them looks at no mailbox: on a long line there is always one to be looked at.
 const QUIET: u32 = 200;
 
-/// A line of so many drives, as a machine might have it.
-pub fn plan(interface: &str, drives: usize) -> EthercatPlan {
+/// The couplers and terminals of a line, again and again: a coupler, digital inputs and outputs, analogue inputs.
+const STATION: [Model; 14] = [
+    Model::Ek1100,
+    Model::El1008,
+    Model::El1008,
+    Model::El1008,
+    Model::El1008,
+    Model::El1008,
+    Model::El2008,
+    Model::El2008,
+    Model::El2008,
+    Model::El2008,
+    Model::El2008,
+    Model::El3102,
+    Model::El3102,
+    Model::El3102,
+];
+
+/// A line of so many drives, as a machine might have it, and so many couplers and terminals behind them.
+pub fn plan(interface: &str, drives: usize, terminals: usize) -> EthercatPlan {
     let drive = |place: usize| {
         let mut drive = KollmorgenDrive::new(format!("k{place}"), place as u16, Family::S700);
         drive.slave.watchdog = Watchdog::After(100 * MS);
@@ -42,7 +64,38 @@ pub fn plan(interface: &str, drives: usize) -> EthercatPlan {
         drive.axis.enable_timeout = Duration::from_secs(60);
         drive
     };
-    EthercatPlan::new(interface, (0..drives).map(drive).collect())
+    let mut plan = EthercatPlan::new(interface, (0..drives).map(drive).collect());
+    let models = STATION.into_iter().cycle().take(terminals);
+    plan.devices = models.enumerate().map(|(index, model)| device((drives + index) as u16, model)).collect();
+    plan
+}
+
+/// A coupler or a terminal, as in `rt-config/terminals.toml`.
+fn device(place: u16, model: Model) -> Device {
+    let area = |start, length| vec![Area { start, length }];
+    let (outputs, inputs) = match model {
+        Model::El1008 => (Vec::new(), area(0x1000, 1)),
+        Model::El2008 => (area(0x0F00, 1), Vec::new()),
+        Model::El3102 => (Vec::new(), area(0x1180, 8)),
+        _ => (Vec::new(), Vec::new()),
+    };
+    let mailbox = [0x1000, 0x1080].map(|start| Area { start, length: 128 });
+    let Identity { vendor, product, .. } = model.identity();
+    let identity = Expected { vendor: Some(vendor), product: Some(product), revision: None };
+    let mailbox = (model == Model::El3102).then_some(mailbox);
+    let slave = SlavePlan { identity, mailbox, outputs, inputs, ..SlavePlan::new(place) };
+    Device { name: format!("t{place}"), slave }
+}
+
+/// The same, simulated: couplers and terminals are those that can be bought.
+pub fn simulated(plan: &EthercatPlan) -> EthercatSegment {
+    let mut segment = EthercatSegment::from(plan);
+    for Device { slave, .. } in &plan.devices {
+        let is_it = |(_, model): &&(&str, Model)| slave.identity.is(model.identity());
+        let model = Model::ALL.iter().find(is_it).map(|(_, model)| *model);
+        segment.settings.slaves.insert(slave.place, SlaveSettings { model, ..SlaveSettings::default() });
+    }
+    segment
 }
 
 /// A frame to such a line once all its drives are in operation, and what it answers.
@@ -65,7 +118,7 @@ impl Carriers for NullLines {
 pub struct NullLine {
     now: fn() -> Time,
     sim: Option<EthercatSim>,
-    drives: usize,
+    layout: Layout,
     exchange: Settled,
     settled: u32,
     canned: Option<Canned>,
@@ -79,8 +132,8 @@ impl NullLine {
     pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullLine {
         NullLine {
             now,
-            sim: Some(EthercatSim::of(plan)),
-            drives: plan.drives.len(),
+            sim: Some(EthercatSim::new(&simulated(plan))),
+            layout: Layout::of(plan),
             exchange,
             settled: 0,
             canned: None,
@@ -95,7 +148,7 @@ impl NullLine {
         NullLine {
             now,
             sim: None,
-            drives: 0,
+            layout: Layout::default(),
             exchange: Settled::default(),
             settled: SETTLED,
             canned,
@@ -114,7 +167,7 @@ impl NullLine {
             self.length = 0;
             return;
         }
-        let Some(canned) = Canned::new(frame, self.drives, at) else {
+        let Some(canned) = Canned::new(frame, &self.layout, at) else {
             self.settled = 0;
             return;
         };
@@ -163,15 +216,47 @@ impl Frames for NullLine {
     fn memory(&self, _: &mut Regions) {}
 }
 
+/// How the process data of a line come back, in one datagram, when all of it is in operation.
+#[derive(Debug, Default)]
+struct Layout {
+    counter: u16,
+    /// Where each slave's part of the inputs begins, and whose it is.
+    parts: Vec<(usize, Owner)>,
+    bytes: usize,
+}
+
+impl Layout {
+    fn of(plan: &EthercatPlan) -> Layout {
+        let mut layout = Layout::default();
+        for (owner, slave) in plan.slaves() {
+            // ETG.1000.4: 1 for a read, and 2 for a write by LRW.
+            layout.counter += 1 + 2 * u16::from(!slave.outputs.is_empty());
+            layout.parts.push((layout.bytes, owner));
+            layout.bytes += AL + slave.input_bytes();
+        }
+        layout
+    }
+
+    /// All slaves are in OP, and all drives in operation.
+    fn is_on(&self, inputs: &[u8]) -> bool {
+        self.parts.iter().all(|(at, owner)| {
+            let status = || StatusWord(u16::from_le_bytes([inputs[at + STATUS], inputs[at + STATUS + 1]]));
+            let is_drive = matches!(owner, Owner::Drive(_));
+            inputs[*at] == OPERATIONAL && (!is_drive || status().state() == State::OperationEnabled)
+        })
+    }
+}
+
 /// What a line answers whose drives are all in operation and turning.
 #[derive(Clone, Debug)]
 pub struct Canned {
     /// Working counters of the datagrams of every frame, and where the time of the line stands.
     counters: Vec<(usize, [u8; 2])>,
     clock: Option<(usize, u32, Time)>,
-    /// Where the inputs begin, and what they are but for the positions.
+    /// Where the inputs begin, and what they are but for the positions; where these are.
     inputs_at: usize,
     inputs: Vec<u8>,
+    positions: Vec<usize>,
     /// Where the slot begins.
     slot: usize,
     position: u32,
@@ -180,8 +265,8 @@ pub struct Canned {
 }
 
 impl Canned {
-    /// As this frame has come back; `None`: not all drives are in operation.
-    fn new(frame: &[u8], drives: usize, at: Time) -> Option<Canned> {
+    /// As this frame has come back; `None`: not all slaves are in operation.
+    fn new(frame: &[u8], layout: &Layout, at: Time) -> Option<Canned> {
         let (mut counters, mut clock, mut inputs_at, mut slot) = (Vec::new(), None, None, 0);
         let (mut states, mut asks) = (false, false);
         for datagram in datagrams(frame).ok()?.map_while(Result::ok) {
@@ -199,20 +284,18 @@ impl Canned {
                     let time = u32::from_le_bytes(datagram.data.try_into().ok()?);
                     clock = Some((datagram.place.data().start, time, at));
                 }
-                Command::Lrw(_) if usize::from(datagram.working_counter) == 3 * drives => {
-                    inputs_at = Some(datagram.place.data().start + length - drives * INPUTS);
+                Command::Lrw(_) if datagram.working_counter == layout.counter => {
+                    inputs_at = Some(datagram.place.data().start + length - layout.bytes);
                 }
                 Command::Brd(_) => states = true,
                 _ => {}
             }
         }
         let inputs_at = inputs_at?;
-        let inputs = frame.get(inputs_at..inputs_at + drives * INPUTS)?.to_vec();
-        let is_on = |input: &[u8]| {
-            let status = u16::from_le_bytes([input[STATUS.start], input[STATUS.start + 1]]);
-            input[0] == 8 && StatusWord(status).state() == State::OperationEnabled
-        };
-        inputs.chunks(INPUTS).all(is_on).then_some(Canned {
+        let inputs = frame.get(inputs_at..inputs_at + layout.bytes)?.to_vec();
+        let drives = layout.parts.iter().filter(|(_, owner)| matches!(owner, Owner::Drive(_)));
+        layout.is_on(&inputs).then(|| Canned {
+            positions: drives.map(|(at, _)| at + POSITION).collect(),
             counters,
             clock,
             inputs_at,
@@ -238,8 +321,8 @@ impl Canned {
         self.position = self.position.wrapping_add(100);
         let inputs = &mut frame[self.inputs_at..self.inputs_at + self.inputs.len()];
         inputs.copy_from_slice(&self.inputs);
-        for input in inputs.chunks_exact_mut(INPUTS) {
-            input[POSITION].copy_from_slice(&self.position.to_le_bytes());
+        for at in &self.positions {
+            inputs[*at..at + 4].copy_from_slice(&self.position.to_le_bytes());
         }
         if frame.len() > self.slot.max(60) {
             self.answer_slot(frame);

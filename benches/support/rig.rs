@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use fieldbeat::axis::{Acyclic, Command, Jog};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethercat::{TERMINAL_MAX, Terminals};
 use fieldbeat::internals::cycle::engine::Control;
 use fieldbeat::internals::cycle::record::{Record, Reply};
 use fieldbeat::internals::master::{Assembly, assemble};
@@ -218,6 +219,8 @@ pub struct Rig {
     assembly: Assembly<Meter>,
     grid: Time,
     calls: Calls,
+    /// Process data of the devices that are no drives.
+    devices: Vec<Terminals>,
 }
 
 impl Rig {
@@ -236,7 +239,13 @@ impl Rig {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
         };
-        let mut rig = Rig { assembly, grid: Time(0), calls };
+        let mut rig = Rig { assembly, grid: Time(0), calls, devices: Vec::new() };
+        for name in plan.buses.iter().flat_map(|bus| bus.devices()) {
+            match rig.assembly.devices.take(name) {
+                Ok(device) => rig.devices.push(device),
+                Err(error) => give_up(error),
+            }
+        }
         rig.assembly.engine.begin();
         rig
     }
@@ -263,6 +272,7 @@ impl Rig {
 
     /// One turn; its records go to `record` after the time was taken.
     pub fn turn(&mut self, mut record: impl FnMut(Record)) -> Turn {
+        self.write_outputs();
         let engine = &mut self.assembly.engine;
         engine.clock().woke = None;
         let before = self.calls.load(Ordering::Relaxed);
@@ -280,11 +290,24 @@ impl Rig {
 
     /// One turn that is counted; its records are not.
     pub fn counted_turn(&mut self) {
+        self.write_outputs();
         let engine = &mut self.assembly.engine;
         engine.clock().woke = None;
         counted(|| engine.step());
         self.grid = engine.clock().grid;
         while self.assembly.records.pop().is_ok() {}
+    }
+
+    /// As an application does in each cycle: the outputs of all devices are others than before.
+    fn write_outputs(&mut self) {
+        let newest = self.status().executed as u8;
+        for device in &mut self.devices {
+            let (bytes, _) = device.sizes();
+            if bytes > 0 {
+                // The loop may have passed over a slot: then the queue can be full.
+                let _ = device.write(&[newest; TERMINAL_MAX][..bytes]);
+            }
+        }
     }
 
     /// From now on it goes from cycle to cycle like this.
@@ -300,13 +323,22 @@ impl Rig {
     /// The same, with somebody who does his own after each turn, and gets its grid point.
     pub fn enable_beside(&mut self, mut beside: impl FnMut(Time)) {
         let drives = self.assembly.axes.len() as u32;
-        self.turn_until("online", |status| status.online == drives, &mut beside);
+        self.turn_until(
+            "online",
+            |rig| rig.status().online == drives && rig.are_devices_in_operation(),
+            &mut beside,
+        );
         for axis in &mut self.assembly.axes {
             if let Err(error) = axis.post(Command::Enable) {
                 give_up(error)
             }
         }
-        self.turn_until("in operation", |status| status.operational == drives, &mut beside);
+        self.turn_until("in operation", |rig| rig.status().operational == drives, &mut beside);
+    }
+
+    /// Devices that are no drives take part.
+    fn are_devices_in_operation(&self) -> bool {
+        self.devices.iter().all(|device| device.inputs().operational)
     }
 
     /// Has all drives turn, slowly, until they are told otherwise: an axis that moves by itself would be stopped.
@@ -342,12 +374,12 @@ impl Rig {
         }
     }
 
-    fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool, beside: &mut dyn FnMut(Time)) {
+    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, beside: &mut dyn FnMut(Time)) {
         // The grid is that of the last turn: there has to be one.
         self.turn(|_| {});
         let begin = self.grid;
         while self.grid.since(begin) < BRING_UP_NS {
-            if done(self.status()) {
+            if done(self) {
                 return;
             }
             self.turn(|_| {});

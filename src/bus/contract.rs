@@ -8,7 +8,7 @@ use std::fmt::Debug;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use super::counters::{BusClock, Counters, Unmatched};
+use super::counters::{BusClock, Counters, OWN_COUNTERS, Unmatched};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
 use crate::axis::acyclic::AcyclicEnds;
@@ -109,7 +109,7 @@ pub trait Bus: Send {
     }
 
     /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
-    /// they are sent.
+    /// they are sent; and that is one reply that is waited for, whatever the number of drives.
     fn is_one_frame(&self) -> bool {
         false
     }
@@ -170,9 +170,9 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
-    /// How many emergencies of device `index` were lost, since a queue for them was full.
-    fn emergencies_lost(&self, _index: usize) -> u64 {
-        0
+    /// What `BusPlan::own_counters` name, of device `index`, which is not a drive.
+    fn device_counters(&self, _index: usize) -> [u64; OWN_COUNTERS] {
+        [0; OWN_COUNTERS]
     }
 
     /// How many of the arrived datagrams the kernel dropped, where only a normal thread may query it.
@@ -310,6 +310,7 @@ impl Exchange {
     }
 
     /// When its request was sent, as long as that is known.
+    #[inline]
     pub fn sent_at(&self) -> Option<Time> {
         match *self {
             Exchange::Owed { sent_at, .. }

@@ -1,5 +1,7 @@
 //! Exact counts of what a bus sent and received, and the state of its clock.
 
+use std::fmt;
+
 /// Exact counts of one drive's exchanges. `sent = answered + missed + owed`; what is queued is not sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
@@ -37,6 +39,41 @@ pub struct OwnCounter {
     pub what: &'static str,
 }
 
+/// What only one protocol counts of a drive or device, exactly.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ProtocolCounters(pub Vec<(OwnCounter, u64)>);
+
+impl ProtocolCounters {
+    pub(crate) fn of(own: &[OwnCounter], counts: [u64; OWN_COUNTERS]) -> ProtocolCounters {
+        ProtocolCounters(own.iter().copied().zip(counts).collect())
+    }
+
+    /// One of them is above 0.
+    #[cfg(feature = "summary")]
+    pub(crate) fn are_any(&self) -> bool {
+        self.0.iter().any(|(_, count)| *count > 0)
+    }
+}
+
+#[cfg(feature = "summary")]
+impl serde::Serialize for ProtocolCounters {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(counter, count)| (counter.key, count)))
+    }
+}
+
+/// Those above 0, in words.
+impl fmt::Display for ProtocolCounters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counted = self.0.iter().filter(|(_, count)| *count > 0);
+        for (place, (OwnCounter { what, .. }, count)) in counted.enumerate() {
+            let between = if place == 0 { "" } else { "; " };
+            write!(f, "{between}{what}: {count}")?;
+        }
+        Ok(())
+    }
+}
+
 /// The relation of the clock of a bus and the grid, whichever of them leads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusClock {
@@ -60,4 +97,22 @@ pub struct Unmatched {
     pub dropped: u64,
     /// Errors of the receiving socket.
     pub errors: u64,
+}
+
+#[cfg(all(test, feature = "summary"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn own_counters_above_zero_are_printed_and_all_are_in_the_object() {
+        let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
+        let mut counters = [0; OWN_COUNTERS];
+        (counters[0], counters[2]) = (3, u64::MAX);
+        let shown = ProtocolCounters::of(&own, counters);
+        assert_eq!(shown.to_string(), format!("exceptions: 3; closed: {}", u64::MAX));
+        let json = format!(r#"{{"exceptions":3,"opened":0,"closed":{}}}"#, u64::MAX);
+        assert_eq!(serde_json::to_string(&shown).unwrap(), json);
+        let none = ProtocolCounters::of(&[], counters);
+        assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
+    }
 }

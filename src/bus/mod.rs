@@ -38,7 +38,7 @@ pub(crate) mod tools;
 pub(crate) mod variant;
 
 pub(crate) use self::contract::{Bus, Cycle, Exchange, Notes, Slot};
-pub(crate) use self::counters::{BusClock, Counters, OwnCounter, Unmatched};
+pub(crate) use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub(crate) use self::drives::Ends;
 pub use self::error::OpenError;
 pub use self::plan::{BusPlan, Grid};

@@ -6,7 +6,7 @@ use super::engine::LoopPanic;
 use crate::axis::cell::Reader;
 use crate::axis::packed::{packed, parts};
 use crate::axis::{Feedback, MONITOR_CHANNELS, Observer};
-use crate::bus::{BusClock, Counters, Notes, Unmatched};
+use crate::bus::{BusClock, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
 
 /// The loop in numbers, published every cycle.
@@ -138,6 +138,8 @@ pub struct BusInfo {
     pub name: String,
     /// The names of its devices that are not drives.
     pub devices: Vec<String>,
+    /// What its protocol counts of each.
+    pub own_counters: &'static [OwnCounter],
     /// What it reports of itself in addition.
     pub notes: Option<Arc<dyn Notes>>,
 }
@@ -162,7 +164,9 @@ impl BusInfo {
         self.devices.iter().enumerate().map(|(index, name)| DeviceEnd {
             name: name.clone(),
             not_operational: self.notes.as_ref().and_then(|notes| notes.device(index)),
-            emergencies_lost: self.notes.as_ref().map_or(0, |notes| notes.emergencies_lost(index)),
+            protocol_counters: self.notes.as_ref().map_or_else(ProtocolCounters::default, |notes| {
+                ProtocolCounters::of(self.own_counters, notes.device_counters(index))
+            }),
         })
     }
 }
@@ -217,8 +221,8 @@ pub struct DeviceEnd {
     pub name: String,
     /// Why it is not in operation; `None`: it is, or was until the orderly end.
     pub not_operational: Option<String>,
-    /// Emergencies that it has reported and the application has not received: a queue for them was full.
-    pub emergencies_lost: u64,
+    /// What only its protocol counts, by its key.
+    pub protocol_counters: ProtocolCounters,
 }
 
 /// One drive in numbers.

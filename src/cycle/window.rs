@@ -22,7 +22,7 @@ pub struct Window {
     /// One of the buses wants to be polled.
     polls: bool,
     poll_set: PollSet,
-    /// How many exchanges of each bus the window still waits for.
+    /// How many replies of each bus the window still waits for.
     missing: Box<[usize]>,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
@@ -47,6 +47,8 @@ pub struct OpenBus {
     pub clock: Writer<Option<BusClock>>,
     /// It is on a half-duplex wire, and wants to be polled.
     pub is_polled: bool,
+    /// One frame serves all its drives.
+    pub is_one_frame: bool,
 }
 
 impl OpenBus {
@@ -63,6 +65,15 @@ impl OpenBus {
         self.bus.memory(regions);
         self.unmatched.memory(regions);
         self.clock.memory(regions);
+    }
+
+    /// For how many replies of the bus the window still waits: one for each exchange, or one frame for all of them.
+    fn missing(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let mut slots = slots[self.first..self.end].iter();
+        match self.is_one_frame {
+            true => usize::from(slots.any(|slot| slot.exchange.is_waited_for(cycle))),
+            false => slots.filter(|slot| slot.exchange.is_waited_for(cycle)).count(),
+        }
     }
 
     /// Publishes the numbers of the bus.
@@ -167,7 +178,7 @@ impl Window {
                 };
                 if reads {
                     open.work(slots, |bus, slots| bus.receive(cycle, slots));
-                    self.missing[place] = missing(cycle, &slots[open.first..open.end]);
+                    self.missing[place] = open.missing(cycle, slots);
                 }
             }
             (left, poll_at) = (self.missing.iter().sum(), self::poll_at::<POLLS>(buses));
@@ -180,11 +191,11 @@ impl Window {
         }
     }
 
-    /// Counts the missing exchanges of each bus; returns those of all.
+    /// Counts the missing replies of each bus; returns those of all.
     fn count(&mut self, cycle: &Cycle, buses: &[OpenBus], slots: &[Slot]) -> usize {
         let mut all = 0;
         for (missing, open) in self.missing.iter_mut().zip(buses) {
-            *missing = self::missing(cycle, &slots[open.first..open.end]);
+            *missing = open.missing(cycle, slots);
             all += *missing;
         }
         all
@@ -195,11 +206,6 @@ impl Window {
         let nap = if enough { self.nap_ns - self.nap_ns / 16 } else { self.nap_ns + self.nap_ns / 4 };
         self.nap_ns = nap.clamp(SHORTEST_NAP_NS, longest);
     }
-}
-
-/// For how many exchanges of these the window still waits.
-fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
-    slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
 
 /// When the first of the buses wants to be polled.
@@ -305,11 +311,12 @@ mod tests {
     fn open_bus(bus: Box<dyn Bus>, slots: Range<usize>, is_polled: bool) -> OpenBus {
         OpenBus {
             bus,
-            info: BusInfo { name: String::new(), devices: Vec::new(), notes: None },
+            info: BusInfo { name: String::new(), devices: Vec::new(), own_counters: &[], notes: None },
             first: slots.start,
             end: slots.end,
             is_at_work: false,
             is_polled,
+            is_one_frame: false,
             unmatched: cell(Unmatched::default()).0,
             clock: cell(None).0,
         }

@@ -236,6 +236,11 @@ impl DriveController {
         on && !self.duty.follows().is_free
     }
 
+    /// The link was up before it was evaluated last.
+    pub fn was_online(&self) -> bool {
+        self.measured.was_online
+    }
+
     /// Whether an exchange is due in slot `index`.
     #[inline]
     pub fn is_due(&self, index: u64) -> bool {

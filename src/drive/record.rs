@@ -182,7 +182,7 @@ pub fn short(ns: u64) -> u32 {
 
 /// A measured time in a record, at least 1 ns.
 pub fn measured(ns: u64) -> Option<NonZeroU32> {
-    NonZeroU32::new(short(ns.max(1)))
+    NonZeroU32::new(short(ns).max(1))
 }
 
 #[cfg(test)]

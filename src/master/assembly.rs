@@ -184,9 +184,11 @@ pub fn assemble<C: Clock>(
         let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
         let (clock_in, clock) = cell::cell(None::<BusClock>);
         let devices = names.into_iter().map(str::to_owned).collect();
-        let info = BusInfo { name: bus_plan.name().to_owned(), devices, notes };
+        let own_counters = bus_plan.own_counters();
+        let info = BusInfo { name: bus_plan.name().to_owned(), devices, own_counters, notes };
         gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
         buses.push(OpenBus {
+            is_one_frame: bus.is_one_frame(),
             bus,
             info,
             first,

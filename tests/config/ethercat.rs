@@ -1,4 +1,4 @@
-//! What only an EtherCAT line has: places, PDOs, clocks, slaves that are no drives.
+//! What only an EtherCAT segment has: places, PDOs, clocks, slaves that are no drives.
 
 use fieldbeat::Plan;
 use fieldbeat::axis::{HeldBy, Load, Unit};

@@ -23,26 +23,27 @@ mailbox = { delay = "1s", delay_every = 3, lose_every = 5, resends = false }
 [[bus.device]]
 name = "out"
 outputs = { start = 0x1000, length = 1 }
-simulate = { type = "EL2008", wired_to = "in", emulated = false, sii = { slips = true, content = "garbage" } }
+simulate = { type = "EL2008", wired_to = "in", emulated = false, sii = { slips = true, fails_every = 5 } }
 [[bus.device]]
 name = "in"
 inputs = { start = 0x1000, length = 1 }
-simulate = { type = "EL1008", left = "unwatched", behind = { slave = "k", port = 2 } }
+simulate = { type = "EL1008", left = "unwatched", behind = { slave = "k", port = 2 }, sii.content = "garbage" }
 "#;
     let all = format!("{:?}", read_all(text).simulation.buses[0]);
     for part in [
         "settling: 1024",
         "0: SlaveSettings { model: None, emulated: None, exact_managers: true, output_control: Some(36), clock: \
          Some(Short), fmmus: Some(3), sii: SiiSettings { owned_by_slave: true, read_in_preop: true, eight: true, \
-         busy_ns: 2000000, loading_ns: 50000000, slips: false, content: Sound }, mailbox: MailboxSettings { \
-         delay_ns: 1000000000, delay_every: 3, lose_every: 5, resends: false }, behind: None, wired_to: None, left: \
-         Some(Left { station: 4098, alias_on: false, al: (20, 27)",
+         busy_ns: 2000000, loading_ns: 50000000, slips: false, fails_every: 0, content: Sound }, mailbox: \
+         MailboxSettings { delay_ns: 1000000000, delay_every: 3, lose_every: 5, resends: false }, behind: None, \
+         wired_to: None, left: Some(Left { station: 4098, alias_on: false, al: (20, 27)",
         "1: SlaveSettings { model: Some(El2008), emulated: Some(false)",
-        "slips: true, content: Garbage }",
+        "slips: true, fails_every: 5, content: Sound }",
+        "slips: false, fails_every: 0, content: Garbage }",
         "wired_to: Some(2)",
         "behind: Some(Behind { place: 0, port: 2 })",
         "2: SlaveSettings { model: Some(El1008), emulated: None",
-        "managers: [], unwatched: true, sync0_ns: Some(1000000)",
+        "managers: [], unwatched: true, sync0_ns: Some(1000000), sii_given: true, sii_failed: true }",
     ] {
         assert!(all.contains(part), "{part}\n{all}");
     }

@@ -10,11 +10,11 @@ use crate::conformance::subject::Subject;
 /// Longer than any call of a subject takes.
 const LIMIT: Duration = Duration::from_secs(1);
 
-fn post(m: &mut Machine, index: usize, call: Call) -> CallTicket {
+pub fn post(m: &mut Machine, index: usize, call: Call) -> CallTicket {
     m.sim.axis(index).acyclic().post(call, LIMIT).expect("there is room")
 }
 
-fn end(m: &mut Machine, ticket: &mut CallTicket, most: u64) -> Result<Answer, CallError> {
+pub fn end(m: &mut Machine, ticket: &mut CallTicket, most: u64) -> Result<Answer, CallError> {
     for _ in 0..most {
         if let Some(result) = ticket.poll() {
             return result;

@@ -4,7 +4,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::conformance::subject::Subject;
-use crate::conformance::subjects::ethercat::{Defect as LineDefect, EtherCat, Slaves};
+use crate::conformance::subjects::ethercat::{Defect as LineDefect, EtherCat, slaves};
 use crate::conformance::subjects::modbus::{Defect as StreamDefect, Modbus};
 use crate::conformance::subjects::toy::{Defect, Toy, ToyWire};
 use crate::conformance::{
@@ -93,7 +93,7 @@ fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
 fn what_only_a_bus_of_one_frame_for_all_gets_wrong_is_caught_as_well() {
     for (defect, clause) in CAUGHT_ON_LINES {
         for positions in [false, true] {
-            let subject = EtherCat { positions, slaves: Slaves::Plain, defect: Some(defect) };
+            let subject = EtherCat { positions, slaves: slaves::PLAIN, defect: Some(defect) };
             assert!(
                 is_caught(Box::new(subject), clause),
                 "{defect:?} went unnoticed, positions: {positions}"

@@ -7,7 +7,7 @@ use fieldbeat::axis::{
     Command, CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause,
 };
 use fieldbeat::bus::BusPlan;
-use fieldbeat::sim::{FaultPlan, World, WorldOptions};
+use fieldbeat::sim::{FaultPlan, SimSegment, World, WorldOptions};
 use fieldbeat::time::{Time, US};
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 
@@ -234,6 +234,11 @@ impl Machine {
         let usual = self.tape(index, |tape| tape.usual.answer_ns);
         let plan = FaultPlan { answer_ns: usual + plan.answer_ns, ..plan };
         self.wire.faults(self.world(), index, plan);
+    }
+
+    /// Looks at its line.
+    pub fn line<R>(&self, look: impl FnOnce(&mut dyn SimSegment, Time) -> R) -> R {
+        self.wire.look(self.world(), look).expect("there is a line")
     }
 
     /// The slots of the grid in which the drive was sent something, from `first` on.

@@ -3,7 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `subject` | what a protocol brings along; nothing else in here knows one |
-//! | `subjects/` | the protocols, a file each |
+//! | `subjects/` | the protocols, a file each; and EtherCAT slaves with one oddity each, the rows |
 //! | `line`, `rules` | one bus alone: the clause plays the loop by hand, the referee looks at every call |
 //! | `machine` | the whole loop over the same bus |
 //! | `wire` | what goes over the wire, written down |
@@ -177,6 +177,39 @@ macro_rules! clauses {
     };
 }
 
+/// A module for each kind of slaves that has one oddity: the clauses of bring-up, operation, stop, acyclic access and
+/// the end, and whether the oddity was met at all.
+macro_rules! rows {
+    ($($name:ident: $row:ident,)*) => {
+        mod ethercat_rows {
+            use crate::conformance::subjects::ethercat::{EtherCat, rows, slaves::Slaves};
+
+            $(mod $name {
+                use super::{EtherCat, Slaves, rows};
+
+                const SLAVES: Slaves = Slaves { name: stringify!($name), ..rows::$row.slaves };
+                const SUBJECT: &dyn crate::conformance::subject::Subject =
+                    &EtherCat { positions: true, slaves: SLAVES, defect: None };
+
+                clauses! {
+                    exchanges::{the_end_comes_and_leaves_nothing_owed},
+                    orders::{each_verb_ends_in_what_it_says},
+                    acyclic::{a_value_that_was_written_is_read_back},
+                    whole::{
+                        good_exchanges_in_a_row_bring_the_link_up,
+                        the_stop_request_is_on_the_wire_within_its_bound,
+                    },
+                }
+
+                #[test]
+                fn it_was_met() {
+                    rows::$row.is_met(SUBJECT);
+                }
+            })*
+        }
+    };
+}
+
 /// A module of tests for each subject.
 macro_rules! subjects {
     ($($name:ident: $subject:expr,)*) => {
@@ -194,16 +227,16 @@ subjects! {
     modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
     modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
     ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat {
-        positions: false, slaves: crate::conformance::subjects::ethercat::Slaves::Plain, defect: None
+        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN, defect: None
     },
     ethercat_position: crate::conformance::subjects::ethercat::EtherCat {
-        positions: true, slaves: crate::conformance::subjects::ethercat::Slaves::Plain, defect: None
+        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN, defect: None
     },
     ethercat_strict: crate::conformance::subjects::ethercat::EtherCat {
-        positions: true, slaves: crate::conformance::subjects::ethercat::Slaves::Strict, defect: None
+        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::STRICT, defect: None
     },
     ethercat_terminals: crate::conformance::subjects::ethercat::EtherCat {
-        positions: false, slaves: crate::conformance::subjects::ethercat::Slaves::Terminals, defect: None
+        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::TERMINALS, defect: None
     },
     ethernet_ip: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: false },
     ethernet_ip_multicast: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: true },
@@ -213,4 +246,31 @@ subjects! {
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),
     toy_on_a_half_duplex_wire:
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::HalfDuplex, None),
+}
+
+rows! {
+    device_emulation: DEVICE_EMULATION,
+    exact_sync_managers: EXACT_SYNC_MANAGERS,
+    two_sync_managers_a_direction: TWO_SYNC_MANAGERS,
+    sii_of_its_processor: SII_OF_ITS_PROCESSOR,
+    sii_of_four_bytes_a_read: SII_OF_FOUR_BYTES,
+    sii_of_eight_bytes_a_read: SII_OF_EIGHT_BYTES,
+    sii_with_a_wrong_checksum: SII_WITH_A_WRONG_CHECKSUM,
+    sii_of_noise: SII_OF_NOISE,
+    sii_that_returns_another_address: SII_OF_ANOTHER_ADDRESS,
+    sii_with_failing_reads: SII_WITH_FAILING_READS,
+    sii_that_is_not_loaded: SII_THAT_IS_NOT_LOADED,
+    slow_sii: SLOW_SII,
+    digital_terminals_of_2_bits: DIGITAL_2,
+    digital_terminals_of_4_bits: DIGITAL_4,
+    digital_terminals_of_8_bits: DIGITAL_8,
+    digital_terminals_of_16_bits: DIGITAL_16,
+    no_fmmu_to_spare: NO_FMMU_TO_SPARE,
+    too_few_fmmus: TOO_FEW_FMMUS,
+    clocks_of_32_bits: CLOCKS_OF_32_BITS,
+    no_clocks: NO_CLOCKS,
+    branch: BRANCH,
+    slow_mailbox: SLOW_MAILBOX,
+    lost_answers: LOST_ANSWERS,
+    repeat_that_is_acknowledged_only: REPEAT_ACKNOWLEDGED_ONLY,
 }

@@ -249,6 +249,11 @@ impl Wire {
         }
     }
 
+    /// Looks at its line, as it is now.
+    pub fn look<R>(&self, world: &World, look: impl FnOnce(&mut dyn SimSegment, Time) -> R) -> Option<R> {
+        world.look(self.interface.as_ref()?, |tapped: &mut TappedLine, now| look(&mut *tapped.line, now))
+    }
+
     pub fn log(&self) -> MutexGuard<'_, Log> {
         self.log.lock().unwrap()
     }

@@ -1,4 +1,4 @@
-//! `fieldbeat ethercat scan`: of a line on this host, without any right, and of what is none.
+//! `fieldbeat ethercat scan`: of a segment on this host, without any right, and of what is none.
 
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
 use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
@@ -9,7 +9,7 @@ use libc::SIGINT;
 
 use super::support::{Machine, Program, as_ordinary_user, run};
 
-/// A line on this host: a coupler and two drives.
+/// A segment on this host: a coupler and two drives.
 struct Line {
     interface: String,
     server: SimServer,
@@ -48,7 +48,7 @@ impl Line {
 }
 
 #[test]
-fn a_line_is_told_as_a_table_and_as_json() {
+fn a_segment_is_printed_as_a_table_and_as_json() {
     let line = Line::start(1, FaultPlan::default());
     let ended = line.scan(&[]).end();
     ended.expect(0);
@@ -79,7 +79,7 @@ fn a_line_is_told_as_a_table_and_as_json() {
 }
 
 #[test]
-fn a_line_that_is_silent_or_goes_away_is_told_in_one_line() {
+fn a_segment_that_is_silent_or_goes_away_is_reported_in_one_line() {
     let silent = Line::start(2, FaultPlan { drop: 1.0, ..FaultPlan::default() });
     silent.scan(&[]).end().failed(&["no slave answers; check power and cable"]);
     let line = Line::slow(3);
@@ -99,7 +99,7 @@ fn ctrl_c_ends_it_at_once() {
 }
 
 #[test]
-fn what_is_no_line_is_told_in_one_line() {
+fn what_is_no_segment_is_reported_in_one_line() {
     run(["ethercat", "scan", "eth-none-here"])
         .refused(&["there is no network interface eth-none-here", "ip link"]);
     run(["ethercat", "scan", "local:"]).refused(&["a name has 1 to"]);
@@ -109,7 +109,7 @@ fn what_is_no_line_is_told_in_one_line() {
 }
 
 #[test]
-fn an_ordinary_user_is_told_which_right_is_missing_and_how_to_get_it() {
+fn an_ordinary_user_learns_which_right_is_missing_and_how_to_get_it() {
     let machine = Machine::new(161);
     let ended = Program::spawn(as_ordinary_user(&machine).args(["ethercat", "scan", "lo"])).end();
     ended.refused(&["no right for raw frames on lo (CAP_NET_RAW); grant it: sudo setcap cap_net_raw+ep /"]);

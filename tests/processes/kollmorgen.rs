@@ -1,22 +1,37 @@
-//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated line in a process of its
-//! own.
+//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated segment in a process of
+//! its own.
 
-use std::path::PathBuf;
+use std::cell::Cell;
+use std::path::{Path, PathBuf};
 
 use fieldbeat::time::MS;
 use libc::SIGTERM;
 
 use super::support::{
-    Machine, Program, as_ordinary_user, assert_sums, carried, checkout, drive, period, run,
+    LONG, Machine, Program, as_ordinary_user, assert_sums, carried, checkout, drive, period, run, until,
 };
-use super::{ask, await_online, await_status, master, simulation};
+use super::{ask, await_online, await_status, master, metrics, simulation};
 
-/// The name of a line that no other test has.
+/// The name of a segment that no other test has.
 fn line(test: u8) -> String {
     format!("local:processes-{}-{test}", std::process::id())
 }
 
-/// A line of a drive for velocities and one for positions, patient with a busy computer.
+/// So many cycles, of a millisecond at least, after which a refused slave was tried again.
+const TRIED_AGAIN: u64 = 2_500;
+
+/// Until a master has executed so many cycles more.
+fn await_cycles(config: &Path, more: u64) {
+    let executed = |summary: &serde_json::Value| summary["cycle"]["executed"].as_u64().unwrap_or_default();
+    let begun = Cell::new(None);
+    await_status(config, |summary| {
+        let from = begun.get().unwrap_or(executed(summary));
+        begun.set(Some(from));
+        executed(summary) >= from + more
+    });
+}
+
+/// A segment of a drive for velocities and one for positions, patient with a busy computer.
 fn text(interface: &str) -> String {
     format!(
         "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\n\
@@ -103,12 +118,12 @@ fn a_simulation_that_is_killed_is_a_line_that_is_lost_and_it_comes_back() {
 }
 
 #[test]
-fn objects_are_read_written_and_refused_alone_and_beside_a_master() {
+fn objects_are_read_written_and_refused_alone_and_next_to_a_master() {
     let (_machine, config) = machine(172);
     let _sim = simulation(&config);
     let works = || {
         let does = |what: &str, rest: &str| ask(&format!("param {what}"), &config, rest);
-        // One after the other, each by a master of its own: none of them leaves the line spoiled for the next.
+        // One after the other, each by a master of its own: none of them leaves the segment spoiled for the next.
         let word = does("get", "turns 0x6041:0").expect(0).out.clone();
         assert!(word.starts_with("turns 0x6041:0: "), "{word}");
         let word = does("get", "moves status-word --json").expect(0).json();
@@ -149,11 +164,18 @@ fn another_slave_than_configured_is_named_with_its_place() {
     let why = "place 1: its product is 0x03000600: correct product, or the order of the segment";
     refused.await_text(&format!("drive moves: not connected: {why}"));
     await_status(&other, |summary| drive(summary, "turns")["not_connected"].is_null());
+    await_cycles(&other, TRIED_AGAIN);
     refused.signal(SIGTERM);
-    let summary = refused.end().json();
-    // Which of its notes it ends with is chance: it is tried again and again.
-    let last = drive(&summary, "moves")["not_connected"].as_str().unwrap_or_default();
-    assert!(last.starts_with("place 1: "), "{last}");
+    let ended = refused.end();
+    assert_eq!(
+        ended.err.matches("drive moves: not connected: place 1: its product").count(),
+        1,
+        "{}",
+        ended.err
+    );
+    let summary = ended.json();
+    // It is tried again and again, and that it was refused once stays its reason.
+    assert_eq!(drive(&summary, "moves")["not_connected"], why);
     assert_eq!(drive(&summary, "turns")["not_connected"], serde_json::Value::Null, "its neighbour is there");
     ask("param get", &other, "moves 0x6041:0").failed(&["drive moves cannot be reached: place 1: "]);
     let beyond = text(&line(174)).replace("name = \"moves\"", "name = \"moves\"\nposition = 4");
@@ -167,7 +189,7 @@ fn another_slave_than_configured_is_named_with_its_place() {
 }
 
 #[test]
-fn an_interface_that_is_none_is_told_in_one_line() {
+fn an_interface_that_is_none_is_reported_in_one_line() {
     let machine = Machine::new(175);
     let config = machine.write("none.toml", text("eth-none-77"));
     master(&config, &[]).end().refused(&["there is no network interface eth-none-77"]);
@@ -181,7 +203,7 @@ fn an_interface_that_is_none_is_told_in_one_line() {
 }
 
 #[test]
-fn an_ordinary_user_is_told_which_right_a_line_needs() {
+fn an_ordinary_user_learns_which_right_a_segment_needs() {
     let machine = Machine::new(176);
     let config = machine.write("lo.toml", text("lo"));
     let ended = Program::spawn(as_ordinary_user(&machine).arg("run").arg(&config)).end();
@@ -189,7 +211,7 @@ fn an_ordinary_user_is_told_which_right_a_line_needs() {
 }
 
 #[test]
-fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_master_only() {
+fn a_device_that_is_refused_is_named_on_the_terminal_and_accessed_through_its_master_only() {
     let (machine, _) = machine(179);
     let io = "[[bus.device]]\nname = \"io\"\noutputs = { start = 0x1000, length = 1 }\n";
     let good = text(&line(179)) + io;
@@ -206,8 +228,15 @@ fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_maste
     let beside = requested();
     beside.expect(1);
     assert!(beside.err.contains("read 0x1018:1: the slave has no mailbox"), "{}", beside.err);
+    await_cycles(&config, TRIED_AGAIN);
     master.signal(SIGTERM);
     let ended = master.end();
+    assert_eq!(
+        ended.err.matches(&format!("device io: not in operation: {refused}")).count(),
+        1,
+        "{}",
+        ended.err
+    );
     let device = &ended.expect(0).json()["devices"][0];
     assert_eq!(device["name"], "io");
     assert!(device["not_operational"].as_str().is_some_and(|why| why.starts_with(refused)), "{device}");
@@ -220,12 +249,21 @@ fn outputs_without_a_watchdog_are_named_once_by_their_name() {
               simulate.output_control = 0x24\n";
     let config = machine.write("line.toml", text(&line(185)) + io);
     let _sim = simulation(&config);
-    let mut master = master(&config, &["--json"]);
+    let mut master = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
+    let address = metrics::endpoint(&mut master);
     let what = "device io: place 2: its SII arms no watchdog";
     master.await_text(what);
     master.await_text("all drives online: 2");
+    // The counters of a device are those of a drive.
+    let of = |what: &str| {
+        let sample = format!("fieldbeat_device_protocol_events_total{{device=\"io\",what=\"{what}\"}}");
+        metrics::Page::parse(&metrics::scrape(address)).value(&sample)
+    };
+    assert!(until(LONG, || of("brought_up") >= 1.0));
+    assert_eq!(of("mailbox_silent"), 0.0);
     master.signal(SIGTERM);
     let ended = master.end();
-    ended.expect(0);
+    let counted = &ended.expect(0).json()["devices"][0]["protocol_counters"];
+    assert!(counted["brought_up"].as_u64() >= Some(1), "{counted}");
     assert_eq!(ended.err.matches(what).count(), 1, "{}", ended.err);
 }

@@ -21,7 +21,7 @@ use super::support::{LONG, Machine, Program, assert_sums, carried, patient, serv
 use super::{assert_silent, master, serve, socket};
 
 /// Where the endpoint is, by what the program says.
-fn endpoint(program: &mut Program) -> SocketAddr {
+pub fn endpoint(program: &mut Program) -> SocketAddr {
     program.await_text("/metrics\n");
     let err = program.err();
     let address = err.split("metrics at http://").nth(1).and_then(|rest| rest.split('/').next());
@@ -56,13 +56,13 @@ pub fn scrape(address: SocketAddr) -> String {
 
 /// A page by the rules of the format: the type of each family, and the value of each sample.
 #[derive(Debug, Default)]
-struct Page {
+pub struct Page {
     types: BTreeMap<String, String>,
     samples: BTreeMap<String, f64>,
 }
 
 impl Page {
-    fn parse(text: &str) -> Page {
+    pub fn parse(text: &str) -> Page {
         let body = text.strip_suffix("# EOF\n").expect("whole");
         let mut page = Page::default();
         let mut family = String::new();
@@ -99,7 +99,7 @@ impl Page {
         page
     }
 
-    fn value(&self, key: &str) -> f64 {
+    pub fn value(&self, key: &str) -> f64 {
         *self.samples.get(key).unwrap_or_else(|| panic!("no {key}: {:?}", self.samples.keys()))
     }
 

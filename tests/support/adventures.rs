@@ -1,6 +1,6 @@
 //! A machine to which everything happens that happens to machines, on real sockets: streams, jogs and moves, a drive
-//! that dies and comes back, one that was never there, one that the kernel refuses to send to, unmatched, a stop in
-//! mid-motion.
+//! that dies and comes back, one that was never there, one that the kernel refuses to send to, unknown
+//! senders, a stop in mid-motion.
 //!
 //! Whoever watches a loop lets it live through this. Nothing here minds how a command ends: on a busy computer it ends
 //! otherwise now and then. What came of it all is counted.
@@ -218,8 +218,8 @@ impl Adventures {
         adventures
     }
 
-    /// Enabling, homing, a stream, jogs and moves, while unmatched send noise; a drive that dies on its way; stops; and
-    /// the drive's return.
+    /// Enabling, homing, a stream, jogs and moves, while unknown senders send noise; a drive that dies on its way;
+    /// stops; and the drive's return.
     pub fn round(&mut self) {
         for command in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
             self.all([Some(command); LIVING.len()]);

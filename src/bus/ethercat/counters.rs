@@ -1,5 +1,8 @@
 //! Counters that only EtherCAT has.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::bus::counters::OWN_COUNTERS;
 use crate::bus::{Counters, OwnCounter};
 
 /// The indices of the counters in [`Counters::own`].
@@ -36,13 +39,13 @@ pub enum Own {
 
 /// Their keys and meanings, in order.
 pub const OWN: [OwnCounter; 13] = [
-    OwnCounter { key: "passed_by", what: "frames that came back without this drive" },
+    OwnCounter { key: "passed_by", what: "frames that came back without this slave" },
     OwnCounter { key: "wrong_count", what: "frames whose working counter fits no set of slaves" },
-    OwnCounter { key: "not_operational", what: "replies of the drive below OP" },
-    OwnCounter { key: "brought_up", what: "times that the drive was brought to OP" },
-    OwnCounter { key: "al_errors", what: "AL errors that the drive reported" },
+    OwnCounter { key: "not_operational", what: "replies of the slave below OP" },
+    OwnCounter { key: "brought_up", what: "times that the slave was brought to OP" },
+    OwnCounter { key: "al_errors", what: "AL errors that the slave reported" },
     OwnCounter { key: "circulated", what: "frames that went round without passing the master" },
-    OwnCounter { key: "emergencies", what: "emergencies that the drive reported" },
+    OwnCounter { key: "emergencies", what: "emergencies that the slave reported" },
     OwnCounter { key: "emergencies_lost", what: "emergencies that were lost because their queue was full" },
     OwnCounter { key: "aborts", what: "SDOs refused by an abort code" },
     OwnCounter { key: "mailbox_repeats", what: "mailbox requests and replies repeated" },
@@ -56,5 +59,29 @@ impl Own {
     #[inline]
     pub fn count(self, counters: &mut Counters) {
         counters.own[self as usize] += 1;
+    }
+}
+
+/// The same of a device that is not a drive: written by the cycle without a lock, read by normal threads.
+#[derive(Debug, Default)]
+pub struct DeviceCounters([AtomicU64; OWN_COUNTERS]);
+
+impl DeviceCounters {
+    /// Counts one more.
+    #[inline]
+    pub fn count(&self, counter: Own) {
+        self.0[counter as usize].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Adds what was counted.
+    pub fn add(&self, counters: &Counters) {
+        for (sum, counted) in self.0.iter().zip(counters.own).filter(|(_, counted)| *counted > 0) {
+            sum.fetch_add(counted, Ordering::Relaxed);
+        }
+    }
+
+    /// Reads all of them.
+    pub fn get(&self) -> [u64; OWN_COUNTERS] {
+        self.0.each_ref().map(|sum| sum.load(Ordering::Relaxed))
     }
 }

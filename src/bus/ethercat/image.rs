@@ -382,6 +382,12 @@ impl Frame {
         (answer.working_counter > 0 && self.bytes[place.at] != Command::Nop.number()).then_some(time)
     }
 
+    /// How many slaves took part in a frame that was read: all of them have an AL status.
+    pub fn slaves_in(&self, received: &[u8]) -> u16 {
+        let states = self.states.and_then(|place| answer(received, place));
+        states.map_or(0, |states| states.working_counter)
+    }
+
     /// The answers of the slot.
     pub fn answers_of<'a>(&self, received: &'a [u8]) -> Answers<'a> {
         self.slot.map(|place| answer(received, place?))

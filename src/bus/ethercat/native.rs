@@ -286,14 +286,24 @@ impl TerminalPort {
     /// The outputs of the next frame: the newest; all 0 until the application wrote some.
     pub fn outputs(&mut self) -> &[u8] {
         if !std::mem::replace(&mut self.taken, true) {
-            for _ in 0..OUTPUTS {
-                match self.outputs.pop() {
-                    Ok(image) => self.newest = image,
-                    Err(_) => break,
-                }
-            }
+            self.take_newest();
         }
         &self.newest[..self.size]
+    }
+
+    /// Takes the newest outputs out of the queue; of an image only the bytes that the device has are copied.
+    #[inline]
+    fn take_newest(&mut self) {
+        let waiting = self.outputs.slots().min(OUTPUTS);
+        if waiting == 0 {
+            return;
+        }
+        let Ok(images) = self.outputs.read_chunk(waiting) else { return };
+        let (first, rest) = images.as_slices();
+        if let Some(image) = rest.last().or(first.last()) {
+            self.newest[..self.size].copy_from_slice(&image[..self.size]);
+        }
+        images.commit_all();
     }
 
     /// The application has room for an emergency.

@@ -110,8 +110,13 @@ pub fn listen(interface: &str, net: &mut dyn Frames) -> Option<Mac> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+    use std::os::fd::RawFd;
+
     use super::*;
     use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, Command};
+    use crate::net::frames::Unsent;
+    use crate::rt::Regions;
 
     fn frame(mac: Mac, mark: Option<[u8; 8]>) -> Vec<u8> {
         let mut room = [0; FRAME_MAX];
@@ -174,6 +179,70 @@ mod tests {
             assert_eq!(proof((0..100).map(|n| (n * 10, broken.clone()))), None, "{broken:02x?}");
         }
         assert_eq!(proof((0..100).map(|n| (n * 10, good.clone()))), Some(20));
+    }
+
+    /// A network interface on which frames arrive at these instants, ms; time passes while it is waited for.
+    struct Interface {
+        now: Cell<Time>,
+        arriving: std::collections::VecDeque<(u64, Vec<u8>)>,
+        fd: Option<RawFd>,
+    }
+
+    impl Frames for Interface {
+        fn fd(&self) -> Option<RawFd> {
+            self.fd
+        }
+
+        fn send(&mut self, _frame: &[u8]) -> Result<Time, Unsent> {
+            panic!("nothing is sent before it was listened")
+        }
+
+        fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+            let (ms, frame) = self.arriving.pop_front_if(|(ms, _)| Time(S + *ms * MS) <= self.now.get())?;
+            room[..frame.len()].copy_from_slice(&frame);
+            Some((Time(S + ms * MS), frame.len()))
+        }
+
+        fn now(&mut self) -> Time {
+            self.now.get()
+        }
+
+        fn mac(&self) -> Mac {
+            [0x10; 6]
+        }
+
+        fn memory(&self, _regions: &mut Regions) {}
+
+        fn wait(&self, most_ms: u8) {
+            assert!(most_ms > 0);
+            self.now.set(self.now.get() + MS);
+        }
+    }
+
+    /// Who has frames there, and for how long it was listened to, ms.
+    fn found(interface: &str, fd: Option<RawFd>, arriving: Vec<(u64, Vec<u8>)>) -> (Option<Mac>, u64) {
+        let mut net = Interface { now: Cell::new(Time(S)), arriving: arriving.into(), fd };
+        let mac = listen(interface, &mut net);
+        (mac, net.now().since(Time(S)) / MS)
+    }
+
+    #[test]
+    fn another_master_on_an_interface_is_found_before_the_first_frame() {
+        let cyclic =
+            |period: u64| (0..50).map(|n| (2 + n * period, frame([0x20; 6], None))).collect::<Vec<_>>();
+        let other = Some([0x20; 6]);
+        for (period, after) in [(1, 12), (4, 18), (10, 22), (30, 62)] {
+            assert_eq!(found("eth1", Some(0), cyclic(period)), (other, after), "{period} ms");
+        }
+        // Another instance of this program has the address of this one.
+        let own = (0..9).map(|n| (n * 5, frame([0x10; 6], Some([7; 8])))).collect();
+        assert_eq!(found("eth1", Some(0), own), (Some([0x10; 6]), 10));
+        for nothing in [vec![], vec![(3, frame([0x20; 6], None))], vec![(4, frame([0x20; 6], None)); 20]] {
+            assert_eq!(found("eth1", Some(0), nothing), (None, LISTEN_NS / MS), "a burst at most");
+        }
+        // Where frames return to their sender only, and where no time passes, nobody waits.
+        assert_eq!(found("local:line", Some(0), cyclic(1)), (None, 0));
+        assert_eq!(found("eth1", None, cyclic(1)), (None, 0));
     }
 
     #[test]

@@ -1,9 +1,9 @@
-//! One line as configured.
+//! One segment as configured.
 //!
 //! | file | what |
 //! |---|---|
 //! | `faults` | what of it contradicts itself, or would not work |
-//! | `describe` | the line in words |
+//! | `describe` | the segment in words |
 //! | `frame` | how long its frame is |
 //! | `slave` | what every slave has, drive or not |
 
@@ -24,12 +24,12 @@ use crate::axis::is_plain_name;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use crate::bus::variant::Variant;
 
-/// The slaves of one line, behind one interface.
+/// The slaves of one segment, behind one interface.
 #[derive(Clone, Debug)]
 pub struct EthercatPlan {
     /// Its name in messages.
     pub name: String,
-    /// The network interface, like `eth1`; `local:NAME` is a line of simulated drives on this host, without an
+    /// The network interface, like `eth1`; `local:NAME` is a segment of simulated drives on this host, without an
     /// interface.
     pub interface: String,
     /// The drives, in slot order.
@@ -47,7 +47,7 @@ pub struct EthercatPlan {
 pub struct KollmorgenDrive {
     /// What every axis has. Counts are increments of the motor.
     pub axis: AxisPlan,
-    /// What the line needs to know of it.
+    /// What the segment needs to know of it.
     pub slave: SlavePlan,
     /// Which objects it has.
     pub family: Family,
@@ -113,7 +113,7 @@ pub enum Setpoint {
 pub struct Device {
     /// Its name, unique in the machine.
     pub name: String,
-    /// What the line needs to know of it.
+    /// What the segment needs to know of it.
     pub slave: SlavePlan,
 }
 
@@ -129,12 +129,12 @@ const BUFFERS: [u16; 2] = [0x1100, 0x1140];
 /// Increments per 250 us as rpm, with 2^20 increments a turn.
 const RPM_PER_COUNT: f64 = 4_000.0 * 60.0 / (1 << 20) as f64;
 
-/// In front of the name of a line that has no interface.
+/// In front of the name of a segment that has no interface.
 const LOCAL: &str = "local:";
 /// The longest name of a network interface, bytes (IFNAMSIZ without its end).
 const INTERFACE_MAX: usize = 15;
 
-/// Whether a line can be behind this: an interface as the kernel names one, or a name of this computer's own.
+/// Whether a segment can be behind this: an interface as the kernel names one, or a name of this computer's own.
 pub(crate) fn is_interface(text: &str) -> bool {
     let is_kernels = || {
         let odd = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
@@ -144,7 +144,7 @@ pub(crate) fn is_interface(text: &str) -> bool {
 }
 
 impl EthercatPlan {
-    /// A line of these drives.
+    /// A segment of these drives.
     pub fn new(interface: impl Into<String>, drives: Vec<KollmorgenDrive>) -> EthercatPlan {
         EthercatPlan {
             name: super::PROTOCOL.into(),
@@ -161,7 +161,7 @@ impl EthercatPlan {
         self.interface.starts_with(LOCAL)
     }
 
-    /// All slaves in their order on the line, drives first where two have one place.
+    /// All slaves in their order on the segment, drives first where two have one place.
     pub fn slaves(&self) -> Vec<(Owner, &SlavePlan)> {
         let drives = self.drives.iter().enumerate().map(|(index, drive)| (Owner::Drive(index), &drive.slave));
         let devices =
@@ -252,7 +252,7 @@ impl Scaling {
 }
 
 impl KollmorgenDrive {
-    /// The drive at this place of the line, in revolutions of its motor, with everything else as it is when a
+    /// The drive at this place of the segment, in revolutions of its motor, with everything else as it is when a
     /// configuration says nothing of it: a velocity setpoint, 1702h and 1B03h (of an AKD 1702h and 1B24h).
     pub fn new(name: impl Into<String>, place: u16, family: Family) -> KollmorgenDrive {
         let scaling = Scaling::of(family);

@@ -30,10 +30,11 @@ impl<C: Clock> Engine<C> {
         let (mut operational, mut online, mut unanswered) = (0, 0, 0);
         self.shows = false;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            let was_online = controller.feedback().link == Link::Online;
             let reply = controller.evaluate(cycle, now, slot);
-            missed += u16::from(was_online && reply == Reply::Missed);
-            unanswered += u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
+            if matches!(reply, Reply::Missed | Reply::Unsent) {
+                unanswered += 1;
+                missed += u16::from(controller.was_online() && reply == Reply::Missed);
+            }
             stopped |= controller.just_stopped();
             self.shows |= controller.shows();
             let feedback = controller.feedback();
@@ -84,8 +85,10 @@ impl<C: Clock> Engine<C> {
             slot.guarded = controller.is_guarded();
             calls |= controller.waiting().is_some();
             stops |= controller.just_stopped();
-            rows |= if with_task { controller.takes_rows() } else { controller.follows_rows() };
-            if !controller.follows_rows() {
+            if controller.follows_rows() {
+                rows = true;
+            } else {
+                rows |= with_task && controller.takes_rows();
                 controller.propose(next, slot);
             }
         }

@@ -20,16 +20,10 @@ impl DriveController {
         if let Some(grid) = slot.gone.grid.take() {
             self.machine.commit(grid);
         }
-        match slot.exchange {
-            // The usual ones.
-            Exchange::Answered { sent_at, .. }
-            | Exchange::Owed { sent_at, .. }
-            | Exchange::OwnClock { sent_at, .. }
-                if sent_at >= cycle.grid =>
-            {
-                self.left(cycle, sent_at)
-            }
-            _ => self.sent_otherwise(cycle, slot),
+        match slot.exchange.sent_at() {
+            Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            Some(_) => {}
+            None => self.not_sent(cycle, slot),
         }
     }
 
@@ -54,12 +48,10 @@ impl DriveController {
     }
 
     #[inline(never)]
-    fn sent_otherwise(&mut self, cycle: &Cycle, slot: &Slot) {
-        match slot.exchange.sent_at() {
-            Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
-            Some(_) => {}
-            None if slot.exchange == Exchange::Queued => self.queued = true,
-            None => {
+    fn not_sent(&mut self, cycle: &Cycle, slot: &Slot) {
+        match slot.exchange {
+            Exchange::Queued => self.queued = true,
+            _ => {
                 self.health.requested(cycle.index, false);
                 // A row that the operating system refused is sent with the next request; in a group it is lost like any
                 // telegram, or this axis would be one row behind from then on.
@@ -197,17 +189,31 @@ impl DriveController {
         if self.rising > 0 {
             self.fall(status);
         }
+        let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
+        if noticed || Shows::of(&self.feedback.status) != Shows::of(status) {
+            return self.take_news(cycle, now, slot, rtt);
+        }
+        self.keep_status(slot, rtt);
+    }
+
+    /// The same where something is to be reported.
+    #[inline(never)]
+    fn take_news(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
         let before = Shows::of(&self.feedback.status);
+        self.keep_status(slot, rtt);
+        self.report(cycle, now, slot, before);
+    }
+
+    /// A fresh status becomes the feedback.
+    #[inline]
+    fn keep_status(&mut self, slot: &mut Slot, rtt: Option<u32>) {
+        let Slot { status, notices, .. } = slot;
         self.feedback.status = *status;
         self.feedback.age = u32::from(status.suspect);
         self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
         if notices.monitor_fresh {
             notices.monitor_fresh = false;
             self.take_monitored();
-        }
-        let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
-        if noticed || before != Shows::of(&self.feedback.status) {
-            self.report(cycle, now, slot, before);
         }
     }
 

@@ -20,6 +20,10 @@ const CHANNEL: usize = 4;
 const CHANNELS: usize = 2;
 /// Limits of a channel, which can be written, as an example of a setting.
 const LIMIT: Object = Object::new(0x8000, 0x13);
+/// A text of the user's, of up to so many bytes: longer than a message of its mailbox has room for. Assumed, as an
+/// example of a string.
+const TEXT: Object = Object::new(0x8005, 0);
+const TEXT_MOST: usize = 128;
 
 /// The terminal behind its controller.
 #[derive(Debug)]
@@ -28,12 +32,14 @@ pub(super) struct Analogue {
     mailbox: Mailbox,
     now: Time,
     limit: u16,
+    text: Vec<u8>,
 }
 
 impl Analogue {
     pub(super) fn new(contents: Contents) -> Analogue {
         let room = contents.mailboxes.map(|mailboxes| usize::from(mailboxes.input.1));
-        Analogue { mailbox: Mailbox::new(Dialect::Standard, room), contents, now: Time::default(), limit: 0 }
+        let mailbox = Mailbox::new(Dialect::Standard, room);
+        Analogue { mailbox, contents, now: Time::default(), limit: 0, text: Vec::new() }
     }
 
     fn value(&self, channel: u16) -> i16 {
@@ -82,6 +88,7 @@ impl Analogue {
                 Ok(self.value((index - 0x6000) / 0x10).to_le_bytes().to_vec())
             }
             _ if object == LIMIT => Ok(self.limit.to_le_bytes().to_vec()),
+            _ if object == TEXT => Ok(self.text.clone()),
             (0x1000 | 0x1008 | 0x1018 | 0x1800 | 0x1802 | 0x1C00 | 0x1C12 | 0x6000 | 0x6010, _) => {
                 Err(AbortCode::NO_SUB)
             }
@@ -90,10 +97,12 @@ impl Analogue {
     }
 
     fn write(&mut self, object: Object, data: &[u8]) -> Answer {
-        if object != LIMIT {
-            return self.read(object).and(Err(AbortCode::READ_ONLY));
+        match object {
+            LIMIT => self.limit = u16::from_le_bytes(data.try_into().map_err(|_| AbortCode::LENGTH)?),
+            TEXT if data.len() > TEXT_MOST => return Err(AbortCode::LENGTH),
+            TEXT => self.text = data.to_vec(),
+            _ => return self.read(object).and(Err(AbortCode::READ_ONLY)),
         }
-        self.limit = u16::from_le_bytes(data.try_into().map_err(|_| AbortCode::LENGTH)?);
         Ok(Vec::new())
     }
 }

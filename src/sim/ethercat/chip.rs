@@ -7,16 +7,19 @@
 //! | `fmmu` | the same by logical addresses |
 //! | `effects` | the effects of a write |
 //! | `misuse` | counts what a master should not do |
+//! | `met` | counts what a master met |
 
 mod access;
 mod effects;
 mod fmmu;
+mod met;
 mod misuse;
 #[cfg(test)]
 mod tests;
 
 use std::ops::Range;
 
+pub use self::met::Met;
 pub use self::misuse::Misuse;
 use super::clock::Clock;
 use super::hardware::Settings;
@@ -25,6 +28,7 @@ use super::sii::Eeprom;
 use crate::bus::ethercat::wire::registers::{
     AlCode, AlState, AlStatus, Features, Fmmu, SyncManager, address,
 };
+use crate::bus::ethercat::wire::sii::Status;
 use crate::time::Time;
 
 const SPACE: usize = 0x1_0000;
@@ -92,6 +96,7 @@ pub(super) struct Chip {
     fed: Option<Time>,
     expired: bool,
     misuse: Misuse,
+    pub(super) met: Met,
 }
 
 impl Chip {
@@ -119,6 +124,7 @@ impl Chip {
             fed: None,
             expired: false,
             misuse: Misuse::default(),
+            met: Met::default(),
         };
         chip.describe(settings);
         chip
@@ -206,6 +212,11 @@ impl Chip {
     /// Whether its processor may read the SII: the master has given it.
     pub(super) fn has_sii(&self) -> bool {
         self.memory[usize::from(address::SII_OWNER)] & SLAVES != 0
+    }
+
+    /// A command of its SII has failed.
+    pub(super) fn fail_sii(&mut self) {
+        self.eeprom.fail();
     }
 
     /// The processor has the SII now, and keeps it until it is taken by force.
@@ -386,8 +397,10 @@ impl Chip {
     /// Shows the read data, and the alias if it was loaded again.
     fn show_sii(&mut self) {
         let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
+        self.met.sii_failed += u32::from(Status(self.eeprom.status()).failed());
         self.put(address::SII_DATA, &data);
         if let Some(at) = self.eeprom.slipped_to() {
+            self.met.sii_slipped += 1;
             self.put(address::SII_CONTROL + 2, &at.to_le_bytes());
         }
         self.put(address::ALIAS, &alias.to_le_bytes());

@@ -1,5 +1,6 @@
 //! One slave: its controller and its firmware, and the effects of a datagram's commands (ETG.1000.4, 5.4).
 
+pub use super::chip::Met;
 use super::chip::{Chip, Misuse, Passage};
 use super::firmware::Firmware;
 use super::hardware::Settings;
@@ -62,6 +63,9 @@ impl Esc {
             self.chip.write(address::DC_START, &start.to_le_bytes());
             self.chip.write(address::DC_CONTROL, &SYNC0_ON);
         }
+        if left.sii_failed {
+            self.chip.fail_sii();
+        }
         if left.sii_given {
             self.chip.give_sii();
         }
@@ -100,6 +104,11 @@ impl Esc {
     /// What a master did since power-on that real hardware would not like.
     pub fn misuse(&self) -> Misuse {
         self.chip.misuse()
+    }
+
+    /// What a master met since power-on of that which sets this slave apart.
+    pub fn met(&self) -> Met {
+        self.chip.met
     }
 
     /// The outputs that it drives; none as long as none count.

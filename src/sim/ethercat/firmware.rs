@@ -237,6 +237,7 @@ impl Firmware {
             chip.give_sii();
         }
         let rises = state > std::mem::replace(&mut self.state, state);
+        chip.met.exact_managers += u32::from(rises && !self.wanted.is_empty());
         self.pending = None;
         if state == AlState::Op {
             // The watchdog runs from here on.
@@ -303,7 +304,9 @@ impl Firmware {
 
     /// Serves the mailbox: one message at a time.
     fn mailbox(&mut self, chip: &mut Chip, now: Time) {
-        let again = chip.takes_repeat() && self.manner.resends && self.waiting.is_none();
+        let is_requested = chip.takes_repeat();
+        chip.met.unheeded_repeats += u32::from(is_requested && !self.manner.resends);
+        let again = is_requested && self.manner.resends && self.waiting.is_none();
         if again && !self.last.is_empty() && chip.has_room() {
             self.waiting = Some((now, self.last.clone()));
         }
@@ -320,20 +323,24 @@ impl Firmware {
             let request = chip.take_message();
             let mut reply = Vec::new();
             if self.application.mailbox(&request, &mut reply) {
-                self.answer(reply, now);
+                self.answer(chip, reply, now);
                 self.post(chip, now);
             }
         }
     }
 
     /// Takes an answer of the application, at once, late or not at all.
-    fn answer(&mut self, reply: Vec<u8>, now: Time) {
+    fn answer(&mut self, chip: &mut Chip, reply: Vec<u8>, now: Time) {
         self.answers += 1;
         let MailboxSettings { delay_ns, delay_every, lose_every, .. } = self.manner;
         let is_one_of = |every: u32| every > 0 && self.answers.is_multiple_of(every);
-        if !is_one_of(lose_every) {
-            self.waiting = Some((now + if is_one_of(delay_every) { delay_ns } else { 0 }, reply));
+        if is_one_of(lose_every) {
+            chip.met.lost_answers += 1;
+            return;
         }
+        let late_ns = if is_one_of(delay_every) { delay_ns } else { 0 };
+        chip.met.late_answers += u32::from(late_ns > 0);
+        self.waiting = Some((now + late_ns, reply));
     }
 
     /// Puts the waiting message into the mailbox, if that is empty.

@@ -153,6 +153,7 @@ mod bit {
     pub const EIGHT: u16 = 1 << 6;
     pub const COMMAND: u16 = 7 << 8;
     pub const CHECKSUM: u16 = 1 << 11;
+    pub const UNLOADED: u16 = 1 << 12;
     pub const REFUSED: u16 = 1 << 13;
     pub const PROTECTED: u16 = 1 << 14;
     pub const BUSY: u16 = 1 << 15;
@@ -171,6 +172,10 @@ pub struct Access {
     pub loading_ns: u64,
     /// The first read returns the next word address, and the words there.
     pub slips: bool,
+    /// Every so many reads one fails; 0: none.
+    pub fails_every: u32,
+    /// Nothing is loaded: there is no EEPROM, or it was never written.
+    pub unloaded: bool,
     /// After power-on the processor has it.
     pub owned_by_slave: bool,
     /// The processor reads it on the way to PREOP.
@@ -198,12 +203,22 @@ pub(super) struct Eeprom {
     loaded: bool,
     /// The address that the first read has returned.
     slipped: Option<u32>,
+    /// Reads that were completed.
+    reads: u32,
 }
 
 impl Eeprom {
     pub(super) fn new(words: Vec<u16>, access: Access) -> Eeprom {
-        let mut eeprom =
-            Eeprom { words, access, error: 0, job: None, data: [0; 8], loaded: false, slipped: None };
+        let mut eeprom = Eeprom {
+            words,
+            access,
+            error: 0,
+            job: None,
+            data: [0; 8],
+            loaded: false,
+            slipped: None,
+            reads: 0,
+        };
         eeprom.load();
         eeprom
     }
@@ -211,12 +226,16 @@ impl Eeprom {
     /// Checks the configuration area.
     fn load(&mut self) {
         let is_sound = self.words.get(CHECK).is_some_and(|check| *check as u8 == config_check(&self.words));
-        self.error = if is_sound { 0 } else { bit::CHECKSUM };
+        self.error = match is_sound {
+            _ if self.access.unloaded => bit::UNLOADED,
+            true => 0,
+            false => bit::CHECKSUM,
+        };
     }
 
     /// The alias in a valid image.
     pub(super) fn alias(&self) -> u16 {
-        if self.error & bit::CHECKSUM != 0 { 0 } else { self.word(ALIAS as u32) }
+        if self.error & (bit::CHECKSUM | bit::UNLOADED) != 0 { 0 } else { self.word(ALIAS as u32) }
     }
 
     /// The word there; beyond the end nothing is programmed.
@@ -256,7 +275,7 @@ impl Eeprom {
     /// Takes a command; the idle one ends an error. True: it is done already.
     pub(super) fn command(&mut self, now: Time, control: u16, address: u32, word: u16) -> bool {
         let command = control & bit::COMMAND;
-        self.error &= bit::CHECKSUM;
+        self.error &= bit::CHECKSUM | bit::UNLOADED;
         match command >> 8 {
             0 => {}
             2 if control & bit::WRITES == 0 => self.error |= bit::PROTECTED,
@@ -274,8 +293,13 @@ impl Eeprom {
             self.job = Some(Job { done_at: now + loading_ns, command: 0, address: 0, word: 0 });
         }
         let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
+        self.reads += u32::from(job.command == Status::READ);
+        let Access { fails_every, unloaded, .. } = self.access;
         match job.command {
             Status::IDLE => {}
+            Status::READ if unloaded || fails_every > 0 && self.reads.is_multiple_of(fails_every) => {
+                self.fail()
+            }
             Status::READ if self.access.slips => {
                 self.access.slips = false;
                 self.slipped = Some(job.address.wrapping_add(1));
@@ -292,6 +316,11 @@ impl Eeprom {
             _ => self.load(),
         }
         true
+    }
+
+    /// A command has failed, which stays shown until the next one.
+    pub(super) fn fail(&mut self) {
+        self.error |= bit::REFUSED;
     }
 
     fn read(&mut self, address: u32) {

@@ -6,7 +6,7 @@ use super::sii::{Access, Contents, Mailboxes, Pdo};
 use super::topology::Topology;
 use super::{
     Application, ClockKind, Coupler, Drive, DriveSettings, Esc, Left, Model, Segment, SegmentSettings,
-    Settings, SiiSettings, SlaveSettings,
+    Settings, SiiContent, SiiSettings, SlaveSettings,
 };
 use crate::axis::PlanFault;
 use crate::bus::ethercat::object::Family;
@@ -298,7 +298,16 @@ fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, p
     let usual = Settings::default();
     let fmmus = own.fmmus.or(segment.fmmus.get(place).or(segment.fmmus.last()).copied());
     let emulated = own.emulated.unwrap_or(own.model.map_or(plain, Model::is_emulated));
-    let SiiSettings { owned_by_slave, read_in_preop, eight, busy_ns, loading_ns, slips, content } = own.sii;
+    let SiiSettings {
+        owned_by_slave,
+        read_in_preop,
+        eight,
+        busy_ns,
+        loading_ns,
+        slips,
+        fails_every,
+        content,
+    } = own.sii;
     Settings {
         features: Features(features),
         receive_times: own.clock != Some(ClockKind::None),
@@ -311,6 +320,8 @@ fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, p
             eight,
             loading_ns,
             slips,
+            fails_every,
+            unloaded: content == SiiContent::Unloaded,
             owned_by_slave,
             read_in_preop,
             ..Access::default()

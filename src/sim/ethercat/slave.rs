@@ -62,6 +62,8 @@ pub struct SiiSettings {
     pub loading_ns: u64,
     /// The first read returns another address, and the words there.
     pub slips: bool,
+    /// Every so many reads one fails, and shows that until it is acknowledged. Default 0: none.
+    pub fails_every: u32,
     /// What is in it.
     pub content: SiiContent,
 }
@@ -75,6 +77,7 @@ impl Default for SiiSettings {
             busy_ns: 100_000,
             loading_ns: 0,
             slips: false,
+            fails_every: 0,
             content: SiiContent::default(),
         }
     }
@@ -90,6 +93,8 @@ pub enum SiiContent {
     WrongCheck,
     /// Identity and mailboxes, and noise in place of the categories.
     Garbage,
+    /// Nothing was loaded: no read succeeds.
+    Unloaded,
 }
 
 impl SiiContent {
@@ -98,7 +103,7 @@ impl SiiContent {
         const CHECK: usize = 7;
         const CATEGORIES: usize = 0x40;
         match self {
-            SiiContent::Sound => {}
+            SiiContent::Sound | SiiContent::Unloaded => {}
             SiiContent::WrongCheck => words.iter_mut().skip(CHECK).take(1).for_each(|check| *check ^= 0x55),
             // A linear congruential generator: the same noise each time.
             SiiContent::Garbage => {
@@ -151,11 +156,14 @@ pub struct Left {
     pub sync0_ns: Option<u32>,
     /// Its SII was given to its processor, which has taken it.
     pub sii_given: bool,
+    /// A command of its SII has failed, and nobody has acknowledged that.
+    pub sii_failed: bool,
 }
 
 impl Left {
     /// The slave at `place` as a master that was killed has left it, with this AL status and code: with the station
-    /// address of its neighbour, an FMMU in the way of others', SYNC0 that goes on, and its SII given away.
+    /// address of its neighbour, an FMMU in the way of others', SYNC0 that goes on, and its SII given away
+    /// after a command that failed.
     pub fn by_another(place: u16, al: (u16, u16)) -> Left {
         let stray = Fmmu::bytes(0x0001_0000, 16, 0x1000, false);
         Left {
@@ -164,6 +172,7 @@ impl Left {
             fmmus: vec![Fmmu::default().to_bytes(), Fmmu::default().to_bytes(), stray.to_bytes()],
             sync0_ns: Some(1_000_000),
             sii_given: true,
+            sii_failed: true,
             ..Left::default()
         }
     }

@@ -58,6 +58,7 @@ impl Collector for Machine {
         sheet.monitored(plan, drives)?;
         sheet.numbers(&BUS, buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus)))?;
         sheet.numbers(&DEVICE, devices.iter().map(|device| ([("device", device.name.as_str())], device)))?;
+        sheet.device_protocols(devices)?;
         let clocks = buses.iter().zip(clocks);
         let clocks =
             clocks.filter_map(|((name, _), clock)| Some(([("bus", name.as_str())], clock.as_ref()?)));
@@ -153,11 +154,8 @@ const BUS: [Field<Unmatched>; 3] = [
 const DROPPED: &str = "Datagrams dropped by the kernel because the receive buffer was full.";
 
 /// Of what takes part without being a drive.
-const DEVICE: [Field<DeviceEnd>; 2] = [
-    (Gauge, "device_not_operational", NOT_OPERATIONAL, |of| of.not_operational.is_some().into()),
-    (Count, "device_emergencies_lost", EMERGENCIES_LOST, |of| of.emergencies_lost),
-];
-const EMERGENCIES_LOST: &str = "Emergencies of a device that were lost because their queue was full.";
+const DEVICE: [Field<DeviceEnd>; 1] =
+    [(Gauge, "device_not_operational", NOT_OPERATIONAL, |of| of.not_operational.is_some().into())];
 const NOT_OPERATIONAL: &str = "1 while a device that is not a drive is not in operation.";
 
 const CLOCK: [Field<BusClock>; 2] = [
@@ -270,6 +268,14 @@ impl Sheet<'_> {
                 .map(move |(OwnCounter { key, .. }, count)| (labels(*key), count))
         });
         self.values((Count, "drive_protocol_events", "Counters of the protocol of the drive."), samples)
+    }
+
+    fn device_protocols(&mut self, devices: &[DeviceEnd]) -> fmt::Result {
+        let samples = devices.iter().flat_map(|DeviceEnd { name, protocol_counters, .. }| {
+            let labels = |key| [("device", name.as_str()), ("what", key)];
+            protocol_counters.0.iter().map(move |(OwnCounter { key, .. }, count)| (labels(*key), *count))
+        });
+        self.values((Count, "device_protocol_events", "Counters of the protocol of the device."), samples)
     }
 
     fn monitored(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {

@@ -2,11 +2,11 @@
 
 use std::fmt;
 
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
+use super::ProtocolCounters;
 use super::numbers::{plain, reported};
 use crate::axis::{Fault, Link, MonitorChannel, StopCause};
-use crate::bus::{Counters, OwnCounter};
 use crate::cycle::status::Extent;
 use crate::telemetry::histograms::Quantiles;
 
@@ -63,38 +63,6 @@ pub struct Drive {
     pub fault_name: Option<&'static str>,
     /// Its monitored variables, as planned.
     pub monitor: Vec<Variable>,
-}
-
-/// What only one protocol counts of a drive, exactly.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ProtocolCounters(pub Vec<(OwnCounter, u64)>);
-
-impl ProtocolCounters {
-    pub(in crate::telemetry) fn of(own: &[OwnCounter], counters: &Counters) -> ProtocolCounters {
-        ProtocolCounters(own.iter().copied().zip(counters.own).collect())
-    }
-
-    pub(super) fn are_any(&self) -> bool {
-        self.0.iter().any(|(_, count)| *count > 0)
-    }
-}
-
-impl Serialize for ProtocolCounters {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.0.iter().map(|(counter, count)| (counter.key, count)))
-    }
-}
-
-/// Those above 0, in words.
-impl fmt::Display for ProtocolCounters {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let counted = self.0.iter().filter(|(_, count)| *count > 0);
-        for (place, (OwnCounter { what, .. }, count)) in counted.enumerate() {
-            let between = if place == 0 { "" } else { "; " };
-            write!(f, "{between}{what}: {count}")?;
-        }
-        Ok(())
-    }
 }
 
 /// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
@@ -170,19 +138,6 @@ impl Drive {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn own_counters_above_zero_are_printed_and_all_are_in_the_object() {
-        let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
-        let mut counters = Counters::default();
-        (counters.own[0], counters.own[2]) = (3, u64::MAX);
-        let shown = ProtocolCounters::of(&own, &counters);
-        assert_eq!(shown.to_string(), format!("exceptions: 3; closed: {}", u64::MAX));
-        let json = format!(r#"{{"exceptions":3,"opened":0,"closed":{}}}"#, u64::MAX);
-        assert_eq!(serde_json::to_string(&shown).unwrap(), json);
-        let none = ProtocolCounters::of(&[], &counters);
-        assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
-    }
 
     #[test]
     fn a_variable_reads_naturally() {

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 pub use self::bus::{Bus, ClockNumbers};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
-pub use self::drive::{Drive, ProtocolCounters, Variable};
+pub use self::drive::{Drive, Variable};
 pub use self::late::{Found, Late, LateCycle};
 #[cfg(feature = "black-box")]
 pub(super) use self::numbers::plain;
@@ -21,6 +21,7 @@ use super::histograms::Quantiles;
 use super::monitor::Monitor;
 use super::recorder::{Failure, Measured, Run, Written};
 use crate::axis::{Link, Units};
+pub use crate::bus::counters::ProtocolCounters;
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, Numbers, Status};
@@ -160,7 +161,7 @@ impl Summary {
                     send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
                     age_ns: Quantiles::of(&measured.age, peaks.age),
                     age_cycles: feedback.age,
-                    protocol_counters: ProtocolCounters::of(own, counters),
+                    protocol_counters: ProtocolCounters::of(own, counters.own),
                     position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
                     inhibited: feedback.status.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),

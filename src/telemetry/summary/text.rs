@@ -106,7 +106,7 @@ impl Summary {
                 writeln!(f, "bus {}: its clock {clock}", bus.name)?;
             }
         }
-        for DeviceEnd { name, not_operational, emergencies_lost } in &self.devices {
+        for DeviceEnd { name, not_operational, protocol_counters } in &self.devices {
             match not_operational {
                 Some(why) => {
                     let line = format!("device {name}: not in operation: {why}");
@@ -114,11 +114,8 @@ impl Summary {
                 }
                 None => writeln!(f, "device {name}: in operation")?,
             }
-            if *emergencies_lost > 0 {
-                writeln!(
-                    f,
-                    "device {name}: {emergencies_lost} emergencies lost, since their queue was full"
-                )?;
+            if protocol_counters.are_any() {
+                writeln!(f, "device {name}: {protocol_counters}")?;
             }
         }
         Ok(())
@@ -224,6 +221,29 @@ pub(super) fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
 mod tests {
     use super::*;
     use crate::axis::Link;
+    use crate::bus::{OwnCounter, ProtocolCounters};
+
+    #[test]
+    fn devices_have_their_state_and_the_counters_above_zero() {
+        let mut summary = crate::telemetry::plots::tests::run("axis-1", 10).summary();
+        let own = ["al_errors", "emergencies_lost"].map(|key| OwnCounter { key, what: key });
+        let device = |name: &str, not_operational, counts: [u64; 2]| {
+            let (name, protocol_counters) =
+                (name.into(), ProtocolCounters(own.into_iter().zip(counts).collect()));
+            DeviceEnd { name, not_operational, protocol_counters }
+        };
+        summary.devices = vec![device("io", Some("no power".to_owned()), [0, 3]), device("di", None, [0, 0])];
+        let text = summary.to_string();
+        let lines: Vec<&str> = text.lines().filter(|line| line.starts_with("device ")).collect();
+        let expected = [
+            "device io: not in operation: no power",
+            "device io: emergencies_lost: 3",
+            "device di: in operation",
+        ];
+        assert_eq!(lines, expected, "{text}");
+        let json = serde_json::to_value(&summary).unwrap();
+        assert_eq!(json["devices"][0]["protocol_counters"]["emergencies_lost"], 3, "{json}");
+    }
 
     #[test]
     fn the_drives_come_first_and_fit_80_columns() {

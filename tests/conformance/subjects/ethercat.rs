@@ -2,8 +2,8 @@
 //! setpoint (1701h).
 
 mod broken;
-mod strict;
-mod terminals;
+pub mod rows;
+pub mod slaves;
 
 use std::any::Any;
 use std::ops::Range;
@@ -19,39 +19,22 @@ use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FrameError, data
 use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat::internals::bus::ethercat::wire::sdo::AbortCode;
 use fieldbeat::internals::net::frames::MAC;
-use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim};
+use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::sim::{SimPlan, SimSegment, Simulated};
 use fieldbeat::time::MS;
 
 use broken::Broken;
 pub use broken::Defect;
+use slaves::{Fitted, Slaves};
 
 use crate::conformance::line::PERIOD;
-use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
 /// By what the drives are led, and which slaves the segment is made of; sound, or with one thing wrong.
 pub struct EtherCat {
     pub positions: bool,
     pub slaves: Slaves,
     pub defect: Option<Defect>,
-}
-
-/// The slaves of the segment.
-#[derive(Clone, Copy, PartialEq)]
-pub enum Slaves {
-    /// Drives.
-    Plain,
-    /// Strict ones: see `strict`.
-    Strict,
-    /// Drives behind a coupler with terminals: see `terminals`.
-    Terminals,
-}
-
-/// What is in front of the drives: slaves, bytes of their outputs, and of their inputs without AL status.
-struct Front {
-    slaves: usize,
-    outputs: usize,
-    inputs: usize,
 }
 
 const LINE: &str = "local:conformance";
@@ -78,6 +61,8 @@ const HEADER: usize = 10;
 const COUNTER: usize = 2;
 /// In the upper byte of a datagram's length.
 const CIRCULATED: u8 = 1 << 6;
+/// The profile velocity, of a mode that is not used here.
+const FREE: Target = Target { object: Object::new(0x6081, 0), kind: Some(Type::U32), complete: false };
 /// So many counts a step may be off by its own rounding.
 const ROUNDED: i64 = 4;
 
@@ -109,7 +94,12 @@ fn image(frame: &[u8]) -> Option<Range<usize>> {
 }
 
 impl EtherCat {
-    fn drive(&self, index: usize, count: usize, drive: &Drive) -> (KollmorgenDrive, DriveSettings) {
+    fn drive(
+        &self,
+        index: usize,
+        count: usize,
+        drive: &Drive,
+    ) -> (KollmorgenDrive, DriveSettings, SlaveSettings) {
         let place = self.place(index, count) as u16;
         let mut plan = KollmorgenDrive::new(&drive.axis.name, place, Family::S700);
         if self.positions {
@@ -121,11 +111,9 @@ impl EtherCat {
         // What moves by itself needs it.
         plan.slave.watchdog =
             if drive.jog || drive.follow { Watchdog::After(100 * MS) } else { Watchdog::Off };
-        match self.slaves {
-            Slaves::Plain => {}
-            Slaves::Strict => strict::fit(&mut plan),
-            Slaves::Terminals => terminals::fit(&mut plan),
-        }
+        let mut slave = self.slaves.usual();
+        let (last, running) = (index == 0, drive.running);
+        (self.slaves.fit)(&mut Fitted { plan: &mut plan, slave: &mut slave, last, running });
         let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
         plan.slave.start_up.push(Start::new(Object::new(0x6099, 1), Type::U32, raw));
         // In increments it is the same for all units.
@@ -137,38 +125,26 @@ impl EtherCat {
             running_rpm: drive.running.then_some(60.0 * VELOCITY),
             ..DriveSettings::new(Family::S700)
         };
-        (plan, settings)
+        (plan, settings, slave)
     }
 
     fn segment(&self, drives: &[Drive]) -> EthercatSegment {
         let drive = |(index, drive)| self.drive(index, drives.len(), drive);
-        let (plans, settings) = drives.iter().enumerate().map(drive).unzip();
+        let (plans, settings, slaves): (Vec<_>, _, Vec<_>) = drives.iter().enumerate().map(drive).collect();
+        let places: Vec<u16> = plans.iter().map(|plan| plan.slave.place).collect();
         let mut segment = EthercatSegment { drives: settings, ..EthercatPlan::new(LINE, plans).into() };
-        match self.slaves {
-            Slaves::Plain => {}
-            Slaves::Strict => strict::surround(&mut segment),
-            Slaves::Terminals => terminals::surround(&mut segment),
-        }
+        segment.settings.slaves = places.into_iter().zip(slaves).collect();
+        self.slaves.add_front(&mut segment);
         segment
-    }
-
-    /// Slaves in front of the drives.
-    fn front(&self) -> Front {
-        match self.slaves {
-            Slaves::Plain => Front { slaves: 0, outputs: 0, inputs: 0 },
-            Slaves::Strict => Front { slaves: strict::FRONT, outputs: 0, inputs: 0 },
-            Slaves::Terminals => terminals::FRONT,
-        }
     }
 }
 
 impl Subject for EtherCat {
     fn name(&self) -> &'static str {
-        match (self.slaves, self.positions) {
-            (Slaves::Strict, _) => "ethercat with strict slaves",
-            (Slaves::Terminals, _) => "ethercat with terminals",
-            (Slaves::Plain, true) => "ethercat with positions",
-            (Slaves::Plain, false) => "ethercat with velocities",
+        match (self.slaves.name, self.positions) {
+            ("", true) => "ethercat with positions",
+            ("", false) => "ethercat with velocities",
+            (name, _) => name,
         }
     }
 
@@ -193,7 +169,7 @@ impl Subject for EtherCat {
             bytes: false,
             comes_up_off: false,
             shared: true,
-            rearmed: self.slaves != Slaves::Strict,
+            rearmed: self.slaves.rearmed,
         }
     }
 
@@ -221,16 +197,16 @@ impl Subject for EtherCat {
     }
 
     fn place(&self, index: usize, count: usize) -> usize {
-        self.front().slaves + count - 1 - index
+        self.slaves.front.len() + count - 1 - index
     }
 
     fn piece(&self, now: Time, frame: &[u8], index: usize, count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
         let mut all = datagrams(frame).ok()?.flatten();
         let image = all.find(|datagram| matches!(datagram.command(), Some(Command::Lrw(_))))?;
-        let front = self.front();
-        let place = self.place(index, count) - front.slaves;
-        let request = image.data.get(front.outputs + place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
-        let behind = front.outputs + count * OUTPUTS + front.slaves * AL + front.inputs;
+        let front = &self.slaves;
+        let place = count - 1 - index;
+        let request = image.data.get(front.outputs() + place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
+        let behind = front.outputs() + count * OUTPUTS + front.front.len() * AL + front.inputs();
         let inputs = behind + place * (AL + INPUTS);
         let reply = image.data.get(inputs..)?.first_chunk::<{ AL + INPUTS }>()?;
         let status = AlStatus(u16::from_le_bytes([reply[0], reply[1]]));
@@ -295,16 +271,9 @@ impl Subject for EtherCat {
     }
 
     fn calls(&self) -> Calls {
-        // The profile velocity, of a mode that is not used here.
-        let free = Target { object: Object::new(0x6081, 0), kind: Some(Type::U32), complete: false };
         let missing = Target::parse("0x5FFF:0.u16").expect("a target");
         let refused = (missing.read(), AbortCode::NO_OBJECT.0);
-        let soon = match self.slaves {
-            Slaves::Plain => SOON,
-            Slaves::Strict => strict::SOON,
-            Slaves::Terminals => terminals::SOON,
-        };
-        Calls { read: free.read(), write: free.write(77), refused, soon }
+        Calls { read: FREE.read(), write: FREE.write(77), refused, soon: self.slaves.soon }
     }
 
     fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {

@@ -1,10 +1,12 @@
-//! A line whose frames come back as they like.
+//! A segment whose frames come back as they like.
 //!
-//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated line of two
-//! drives; the bytes choose commands, and what becomes of the frames: lost, late, twice, cut off, with other bytes here
-//! and there, circulated, or somebody else's. What has to hold stands in the checks behind each step; they know the
-//! frames and what is desired, and nothing of how the bus keeps its books: what is written is what is desired, and a
-//! drive has answered only if a frame came that is the one that was sent, and its own part of it says what is reported.
+//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated segment of
+//! two drives, whose processors have their SIIs and want them back before PREOP, and a terminal without a processor,
+//! whose outputs are registers; the bytes choose commands, and what becomes of the frames: lost, late, twice, cut off,
+//! with other bytes here and there, circulated, or somebody else's. What has to hold stands in the checks behind each
+//! step; they know the frames and what is desired, and nothing of how the bus keeps its books: what is written is what
+//! is desired, and a drive has answered only if a frame came that is the one that was sent, and its own part of it says
+//! what is reported.
 
 use std::collections::VecDeque;
 use std::io;
@@ -15,7 +17,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use fieldbeat::Cycle;
 use fieldbeat::axis::{Command, Link, NativeOwner};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
+use fieldbeat::bus::ethercat::{
+    Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Terminals, Watchdog,
+};
 use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
 use fieldbeat::internals::bus::ethercat::cia402::ControlWord;
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
@@ -25,7 +29,7 @@ use fieldbeat::internals::net::frames::{MAC, Unsent};
 use fieldbeat::internals::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SiiSettings, SlaveSettings};
 use fieldbeat::time::{MS, Time, US};
 
 use super::commanded::Commanded;
@@ -37,6 +41,8 @@ const DRIVES: usize = 2;
 /// Outputs of a drive, and AL status and inputs: 1702h, 1B03h.
 const OUTPUTS: usize = 6;
 const INPUTS: usize = 2 + 8;
+/// Outputs of the terminal behind them.
+const TERMINAL: usize = 1;
 /// Increments of one turn.
 const INCREMENTS: f64 = (1_u64 << 20) as f64;
 /// In so many cycles an undisturbed line is up.
@@ -133,6 +139,9 @@ struct Rig {
     machines: [Commanded; DRIVES],
     slots: [Slot; DRIVES],
     cycle: Cycle,
+    terminal: Terminals,
+    /// Its newest outputs.
+    output: u8,
 }
 
 impl Rig {
@@ -142,9 +151,17 @@ impl Rig {
             drive.slave.watchdog = Watchdog::After(100 * MS);
             drive
         };
-        let plan = EthercatPlan::new("local:fuzz", (0..DRIVES as u16).map(drive).collect());
+        let mut plan = EthercatPlan::new("local:fuzz", (0..DRIVES as u16).map(drive).collect());
+        let area = |start| vec![Area { start, length: TERMINAL as u16 }];
+        let place = DRIVES as u16;
+        let slave = SlavePlan { outputs: area(0x0F00), inputs: area(0x1000), ..SlavePlan::new(place) };
+        plan.devices.push(Device { name: "io".into(), slave });
+        let mut segment = EthercatSegment::from(&plan);
+        let sii = SiiSettings { owned_by_slave: true, read_in_preop: true, ..SiiSettings::default() };
+        let own = SlaveSettings { sii, ..SlaveSettings::default() };
+        segment.settings.slaves.extend((0..place).map(|place| (place, own.clone())));
         let cable = Shared(Arc::new(Mutex::new(Cable {
-            line: EthercatSim::of(&plan),
+            line: EthercatSim::new(&segment),
             now: Time(0),
             sent: Vec::new(),
             before: VecDeque::new(),
@@ -154,8 +171,12 @@ impl Rig {
         })));
         let slot = || Slot { due: true, link: Link::Online, ..Slot::default() };
         let grid = Time(1_000 * PERIOD_NS);
+        let mut bus = BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable");
+        let terminal = bus.device(0).and_then(|device| device.downcast().ok()).expect("it is a terminal");
         Rig {
-            bus: BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable"),
+            bus,
+            terminal: *terminal,
+            output: 0,
             cable,
             machines: std::array::from_fn(|index| Commanded::new(&plan, index, PERIOD_NS)),
             slots: std::array::from_fn(|_| slot()),
@@ -171,6 +192,7 @@ impl Rig {
             });
         }
         assert!(self.slots.iter().all(|slot| slot.counters.answered > 0), "{:?}", self.slots);
+        assert!(self.terminal.inputs().operational);
     }
 
     /// One command or none, and one cycle.
@@ -184,6 +206,10 @@ impl Rig {
             5 => {
                 let place = input.below(DRIVES + 1);
                 self.cable.get().line.cut((place < DRIVES).then_some(place));
+            }
+            6 => {
+                self.output = self.output.wrapping_add(0x55);
+                self.terminal.write(&[self.output; TERMINAL]).expect("it has so many");
             }
             _ => {}
         }
@@ -204,6 +230,7 @@ impl Rig {
         self.cable.get().sent.clear();
         self.bus.send(&self.cycle, &mut self.slots);
         self.check_outputs();
+        self.check_terminal();
         for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
             machine.commit(slot);
         }
@@ -255,6 +282,14 @@ impl Rig {
         }
     }
 
+    /// What is written to the terminal is what the application wrote last, or nothing.
+    fn check_terminal(&self) {
+        let cable = self.cable.get();
+        if let Some([output]) = image(&cable.sent, DRIVES * OUTPUTS, TERMINAL) {
+            assert!([0, self.output].contains(output), "{output:#x}, and not {:#x}", self.output);
+        }
+    }
+
     /// Who has answered is in a frame that is the one that was sent; and what is reported of it, it has said there. Of
     /// several such frames any may be the one that was taken: others may have been refused for their counters.
     fn check(&self) {
@@ -278,14 +313,19 @@ impl Rig {
 
 /// The control word and the setpoint for drive `index` in a frame that was sent; `None`: it has none.
 fn written(sent: &[u8], index: usize) -> Option<(ControlWord, i32)> {
-    let outputs = |datagram: Datagram<'_>| {
+    let bytes = image(sent, index * OUTPUTS, OUTPUTS)?;
+    let setpoint = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    Some((ControlWord(u16::from_le_bytes([bytes[4], bytes[5]])), setpoint))
+}
+
+/// So many bytes of the process data in a frame, from there on.
+fn image(sent: &[u8], from: usize, length: usize) -> Option<&[u8]> {
+    let content = |datagram: Datagram<'_>| {
         let DatagramCommand::Lrw(_) = datagram.command()? else { return None };
-        let at = datagram.place.data().start + index * OUTPUTS;
-        let bytes = sent.get(at..at + OUTPUTS)?;
-        let setpoint = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-        Some((ControlWord(u16::from_le_bytes([bytes[4], bytes[5]])), setpoint))
+        Some(datagram.place.data().start + from)
     };
-    datagrams(sent).ok()?.map_while(Result::ok).find_map(outputs)
+    let at = datagrams(sent).ok()?.map_while(Result::ok).find_map(content)?;
+    sent.get(at..at + length)
 }
 
 /// The AL status of drive `index` and its position in a frame that is the reply to `sent`; `None`: it is none.
@@ -297,7 +337,7 @@ fn said(sent: &[u8], frame: &[u8], index: usize) -> Option<(u16, u32)> {
         states |= matches!(command, DatagramCommand::Brd(_));
         let Returned::Counted(_) = returned(sent, frame, datagram.place, stays) else { return None };
         if matches!(command, DatagramCommand::Lrw(_)) {
-            let at = datagram.place.data().start + DRIVES * OUTPUTS + index * INPUTS;
+            let at = datagram.place.data().start + DRIVES * OUTPUTS + TERMINAL + index * INPUTS;
             let bytes = frame.get(at..at + INPUTS)?;
             let position = u32::from_le_bytes([bytes[2], bytes[3], bytes[4], bytes[5]]);
             found = Some((u16::from_le_bytes([bytes[0], bytes[1]]), position));

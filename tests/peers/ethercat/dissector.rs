@@ -18,7 +18,7 @@ pub(super) struct Frame {
     pub datagrams: Vec<Datagram>,
     /// Data that the dissector knows no register or mailbox for, of one datagram after the other.
     pub plain: Vec<Vec<u8>>,
-    /// The state that is asked for in AL control.
+    /// The state that is requested in AL control.
     pub state: Option<u64>,
     /// Messages in mailboxes.
     pub messages: Vec<Message>,
@@ -57,7 +57,7 @@ pub(super) struct Message {
     pub service: u64,
     /// What the request wants, or the response is: 4 is an abort.
     pub command: u64,
-    /// Index and subindex; the dissector does not tell those of an abort.
+    /// Index and subindex; the dissector does not show those of an abort.
     pub object: Option<(u64, u64)>,
     pub data: Option<u64>,
 }

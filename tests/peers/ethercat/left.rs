@@ -61,7 +61,8 @@ fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) 
     drop(left);
     let _fresh = serve(&cable, segment());
     let fresh = online();
-    assert!(taken_over < fresh + fresh / 2 + 200, "{taken_over} cycles, {fresh} on a fresh segment");
+    // Of a busy host some frames are lost, each with a step.
+    assert!(taken_over < fresh + fresh / 10 + 50, "{taken_over} cycles, {fresh} on a fresh segment");
     eprintln!("{taken_over} cycles, {fresh} on a fresh segment");
 }
 

@@ -1,5 +1,5 @@
-//! EtherCAT on a cable between two network namespaces, our simulated line at its end: Wireshark's dissector in between,
-//! and our master or one that others wrote.
+//! EtherCAT on a cable between two network namespaces, our simulated segment at its end: Wireshark's dissector in
+//! between, and our master or one that others wrote.
 //!
 //! | file | what |
 //! |---|---|
@@ -9,6 +9,7 @@
 //! | `soem` | the master SOEM does so, by the Python package pysoem; `soem.py` is its program |
 //! | `left` | our master on a segment that one of those was killed on |
 //! | `own` | our master does so, captured from its first frame to its last |
+//! | `terminals` | the same on a coupler with terminals |
 
 mod dissector;
 mod left;
@@ -16,6 +17,7 @@ mod master;
 mod own;
 mod scan;
 mod soem;
+mod terminals;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -27,7 +29,7 @@ use fieldbeat::bus::ethercat::{
 };
 use fieldbeat::internals::net::{Carriers, Frames, Os};
 use fieldbeat::sim::SimPlan;
-use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, SegmentSettings};
+use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, Model, SegmentSettings, SlaveSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
 use nix::sched::{CloneFlags, setns};
@@ -67,6 +69,31 @@ fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
     EthercatSegment { settings, drives: (1..=drives).map(simulated).collect(), ..plan.into() }
 }
 
+/// A coupler, digital outputs that are wired to digital inputs, outputs behind two SyncManagers, analogue inputs, and
+/// two drives.
+fn with_terminals() -> EthercatSegment {
+    let drives = [5, 6].map(|place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700));
+    let mut plan = EthercatPlan::new(WIRE, drives.into());
+    let area = |start, length| Area { start, length };
+    let models = [
+        ("coupler", Model::Ek1100, vec![], vec![]),
+        ("out", Model::El2008, vec![area(0x0F00, 1)], vec![]),
+        ("in", Model::El1008, vec![], vec![area(0x1000, 1)]),
+        ("wide", Model::El2809, vec![area(0x0F00, 1), area(0x0F01, 1)], vec![]),
+        ("analogue", Model::El3102, vec![], vec![area(0x1180, 8)]),
+    ];
+    let mut slaves = BTreeMap::new();
+    for (place, (name, model, outputs, inputs)) in (0..).zip(models) {
+        let mailbox = (model == Model::El3102).then_some([area(0x1000, 128), area(0x1080, 128)]);
+        let slave = SlavePlan { outputs, inputs, mailbox, ..SlavePlan::new(place) };
+        plan.devices.push(Device { name: name.into(), slave });
+        let wired_to = (model == Model::El2008).then_some(2);
+        slaves.insert(place, SlaveSettings { model: Some(model), wired_to, ..SlaveSettings::default() });
+    }
+    let settings = SegmentSettings { interface: Some(WIRE.into()), slaves, ..SegmentSettings::default() };
+    EthercatSegment { settings, ..plan.into() }
+}
+
 /// A cable whose end at the master has an address like that of a network card: without the bit that the first slave
 /// sets.
 fn cable(test: u8) -> Cable {
@@ -78,7 +105,7 @@ fn cable(test: u8) -> Cable {
 /// The segment, served at the drives' end of a cable. It ends with this.
 fn serve(cable: &Cable, segment: EthercatSegment) -> SimServer {
     let simulated = SimPlan::from(segment).build();
-    // A line is hardware: it does not wait for whatever else this computer does.
+    // A segment is hardware: it does not wait for whatever else this computer does.
     let options = ServerOptions { priority: Some(70), ..ServerOptions::default() };
     cable.among_drives(|| SimServer::start(simulated, options).unwrap())
 }

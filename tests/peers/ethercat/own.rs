@@ -1,4 +1,4 @@
-//! Our own master: a line from power-on to turning drives and down again, each frame of it captured.
+//! Our own master: a segment from power-on to turning drives and down again, each frame of it captured.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -52,9 +52,9 @@ const OP: u16 = 8;
 
 /// A frame, and what came back.
 type Exchange = (Frame, Option<Frame>);
-/// Command, register, bytes, and the state that is asked for.
+/// Command, register, bytes, and the state that is requested.
 type Requested = (u64, u64, u64, Option<u64>);
-/// What one slot asked.
+/// What one slot requested.
 type Slot = Vec<Requested>;
 
 /// Whose affair a slot is.
@@ -73,7 +73,7 @@ enum Affair {
 struct Run {
     family: Family,
     short_clocks: bool,
-    /// The grid follows the line, and not the line us.
+    /// The grid follows the segment, and not the segment us.
     leads: bool,
 }
 
@@ -91,8 +91,8 @@ impl Run {
         OUTPUTS + (2 + 1) + 2 * (2 + self.inputs().0)
     }
 
-    /// What a slot may ask of a mailbox: one that is no longer than a message is written and read at once; of a longer
-    /// one the last byte goes with each message, and its first bytes are looked at with its status.
+    /// What a slot may request of a mailbox: one that is no longer than a message is written and read at once; of a
+    /// longer one the last byte goes with each message, and its first bytes are looked at with its status.
     fn mailbox_slots(self) -> Vec<Slot> {
         let (status, repeat) = ((FPRD, MAILBOX_STATUS, 3), slot_of([(FPWR, MAILBOX_STATUS + 1, 1)]));
         match self.family {
@@ -112,7 +112,7 @@ impl Run {
     }
 }
 
-fn works_a_line(test: u8, run: Run) {
+fn works_a_segment(test: u8, run: Run) {
     let (machine, cable) = (Machine::new(test), cable(test));
     let mut segment = segment(run.family, 2, run.short_clocks);
     for drive in &mut segment.plan.drives {
@@ -240,7 +240,7 @@ fn judge_slots(exchanges: &[Exchange], run: Run) {
             slots.push((affair, slot));
         }
     }
-    // One that was sent again is told once.
+    // One that was sent again is listed once.
     let of = |affair| {
         let mut own: Vec<&Slot> =
             slots.iter().filter(|(of, _)| *of == affair).map(|(_, slot)| slot).collect();
@@ -264,7 +264,7 @@ fn judge_slots(exchanges: &[Exchange], run: Run) {
     }
 }
 
-/// What the slot of a frame asks, and whose affair that is: both datagrams are of one.
+/// What the slot of a frame requests, and whose affair that is: both datagrams are of one.
 fn slot(sent: &Frame) -> (Affair, Slot) {
     let affair = |datagram: &Datagram| match datagram.address {
         Address::Slave(0, PORT_TIMES) if datagram.command == BWR => Affair::Clock,
@@ -301,7 +301,7 @@ fn judge_counters(affair: Affair, is_repeated: bool, sent: &Frame, back: &Frame)
     }
 }
 
-/// A slot in which nobody is asked for a state.
+/// A slot in which no state is requested.
 fn slot_of<const N: usize>(requested: [(u64, u64, u64); N]) -> Slot {
     requested.map(|(command, register, bytes)| (command, register, bytes, None)).to_vec()
 }
@@ -320,7 +320,7 @@ fn change([read, write]: [u64; 2], state: u64) -> [Slot; 2] {
     [vec![(write, AL_CONTROL, 2, Some(state))], slot_of([(read, AL_STATUS, 6)])]
 }
 
-/// All that a slave is asked for but for its mailbox, from the first look at it to the end.
+/// All that is requested of a slave but by its mailbox, from the first look at it to the end.
 fn steps(station: u64) -> Vec<Slot> {
     let is_drive = station != COUPLER;
     let (place, own) = ([APRD, APWR], [FPRD, FPWR]);
@@ -516,7 +516,7 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
     }
 }
 
-/// The messages that went into a mailbox of a drive or out of it; one that was sent again is told once.
+/// The messages that went into a mailbox of a drive or out of it; one that was sent again is listed once.
 fn messages(exchanges: &[Exchange], command: u64, station: u64, service: u64) -> Vec<Message> {
     let carries = |frame: &&Frame| {
         frame.datagrams[FIXED..].iter().any(|datagram| {
@@ -538,17 +538,17 @@ const S700: Run = Run { family: Family::S700, short_clocks: false, leads: true }
 #[test]
 #[ignore = "needs root, iproute2 and tshark"]
 fn tshark_finds_nothing_wrong_with_our_master_at_work() {
-    works_a_line(36, S700);
+    works_a_segment(36, S700);
 }
 
 #[test]
 #[ignore = "needs root, iproute2 and tshark"]
 fn nor_with_clocks_of_32_bits() {
-    works_a_line(37, Run { short_clocks: true, ..S700 });
+    works_a_segment(37, Run { short_clocks: true, ..S700 });
 }
 
 #[test]
 #[ignore = "needs root, iproute2 and tshark"]
 fn nor_with_akd_drives_whose_clocks_follow_ours() {
-    works_a_line(38, Run { family: Family::Akd, leads: false, ..S700 });
+    works_a_segment(38, Run { family: Family::Akd, leads: false, ..S700 });
 }

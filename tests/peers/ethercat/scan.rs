@@ -55,7 +55,7 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
             }
         }
     }
-    // The dissector reads what the program has told.
+    // The dissector reads what the program has printed.
     let features = capture::dissect(
         &file,
         "ecat.cmd == 1 && ecat.reg.features && ecat.cnt == 1",

@@ -58,11 +58,27 @@ class Segment:
             say("identity", place, hex(slave.man), hex(slave.id))
             words = [number(slave.eeprom_read(word)) for word in (0x08, 0x0A)]
             say("sii", place, *map(hex, words))
+            self.describe_sii(place, slave)
             say("clock", place, self.clock(slave))
         for place, slave in enumerate(self.slaves):
             if slave.man == KOLLMORGEN or slave.id == EL3102:
                 say("product", place, hex(number(slave.sdo_read(0x1018, 2))))
                 self.describe_objects(place, slave)
+
+    @staticmethod
+    def describe_sii(place, slave):
+        """Its categories but the general one, and the PDOs of slaves with a mailbox, which it describes itself."""
+        at = 0x40
+        while True:
+            header = slave.eeprom_read(at)
+            kind, words = number(header[:2]), number(header[2:])
+            if kind == 0xFFFF:
+                return
+            content = b"".join(slave.eeprom_read(at + 2 + word) for word in range(0, words, 2))[: 2 * words]
+            has_mailbox = number(slave.eeprom_read(0x18)) != 0
+            if kind != 30 and not (kind in (50, 51) and has_mailbox):
+                say("category", place, kind, content.hex())
+            at += 2 + words
 
     def describe_objects(self, place, slave):
         lists = [(list_, 1 + n) for list_ in (0x1C12, 0x1C13) for n in range(slave.sdo_read(list_, 0)[0])]

@@ -5,7 +5,7 @@ use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan};
 use fieldbeat::sim::ethercat::{ClockKind, EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
-use fieldbeat::time::{S, US};
+use fieldbeat::time::{MS, S, US};
 
 use super::drives::left;
 use super::{LINE, Machine, jog, plan};
@@ -37,18 +37,43 @@ fn busy_until(machine: &mut Machine, most: u64, done: impl Fn(&Machine) -> bool)
 
 #[test]
 fn a_segment_that_was_switched_off_and_on_locks_again_on_a_busy_host() {
-    for (leads, settling, most) in [(false, 32, 3_000), (true, 32, 3_000), (false, 1_024, 8_000)] {
+    // How long it was off, ms: at 0 the master does not notice before the slaves are back. Meanwhile the clocks drift
+    // apart.
+    for (leads, settling, off_ms, most) in [
+        (false, 32, 0, 3_000),
+        (true, 32, 0, 3_000),
+        (false, 1_024, 0, 8_000),
+        (true, 1_024, 0, 8_000),
+        (false, 32, 3_000, 2_000),
+        (true, 32, 3_000, 2_000),
+        (false, 1_024, 3_000, 8_000),
+        (true, 1_024, 3_000, 8_000),
+    ] {
         let mut segment = EthercatSegment::from(plan(3));
         segment.settings.settling = settling;
         segment.settings.drift_ppm = vec![40.0, -30.0, 10.0];
         let mut machine = Machine::with(segment, leads, WorldOptions::default());
         let online = |machine: &Machine| (0..3).all(|n| machine.feedback(n).link == Link::Online);
         machine.until("online", 20_000, online);
+        if off_ms > 0 {
+            machine.sim.world().cut(LINE, Some(0));
+            let until = machine.sim.world().now() + off_ms * MS;
+            busy_until(&mut machine, 2 * off_ms, |machine| machine.sim.world().now() >= until);
+            assert!(!online(&machine));
+        }
         for place in 0..3 {
             machine.sim.world().restart_slave(LINE, place);
         }
-        busy_until(&mut machine, 100, |machine| !online(machine));
+        machine.sim.world().cut(LINE, None);
+        if off_ms == 0 {
+            busy_until(&mut machine, 100, |machine| !online(machine));
+        }
+        let begun = machine.sim.world().now();
         busy_until(&mut machine, most, online);
+        let took_ms = machine.sim.world().now().since(begun) / MS;
+        let clock = machine.sim.finish().clocks[0].expect("the segment has a clock");
+        assert!(clock.locked, "{clock:?}");
+        eprintln!("leads: {leads}, settling {settling}, {off_ms} ms off: {took_ms} ms");
     }
 }
 

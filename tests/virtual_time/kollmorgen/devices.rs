@@ -1,16 +1,25 @@
-//! Slaves that are no drives, and slaves that are refused: what is told of them, and what they do not do by themselves.
+//! Slaves that are no drives, and slaves that are refused: what is reported of them, and what they do not do by
+//! themselves.
 
+use std::any::Any;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
-use fieldbeat::axis::{CallError, Emergency, FoundRunning, Link};
+use fieldbeat::axis::{Acyclic, Call, CallError, Emergency, FoundRunning, Link, Series};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
+use fieldbeat::config::{Configuration, parse};
+use fieldbeat::internals::axis::acyclic::{Carrier, Condition, Notation};
 use fieldbeat::internals::bus::ethercat::faults::Fault;
 use fieldbeat::internals::bus::ethercat::object::{Objects, Target};
-use fieldbeat::sim::WorldOptions;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, position};
+use fieldbeat::internals::bus::ethercat::wire::registers::address;
+use fieldbeat::internals::net::frames::MAC;
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
+use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::{CyclePlan, MasterError, Plan};
 
 use super::drives::{answer, left};
@@ -27,7 +36,7 @@ fn line(drives: Vec<KollmorgenDrive>, devices: Vec<Device>) -> EthercatPlan {
     EthercatPlan { devices, ..EthercatPlan::new(LINE, drives) }
 }
 
-/// What is told of the slaves in the end.
+/// What is reported of the slaves in the end.
 fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
     let end = machine.sim.finish();
     let drives = end.drives.into_iter().map(|drive| drive.not_connected);
@@ -36,7 +45,7 @@ fn reported(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
 }
 
 #[test]
-fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
+fn a_device_that_is_refused_is_reported_by_its_name_and_one_in_operation_is_not() {
     let mut other = line(vec![drive(0, Family::S700)], vec![io(1)]);
     let world = EthercatSim::of(&other);
     other.devices[0].slave.identity = Expected { product: Some(77), ..Expected::default() };
@@ -98,7 +107,7 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     let mut machine = Machine::on(Box::new(plan), left(world), cycle, options);
     let acyclic = machine.sim.acyclics()[1].clone();
     assert_eq!(acyclic.axis(), "io");
-    let notation: &dyn fieldbeat::internals::axis::acyclic::Notation = &Objects;
+    let notation: &dyn Notation = &Objects;
     let limit = Duration::from_secs(1);
     let vendor = notation.read("0x1018:1").unwrap();
     let ticket = acyclic.post(vendor, limit).unwrap();
@@ -139,14 +148,113 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     // Some wait behind them in the master.
     machine.run(600);
     received += std::iter::from_fn(|| io.emergency()).count();
-    let lost = machine.sim.finish().devices[0].emergencies_lost;
+    let counted = counted(machine);
+    let lost = counted["emergencies_lost"];
     // Of the first fault only its end: it was there already.
     assert_eq!(received as u64 + lost, 39, "{received} {lost}");
     assert!(lost >= 10, "{received} {lost}");
+    // The one that was taken before, too; and an object that does not exist.
+    assert_eq!((counted["emergencies"], counted["aborts"], counted["brought_up"]), (40, 1, 1));
+}
+
+/// What was counted of the one device.
+fn counted(machine: Machine) -> BTreeMap<&'static str, u64> {
+    let end = machine.sim.finish();
+    end.devices[0].protocol_counters.0.iter().map(|(counter, count)| (counter.key, *count)).collect()
 }
 
 #[test]
-fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
+fn what_a_device_does_wrong_is_counted_by_name() {
+    let mut segment = EthercatSegment::from(line(vec![drive(0, Family::S700)], vec![io(1)]));
+    // With a processor, which refuses a state.
+    let own = SlaveSettings { emulated: Some(false), ..SlaveSettings::default() };
+    segment.settings.slaves.insert(1, own);
+    let mut machine = Machine::new(segment);
+    let io = machine.sim.device::<Terminals>("io").unwrap();
+    machine.online();
+    machine.until("operational", 3_000, |_| io.inputs().operational);
+    let write = |machine: &Machine, register: u16, data: &[u8]| {
+        let mut frame = vec![0; 64];
+        let mut builder = Builder::new(&mut frame, BROADCAST, MAC).unwrap();
+        builder.push_with(Datagram::Apwr(position(1), register), 0, data).unwrap();
+        builder.finish();
+        machine.sim.world().look(LINE, |line: &mut EthercatSim, now| line.pass(now, &mut frame)).unwrap();
+    };
+    machine.sim.world().deafen(LINE, 1, true);
+    machine.run(2);
+    machine.sim.world().deafen(LINE, 1, false);
+    machine.run(50);
+    // Its outputs do not count, which the frames do not show.
+    write(&machine, address::fmmu(0) + 12, &[0]);
+    machine.run(50);
+    write(&machine, address::fmmu(0) + 12, &[1]);
+    machine.run(100);
+    // No state at all.
+    write(&machine, address::AL_CONTROL, &[0x0F, 0]);
+    machine.run(2_000);
+    assert!(io.inputs().operational);
+    let counted = counted(machine);
+    // Two while it was deaf, and two with a count that fits nobody, until each slave is evaluated alone.
+    assert_eq!(counted["passed_by"], 4, "{counted:?}");
+    assert!(counted["wrong_count"] >= 9 && counted["al_errors"] >= 1, "{counted:?}");
+    assert!(counted["not_operational"] > 0 && counted["brought_up"] == 2, "{counted:?}");
+}
+
+/// Of a string of 120 bytes a message of its mailbox has room for 112: it goes in segments.
+#[test]
+fn a_string_of_a_configuration_is_written_at_start_up() {
+    for text in ["left axis".to_owned(), "pressure ".repeat(13)] {
+        let config = format!(
+            "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{LINE}\"\n[[bus.device]]\nname = \"io\"\n\
+             mailbox = {{ out = [0x1000, 128], in = [0x1080, 128] }}\ninputs = {{ start = 0x1180, length = 8 }}\n\
+             start_up = [{{ object = \"0x8005:0.text\", value = \"{text}\" }}]\nsimulate.type = \"EL3102\"\n"
+        );
+        let Configuration { mut plan, simulation } = parse(&config, "text.toml").unwrap();
+        let (bus, options) = (plan.buses.remove(0), WorldOptions::default());
+        let mut machine = Machine::on(bus, simulation.build(), plan.cycle, options);
+        let io = machine.sim.device::<Terminals>("io").unwrap();
+        machine.until("operational", 5_000, |_| io.inputs().operational);
+        let acyclic = machine.sim.acyclics()[0].clone();
+        let turning = Turns { acyclic, machine: RefCell::new(&mut machine) };
+        let notation: &dyn Notation = &Objects;
+        assert_eq!(notation.read_long(&turning, "0x8005:0.text").unwrap().unwrap().1, text);
+        assert_eq!(counted(machine)["aborts"], 0);
+    }
+}
+
+/// The objects of a device, while its machine turns.
+struct Turns<'a> {
+    acyclic: Acyclic,
+    machine: RefCell<&'a mut Machine>,
+}
+
+impl Carrier for Turns<'_> {
+    fn run(&self, calls: &[Call], limit: Duration) -> Series {
+        self.acyclic.run_while(calls, limit, || {
+            self.machine.borrow_mut().run(1);
+            true
+        })
+    }
+
+    fn condition(&self) -> Result<Condition, CallError> {
+        self.acyclic.condition()
+    }
+
+    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
+        self.acyclic.claim()
+    }
+
+    fn capacity(&self) -> usize {
+        self.acyclic.capacity()
+    }
+
+    fn pause(&self, time: Duration) {
+        self.machine.borrow_mut().run(time.as_millis() as u64);
+    }
+}
+
+#[test]
+fn a_drive_with_another_resolution_is_refused_unless_that_is_not_compared() {
     let refused = |prbase: u8, turns: u32, check: bool| {
         let mut odd = drive(0, Family::S700);
         odd.check_prbase = check;

@@ -1,4 +1,4 @@
-//! What the drives of a line do, and what befalls them.
+//! What the drives of a segment do, and what befalls them.
 
 use std::time::Duration;
 
@@ -180,7 +180,7 @@ fn a_fault_stops_the_axis_by_its_name_and_is_reset() {
     }
 }
 
-/// The emergencies that the application was told, and of which axis.
+/// The emergencies that the application received, and of which axis.
 fn emergencies(machine: &mut Machine) -> Vec<(usize, Emergency)> {
     let mut all = std::mem::take(&mut machine.sim.events);
     for index in 0..machine.count {
@@ -241,7 +241,7 @@ fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
     machine.assert_turns(0, 10.0);
     assert!(machine.sim.world().set_segment_faults(LINE, FaultPlan { drop: 1.0, ..FaultPlan::default() }));
     machine.until("lost", 100, |machine| machine.feedback(0).link == Link::Lost);
-    // What is asked of a lost link at once is lost too.
+    // What is requested of a lost link at once is lost too.
     machine.run(3);
     assert!(machine.sim.world().set_segment_faults(LINE, FaultPlan::default()));
     machine.run(30);
@@ -256,7 +256,7 @@ pub fn left(line: EthercatSim) -> Simulated {
     Simulated { segments: vec![Box::new(line)], ..Simulated::default() }
 }
 
-/// Another master for a line that the first one has brought up and left.
+/// Another master for a segment that the first one has brought up and left.
 pub fn take_over(first: Machine, plan: &EthercatPlan, found: FoundRunning) -> Machine {
     let mut plan = plan.clone();
     plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = found);
@@ -473,7 +473,7 @@ fn objects_are_shown_beside_the_process_data() {
     events.extend(std::iter::from_fn(|| machine.sim.axis(0).event()).map(|event| (0, event)));
     let is_refusal =
         |(_, event): &&(usize, Event)| matches!(event.kind, EventKind::MonitorRefused { channel: 3, .. });
-    assert_eq!(events.iter().filter(is_refusal).count(), 1, "told once: {events:?}");
+    assert_eq!(events.iter().filter(is_refusal).count(), 1, "reported once: {events:?}");
 }
 
 #[test]

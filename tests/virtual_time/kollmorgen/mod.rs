@@ -7,21 +7,21 @@
 //! | `drives` | what drives do: motion, homing, faults, power, the end |
 //! | `devices` | slaves that are no drives; who is refused, and what is told of it |
 //! | `left` | segments that another master left behind |
+//! | `foreign` | the same as configurations, terminals included |
 //! | `long` | lines of many drives |
 //! | `shifted` | drives that change their places while the master runs |
 //! | `clocks` | clocks under a busy host, and of several kinds |
 //! | `slaves` | slaves that are not like the usual ones |
-//! | `strict` | slaves that another hand describes |
 //! | `terminals` | terminals: where their process data are |
 
 mod clocks;
 mod devices;
 pub mod drives;
+mod foreign;
 mod left;
 mod long;
 mod shifted;
 mod slaves;
-mod strict;
 mod terminals;
 
 use std::time::Duration;

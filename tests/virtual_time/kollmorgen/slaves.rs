@@ -1,5 +1,5 @@
-//! Slaves that are not like the usual ones: small couplers, such that show a device id, clocks that settle as slowly as
-//! real ones.
+//! Slaves that are not like the usual ones: such that show a device id, clocks that settle as slowly as real ones.
+//! Others are rows of the conformance suite.
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan, Terminals};
@@ -11,22 +11,19 @@ use fieldbeat::time::MS;
 use super::drives::left;
 use super::{CyclePlan, Machine, jog, plan};
 
-/// A drive, terminals of a byte either way, and another drive.
-fn with_terminals() -> EthercatSegment {
+#[test]
+fn a_device_id_in_the_al_status_is_no_error() {
     let slave = SlavePlan {
         outputs: vec![Area { start: 0x1000, length: 1 }],
         inputs: vec![Area { start: 0x1100, length: 1 }],
         ..SlavePlan::new(1)
     };
-    let device = Device { name: "io".into(), slave };
+    // A drive, terminals of a byte either way, and another drive.
     let mut plan = plan(3);
     plan.drives.remove(1);
-    plan.devices.push(device);
-    plan.into()
-}
-
-/// All of it works: both drives turn, and the terminals exchange.
-fn works(segment: EthercatSegment) {
+    plan.devices.push(Device { name: "io".into(), slave });
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.device_ids = true;
     let mut machine = Machine::new(segment);
     let mut terminals: Terminals = machine.sim.device("io").unwrap();
     machine.online();
@@ -49,22 +46,6 @@ fn works(segment: EthercatSegment) {
     for counters in machine.end() {
         assert_eq!((counters.own[Own::AlErrors as usize], counters.own[Own::WrongCount as usize]), (0, 0));
     }
-}
-
-#[test]
-fn a_coupler_without_an_fmmu_to_spare_takes_part_like_any_other() {
-    for fmmus in [2, 3] {
-        let mut segment = with_terminals();
-        segment.settings.fmmus = vec![8, fmmus, 8];
-        works(segment);
-    }
-}
-
-#[test]
-fn a_device_id_in_the_al_status_is_no_error() {
-    let mut segment = with_terminals();
-    segment.settings.device_ids = true;
-    works(segment);
 }
 
 #[test]

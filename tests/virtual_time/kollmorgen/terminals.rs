@@ -8,7 +8,7 @@ use fieldbeat::config::{Configuration, parse};
 use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, position};
 use fieldbeat::internals::bus::ethercat::wire::registers::address;
 use fieldbeat::internals::net::frames::MAC;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Model, SlaveSettings};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 
 use super::drives::left;
@@ -91,8 +91,27 @@ fn the_sample_of_a_coupler_with_terminals_comes_into_operation() {
 }
 
 #[test]
-fn digital_outputs_in_the_registers_move() {
-    moves(with(vec![area(0x0F00, 2)], vec![area(0x1000, 2)]));
+fn an_analogue_terminal_with_a_mailbox_comes_up_and_its_inputs_live() {
+    let slave = SlavePlan {
+        mailbox: Some([area(0x1000, 128), area(0x1080, 128)]),
+        inputs: vec![area(0x1180, 8)],
+        ..SlavePlan::new(1)
+    };
+    let device = Device { name: "analogue".into(), slave };
+    let plan =
+        EthercatPlan { devices: vec![device], ..EthercatPlan::new(LINE, vec![drive(0, Family::S700)]) };
+    let mut segment = EthercatSegment::from(plan);
+    let model = SlaveSettings { model: Some(Model::El3102), ..SlaveSettings::default() };
+    segment.settings.slaves.insert(1, model);
+    let mut machine = Machine::new(segment);
+    let terminal: Terminals = machine.sim.device("analogue").unwrap();
+    machine.online();
+    machine.until("operational", 3_000, |_| terminal.inputs().operational);
+    let value = || i16::from_le_bytes([terminal.inputs().bytes()[2], terminal.inputs().bytes()[3]]);
+    let before = value();
+    machine.run(100);
+    assert_eq!(value().wrapping_sub(before), 100, "1 a millisecond");
+    machine.end_well();
 }
 
 #[test]
@@ -123,15 +142,6 @@ fn refused(plan: EthercatPlan, there: impl Into<EthercatSegment>) -> String {
     let end = machine.sim.finish();
     assert_eq!(end.drives[0].not_connected, None);
     end.devices[0].not_operational.clone().expect("it is refused")
-}
-
-#[test]
-fn too_few_fmmus_for_all_areas_are_named() {
-    let plan = with(vec![area(0x0F00, 1), area(0x0F02, 1)], vec![area(0x1000, 2)]);
-    let mut segment = EthercatSegment::from(plan.clone());
-    segment.settings.fmmus = vec![8, 2];
-    let why = refused(plan, segment);
-    assert!(why.starts_with("place 1: it has 2 FMMUs, too few for its outputs and inputs"), "{why}");
 }
 
 #[test]

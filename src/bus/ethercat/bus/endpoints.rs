@@ -2,12 +2,11 @@
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::axis::acyclic::AcyclicEnds;
 use crate::axis::cell::Writer;
 use crate::axis::{Emergency, Feedback, Link, Observer};
-use crate::bus::ethercat::counters::Own;
+use crate::bus::ethercat::counters::{DeviceCounters, Own};
 use crate::bus::ethercat::image::Offsets;
 use crate::bus::ethercat::native::{TerminalPort, Terminals};
 use crate::bus::ethercat::plan::Owner;
@@ -44,8 +43,8 @@ pub(super) struct DeviceEnd {
     pub(super) port: TerminalPort,
     pub(super) offsets: Offsets,
     pub(super) operational: bool,
-    /// Its emergencies for which there was no room, for normal threads.
-    pub(super) emergencies_lost: Arc<AtomicU64>,
+    /// What is counted of it.
+    pub(super) counters: Arc<DeviceCounters>,
     /// The application's ends, until they are fetched.
     pub(super) terminals: Option<Terminals>,
     pub(super) acyclic: Option<(AcyclicEnds, Observer)>,
@@ -147,10 +146,7 @@ impl Handler for Endpoints<'_> {
             Some(End::Device(device)) => {
                 let mut counters = Counters::default();
                 device.service.receive(now, answers, &mut counters);
-                let lost = counters.own[Own::EmergenciesLost as usize];
-                if lost > 0 {
-                    device.emergencies_lost.fetch_add(lost, Ordering::Relaxed);
-                }
+                device.counters.add(&counters);
                 device.mailbox_received();
             }
             None => {}
@@ -184,22 +180,43 @@ impl Handler for Endpoints<'_> {
     fn take(&mut self, owner: Owner, Taken { at, al, inputs, in_window }: Taken<'_>) {
         match self.of(owner) {
             Some(End::Drive(station, slot)) if in_window => station.take(at, inputs, al, slot),
-            Some(End::Device(device)) => device.port.publish(at, device.operational, inputs),
+            Some(End::Device(device)) => {
+                if al != AlState::Op {
+                    device.counters.count(Own::NotOperational);
+                }
+                device.port.publish(at, device.operational, inputs);
+            }
             _ => {}
         }
     }
 
+    #[inline(always)] // As `take`.
+    fn take_all<'a>(&mut self, at: Time, in_window: bool, all: impl Iterator<Item = (Owner, &'a [u8])>) {
+        let al = AlState::Op;
+        // Decided once for all of them.
+        match in_window {
+            true => {
+                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: true }))
+            }
+            false => {
+                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: false }))
+            }
+        }
+    }
+
     fn passed_by(&mut self, owner: Owner) {
+        self.count(owner, Own::PassedBy);
         let Some(End::Drive(_, slot)) = self.of(owner) else { return };
-        Own::PassedBy.count(&mut slot.counters);
         if let Exchange::Owed { sent_at, .. } = slot.exchange {
             slot.exchange = Exchange::Absent { sent_at };
         }
     }
 
     fn count(&mut self, owner: Owner, counter: Own) {
-        if let Some(End::Drive(_, slot)) = self.of(owner) {
-            counter.count(&mut slot.counters);
+        match self.of(owner) {
+            Some(End::Drive(_, slot)) => counter.count(&mut slot.counters),
+            Some(End::Device(device)) => device.counters.count(counter),
+            None => {}
         }
     }
 }

@@ -121,8 +121,16 @@ impl EthercatBus {
         }
     }
 
-    /// Counts something of each drive in a frame; of all drives, if the frame is unknown.
+    /// Counts something of each drive and device in a frame; of all of them, if the frame is unknown. Of a device only
+    /// what this protocol counts for itself is kept.
     fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
+        let mut of_device = Counters::default();
+        count(&mut of_device);
+        for device in &self.devices {
+            if device.operational && frame.is_none_or(|frame| frame == device.offsets.frame) {
+                device.counters.add(&of_device);
+            }
+        }
         for ((slot, drive), out) in slots.iter_mut().zip(&self.drives).zip(&self.outgoing) {
             if frame.is_none_or(|frame| frame == usize::from(out.frame))
                 && self.segment.is_operational(drive.slave)

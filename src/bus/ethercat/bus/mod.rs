@@ -142,7 +142,7 @@ impl EthercatBus {
                 port,
                 offsets: offsets_of(Owner::Device(index)).1,
                 operational: false,
-                emergencies_lost: Arc::default(),
+                counters: Arc::default(),
                 terminals: Some(application),
                 acyclic: Some((ends, Observer(reader))),
             }
@@ -202,7 +202,7 @@ impl Bus for EthercatBus {
             device.port.memory(regions);
             device.reached.memory(regions);
             device.service.memory(regions);
-            regions.add(&*device.emergencies_lost);
+            regions.add(&*device.counters);
         }
     }
 
@@ -285,7 +285,7 @@ impl Bus for EthercatBus {
             remarks: self.segment.remarks.clone(),
             drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
             devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
-            emergencies_lost: self.devices.iter().map(|device| device.emergencies_lost.clone()).collect(),
+            counters: self.devices.iter().map(|device| device.counters.clone()).collect(),
             dropped: self.net.dropped(),
             wire: self.wire.clone(),
             interface: self.interface.clone(),

@@ -1,9 +1,11 @@
 //! Why slaves are not in operation, for normal threads.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::bus::Notes;
+use crate::bus::counters::OWN_COUNTERS;
+use crate::bus::ethercat::counters::DeviceCounters;
 use crate::bus::ethercat::segment::note::Notes as SegmentNotes;
 use crate::net::frames::Dropped;
 use crate::net::local;
@@ -23,8 +25,8 @@ pub(super) struct SlaveNotes {
     pub(super) drives: Vec<(usize, u16)>,
     /// The same of each device.
     pub(super) devices: Vec<(usize, u16)>,
-    /// The emergencies of each device that were lost.
-    pub(super) emergencies_lost: Vec<Arc<AtomicU64>>,
+    /// What is counted of each device.
+    pub(super) counters: Vec<Arc<DeviceCounters>>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
     pub(super) wire: Arc<AtomicU8>,
     pub(super) interface: String,
@@ -49,8 +51,8 @@ impl Notes for SlaveNotes {
         self.remarks.get(slave).text(place)
     }
 
-    fn emergencies_lost(&self, index: usize) -> u64 {
-        self.emergencies_lost.get(index).map_or(0, |lost| lost.load(Ordering::Relaxed))
+    fn device_counters(&self, index: usize) -> [u64; OWN_COUNTERS] {
+        self.counters.get(index).map_or([0; OWN_COUNTERS], |counters| counters.get())
     }
 
     fn dropped(&self) -> u64 {

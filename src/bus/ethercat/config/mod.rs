@@ -1,4 +1,4 @@
-//! `protocol = "ethercat"`: the line and its drives.
+//! `protocol = "ethercat"`: the segment and its drives.
 
 mod device;
 mod values;

@@ -1,4 +1,4 @@
-//! The line in words: what `check` says of it.
+//! The segment in words: what `check` says of it.
 
 use super::{
     Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Setpoint, SlavePlan, Watchdog, frame,
@@ -194,7 +194,7 @@ impl KollmorgenDrive {
     }
 }
 
-/// What it does, by what it is told.
+/// What it does, by the commands that it can carry out.
 fn commands(setpoint: Setpoint) -> &'static str {
     match setpoint {
         Setpoint::Position(_) => "takes moves, streams, jogs, velocities and homing",

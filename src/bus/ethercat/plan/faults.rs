@@ -1,4 +1,4 @@
-//! What contradicts itself in a line, or would not work with a frame every so often.
+//! What contradicts itself in a segment, or would not work with a frame every so often.
 
 use std::ops::Range;
 
@@ -16,7 +16,6 @@ use crate::bus::ethercat::object::{Family, Object, Type};
 use crate::bus::ethercat::start_up::cycle_time;
 use crate::time::{Ns, US};
 
-/// What a master must map to drive it.
 /// The period of a drive's position controller, of which the cycle of the bus is a multiple (EtherCAT manual).
 const CONTROLLER_NS: u64 = 250 * US;
 /// The most of them (object 35D5h).
@@ -45,7 +44,7 @@ const OF_A_DRIVE: Keys = ["buffers"; 2];
 const OF_A_DEVICE: Keys = ["outputs", "inputs"];
 
 impl EthercatPlan {
-    /// What is wrong, with the place of the drive: what is wrong with the line or with a device is put down to the
+    /// What is wrong, with the place of the drive: what is wrong with the segment or with a device is put down to the
     /// first one.
     pub fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
         let mut faults: Vec<(usize, PlanFault)> = Vec::new();
@@ -81,7 +80,7 @@ impl EthercatPlan {
         faults
     }
 
-    /// What is wrong, and whose it is, the line's or a slave's; all that a drive has as an axis left out.
+    /// What is wrong, and whose it is, the segment's or a slave's; all that a drive has as an axis left out.
     pub(crate) fn findings(&self, period_ns: u64) -> Vec<(Option<Owner>, PlanFault)> {
         let mut faults: Vec<_> = self.line_faults(period_ns).into_iter().map(|fault| (None, fault)).collect();
         let mut last: Option<(u16, Owner)> = None;
@@ -129,7 +128,7 @@ impl EthercatPlan {
         faults
     }
 
-    /// Why no drive of this line can work in a cycle of `period_ns`, or no frame fits into it.
+    /// Why no drive of this segment can work in a cycle of `period_ns`, or no frame fits into it.
     fn period_fault(&self, period_ns: u64) -> Option<String> {
         let of =
             |family| self.drives.iter().find(|drive| drive.family == family).map(|drive| &drive.axis.name);

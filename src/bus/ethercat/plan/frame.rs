@@ -1,4 +1,4 @@
-//! The frames of a line, for `check`: how long they are, and how long they take.
+//! The frames of a segment, for `check`: how long they are, and how long they take.
 
 use super::EthercatPlan;
 use crate::bus::ethercat::image::{Frame, Image};

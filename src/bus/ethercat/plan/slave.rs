@@ -11,7 +11,7 @@ const SDO_TIMEOUT_NS: u64 = 2 * S;
 /// Longer than what they usually give a change of state: 3 s, and 10 s into SAFEOP and OP together (ETG.2000).
 const STATE_TIMEOUT_NS: u64 = 5 * S;
 
-/// What the line needs to know of a slave, drive or not.
+/// What the segment needs to know of a slave, drive or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlavePlan {
     /// Its place on the line: 0 is next to the master.

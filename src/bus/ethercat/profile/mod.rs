@@ -24,7 +24,7 @@ use super::plan::{KollmorgenDrive, Watchdog};
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
-    self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable,
+    self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable, Setpoint,
 };
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
@@ -215,19 +215,24 @@ impl Profile {
         self.offsets.memory(regions);
     }
 
-    /// Writes the output PDO of the exchange in slot `grid` over the one before; true: something else is desired.
-    /// Built again for the same send, it is the same: state that changes with every exchange changes in
-    /// [`sent`](Self::sent).
+    /// Takes what is desired; true: it is something else than before, and not only another setpoint.
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, desired: &Desired, outputs: &mut [u8]) -> bool {
-        self.grid = grid;
-        let Desired { power, mode, motion, setpoint } = desired;
-        let serials = (power.serial, mode.serial, motion.serial);
-        let is_new = serials != self.serials;
+    pub(super) fn desire(&mut self, desired: &Desired) -> bool {
+        let Desired { power, mode, motion, .. } = desired;
+        let (of_power, of_mode, of_motion) = self.serials;
+        let is_new = power.serial != of_power || mode.serial != of_mode || motion.serial != of_motion;
         if is_new {
-            self.serials = serials;
+            self.serials = (power.serial, mode.serial, motion.serial);
             self.change(desired);
         }
+        is_new
+    }
+
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint. Built again for
+    /// the same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
+    #[inline]
+    pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, outputs: &mut [u8]) {
+        self.grid = grid;
         self.wanted_row = setpoint.row;
         self.setpoint = if self.quantity == Quantity::Position {
             // The lowest 32 bits of a count: the drive's own count wraps as well.
@@ -244,7 +249,6 @@ impl Profile {
         if let Some(owner) = self.native_owner {
             self.encode_native(owner, outputs);
         }
-        is_new
     }
 
     /// The outputs are not the ones that were written last.
@@ -327,20 +331,18 @@ impl Profile {
         self.mode_refused = self.mode_wanted() == desired::Mode::Homing;
     }
 
-    /// The last built exchange was sent, and its outputs count. `is_steady`: since the one before, nothing has
-    /// changed but the setpoint and its row.
+    /// The last built exchange was sent, and its outputs count. Since the one before, nothing may have changed but the
+    /// setpoint and its row.
     #[inline]
-    pub(super) fn sent(&mut self, is_steady: bool) {
+    pub(super) fn sent(&mut self) {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
         self.is_sent = true;
-        if !is_steady {
-            self.sent_anew();
-        }
     }
 
+    /// More may have changed in the exchange that was [`sent`](Self::sent).
     #[inline(never)]
-    fn sent_anew(&mut self) {
+    pub(super) fn sent_anew(&mut self) {
         let Desired { power, motion, .. } = &self.wanted;
         self.power.sent(power.serial, self.answers);
         self.motion.sent(motion.serial, self.answers);

@@ -1,4 +1,4 @@
-//! Scans of simulated lines.
+//! Scans of simulated segments.
 
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -21,7 +21,7 @@ const IO: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x11 
 
 type Event = fn(&mut Wire);
 
-/// An interface with a line behind it, in virtual time.
+/// An interface with a segment behind it, in virtual time.
 struct Wire {
     line: Segment,
     now: Time,

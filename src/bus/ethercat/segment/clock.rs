@@ -3,7 +3,7 @@
 //! SYNC0 comes at whole periods of that time, and a slot of the grid shall be a fixed time before it. So the master
 //! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. The time
 //! shown instead, less that, is the phase error: our own wake-up jitter is not part of it. Clocks of 32 bits wrap
-//! context every 4.3 s; since the error is small against that, it is the difference of the lower halves.
+//! around every 4.3 s; since the error is small against that, it is the difference of the lower halves.
 //!
 //! On a busy host frames leave late after they were stamped, several in a row, and show a time that is late by as
 //! much. So no single sample decides: the segment's time is the median of the first ones, and the lock is that of the
@@ -68,7 +68,7 @@ impl SegmentClock {
         let target = period_ns - ahead_ns % period_ns;
         SegmentClock {
             period_ns,
-            // Far from zero: a clock that is found running may be anywhere context it.
+            // Far from zero: a clock that is found running may be anywhere around it.
             origin_ns: ORIGIN_NS.next_multiple_of(period_ns) + target,
             window_ns: window_ns(period_ns),
             ..SegmentClock::default()
@@ -98,16 +98,14 @@ impl SegmentClock {
         i64::from(off).abs() <= self.window_ns / SAME
     }
 
-    /// A running slave showed `time`: the segment's time is its time from now on, with SYNC0 where that slave has
-    /// it, if that is known.
-    pub fn take_over(&mut self, cycle: &Cycle, at: Time, time: u32, phase_ns: Option<u64>) {
-        if let Some(phase_ns) = phase_ns {
-            self.origin_ns = self.origin_ns.wrapping_sub(self.phase_ns).wrapping_add(phase_ns);
-            self.phase_ns = phase_ns;
-        }
-        let (off, error) = self.off(cycle, at, time);
-        self.take_whole(off, error);
-        self.error_ns = error;
+    /// A running slave showed `time`: the segment's time is its time from now on. Its clock is not adjusted, since that
+    /// would take up to a thousand cycles: SYNC0 of all others comes where the grid wants it.
+    pub fn take_over(&mut self, cycle: &Cycle, at: Time, time: u32) {
+        let (off, _) = self.off(cycle, at, time);
+        self.origin_ns = self.origin_ns.wrapping_add_signed(off);
+        self.phase_ns =
+            self.phase_ns.wrapping_add_signed(off.rem_euclid(self.period_ns as i64)) % self.period_ns;
+        self.error_ns = 0;
     }
 
     /// The distance of `time` from its intended value; and the same without whole periods, the phase error.
@@ -296,18 +294,20 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_is_lent_is_the_lines_and_no_other_one_is() {
+    fn the_time_of_a_running_slave_is_the_segments_and_no_other_one_is() {
         let mut clock = SegmentClock::new(MS, 500 * US);
         let own = clock.time(&cycle(0), cycle(0).grid);
-        for (time, phase) in [(7_u32, None), (3_999_999_999, Some(250 * US)), (123, Some(0))] {
-            clock.take_over(&cycle(5), cycle(5).grid, time, phase);
+        for time in [7_u32, 3_999_999_999, 123] {
+            clock.take_over(&cycle(5), cycle(5).grid, time);
             let shows = clock.shows(&cycle(6), cycle(6).grid);
             assert_eq!(shows as u32, time.wrapping_add(MS as u32));
             assert!(shows.abs_diff(own) < 1 << 33, "far from zero");
             let same = |off: u32| clock.is_time_of(&cycle(5), cycle(5).grid, time.wrapping_add(off));
             assert!(same(0) && same(80_000) && same(80_000_u32.wrapping_neg()));
             assert!(!same(81_000) && !same(MS as u32) && !same(u32::MAX / 2));
-            assert_eq!(clock.phase_ns, phase.unwrap_or(0));
+            assert_eq!(clock.sync_from(shows) - shows, 500 * US, "the grid is where SYNC0 wants it");
+            let off = clock.off(&cycle(6), cycle(6).grid, shows as u32);
+            assert_eq!(off, (0, 0), "nothing has to be adjusted");
         }
         assert!(!clock.is_seen() && clock.take_error().is_none(), "that is not the reference's");
     }

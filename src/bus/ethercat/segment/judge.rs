@@ -99,9 +99,9 @@ impl Slaves {
         for view in views {
             let al = usize::from(view.al);
             let bytes = received.get(al..al + AL_SIZE)?.try_into().ok()?;
-            differs |= (u16::from_le_bytes(bytes) ^ OPERATIONAL.0) & AlStatus::SHOWN;
+            differs |= u16::from_le_bytes(bytes) ^ OPERATIONAL.0;
         }
-        (differs == 0).then_some(views)
+        (differs & AlStatus::SHOWN == 0).then_some(views)
     }
 }
 

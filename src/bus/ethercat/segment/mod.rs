@@ -279,7 +279,7 @@ impl Segment {
 
     /// The position of a slave that runs on a time other than the segment's.
     fn other_time(&self) -> Option<u16> {
-        self.slaves.iter().find(|slave| slave.other_time).map(|slave| slave.plan.place)
+        self.slaves.iter().find(|slave| slave.looked_at && slave.other_time).map(|slave| slave.plan.place)
     }
 
     /// The slave whose clock is the segment's, if it is set.
@@ -293,11 +293,9 @@ impl Segment {
         self.set_clock().is_some() || self.time_source.is_some_and(is_running)
     }
 
-    /// Slave `index` was found running, and gives the segment its time and the phase of its SYNC0.
+    /// Slave `index` was found running, and gives the segment its time.
     fn take_time(&mut self, index: usize, sent: &Sent, running: &Running) {
-        self.clock.take_over(&sent.cycle, sent.at, running.time, None);
-        let phase_ns = running.phase_ns(&self.clock, &sent.cycle, sent.at);
-        self.clock.take_over(&sent.cycle, sent.at, running.time, phase_ns);
+        self.clock.take_over(&sent.cycle, sent.at, running.time);
         self.time_source = Some(index);
     }
 

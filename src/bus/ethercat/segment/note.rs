@@ -26,6 +26,8 @@ pub enum Note {
     None,
     /// No slave answers at its position.
     Absent,
+    /// The same, although the broadcast counts so many slaves: more than are in front of it.
+    Unreachable(u16),
     /// Its SII cannot be read, or used.
     Sii(Fault),
     /// Its vendor is not the configured one.
@@ -176,6 +178,7 @@ impl Note {
             Note::Length { usage, start, own, named } => {
                 number(0x8d, memory(usage, start), u32::from(own) << 16 | u32::from(named))
             }
+            Note::Unreachable(counted) => number(0x93, 0, counted.into()),
             Note::Fmmus(count) => number(0x85, 0, count.into()),
             Note::Manager(manager) => number(0x92, 0, manager.into()),
             Note::State { to, code } => number(0x86, to.number().into(), code.0.into()),
@@ -216,6 +219,7 @@ impl Note {
             0x8d => Note::Length { usage, start: high as u16, own: (low >> 16) as u16, named: low as u16 },
             0x85 => Note::Fmmus(low as u8),
             0x92 => Note::Manager(low as u16),
+            0x93 => Note::Unreachable(low as u16),
             0x86 => Note::State { to: state(), code: AlCode(low as u16) },
             0x8e => Note::Control {
                 to: state(),
@@ -244,6 +248,10 @@ impl Note {
         let what = match self {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
+            Note::Unreachable(counted) => format!(
+                "no slave answers there, although the segment has {counted}: switch it off and on, and look at the \
+                connectors in front of it"
+            ),
             Note::Sii(fault) => match fault {
                 Fault::Owned => {
                     "its EEPROM (SII) belongs to its processor, which does not give it up: switch it off and on, or \
@@ -358,7 +366,7 @@ impl Note {
                 if writes { "written" } else { "read" }
             ),
             Note::NotDone(Missing { register, is_write }) => {
-                let what = if is_write { "take what is written to" } else { "answer when it is asked for" };
+                let what = if is_write { "take what is written to" } else { "return what is read from" };
                 format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
             }
             Note::OtherTime(other) => format!(
@@ -412,6 +420,7 @@ mod tests {
         let all = [
             Note::None,
             Note::Absent,
+            Note::Unreachable(u16::MAX),
             Note::Sii(Fault::Checksum),
             Note::Vendor(0x6A),
             Note::Product(0x0300_0600),

@@ -2,12 +2,9 @@
 //! The segment's time goes to all slaves with a clock. For a configured slave that is found in OP it must be the time
 //! that it runs on: any other time would move its clock, and a drive goes into a fault by that (F28).
 
-use super::clock::SegmentClock;
-use crate::bus::Cycle;
 use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::frame::Command;
 use crate::bus::ethercat::wire::registers::address;
-use crate::time::Time;
 
 /// From the cyclic unit to the cycle of SYNC0.
 const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
@@ -19,8 +16,7 @@ const SYNC0: u8 = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Running {
     active: u8,
-    /// The next SYNC0, and its period, ns.
-    start: u32,
+    /// The period of SYNC0, ns.
     cycle_ns: u32,
     /// Its time as the frame passed it: the lower half.
     pub time: u32,
@@ -42,7 +38,6 @@ impl Running {
         };
         Some(Running {
             active: *sync.data.get(1)?,
-            start: long(address::DC_START)?,
             cycle_ns: long(address::DC_CYCLE)?,
             time: u32::from_le_bytes(*time.data.first_chunk::<4>()?),
         })
@@ -53,16 +48,9 @@ impl Running {
         self.active & CYCLIC != 0
     }
 
-    /// The offset of SYNC0 in the periods of its time, which is near to the segment's; `None`: it has none of this
-    /// period.
-    pub fn phase_ns(&self, clock: &SegmentClock, cycle: &Cycle, at: Time) -> Option<u64> {
-        let period = clock.period_ns;
-        if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {
-            return None;
-        }
-        // Read back, the start is that of the next pulse.
-        let segment_ns = near(clock.time(cycle, at), self.time);
-        Some(near(segment_ns, self.start) % period)
+    /// Its SYNC0 has this period. Where in a period it comes is left to it: outputs count from the next one on.
+    pub fn has_period(&self, period_ns: u64) -> bool {
+        self.active & (CYCLIC | SYNC0) == CYCLIC | SYNC0 && u64::from(self.cycle_ns) == period_ns
     }
 }
 
@@ -96,6 +84,7 @@ mod tests {
         sync[1] = 3;
         let running = Running::receive(&answers(&sync, &[1, 2, 0, 0])).unwrap();
         assert_eq!((running.is_cyclic(), running.time), (true, 0x0201));
+        assert!(running.has_period(0) && !running.has_period(1));
         assert_eq!(Running::receive(&answers(&sync[..SYNC - 1], &[0; 8])), None);
         assert_eq!(Running::receive(&answers(&sync, &[0; 3])), None);
         assert_eq!(Running::receive(&[None, None]), None);

@@ -1,4 +1,4 @@
-//! The line against a simulated one, frame by frame, in virtual time.
+//! The segment against a simulated one, frame by frame, in virtual time.
 
 mod clocks;
 mod emulated;
@@ -13,7 +13,7 @@ use super::*;
 use crate::bus::ethercat::image::{Image, Mark, Read};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, KollmorgenDrive, SlavePlan};
-use crate::bus::ethercat::wire::frame::{Builder, Command, position};
+use crate::bus::ethercat::wire::frame::{Builder, Command, datagrams, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
 use crate::sim::SimSegment;
@@ -77,7 +77,7 @@ impl Handler for Reports {
     }
 }
 
-/// A line, a simulated one, and the loop between them.
+/// A segment, a simulated one, and the loop between them.
 struct Rig {
     line: Segment,
     image: Image,
@@ -88,8 +88,10 @@ struct Rig {
     number: u32,
     /// Frames are lost.
     lossy: bool,
-    /// The next frame comes back when it is asked for.
+    /// The next frame comes back when it is requested.
     late: bool,
+    /// What is requested of the slave at this position comes back as if it had not been there.
+    mute: Option<u16>,
     held: Option<(Sent, Vec<u8>, u16)>,
 }
 
@@ -98,7 +100,7 @@ impl Rig {
         Rig::on(plan, plan)
     }
 
-    /// A line of more slaves than the master knows of.
+    /// A segment of more slaves than the master knows of.
     fn on(plan: &EthercatPlan, whole: impl Into<EthercatSegment>) -> Rig {
         Rig::based(plan, whole, 0x1000_0000)
     }
@@ -117,6 +119,7 @@ impl Rig {
             number: 0,
             lossy: false,
             late: false,
+            mute: None,
             held: None,
         }
     }
@@ -141,6 +144,9 @@ impl Rig {
             if !came || self.lossy && self.number.is_multiple_of(7) {
                 self.line.lost(at, number == 0, &mut self.reported);
                 continue;
+            }
+            if let Some(place) = self.mute {
+                uncount(place, frame.bytes(), &mut received);
             }
             let Read::Good(counter) = frame.read(&received) else { panic!("a frame of our own") };
             let sent = Sent { cycle: self.cycle, at };
@@ -217,6 +223,18 @@ impl Rig {
     }
 }
 
+/// The working counters of what was sent to the slave at this position are 0.
+fn uncount(place: u16, sent: &[u8], received: &mut [u8]) {
+    for datagram in datagrams(sent).unwrap().map_while(Result::ok) {
+        if let Some(Command::Aprd(to, _) | Command::Apwr(to, _)) = datagram.command()
+            && to == position(place)
+        {
+            let counter = datagram.place.data().end;
+            received[counter..counter + 2].fill(0);
+        }
+    }
+}
+
 fn drives(count: u16) -> EthercatPlan {
     let drive = |place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
     EthercatPlan::new("local:test", (0..count).map(drive).collect())
@@ -253,7 +271,7 @@ impl Rig {
 }
 
 #[test]
-fn a_line_comes_up_to_op_and_every_frame_counts() {
+fn a_segment_comes_up_to_op_and_every_frame_counts() {
     let mut rig = Rig::new(&drives(3));
     rig.all_up(3_000);
     assert!((0..3).all(|place| rig.al(place) == AlState::Op));
@@ -264,7 +282,7 @@ fn a_line_comes_up_to_op_and_every_frame_counts() {
 }
 
 #[test]
-fn a_line_comes_up_though_frames_are_lost() {
+fn a_segment_comes_up_though_frames_are_lost() {
     let mut rig = Rig::new(&drives(2));
     rig.lossy = true;
     rig.all_up(4_000);
@@ -272,7 +290,7 @@ fn a_line_comes_up_though_frames_are_lost() {
 }
 
 #[test]
-fn a_drive_that_hears_nothing_costs_no_other_one_a_frame_and_comes_back() {
+fn a_drive_that_receives_nothing_costs_no_other_one_a_frame_and_comes_back() {
     let mut rig = Rig::new(&drives(5));
     rig.all_up(4_000);
     rig.sim.deafen(2, true);
@@ -303,7 +321,7 @@ fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
 }
 
 #[test]
-fn a_drive_that_was_switched_off_and_on_is_told_and_comes_back() {
+fn a_drive_that_was_switched_off_and_on_is_reported_and_comes_back() {
     let mut rig = Rig::new(&drives(3));
     rig.all_up(4_000);
     let now = rig.cycle.grid;
@@ -331,7 +349,7 @@ fn a_coupler_takes_part_with_its_bytes() {
 }
 
 #[test]
-fn a_line_without_lrw_goes_by_two_datagrams() {
+fn a_segment_without_lrw_goes_by_two_datagrams() {
     let mut plan = drives(3);
     plan.lrw = false;
     let mut rig = Rig::new(&plan);
@@ -382,7 +400,7 @@ fn drives_in_op_with_the_addresses_of_other_places_are_taken_by_their_places() {
 }
 
 #[test]
-fn a_line_that_is_let_go_comes_down_to_init() {
+fn a_segment_that_is_let_go_comes_down_to_init() {
     let mut rig = Rig::new(&drives(2));
     rig.all_up(4_000);
     let done = |rig: &mut Rig| {
@@ -421,7 +439,7 @@ fn a_slave_that_is_tried_again_still_says_why_it_was_refused() {
 }
 
 #[test]
-fn what_was_asked_before_the_end_is_not_taken_for_the_answer_to_it() {
+fn what_was_requested_before_the_end_is_not_taken_for_the_answer_to_it() {
     // At each step of the way the end comes while a frame is under way, and is taken in only behind it.
     for cycles in 5..250 {
         let mut rig = Rig::new(&drives(1));
@@ -456,9 +474,9 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
     assert!(!rig.line.slaves[0].has_al);
     rig.run(200);
     rig.reported.states.clear();
-    // Its state is asked for by itself, and told before anything is done about it.
+    // Its state is read by itself, and reported before anything is done about it.
     rig.poke(0, address::AL_CONTROL, &[4, 0]);
-    rig.until("it was asked", 200, |rig| !rig.line.slaves[0].is_settled());
+    rig.until("it was read", 200, |rig| !rig.line.slaves[0].is_settled());
     assert_eq!(rig.reported.states, [(Owner::Device(0), Some(AlState::SafeOp))]);
     rig.run(400);
     assert_eq!(rig.reported.states.last(), Some(&(Owner::Device(0), Some(AlState::Op))));

@@ -128,6 +128,7 @@ impl Segment {
             may_begin: self.timed || self.may_have_time(),
             other_time: if self.timed { None } else { self.other_time() },
             has_time: self.has_time(index),
+            counted: 0,
             in_use: None,
             given: None,
             missing: None,
@@ -168,6 +169,7 @@ impl Segment {
             others.find(|(_, other)| has(other, station)).map(|(_, other)| other.plan.place)
         };
         let context = Context {
+            counted: back.frame.slaves_in(back.received),
             in_use: place_of(Slave::has_address),
             given: place_of(Slave::was_given),
             missing: self.missing(answers),

@@ -46,7 +46,7 @@ struct Bench {
     guarded: bool,
     /// Of the next frames that carry something.
     fates: Vec<Fate>,
-    /// What was asked, frame by frame.
+    /// What was requested, frame by frame.
     frames: Vec<Vec<Command>>,
     repeat: Repeat,
     /// The last repeat request that it acknowledged and did not carry out.
@@ -132,7 +132,7 @@ impl Bench {
         self.service.request(self.now, &mut ask);
         self.service.request(self.now, &mut again);
         let of = |ask: &Ask| -> Vec<_> { ask.datagrams().map(|(c, data)| (c, data.to_vec())).collect() };
-        assert_eq!(of(&ask), of(&again), "asked again, it asks the same");
+        assert_eq!(of(&ask), of(&again), "called again, it requests the same");
         self.line.advance(self.now);
         if ask.is_empty() {
             return;
@@ -319,7 +319,7 @@ fn all_memory_is_reported() {
     assert!(regions.covers(mailbox.as_mut().unwrap().received().0));
 }
 
-/// What came of a datagram, whatever it asked.
+/// What came of a datagram, whatever it requested.
 fn any_answer() -> impl Strategy<Value = Option<(u16, Vec<u8>)>> {
     let data = prop_oneof![
         proptest::collection::vec(any::<u8>(), 0..80),
@@ -327,7 +327,7 @@ fn any_answer() -> impl Strategy<Value = Option<(u16, Vec<u8>)>> {
         Just(vec![0x09, 0x01, 0x00]),
         (0_u8..20, 0_u8..4, 0_u8..4, any::<u8>(), any::<[u8; 7]>()).prop_map(
             |(length, kind, service, command, rest)| {
-                // Never the object that is asked for.
+                // Never the requested object.
                 let [low, high, sub, a, b, c, d] = rest;
                 vec![length, 0, 0, 0, 0, kind, 0, service << 4, command, low, high & 0x1F, sub, a, b, c, d]
             }
@@ -364,7 +364,7 @@ proptest! {
             let mut fitted: Vec<Option<(u16, Vec<u8>)>> = Vec::new();
             for ((_, requested), came) in ask.datagrams().zip(came) {
                 fitted.push(came.clone().map(|(count, mut data)| {
-                    // Most often as long as it was asked for.
+                    // Most often as long as requested.
                     if step % 7 != 0 { data.resize(requested.len(), 0xEE) }
                     (count, data)
                 }));

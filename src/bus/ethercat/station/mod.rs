@@ -149,9 +149,10 @@ impl Station {
     /// Writes the outputs of the exchange in slot `grid`.
     #[inline]
     pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
-        if self.profile.encode(grid, &slot.desired, outputs) {
+        if self.profile.desire(&slot.desired) {
             self.unsettle();
         }
+        self.profile.encode(grid, &slot.desired.setpoint, outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -192,13 +193,13 @@ impl Station {
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.owe(sent_at, reply_by, slot);
         self.reached = true;
-        let is_steady = self.profile.grid < self.steady_until;
-        if !is_steady {
+        self.profile.sent();
+        slot.gone.grid = Some(self.profile.grid);
+        if self.profile.grid >= self.steady_until {
             self.unsettle();
             self.request();
+            self.profile.sent_anew();
         }
-        self.profile.sent(is_steady);
-        slot.gone.grid = Some(self.profile.grid);
     }
 
     /// A frame was sent that only reads this drive: its outputs do not count there yet.

@@ -89,6 +89,9 @@ impl Chip {
         if meets(&range, address::AL_STATUS, 2) {
             self.events &= !STATE_CHANGED;
         }
+        if meets(&range, address::SII_CONTROL, 2) && self.eeprom.is_busy() {
+            self.met.sii_busy += 1;
+        }
         true
     }
 }

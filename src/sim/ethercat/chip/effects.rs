@@ -2,6 +2,10 @@
 
 use super::access::{Span, meets};
 use super::*;
+use crate::bus::ethercat::wire::sii::Status;
+
+/// The command, in the control register of the SII.
+const SII_COMMAND: u16 = 7 << 8;
 
 impl Chip {
     /// The effects of a write; whether anything was written.
@@ -77,13 +81,16 @@ impl Chip {
     /// The processor lets go of the SII by force only.
     fn sii_owner(&mut self) {
         let [owner, held] = self.bytes(address::SII_OWNER);
-        let held = if owner & FORCED != 0 { 0 } else { held };
+        let is_forced = owner & FORCED != 0 && held != 0;
+        self.met.sii_forced += u32::from(is_forced);
+        let held = if is_forced { 0 } else { held };
         self.put(address::SII_OWNER, &[owner & SLAVES, held]);
     }
 
     fn sii_command(&mut self) {
         let [a, b, c, d] = self.bytes(address::SII_CONTROL + 2);
         let (control, word) = (self.word(address::SII_CONTROL), self.word(address::SII_DATA));
+        self.met.sii_reads += u32::from(control & SII_COMMAND == Status::READ);
         if self.eeprom.command(self.passage.at, control, u32::from_le_bytes([a, b, c, d]), word) {
             self.show_sii();
         }

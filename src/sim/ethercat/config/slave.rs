@@ -59,6 +59,9 @@ fn sii(table: &mut Table<'_>) -> SiiSettings {
             .time("loading", 0..=60 * S, "for how long it is busy after power-on")
             .unwrap_or(usual.loading_ns),
         slips: table.flag("slips").unwrap_or(usual.slips),
+        fails_every: table
+            .integer("fails_every", 0..=1_000_000, "of so many reads one fails; 0: none")
+            .unwrap_or(usual.fails_every),
         content: table
             .word(
                 "content",
@@ -66,6 +69,7 @@ fn sii(table: &mut Table<'_>) -> SiiSettings {
                     ("sound", SiiContent::Sound),
                     ("wrong-check", SiiContent::WrongCheck),
                     ("garbage", SiiContent::Garbage),
+                    ("unloaded", SiiContent::Unloaded),
                 ],
             )
             .unwrap_or(usual.content),

@@ -1,8 +1,9 @@
 //! Whether a slave is there, and its station address.
 //!
-//! Absence is what a read says: the controller of every slave takes part in that. A write that is not carried out was
-//! refused. Until a slave has its station address it is reached by its position, since the addresses that another
-//! master has left may be those of other positions.
+//! Absence is what a read says: the controller of every slave takes part in that. Where the broadcast counts more
+//! slaves than are in front of it, its note says so. A write that is not carried out was refused. Until a slave has its
+//! station address it is reached by its position, since the addresses that another master has left may be those of
+//! other positions.
 
 use super::receive::al;
 use super::request::{EMULATION_AT, LOOK};
@@ -82,9 +83,9 @@ impl Slave {
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);
         self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
         self.note = Note::Starting;
-        // Of a drive that may move the time that it runs on comes first.
+        // A drive that may move has a time of its own, as long as that is not known.
         let has_time = self.may_be_found() && self.features.has_clock();
-        (self.looked_at, self.other_time, self.clock_fits) = (!has_time, has_time, !has_time);
+        (self.looked_at, self.other_time) = (!has_time, has_time);
         // A slave with an address that this master has given is the one that was set up with it, wherever it answers:
         // it may still have the FMMUs of that one, and carry out its outputs. That holds for the one with this address.
         let own = (self.given && station != self.station()).then_some((self.station(), self.plan.place));
@@ -101,15 +102,14 @@ impl Slave {
         self.known &= !restarted;
         if restarted {
             (self.clock_set, self.ours) = (false, false);
+        }
+        if restarted && station != self.station() {
+            // It was switched off.
             (self.refused, self.refusals) = (Note::None, 0);
         }
         if !self.goes_on(now) {
             (self.known, self.ours) = (false, false);
-            if has_time {
-                self.enter(now, Step::FoundClock);
-            } else {
-                self.unmapped(now, 0);
-            }
+            self.unmapped(now, 0);
         }
         if restarted { Happened::Restarted } else { Happened::Nothing }
     }
@@ -151,14 +151,15 @@ impl Slave {
     pub(super) fn was_addressed(&mut self, now: Time, read: Option<Answer<'_>>, joins: bool) {
         let Some(read) = read else { return };
         if read.working_counter > 1 {
-            return self.refuse(now, Note::AddressTwice);
+            return self.leave_running(now, Note::AddressTwice);
         }
         if read.data != self.station().to_le_bytes() {
-            return self.refuse(now, Note::NotDone(Missing { register: address::STATION, is_write: true }));
+            let missing = Missing { register: address::STATION, is_write: true };
+            return self.leave_running(now, Note::NotDone(missing));
         }
         (self.way.addressed, self.given) = (true, true);
         match joins {
-            true => self.enter(now, Step::Join),
+            true => self.power(now),
             false if self.plan.sync => self.enter(now, Step::Time),
             false => self.continue_timed(now),
         }

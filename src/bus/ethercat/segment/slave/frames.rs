@@ -87,6 +87,8 @@ impl Slave {
         match self.way.al {
             _ if waits => {}
             Some(AlState::SafeOp | AlState::Op) => self.enter(now, Step::Code),
+            // It says why, so it was not switched off.
+            _ if self.shown.error() => self.enter(now, Step::Code),
             _ => self.start_over(now, 0, Note::Starting),
         }
     }

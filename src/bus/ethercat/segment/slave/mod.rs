@@ -15,7 +15,7 @@
 //!
 //! | step | what |
 //! |---|---|
-//! | look | whether it is there, its state, the features of its controller, its station address; in OP: its clock |
+//! | look | whether it is there, its state, the features of its controller, its station address |
 //! | unmap | FMMUs of others, unless it is a drive that may move |
 //! | SII | taken from its processor, and given back: its identity, its buffers |
 //! | INIT | down, whatever its state was; errors acknowledged |
@@ -53,15 +53,15 @@ use crate::bus::ethercat::sii::Managers;
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
 use crate::rt::Regions;
-use crate::time::{MS, S, Time, US};
+use crate::time::{MS, S, Time};
 
 /// The interval of looks at a position where no slave answers, or one that cannot be used.
 const LOOK_EVERY_NS: u64 = 100 * MS;
 /// The pause after the first refusal; after each further one twice as long, up to the longest.
 const REFUSED_FOR_NS: u64 = S;
 const REFUSED_MOST_NS: u64 = 30 * S;
-/// The tolerance of SYNC0 of a drive that is found in OP.
-const SYNC_OFF_NS: i64 = 10 * US as i64;
+/// A slave that leaves OP sooner than this after it came there counts as refused again, ns.
+const STAYS_NS: u64 = 2 * S;
 /// FMMUs and SyncManagers that are cleared in a slot.
 const FMMUS_AT_ONCE: u8 = 8;
 const MANAGERS_AT_ONCE: u8 = 8;
@@ -87,8 +87,10 @@ pub struct Context<'a> {
     pub other_time: Option<u16>,
     /// How much later than the first slave of all the first one with SYNC0 receives, ns.
     pub first_delay_ns: Option<u32>,
-    /// The segment has a time, and not from this slave: SYNC0 comes where that has it.
+    /// The segment has a time, and not from this slave.
     pub has_time: bool,
+    /// How many slaves the broadcast counts in this answer's frame.
+    pub counted: u16,
     /// The other slave of this segment that has the station address in this answer, by its position.
     pub in_use: Option<u16>,
     /// The same of one that was given this address, and may not be reached by it any more.
@@ -101,15 +103,6 @@ pub struct Context<'a> {
     pub wants_outputs: bool,
     /// Whether its power stage may be on, by a report since this instant; `None`: there was none.
     pub powered: Option<(bool, Time)>,
-}
-
-impl Context<'_> {
-    /// SYNC0 of all others has this offset.
-    fn is_phase(&self, phase_ns: u64) -> bool {
-        let period = self.clock.period_ns as i64;
-        let off = phase_ns as i64 - self.clock.phase_ns as i64;
-        ((off + period / 2).rem_euclid(period) - period / 2).abs() <= SYNC_OFF_NS
-    }
 }
 
 /// Which of its process data the frames carry.
@@ -196,8 +189,6 @@ pub struct Slave {
     pub looked_at: bool,
     /// It runs on a time other than the segment's, as far as is known.
     pub other_time: bool,
-    /// Found in OP: its clock and SYNC0 are as the segment's.
-    clock_fits: bool,
     /// It was given its station address, and has not been switched off since.
     known: bool,
     /// It was given its station address by this master, and as far as is known the same slave still has it.
@@ -215,6 +206,8 @@ pub struct Slave {
     refused: Note,
     /// How often that was, in a row.
     refusals: u8,
+    /// When it came to OP, or fell from there.
+    moved_at: Time,
     /// The state last reported, and whether its mailbox was opened.
     pub reported: Option<AlState>,
     pub is_open: bool,
@@ -258,7 +251,6 @@ impl Slave {
             delay_ns: None,
             looked_at: false,
             other_time: false,
-            clock_fits: false,
             known: false,
             given: false,
             ours: false,
@@ -268,6 +260,7 @@ impl Slave {
             remark: Note::None,
             refused: Note::None,
             refusals: 0,
+            moved_at: Time(0),
             reported: None,
             is_open: false,
             shown: AlStatus::default(),
@@ -343,7 +336,7 @@ impl Slave {
 
     /// Its clock is not set yet: it settles while others are set up.
     pub fn is_urgent(&self) -> bool {
-        self.plan.sync && !self.clock_set && !matches!(self.step, Step::Rest(_) | Step::Refused(_))
+        self.plan.sync && !self.clock_set && !matches!(self.step, Step::Rest(_) | Step::Refused(_) | Step::Up)
     }
 
     /// For that its delay is to be found.
@@ -379,7 +372,7 @@ impl Slave {
 
     /// It cannot be used as it is.
     fn refuse(&mut self, now: Time, note: Note) {
-        (self.ours, self.refused) = (false, note);
+        (self.ours, self.looked_at, self.refused) = (false, true, note);
         (self.way, self.note) = (Way::default(), note);
         let pause_ns = (REFUSED_FOR_NS << self.refusals.min(5)).min(REFUSED_MOST_NS);
         self.refusals = self.refusals.saturating_add(1);
@@ -387,12 +380,27 @@ impl Slave {
         self.enter(now, Step::Refused(pause));
     }
 
-    /// No slave answers at its position.
-    fn absent(&mut self, now: Time) {
+    /// It has left OP by itself. True: right after it came there, and again, so that it has to wait; the first time it
+    /// is brought back at once.
+    fn falls_again(&mut self, now: Time) -> bool {
+        let has_stayed = self.way.was_operational && now.since(self.moved_at) > STAYS_NS;
+        self.moved_at = now;
+        if has_stayed {
+            self.refusals = 0;
+            return false;
+        }
+        let fell_before = self.refusals > 0;
+        self.refusals = self.refusals.max(1);
+        fell_before
+    }
+
+    /// No slave answers at its position; so many the broadcast counts.
+    fn absent(&mut self, now: Time, counted: u16) {
         (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
         self.delay_ns = None;
         (self.refused, self.refusals) = (Note::None, 0);
-        self.start_over(now, LOOK_EVERY_NS, Note::Absent);
+        let note = if counted > self.plan.place { Note::Unreachable(counted) } else { Note::Absent };
+        self.start_over(now, LOOK_EVERY_NS, note);
     }
 
     /// The frames no longer reach it.
@@ -420,10 +428,11 @@ impl Slave {
             | Step::Unaddress
             | Step::There(_)
             | Step::Unmap(_)
-            | Step::FoundClock
             | Step::SiiForce
             | Step::Found
+            | Step::FoundClock { .. }
             | Step::FoundFmmus
+            | Step::Objects { list: List::Power, .. }
             | Step::Free { joins: true }
             | Step::Address { joins: true }
             | Step::Join => true,

@@ -10,7 +10,8 @@ use crate::bus::ethercat::wire::registers::AlState;
 use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
 use crate::time::{MS, Time};
 
-const STATE: [Start; 2] = [Start::new(MODE_DISPLAY, Type::I8, 0), Start::new(STATUS_WORD, Type::U16, 0)];
+const POWER: [Start; 1] = [Start::new(STATUS_WORD, Type::U16, 0)];
+const MODE: [Start; 1] = [Start::new(MODE_DISPLAY, Type::I8, 0)];
 
 /// How often the lists are begun in PREOP before the slave is brought up anew, since it does not answer.
 const LISTS: u8 = 3;
@@ -22,10 +23,10 @@ pub(super) enum List {
     Write,
     /// Read, and compared with the configuration.
     Verify,
-    /// The same of a drive that was found in OP.
+    /// Of a drive that was found in OP: its status word; what is compared; its mode.
+    Power,
     Found,
-    /// Its mode and status word then.
-    State,
+    Mode,
 }
 
 impl Slave {
@@ -36,7 +37,8 @@ impl Slave {
             List::Write => &self.plan.start_up[..],
             List::Verify => &self.plan.verify,
             List::Found => &self.plan.verify_found,
-            List::State => &STATE,
+            List::Power => &POWER,
+            List::Mode => &MODE,
         };
         let (Some(start), Some(service)) = (objects.get(next), service) else {
             return self.all_objects(now, list);
@@ -64,11 +66,14 @@ impl Slave {
         let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
         let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
         match end {
-            Ok(found) if list == List::State && object == MODE_DISPLAY => {
+            Ok(found) if list == List::Power => match StatusWord(found as u16).state().is_powered() {
+                true => self.has_power(now),
+                false => self.set_up(now, None),
+            },
+            Ok(found) if list == List::Mode => {
                 self.found_mode = Some(Mode(found as u8 as i8));
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
-            Ok(found) if list == List::State => self.joined_as(now, StatusWord(found as u16)),
             Ok(found) if list != List::Write && is_factor => {
                 self.factor = found.max(1);
                 self.step = Step::Objects { list, next: next + 1, begun: false };
@@ -78,11 +83,11 @@ impl Slave {
             }
             // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
             // its PDOs.
-            Err(SdoFailure::Abort(_)) if matches!(list, List::Verify | List::State) => {
+            Err(SdoFailure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
-            Err(_) if matches!(list, List::Found | List::State) => self.not_joinable(now),
+            Err(_) if matches!(list, List::Power | List::Found | List::Mode) => self.not_joinable(now),
             Err(SdoFailure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
             Err(SdoFailure::Unusable(status)) => {
                 self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
@@ -109,8 +114,9 @@ impl Slave {
         match list {
             List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
             List::Verify => self.enter(now, self.process_data()),
-            List::Found => self.enter(now, Step::Objects { list: List::State, next: 0, begun: false }),
-            List::State => self.joined_whole(now),
+            List::Power => self.has_power(now),
+            List::Found => self.enter(now, Step::Objects { list: List::Mode, next: 0, begun: false }),
+            List::Mode => self.joined_whole(now),
         }
     }
 

@@ -21,7 +21,7 @@ impl Slave {
         let happened = self.take_answers(context, answers);
         let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
         let running = match step {
-            Step::FoundClock if is_received => self.found_clock(context, answers),
+            Step::FoundClock { refused } if is_received => self.found_clock(context, refused, answers),
             _ => None,
         };
         (happened, running)
@@ -38,12 +38,13 @@ impl Slave {
             Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
             Step::Sii(reader) => reader.writes(),
             Step::Twin { .. } | Step::Free { .. } => true,
+            Step::Watchdog => !self.sets_watchdog(),
             _ => false,
         };
         if let Some(missing) = context.missing.filter(|_| !may_be_zero) {
             self.silent += 1;
             if matches!(self.step, Step::Look | Step::There(_) | Step::Refused(_)) {
-                self.absent(now);
+                self.absent(now, context.counted);
             } else if self.silent >= SILENT {
                 self.silent(now, missing);
             }
@@ -71,7 +72,7 @@ impl Slave {
             },
             Step::SiiBack { .. } if self.ending => self.start_over(now, 0, self.note),
             Step::SiiBack { refused: Note::None } => self.identified(now),
-            Step::SiiBack { refused } => self.refuse(now, refused),
+            Step::SiiBack { refused } => self.leave_running(now, refused),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
             Step::Join => self.join(now),
@@ -85,7 +86,8 @@ impl Slave {
             Step::Free { joins } => self.enter(now, Step::Address { joins }),
             Step::Address { joins } => self.was_addressed(now, answers[1], joins),
             Step::Mailbox => self.enter(now, Step::to(AlState::PreOp)),
-            Step::Watchdog => self.enter(now, Step::WatchdogCheck),
+            Step::Watchdog if self.sets_watchdog() => self.enter(now, Step::WatchdogCheck),
+            Step::Watchdog => self.enter(now, Step::SyncManagers(0)),
             Step::WatchdogCheck => {
                 let values = [WATCHDOG_DIVIDER, self.watchdog()].map(u16::to_le_bytes);
                 let is_set = answers
@@ -105,7 +107,7 @@ impl Slave {
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
             Step::Code => return self.receive_code(now, first.data),
-            Step::Rest(_) | Step::FoundClock => {}
+            Step::Rest(_) | Step::FoundClock { .. } => {}
             Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
@@ -197,7 +199,7 @@ impl Slave {
             }
             AlState::Op => {
                 (self.way.al, self.way.was_operational) = (Some(AlState::Op), true);
-                (self.note, self.refused, self.refusals) = (Note::None, Note::None, 0);
+                (self.note, self.refused, self.moved_at) = (Note::None, Note::None, now);
                 self.enter(now, Step::Up);
                 return Happened::Operational;
             }
@@ -205,7 +207,7 @@ impl Slave {
                 self.start_over(now, 0, Note::None);
             }
             AlState::Init | AlState::Boot => {
-                (self.way.mailbox_open, self.other_time) = (false, false);
+                (self.way.mailbox_open, self.looked_at, self.other_time) = (false, true, false);
                 self.enter(now, Step::Ports);
             }
         }
@@ -217,12 +219,16 @@ impl Slave {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
         // The image may not have shown it.
         self.way.al = status.state();
+        let fallen = Note::State { to: AlState::Op, code };
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
             // Its own watchdog has stopped it.
-            Some(AlState::SafeOp) if self.way.joined => self.set_up(now),
+            Some(AlState::SafeOp) if self.way.joined => {
+                self.set_up(now, self.acknowledgement(status, code));
+            }
+            _ if status.error() && self.falls_again(now) => self.refuse(now, fallen),
             Some(AlState::Op | AlState::SafeOp) => {
-                self.note = Note::State { to: AlState::Op, code };
+                self.note = fallen;
                 // By way of SAFEOP, where the grid has to be locked first.
                 self.enter(now, Step::acknowledged(AlState::SafeOp, self.acknowledgement(status, code)));
             }

@@ -61,7 +61,7 @@ impl Slave {
             }
             Step::There(_) => self.request_there(ask),
             Step::Unmap(done) => self.request_unmap(done, ask),
-            Step::FoundClock => self.request_running(ask),
+            Step::FoundClock { .. } => self.request_running(ask),
             Step::SiiForce => {
                 ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
             }
@@ -139,7 +139,7 @@ impl Slave {
     /// The steps of its clock.
     fn request_clock(&mut self, context: &Context<'_>, ask: &mut Ask) {
         match self.step {
-            Step::Time if context.other_time.is_some() && self.way.mapped == Mapped::None => {
+            Step::Time if self.way.mapped == Mapped::None && self.waits_long_for_time(context) => {
                 // Its mailbox can be used meanwhile.
                 self.continue_timed(context.cycle.grid);
                 self.request(context, ask);

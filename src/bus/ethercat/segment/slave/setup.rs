@@ -27,8 +27,8 @@ impl Slave {
     pub(super) fn process_data(&self) -> Step {
         let SlavePlan { outputs, inputs, .. } = &self.plan;
         match () {
-            () if self.sets_watchdog() => Step::Watchdog,
-            () if !outputs.is_empty() || !inputs.is_empty() => Step::SyncManagers(0),
+            () if !outputs.is_empty() => Step::Watchdog,
+            () if !inputs.is_empty() => Step::SyncManagers(0),
             // A coupler's head exchanges only its state.
             () if self.fmmus().1 > 0 => Step::Fmmus,
             () => Step::to(AlState::SafeOp),
@@ -140,8 +140,9 @@ impl Slave {
         })
     }
 
-    /// The time of its watchdog is written: the configured one; or that of power-on where its SII arms one, since
-    /// another master may have left it any.
+    /// It has a watchdog: the configured one, or that of its SII with the time of power-on. Without one that time is
+    /// written, too, since another master may have left any, and some slaves check it even so (the Slave Stack Code
+    /// refuses SAFEOP with 001Fh by it); but then nothing depends on its being accepted.
     pub(super) fn sets_watchdog(&self) -> bool {
         !self.plan.outputs.is_empty() && (self.plan.watchdog != Watchdog::AsDelivered || self.is_armed())
     }

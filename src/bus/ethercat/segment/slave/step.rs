@@ -24,8 +24,6 @@ pub(super) enum Step {
     There(Missing),
     /// Its FMMUs are cleared: those of another master may reach into the frames of this one.
     Unmap(u8),
-    /// In OP already: the time that it runs on is read.
-    FoundClock,
     /// Its SII is taken from its processor: by force; to the master, until the slave shows that; and given back.
     SiiForce,
     SiiTake {
@@ -36,10 +34,15 @@ pub(super) enum Step {
     SiiBack {
         refused: Note,
     },
-    /// A drive in OP: its SyncManagers and watchdog, its FMMUs, its station address, ...
+    /// A drive in OP: its SyncManagers and watchdog; after its station address and its power the time that it runs on,
+    /// ...
     Found,
+    /// `refused`: why it is left alone.
+    FoundClock {
+        refused: Note,
+    },
+    /// ... its FMMUs, its inputs, and its PDOs and mode.
     FoundFmmus,
-    /// ... its inputs, and its PDOs and mode.
     Join,
     Ports,
     Clear(u8),

@@ -23,6 +23,9 @@ const SETTLED_LOOKS: u8 = 3;
 const SETTLE_LOOK_NS: u64 = 100 * MS;
 const SETTLE_NS: u64 = 10 * S;
 const SETTLE_CYCLES: u64 = 20_000;
+/// So long, and so many turns of the slot, it waits for a drive that is found in OP to show whether it has power.
+const TIME_NS: u64 = 50 * MS;
+const TIME_TURNS: u64 = 20;
 /// SYNC0 begins so long after it was set up, and at least so long after it was switched on.
 const SYNC_AHEAD_NS: u64 = 100 * MS;
 /// That many turns of the slot lie between the two.
@@ -63,6 +66,12 @@ impl Slave {
             None => Step::to(AlState::PreOp),
         };
         self.enter(now, next);
+    }
+
+    /// The segment has no time for it for now: a slave runs on another one, or it is not known yet whether one does.
+    pub(super) fn waits_long_for_time(&self, context: &Context<'_>) -> bool {
+        let looks_ns = TIME_NS.max(TIME_TURNS * context.turn_ns);
+        context.other_time.is_some() || !context.may_begin && context.cycle.grid.since(self.since) > looks_ns
     }
 
     /// Its own time and offset, as this frame read them.

@@ -11,9 +11,8 @@ fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, Etherca
     (EthercatPlan { drives: plan.drives[..known].to_vec(), ..plan }, whole)
 }
 
-/// The segment's time is led to the grid slowly, and by half a period at most. To another time it would have gone by
-/// a whole one long ago.
-const LED_NS: i64 = 502_000;
+/// A clock that runs is not adjusted to the grid, only kept where it is.
+const KEPT_NS: i64 = 2_000;
 /// Times of others are told from each other by this, ns: whole periods, so that SYNC0 comes where it came.
 const APART: u64 = 123 * MS;
 
@@ -42,7 +41,7 @@ fn the_time_of_the_segment_goes_to_nobody_while_a_drive_that_is_left_alone_runs_
     rig.set_apart(2);
     let before = [rig.time_off(1), rig.time_off(2)];
     rig.run(3_000);
-    assert_eq!([0, 2].map(|index| rig.note(index)), [Note::OtherTime(2), Note::FoundRunning]);
+    assert_eq!([0, 2].map(|index| rig.note(index)), [Note::OtherTime(2), Note::None]);
     assert_eq!([rig.time_off(1), rig.time_off(2)], before);
     assert_eq!([rig.al(1), rig.al(2)], [AlState::Op; 2]);
     // It is switched off and on, and has none then.
@@ -51,7 +50,7 @@ fn the_time_of_the_segment_goes_to_nobody_while_a_drive_that_is_left_alone_runs_
     rig.all_up(4_000);
     rig.run(1_500);
     let off = rig.time_off(1) - before[0];
-    assert!(off.abs() < LED_NS, "the other one keeps its time: {off} ns");
+    assert!(off.abs() < KEPT_NS, "the other one keeps its time: {off} ns");
 }
 
 #[test]
@@ -63,8 +62,24 @@ fn a_drive_that_is_refused_and_runs_keeps_its_time() {
     rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
     assert!(matches!(rig.note(1), Note::Product(_)), "{:?}", rig.note(1));
     rig.run(1_500);
-    assert!((rig.time_off(1) - before).abs() < LED_NS);
+    assert!((rig.time_off(1) - before).abs() < KEPT_NS);
     assert_eq!(rig.al(1), AlState::Op);
+}
+
+#[test]
+fn the_time_of_a_drive_that_is_refused_stays_the_segments_though_another_one_is_joined() {
+    let (mut plan, whole) = running(3, &[0, 1], 3);
+    plan.drives[0].slave.identity.product = Some(7);
+    let mut rig = Rig::on(&plan, whole);
+    rig.set_apart(1);
+    let before = [rig.time_off(0), rig.time_off(1)];
+    rig.run(2_000);
+    assert!(matches!(rig.note(0), Note::Product(_)), "{:?}", rig.note(0));
+    assert_eq!([1, 2].map(|index| rig.note(index)), [Note::None, Note::OtherTime(1)]);
+    for (place, before) in before.into_iter().enumerate() {
+        let off = rig.time_off(place) - before;
+        assert!(off.abs() < KEPT_NS, "{place} by {off} ns");
+    }
 }
 
 #[test]
@@ -80,7 +95,7 @@ fn a_drive_that_runs_and_cannot_be_used_keeps_a_time_that_is_not_read() {
 }
 
 #[test]
-fn of_two_drives_found_on_two_times_one_is_joined_and_neither_dragged() {
+fn two_drives_found_on_two_times_are_both_joined_and_neither_is_dragged() {
     for apart in [false, true] {
         let (mut plan, whole) = running(2, &[0, 1], 2);
         plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
@@ -92,11 +107,11 @@ fn of_two_drives_found_on_two_times_one_is_joined_and_neither_dragged() {
         }
         let before = [rig.time_off(0), rig.time_off(1)];
         rig.run(2_000);
-        let notes = if apart { [Note::None, Note::FoundRunning] } else { [Note::None; 2] };
-        assert_eq!([rig.note(0), rig.note(1)], notes);
+        assert_eq!([rig.note(0), rig.note(1)], [Note::None; 2], "apart: {apart}");
+        assert_eq!(rig.line.timed, !apart);
         for (place, before) in before.into_iter().enumerate() {
             let off = rig.time_off(place) - before;
-            assert!(off.abs() < LED_NS, "{place} by {off} ns");
+            assert!(off.abs() < KEPT_NS, "{place} by {off} ns");
         }
         assert_eq!([rig.al(0), rig.al(1)], [AlState::Op; 2]);
     }
@@ -158,7 +173,7 @@ fn a_time_that_goes_to_nobody_is_still_known() {
     let mut rig = Rig::on(&plan, whole);
     rig.set_apart(1);
     rig.run(5_000);
-    assert_eq!([0, 1, 2].map(|index| rig.note(index)), [Note::None, Note::FoundRunning, Note::OtherTime(1)]);
+    assert_eq!([0, 1, 2].map(|index| rig.note(index)), [Note::None, Note::None, Note::OtherTime(1)]);
     let now = rig.cycle.grid;
     rig.sim.restart(now, 1);
     rig.all_up(6_000);

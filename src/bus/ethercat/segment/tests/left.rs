@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::bus::ethercat::wire::registers::{Fmmu, SyncManager};
+use crate::sim::ethercat::{ClockKind, SlaveSettings};
 
 /// Drives, and terminals behind them.
 fn plan() -> EthercatPlan {
@@ -144,6 +145,22 @@ fn whatever_was_left_is_taken_over_in_the_time_of_a_fresh_segment() {
 }
 
 #[test]
+fn the_sync0_that_was_left_on_is_off_where_none_is_configured() {
+    let mut segment = EthercatSegment::from(&plan());
+    let clock = SlaveSettings { clock: Some(ClockKind::Long), ..SlaveSettings::default() };
+    segment.settings.slaves.insert(3, clock);
+    let mut rig = Rig::on(&plan(), segment);
+    assert!(!rig.line.slaves[3].plan.sync);
+    rig.poke(3, address::DC_CYCLE, &1_000_000_u32.to_le_bytes());
+    rig.poke(3, address::DC_ACTIVATION, &[3]);
+    assert_eq!(rig.peek(3, address::DC_ACTIVATION, 1), [3]);
+    rig.all_up(5_000);
+    assert_eq!(rig.peek(3, address::DC_ACTIVATION, 1), [0]);
+    let now = rig.cycle.grid;
+    assert_eq!(rig.slave(3).sync0_in_ns(now), None);
+}
+
+#[test]
 fn a_running_clock_that_is_off_by_seconds_does_not_hold_up_the_next_master() {
     let plan = drives(3);
     let fresh = Rig::new(&plan).all_up(5_000);
@@ -203,4 +220,18 @@ fn a_slave_that_takes_no_station_address_is_not_called_absent() {
         rig.run(1);
         assert_ne!(rig.note(0), Note::Absent);
     }
+}
+
+/// Damage on the way: of all reads of the last slave, the ones by its position come back uncounted.
+#[test]
+fn a_slave_that_is_counted_and_not_read_is_named_as_such() {
+    let mut rig = Rig::new(&drives(3));
+    rig.mute = Some(2);
+    rig.until("named", 500, |rig| rig.note(2) == Note::Unreachable(3));
+    assert!(rig.note(2).text(2).is_some_and(|text| text.contains("the segment has 3")));
+    // With nobody there the broadcast counts nobody.
+    rig.sim.cut(Some(2));
+    rig.until("absent", 500, |rig| rig.note(2) == Note::Absent);
+    (rig.mute, _) = (None, rig.sim.cut(None));
+    rig.all_up(5_000);
 }

@@ -138,3 +138,24 @@ fn what_does_not_read_back_is_named_whether_watchdog_or_sync_manager() {
         assert!(text.contains(&format!("SyncManager {manager} does not read back")), "{text}");
     }
 }
+
+/// Some slaves check the time of a watchdog that is not armed.
+#[test]
+fn the_watchdog_that_another_master_left_is_that_of_power_on_though_the_sii_arms_none() {
+    for left in [[1, 0_u16], [0xFFFF, 0xFFFF]] {
+        let mut rig = rig(0x24, Watchdog::AsDelivered, true, AlCode::NONE);
+        let registers = [address::WATCHDOG_DIVIDER, address::WATCHDOG];
+        for (register, word) in registers.into_iter().zip(left) {
+            rig.poke(0, register, &word.to_le_bytes());
+        }
+        rig.all_up(4_000);
+        let own = registers.map(|register| rig.peek(0, register, 2));
+        assert_eq!(own, [0x09C2_u16, 1_000].map(|word| word.to_le_bytes().to_vec()));
+    }
+    // One that does not accept it comes up as it is.
+    let mut rig = rig(0x24, Watchdog::AsDelivered, true, AlCode::NONE);
+    rig.until("written", 500, |rig| rig.line.slaves[0].at().contains("SyncManagers(0)"));
+    rig.poke(0, address::WATCHDOG, &[7, 0]);
+    rig.all_up(4_000);
+    assert_eq!(rig.peek(0, address::WATCHDOG, 2), [7, 0]);
+}

@@ -1,6 +1,8 @@
 //! Slaves that are refused again and again, and such that take their time.
 
 use super::*;
+use crate::bus::ethercat::wire::registers::AlCode;
+use crate::sim::ethercat::Application;
 
 /// A drive of another product than the configured one, behind another drive.
 fn other() -> Rig {
@@ -10,11 +12,13 @@ fn other() -> Rig {
 }
 
 impl Rig {
-    /// Whether its SII is taken in this cycle, as each attempt begins.
+    /// Whether the SII of the last slave is taken in this cycle, as each attempt begins.
     fn begins(&mut self) -> bool {
-        let before = self.line.slaves[1].at().contains("SiiForce");
+        let is_taken =
+            |rig: &Rig| rig.line.slaves.last().is_some_and(|slave| slave.at().contains("SiiForce"));
+        let before = is_taken(self);
         self.run(1);
-        !before && self.line.slaves[1].at().contains("SiiForce")
+        !before && is_taken(self)
     }
 
     fn attempts(&mut self, cycles: usize) -> usize {
@@ -29,6 +33,103 @@ fn the_pauses_of_a_slave_that_is_refused_grow_to_half_a_minute() {
     let pauses: Vec<u64> = begins.windows(2).map(|pair| (pair[1] - pair[0]) / 1_000).collect();
     assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30]);
     assert!(matches!(rig.note(1), Note::Product(_)));
+}
+
+/// Terminals that enter a state never, or stay in OP for so long only.
+#[derive(Debug)]
+struct Unwilling {
+    refuses: Option<AlState>,
+    stays_ns: u64,
+    code: AlCode,
+    /// When they came to OP, and whether that is over.
+    up: Option<Time>,
+    falls: bool,
+}
+
+impl Application for Unwilling {
+    fn mailbox(&mut self, _request: &[u8], _reply: &mut Vec<u8>) -> bool {
+        false
+    }
+
+    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
+        if self.refuses == Some(state) {
+            return Err(self.code);
+        }
+        (self.up, self.falls) = ((state == AlState::Op).then_some(now), false);
+        Ok(())
+    }
+
+    fn advance(&mut self, now: Time) {
+        self.falls = self.up.is_some_and(|up| now.since(up) > self.stays_ns);
+    }
+
+    fn dropped(&mut self) -> Option<AlCode> {
+        std::mem::take(&mut self.falls).then_some(self.code)
+    }
+
+    fn process(&mut self, _now: Time, _outputs: &[u8], _inputs: &mut [u8]) {}
+}
+
+fn unwilling(refuses: Option<AlState>, stays_ns: u64, code: AlCode) -> Rig {
+    let mut plan = drives(0);
+    plan.devices = vec![coupler(0)];
+    plan.devices[0].slave.inputs[0].start = 0x1100;
+    let identity = Identity { vendor: 2, ..Identity::default() };
+    let sii = Coupler::of(&plan.devices[0]).contents("I/O", identity).image();
+    let settings = Settings { features: Features(0x0180), sii, ..Settings::default() };
+    let mut rig = Rig::new(&plan);
+    let terminals = Unwilling { refuses, stays_ns, code, up: None, falls: false };
+    *rig.sim.segment() = ethercat::Segment::new(vec![Esc::new(settings, Box::new(terminals))]);
+    rig
+}
+
+/// The seconds between the attempts, how often it came to OP, and what was said of it, in a row.
+fn attempts(rig: &mut Rig, cycles: u64) -> (Vec<u64>, usize, Vec<Note>) {
+    let (mut begins, mut ups, mut was_up, mut notes) = (Vec::new(), 0, false, Vec::new());
+    for cycle in 0..cycles {
+        if rig.begins() {
+            begins.push(cycle);
+        }
+        let is_up = rig.al(0) == AlState::Op;
+        ups += usize::from(is_up && !std::mem::replace(&mut was_up, is_up));
+        was_up = is_up;
+        let note = rig.note(0);
+        if notes.last() != Some(&note) {
+            notes.push(note);
+        }
+    }
+    (begins.windows(2).map(|pair| (pair[1] - pair[0]) / 1_000).collect(), ups, notes)
+}
+
+#[test]
+fn the_pauses_grow_whichever_state_is_refused_and_its_reason_is_named_once() {
+    for (to, code) in [(AlState::PreOp, 0x16), (AlState::SafeOp, 0x1D), (AlState::Op, 0x30)] {
+        let code = AlCode(code);
+        let mut rig = unwilling(Some(to), 0, code);
+        let (pauses, _, notes) = attempts(&mut rig, 100_000);
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30], "{to}");
+        assert_eq!(notes, [Note::Starting, Note::State { to, code }], "{to}");
+    }
+}
+
+#[test]
+fn a_slave_that_falls_right_after_op_again_and_again_has_to_wait() {
+    let (to, code) = (AlState::Op, AlCode(0x1A));
+    let mut rig = unwilling(None, 100 * MS, code);
+    let (pauses, ups, notes) = attempts(&mut rig, 100_000);
+    // The first time it is brought back at once, by way of SAFEOP; each further one begins with its SII.
+    assert_eq!((pauses, ups), (vec![2, 4, 8, 16, 30, 30], 8));
+    let is_known =
+        |note: &Note| matches!(note, Note::Starting | Note::None) || *note == Note::State { to, code };
+    assert!(notes.contains(&Note::State { to, code }) && notes.iter().all(is_known), "{notes:?}");
+}
+
+#[test]
+fn a_slave_that_falls_now_and_then_is_brought_back_at_once() {
+    let mut rig = unwilling(None, 2_500 * MS, AlCode(0x1A));
+    let (pauses, ups, _) = attempts(&mut rig, 40_000);
+    // From SAFEOP on: its SII is not read again.
+    assert!(pauses.is_empty() && (12..=16).contains(&ups), "{pauses:?}, {ups} times");
 }
 
 #[test]

@@ -81,6 +81,35 @@ fn a_command_is_written_to_an_idle_sii_only() {
 }
 
 #[test]
+fn a_command_that_fails_is_acknowledged_and_repeated() {
+    // One of so many reads: never twice in a row, and in the end each of them.
+    for fails_every in [2, 3, 5] {
+        let (_, mut rig) = with(Access { fails_every, ..Access::default() });
+        rig.all_up(2_000);
+        assert_eq!(rig.note(0), Note::None, "1 of {fails_every}");
+    }
+    // Another master's has failed.
+    let (_, mut rig) = with(Access::default());
+    rig.poke(0, address::SII_CONTROL, &[0x00, 0x07, 0, 0, 0, 0]);
+    assert_eq!(rig.peek(0, address::SII_CONTROL, 2)[1] & 0x20, 0x20);
+    rig.all_up(2_000);
+    assert_eq!(rig.note(0), Note::None);
+}
+
+#[test]
+fn an_sii_that_always_fails_or_is_not_loaded_is_named() {
+    for (access, fault) in [
+        (Access { fails_every: 1, ..Access::default() }, Fault::Refused),
+        (Access { unloaded: true, ..Access::default() }, Fault::Unloaded),
+    ] {
+        let (_, mut rig) = with(access);
+        rig.until("named", 1_000, |rig| rig.note(0) == Note::Sii(fault));
+        rig.run(500);
+        assert_eq!((rig.al(0), rig.note(0)), (AlState::Init, Note::Sii(fault)));
+    }
+}
+
+#[test]
 fn eight_bytes_a_read_are_taken_and_save_time() {
     let cycles = [false, true].map(|eight| {
         let (_, mut rig) = with(Access { busy_ns: 10 * MS, eight, ..Access::default() });

@@ -34,7 +34,7 @@ fn an_answer_that_a_slave_does_not_send_again_costs_one_repetition() {
             // The same of a write: it is carried out twice, and leaves the same.
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
             assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 5, bytes: 1 }), Ok(5));
-            // What the application writes is not written twice: it hears that it may have been.
+            // What the application writes is not written twice: it is informed that it may have been.
             let requests = server.shared().requests.len();
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
             let lost = Err(CallError::Refused(object::UNCERTAIN));

@@ -246,6 +246,15 @@ fn an_sii_is_busy_at_first_slips_once_and_may_be_wrong() {
     assert_eq!(read(&mut bench), Some(slipped), "another address, and its words");
     assert_eq!(read(&mut bench), Some([0x40, 0, 0x08, 0, 0, 0, 0x6A, 0, 0, 0, 0x00, 0x06, 0x00, 0x03]));
 
+    // The third of each three fails; the next command ends that.
+    let mut bench = drive(own_sii(|sii| sii.fails_every = 3));
+    let shown: Vec<u8> = (0..4).map(|_| read(&mut bench).unwrap()[1]).collect();
+    assert_eq!(shown, [0, 0, 0x20, 0]);
+
+    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::Unloaded));
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x10]));
+    assert_eq!(read(&mut bench).map(|read| read[1]), Some(0x30));
+
     let mut bench = drive(own_sii(|sii| sii.content = SiiContent::WrongCheck));
     assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x08]));
     assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
@@ -266,6 +275,7 @@ fn a_slave_that_another_master_left_has_all_that_it_set() {
         unwatched: true,
         sync0_ns: Some(1_000_000),
         sii_given: true,
+        sii_failed: true,
     };
     let plan = EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)]);
     let mut segment = EthercatSegment::from(plan);

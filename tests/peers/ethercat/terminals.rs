@@ -1,0 +1,116 @@
+//! Our own master on a coupler with terminals and drives behind them, each frame of it captured.
+
+use std::time::{Duration, Instant};
+
+use fieldbeat::bus::ethercat::{EthercatPlan, Terminals, Watchdog};
+use fieldbeat::time::MS;
+use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
+
+use super::dissector::{APWR, Address, BRD, Datagram, FPWR, Frame, LRW, dissect, exchanges};
+use super::{at_master, cable, capture, serve, with_terminals};
+use crate::support::{LONG, Machine};
+
+const SLAVES: u64 = 7;
+/// Each slave has its AL status in the image; outputs, of which four have some, count twice.
+const COUNTER: u64 = SLAVES + 2 * 4;
+const FIRST_STATION: u64 = 0x1001;
+const AL_CONTROL: u64 = 0x0120;
+const SII_OWNER: u64 = 0x0500;
+const MANAGERS: u64 = 0x0800;
+/// The SyncManagers of each slave that are set: the analogue terminal has one for outputs, and no outputs.
+const SET: [&[u64]; SLAVES as usize] = [&[], &[0], &[0], &[0, 1], &[0, 1, 3], &[0, 1, 2, 3], &[0, 1, 2, 3]];
+
+#[test]
+#[ignore = "needs root, iproute2 and tshark"]
+fn tshark_finds_nothing_wrong_with_our_master_on_a_coupler_with_terminals() {
+    let (machine, cable) = (Machine::new(54), cable(54));
+    let mut segment = with_terminals();
+    for drive in &mut segment.plan.drives {
+        // For a busy computer.
+        drive.axis.health.bucket = 1_000;
+        drive.slave.watchdog = Watchdog::After(1_000 * MS);
+    }
+    let plan = segment.plan.clone();
+    let _segment = serve(&cable, segment);
+    let mut executed = 0;
+    let file = capture(&cable, &machine, || executed = at_master(&cable, || work(plan)));
+    let exchanges = exchanges(&dissect(&file));
+    assert_eq!(exchanges.len() as u64, executed, "a frame a cycle");
+    let frames: Vec<&Frame> = exchanges.iter().filter_map(|(_, back)| back.as_ref()).collect();
+    let of = |command| {
+        frames.iter().flat_map(move |frame| frame.datagrams.iter().find(|one| one.command == command))
+    };
+    assert!(of(BRD).all(|states| states.working_counter == SLAVES), "the broadcast counts all of them");
+    assert!(of(LRW).filter(|image| image.working_counter == COUNTER).count() > 200);
+    for place in 0..SLAVES {
+        judge_slave(&frames, place);
+    }
+}
+
+/// What was written to the slave at this place, and carried out.
+fn judge_slave(frames: &[&Frame], place: u64) {
+    let is_its = |datagram: &Datagram| match datagram.address {
+        // Each slave has counted it up.
+        Address::Slave(to, _) if datagram.command == APWR => (SLAVES.wrapping_sub(to)) & 0xFFFF == place,
+        Address::Slave(to, _) => datagram.command == FPWR && to == FIRST_STATION + place,
+        Address::Logical(_) => false,
+    };
+    let register = |datagram: &Datagram| match datagram.address {
+        Address::Slave(_, register) if is_its(datagram) && datagram.working_counter > 0 => Some(register),
+        _ => None,
+    };
+    let written =
+        |frame: &Frame, at: u64| frame.datagrams.iter().any(|datagram| register(datagram) == Some(at));
+    // Step by step to OP, and down in the end: no state is requested twice, which an acknowledgement would be.
+    let states: Vec<_> = frames.iter().filter(|frame| written(frame, AL_CONTROL)).collect();
+    let requested: Vec<u64> = states.iter().filter_map(|frame| frame.state).collect();
+    assert_eq!(requested, [1, 2, 4, 8, 1], "place {place}");
+    // Its SII is taken and given back before PREOP.
+    let owners: Vec<_> =
+        frames.iter().filter(|frame| written(frame, SII_OWNER)).map(|frame| frame.number).collect();
+    assert!(owners.len() >= 3 && owners.iter().all(|owner| *owner < states[1].number), "place {place}");
+    // Its SyncManagers, all of them: cleared first, and then set one by one.
+    let one = |datagram: &Datagram| {
+        let at = register(datagram)?.checked_sub(MANAGERS).filter(|at| *at < 0x80 && datagram.length == 8)?;
+        Some(at / 8)
+    };
+    let mut set: Vec<u64> = frames.iter().flat_map(|frame| frame.datagrams.iter().filter_map(one)).collect();
+    set.dedup();
+    assert_eq!(set, SET[place as usize], "place {place}");
+}
+
+/// What the application does; how many cycles that were.
+fn work(plan: EthercatPlan) -> u64 {
+    let cycle = CyclePlan {
+        period_ns: 2 * MS,
+        receive_deadline: 0.8,
+        overrun: Overrun::Skip { max_skip: 2_000 },
+        max_skip_rate: 1.0,
+        reference: Some(plan.name.clone()),
+        memory: Memory::Own,
+        ..CyclePlan::default()
+    };
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
+    let master = Master::from_plan(plan).start().unwrap();
+    master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
+    let mut devices: Vec<Terminals> =
+        ["out", "in", "wide", "analogue"].map(|name| master.device(name).unwrap()).into();
+    let until = |what: &str, done: &mut dyn FnMut() -> bool| {
+        let end = Instant::now() + LONG;
+        while !done() {
+            assert!(Instant::now() < end, "{what}: {:?}", master.numbers());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    until("in operation", &mut || devices.iter().all(|device| device.inputs().operational));
+    for byte in [0x5A, 0xA5] {
+        devices[0].write(&[byte]).unwrap();
+        devices[2].write(&[byte, !byte]).unwrap();
+        until("seen at the inputs", &mut || devices[1].inputs().bytes() == [byte]);
+    }
+    let value = |devices: &[Terminals]| devices[3].inputs().bytes().to_vec();
+    let before = value(&devices);
+    until("the analogue inputs live", &mut || value(&devices) != before);
+    std::thread::sleep(Duration::from_millis(500));
+    master.finish().end.status.executed
+}
