@@ -23,10 +23,11 @@ const DIAGNOSIS: usize = 64;
 const REQUEST: u8 = 1 << 6;
 /// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
 const STATION: u8 = 0x30;
-/// Functions of answers: refused (UE, RR, RS), data (DL, DH), none (OK).
+/// Functions of answers: refused (UE, RR, RS), data (DL, DH), taken without data (NR), none (OK).
 const REFUSED: std::ops::RangeInclusive<u8> = 1..=3;
 const DATA_LOW: u8 = 0x8;
 const DATA_HIGH: u8 = 0xA;
+const NO_DATA: u8 = 0x9;
 
 /// Whose turn a telegram is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +74,7 @@ pub(super) enum Heard<'a> {
 /// An answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Answer<'a> {
-    /// The bare acknowledgement, or OK without data.
+    /// The bare acknowledgement, or OK or NR without data: the request was taken.
     Acknowledged,
     /// Data; `high`: of high priority.
     Data { high: bool, data: &'a [u8] },
@@ -565,6 +566,13 @@ impl Expected {
             // What has no such service cannot name it.
             _ if REFUSED.contains(&function) && (same_service || (dsap, ssap) == (None, None)) => {
                 Ok(Answer::Refused(function))
+            }
+            NO_DATA
+                if self.acknowledge
+                    && frame.data.is_empty()
+                    && (same_service || (dsap, ssap) == (None, None)) =>
+            {
+                Ok(Answer::Acknowledged)
             }
             0 if (same_service || (dsap, ssap) == (None, None))
                 && (self.acknowledge || self.data == Some(0)) =>

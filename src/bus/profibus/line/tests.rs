@@ -220,6 +220,8 @@ fn a_refusal_may_leave_out_the_access_points() {
         (&[telegram::SC][..], Answer::Acknowledged),
         (&[0x10, 2, 7, 3, 12, 0x16], Answer::Refused(3)),
         (&[0x10, 2, 7, 0, 9, 0x16], Answer::Acknowledged),
+        // NR: it was taken, and has no answer yet.
+        (&[0x10, 2, 7, 9, 18, 0x16], Answer::Acknowledged),
     ] {
         assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))));
         rig.send();
