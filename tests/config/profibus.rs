@@ -146,6 +146,14 @@ fn a_simulated_wire_is_as_its_keys_say() {
 }
 
 #[test]
+fn half_a_word_at_the_end_is_no_mismatch_of_the_simulated_drive() {
+    // Five bytes behind the channel.
+    let Configuration { simulation, .. } = read_all(&wire("", "configuration = [0xF3, 0xB4]\nsimulate = {}"));
+    let said = format!("{simulation:?}");
+    assert!(said.contains("inputs: [Status, Speed]"), "{said}");
+}
+
+#[test]
 fn one_bus_a_port_and_one_drive_an_address() {
     let second = "[[bus]]\nprotocol = \"profibus-dp\"\nname = \"b\"\ndevice = \"/dev/ttyS1\"\n\
         [[bus.drive]]\nname = \"m\"\naddress = 3\nlimits.velocity = 20\n\

@@ -93,7 +93,10 @@ impl SimBus for ProfibusSegment {
         for drive in &self.drives {
             let channel = if drive.channel == Channel::None { 0 } else { 8 };
             let (outputs, inputs) = (channel + 2 * drive.outputs.len(), channel + 2 * drive.inputs.len());
-            if prm::sizes(&drive.configuration) != Some((outputs, inputs)) {
+            // A last byte may be no word: it means nothing, and is 0.
+            let fits = |size: usize, words: usize| size >= words && size - words < 2;
+            let sizes = prm::sizes(&drive.configuration);
+            if !sizes.is_some_and(|sizes| fits(sizes.0, outputs) && fits(sizes.1, inputs)) {
                 let message = format!(
                     "the configuration of the drive at address {} is not that of {outputs} bytes of outputs and \
                      {inputs} of inputs: correct one of them",
