@@ -229,8 +229,9 @@ impl Acyclic {
             let over = match () {
                 () if now.since(of.begun) > posted.limit_ns => Some(CallError::TimedOut),
                 () if self.port.is_cancelled(posted) => Some(CallError::Cancelled),
+                // A read changes nothing, whatever the drive has received of it.
+                () if !online && !(is_sent && of.writes) => Some(CallError::NotOnline),
                 () if is_sent => None,
-                () if !online => Some(CallError::NotOnline),
                 () => self.port.refusal(posted),
             };
             if let Some(why) = over {
