@@ -154,7 +154,7 @@ impl Subject for Profibus {
         Calls {
             read: call(notation.read("C0012")),
             write: call(notation.write("C0012", 5_000)),
-            refused: (call(notation.read("C1999")), 0x0607),
+            refused: (call(notation.read("C1999")), 0x0607_0000),
             soon: SOON,
         }
     }
