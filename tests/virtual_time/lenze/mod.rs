@@ -165,7 +165,7 @@ impl Lenze {
             (sim.feedback(index).status.velocity - velocity).abs() < 0.05
         });
         let speed = self.speed(index);
-        assert!((speed - velocity).abs() < 0.1, "{speed}, not {velocity}");
+        assert!((speed - velocity).abs() < 0.1, "{speed}, not {velocity}: {:?}", self.feedback(index));
     }
 
     /// The counters at the end.
