@@ -17,7 +17,7 @@ use super::wire::sap::global_control;
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Broken, Carriers, Lock, Place, Serial};
 use crate::rt::Regions;
-use crate::time::Time;
+use crate::time::{S, Time};
 
 /// Steps of the wire in one call: a telegram and what follows from it each.
 const MOST_STEPS: usize = 16;
@@ -26,6 +26,8 @@ const MOST_READS: usize = 4;
 const MOST_TELEGRAMS: usize = 32;
 /// So many tokens of another master in a row are one: of all telegrams they alone have no check byte.
 const TOKENS: u8 = 2;
+/// A master that was not received for so long is gone, ns.
+const OTHER_GONE_NS: u64 = S;
 /// Cycles that the orderly end may wait for one telegram.
 const END_WITHIN: u32 = 100;
 
@@ -56,13 +58,16 @@ pub(super) struct ProfibusBus {
     highest: u8,
     /// When the telegram under way began.
     began_at: Time,
+    /// The slot of the grid.
+    grid: Time,
     line: Line,
     stations: Vec<Station>,
     net: Box<dyn Serial>,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    /// Of the telegrams of another master: its address, and how many tokens it has sent.
+    /// Of the telegrams of another master: its address, how many in a row, and the slot of the newest.
     other: Option<(u8, u8)>,
+    other_at: Time,
     end: End,
     waits: u32,
     notes: WireNotes,
@@ -135,10 +140,12 @@ impl ProfibusBus {
             gap_address: plan.address,
             highest: plan.highest_address,
             began_at: Time(0),
+            grid: Time(0),
             line: Line::new(plan),
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
             other: None,
+            other_at: Time(0),
             end: End::None,
             waits: 0,
             notes: WireNotes::new(&plan.device, known, net.notes()),
@@ -293,7 +300,7 @@ impl ProfibusBus {
             Some((before, tokens)) if before == address => tokens.saturating_add(1),
             _ => 1,
         };
-        self.other = Some((address, tokens));
+        (self.other, self.other_at) = (Some((address, tokens)), self.grid);
         if is_token && tokens < TOKENS {
             return;
         }
@@ -319,11 +326,7 @@ impl ProfibusBus {
                     }
                 }
                 Ready::Claim => {
-                    if self.hand_over(slots) && !self.line.is_up() {
-                        // The wire was silent for long enough: there is no other master any more.
-                        self.other = None;
-                        self.notes.set_other(None);
-                    }
+                    self.hand_over(slots);
                     return;
                 }
                 Ready::Overdue { job, instead, failed } => {
@@ -531,6 +534,7 @@ impl Bus for ProfibusBus {
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.grid = cycle.grid;
         if self.net.opened().is_some() {
             self.opened(cycle.grid);
         }
@@ -550,6 +554,10 @@ impl Bus for ProfibusBus {
         self.go_on(cycle, cycle.grid, slots);
         if self.starting != 0 {
             self.let_start(cycle, slots);
+        }
+        if self.other.is_some() && cycle.grid.since(self.other_at) > OTHER_GONE_NS {
+            self.other = None;
+            self.notes.set_other(None);
         }
     }
 

@@ -74,8 +74,8 @@ impl ProfibusPlan {
         if bits.latency_ns > LATENCY_MAX_NS {
             wrong("latency", format!("must be at most {}", Ns(LATENCY_MAX_NS)));
         }
-        if !(1..=RETRIES_MAX).contains(&self.retries) {
-            wrong("retries", format!("must be 1 ... {RETRIES_MAX}"));
+        if self.retries > RETRIES_MAX {
+            wrong("retries", format!("must be at most {RETRIES_MAX}"));
         }
         if self.gap.is_some_and(|rounds| !(1..=GAP_MAX).contains(&rounds)) {
             wrong("gap", format!("must be 1 ... {GAP_MAX} rounds, or \"off\""));

@@ -16,8 +16,9 @@ use crate::time::Time;
 
 /// Room for what arrives: an answer, and an own telegram that the adapter returns.
 const INBOX: usize = 2 * MAX;
-/// Bytes of an answer around its data.
+/// Bytes of an answer around its data, and of one with a usual diagnosis.
 const ANSWER: usize = 9;
+const DIAGNOSIS: usize = 64;
 /// Bit 6 of a function code: a request.
 const REQUEST: u8 = 1 << 6;
 /// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
@@ -409,7 +410,12 @@ impl Line {
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
     #[inline]
     pub(super) fn closed_within_ns(&self) -> u64 {
-        let answer = self.expected.data.map_or(MAX, |data| usize::from(data) + ANSWER);
+        let answer = match self.expected {
+            Expected { data: Some(data), .. } => usize::from(data) + ANSWER,
+            // An acyclic answer may have any length, a diagnosis is short.
+            Expected { acknowledge: true, .. } => MAX,
+            Expected { .. } => DIAGNOSIS,
+        };
         let once = self.line.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
         once * (u64::from(self.left) + 1)
     }
@@ -568,3 +574,6 @@ impl Expected {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

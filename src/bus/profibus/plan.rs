@@ -41,7 +41,7 @@ pub struct ProfibusPlan {
     pub address: u8,
     /// The times of the wire, in its bits.
     pub bits: Bits,
-    /// A request without a correct answer is repeated so many times: 1 ..= 15.
+    /// A request without a correct answer is repeated so many times, at most 15. A file has 1 at least.
     pub retries: u8,
     /// The master sends a token to itself in each round, as a bus monitor expects. It claims the token in any case.
     pub token: bool,

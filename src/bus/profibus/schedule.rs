@@ -114,7 +114,7 @@ impl ProfibusPlan {
     fn left_over_ns(&self, grid: Grid) -> u64 {
         let token = if self.token { self.token_ns() } else { 0 };
         let gap = if self.gap.is_some() { self.try_ns(Bytes(SD1, SD1)) } else { 0 };
-        token.max(gap).saturating_sub(grid.period_ns.saturating_sub(grid.deadline_ns))
+        token.max(gap).max(self.control_ns()).saturating_sub(grid.period_ns.saturating_sub(grid.deadline_ns))
     }
 
     /// From the slot in which an exchange of drive `index` is due to its end, at most: what the master sends itself,

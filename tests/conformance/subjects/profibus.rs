@@ -102,6 +102,7 @@ impl Subject for Profibus {
         let mut axis = AxisPlan::new(name, units);
         axis.profile = Profile { velocity: 8.0, acceleration: 80.0, deceleration: 80.0 };
         axis.stop.deceleration = 80.0;
+        axis.limits.velocity = Some(50.0);
         axis.jog_deadman = None;
         axis
     }

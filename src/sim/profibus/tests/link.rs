@@ -97,7 +97,9 @@ fn one_character_of_silence_inside_is_allowed_and_more_is_not() {
             bench.put(&STATUS[4..]);
             bench.take(bench.line.bits_ns(100)).map(|reply| reply.bytes)
         };
-        let character = SerialLine { rate, parity: crate::net::Parity::Even }.span_ns(1);
+        let character =
+            SerialLine { rate, parity: crate::net::Parity::Even, rs485: crate::net::Rs485::Adapter }
+                .span_ns(1);
         assert_eq!(halves(character), Some(ALIVE.to_vec()), "{rate}");
         assert_eq!(halves(character + 1), None, "{rate}");
         assert_eq!(bench.slave().broken().gap, 1);
