@@ -60,7 +60,7 @@ fn plan(port: &str) -> ProfibusPlan {
         (ParameterPath::None, false, vec![0xF3]);
     let mut plan = ProfibusPlan::new(port, 1_500_000, drives);
     plan.bits.latency_ns = 20 * MS;
-    (plan.highest_address, plan.gap) = (HIGHEST, Some(1));
+    (plan.highest_address, plan.gap) = (HIGHEST, Some(10));
     plan
 }
 

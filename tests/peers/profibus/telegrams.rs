@@ -8,8 +8,8 @@ const WITH_SAPS: u8 = 0x80;
 const REQUEST_COUNTED_FIRST: u8 = 0x60;
 const FUNCTION: u8 = 0x0F;
 const FDL_STATUS: u8 = 9;
-/// A function has high priority.
-const HIGH: u8 = 1;
+/// Functions of high priority, and the same of low priority: SRD, SDN.
+const PRIORITIES: [(u8, u8); 2] = [(0xD, 0xC), (0x6, 0x4)];
 const ALL: u8 = 127;
 
 /// Who gets a telegram, its function code and its data with its service access points; whether these are there.
@@ -87,7 +87,9 @@ pub fn low(telegram: Vec<u8>) -> Vec<u8> {
     match Telegram::of(&telegram) {
         Some(of) if of.has_saps => {
             let mut body = telegram[4..telegram.len() - 2].to_vec();
-            body[2] &= !HIGH;
+            let function = body[2] & FUNCTION;
+            let (_, low) = PRIORITIES.into_iter().find(|(high, _)| *high == function).unwrap();
+            body[2] = body[2] & !FUNCTION | low;
             whole(&body)
         }
         _ => telegram,
@@ -147,6 +149,8 @@ fn they_are_those_of_the_sheet() {
     assert_eq!(*parameters, bytes("68 0F 0F 68 87 82 5D 3D 3E 88 04 FA 0B 00 82 00 80 00 00 74 16"));
     assert_eq!(*configuration, bytes("68 07 07 68 87 82 7D 3E 3E F3 F1 E6 16"));
     assert_eq!(start_up(PKW).len(), 5);
+    assert_eq!(low(global_control(0)), bytes("68 07 07 68 FF 82 44 3A 3E 00 00 3D 16"));
+    assert_eq!(low(diagnosis.clone()), bytes("68 05 05 68 87 82 6C 3C 3E EF 16"));
     let answer = bytes("A2 82 87 08 3E 3C 02 05 00 FF 00 82 13 16");
     assert_eq!(as_sd2(&answer), bytes("68 0B 0B 68 82 87 08 3E 3C 02 05 00 FF 00 82 13 16"));
 }
