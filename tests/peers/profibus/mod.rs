@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::Time;
 use fieldbeat::axis::Profile;
-use fieldbeat::bus::profibus::{LenzeDrive, ParameterPath, ProfibusPlan};
+use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::internals::bus::profibus::wire::dp::Watchdog;
 use fieldbeat::sim::profibus::{Broken, DpState, Events, LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
@@ -31,7 +31,8 @@ use self::cable::Cable;
 
 /// The address of each master.
 const OWN: u8 = 2;
-/// A drive with the DRIVECOM channel, one with the PKW channel, and one with neither.
+/// A drive with the DRIVECOM channel, one with the PKW channel, and one with neither, whose parameters are read and
+/// written by DP-V1.
 const DRIVECOM: u8 = 7;
 const PKW: u8 = 8;
 const PLAIN: u8 = 9;
@@ -56,8 +57,8 @@ fn plan(port: &str) -> ProfibusPlan {
     let mut drives = vec![drive(DRIVECOM), drive(PKW), drive(PLAIN)];
     drives[1].parameters = ParameterPath::Pkw;
     // 8 bytes each way: with SD2, or in the form that is always so long, SD3.
-    (drives[2].parameters, drives[2].channel, drives[2].configuration) =
-        (ParameterPath::None, false, vec![0xF3]);
+    (drives[2].channel, drives[2].configuration) = (false, vec![0xF3]);
+    drives[2].parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
     let mut plan = ProfibusPlan::new(port, 1_500_000, drives);
     plan.bits.latency_ns = 20 * MS;
     (plan.highest_address, plan.gap) = (HIGHEST, Some(10));

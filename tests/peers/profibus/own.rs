@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::process::Command;
 
-use fieldbeat::axis::Axis;
+use fieldbeat::axis::{Axis, ParameterError};
 use fieldbeat::internals::bus::profibus::wire::telegram::{Next, Telegram};
 use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
@@ -32,6 +32,15 @@ fn work(plan: fieldbeat::bus::profibus::ProfibusPlan) {
     let master = Master::from_plan(plan).start().unwrap();
     master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
     let mut axes = [DRIVECOM, PKW, PLAIN].map(|address| master.axis(&format!("l{address}")).unwrap());
+    for axis in &axes {
+        let parameter = axis.parameter();
+        // 43 °C; 1.0, written and read; there is no such code.
+        assert_eq!(parameter.read::<i32>("C0061"), Ok(430_000));
+        assert_eq!(parameter.write("C0039/2", 10_000), Ok(()));
+        assert_eq!(parameter.read::<i32>("C0039/2"), Ok(10_000));
+        let refused = parameter.read::<i32>("C1999");
+        assert!(matches!(refused, Err(ParameterError::Refused { .. })), "{refused:?}");
+    }
     let turns = |axis: &Axis| (axis.feedback().status.velocity - SPEED).abs() < 0.01;
     for axis in &mut axes {
         axis.enable().unwrap();
@@ -127,7 +136,10 @@ fn profirust_decodes_what_our_master_and_our_slaves_send() {
     let at_least = |kinds: &BTreeMap<String, usize>, kind: &str, least: usize| {
         assert!(kinds.get(kind).is_some_and(|count| *count >= least), "{kind}: {kinds:?}");
     };
-    for (kind, least) in [("SrdHigh", 3 * 10), ("SdnHigh", 2), ("FdlStatus", 1), ("token", 3)] {
+    // Four accesses by DP-V1: a request of each is written, and its response is read.
+    for (kind, least) in
+        [("SrdHigh", 3 * 10), ("SrdLow", 4 * 2), ("SdnHigh", 2), ("FdlStatus", 1), ("token", 3)]
+    {
         at_least(&sent, kind, least);
     }
     let answered = decode(&cable, By::Drive, &mut decoder);
