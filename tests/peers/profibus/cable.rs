@@ -12,6 +12,8 @@ use std::thread::JoinHandle;
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
+use super::telegrams::Telegram;
+
 /// Who has sent a telegram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
@@ -70,6 +72,10 @@ impl Cable {
         let (passed, cut) = (Passed::default(), Arc::new(AtomicBool::new(false)));
         let (record, is_cut) = (Arc::clone(&passed), Arc::clone(&cut));
         let pump = std::thread::spawn(move || {
+            let priority = libc::sched_param { sched_priority: super::PRIORITY };
+            // SAFETY: the kernel reads a live value.
+            let set = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) };
+            assert_eq!(set, 0, "{}", io::Error::last_os_error());
             while !is_cut.load(Ordering::Relaxed) {
                 carry(&ends, &record);
             }
@@ -89,6 +95,16 @@ impl Cable {
             }
         }
         telegrams
+    }
+
+    /// Whether the master got an answer of each of these stations before it sent the next telegram. On a busy computer it
+    /// does not always wait for so long, and talks while the slave does.
+    pub fn is_in_turns(&self, stations: &[u8]) -> bool {
+        self.telegrams().windows(2).all(|pair| {
+            let [(by, request), (next, _)] = pair else { unreachable!() };
+            let asks = |of: Telegram| stations.contains(&of.to);
+            *by == By::Drive || *next == By::Drive || !Telegram::of(request).is_some_and(asks)
+        })
     }
 
     /// Those of the master.

@@ -138,7 +138,7 @@ fn profirust() -> Command {
 }
 
 #[test]
-#[ignore = "needs a package registry: builds the crate profirust"]
+#[ignore = "needs root and a package registry: builds the crate profirust"]
 fn profirust_brings_our_slaves_to_data_exchange_and_reads_their_parameters() {
     let (machine, cable) = (Machine::new(81), Cable::new());
     let (plan, addresses) = (plan(&cable.master), [DRIVECOM, PKW, PLAIN]);
@@ -147,10 +147,11 @@ fn profirust_brings_our_slaves_to_data_exchange_and_reads_their_parameters() {
     for address in addresses {
         master.use_slave(address);
     }
-    slaves.have_no_complaint();
+    slaves.have_no_complaint(&cable);
     for seen in slaves.seen() {
         assert_eq!(seen.state, Some((DpState::DataExchange, Some(OWN))));
-        assert_eq!((seen.events.parametrised, seen.events.refused, seen.events.watchdogs), (1, 0, 0));
+        assert_eq!((seen.events.refused, seen.events.watchdogs), (0, 0));
+        assert!(seen.events.parametrised == 1 || !cable.is_in_turns(&addresses), "{seen:?}");
     }
     drop(master);
     let requests = cable.requests();
@@ -176,7 +177,7 @@ fn profirust_brings_our_slaves_to_data_exchange_and_reads_their_parameters() {
 
 /// One slave a master: it takes the bare acknowledgement of one for that of all.
 #[test]
-#[ignore = "needs pyprofibus and pyserial (a package registry)"]
+#[ignore = "needs root, pyprofibus and pyserial (a package registry)"]
 fn pyprofibus_brings_our_slaves_to_data_exchange_and_reads_their_parameters() {
     let (machine, cable) = (Machine::new(82), Cable::new());
     let (plan, addresses) = (plan(&cable.master), [DRIVECOM, PKW, PLAIN]);
@@ -188,7 +189,7 @@ fn pyprofibus_brings_our_slaves_to_data_exchange_and_reads_their_parameters() {
         master.use_slave(address);
         assert_eq!(slaves.seen()[place].state, Some((DpState::DataExchange, Some(OWN))));
     }
-    slaves.have_no_complaint();
+    slaves.have_no_complaint(&cable);
     let requests = cable.requests();
     // It asks nobody but its slave for its status, and has no token.
     let mut searched = searched(&requests);

@@ -7,7 +7,7 @@ use fieldbeat::axis::{Axis, ParameterError};
 use fieldbeat::internals::bus::profibus::wire::telegram::{Next, Telegram};
 use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
+use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
 
 use super::cable::{By, Cable};
 use super::telegrams::{TOKEN, global_control, searched, start_up, started};
@@ -24,7 +24,7 @@ fn work(plan: fieldbeat::bus::profibus::ProfibusPlan) {
         receive_deadline: 0.8,
         overrun: Overrun::Skip { max_skip: 2_000 },
         max_skip_rate: 1.0,
-        realtime: Realtime::Off,
+        memory: Memory::Own,
         ..CyclePlan::default()
     };
     let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
@@ -99,13 +99,13 @@ fn decode(cable: &Cable, by: By, decoder: &mut Peer) -> BTreeMap<String, usize> 
 }
 
 #[test]
-#[ignore = "needs a package registry: builds the crate profirust"]
+#[ignore = "needs root and a package registry: builds the crate profirust"]
 fn profirust_decodes_what_our_master_and_our_slaves_send() {
     let (machine, cable) = (Machine::new(83), Cable::new());
     let plan = plan(&cable.master);
     let slaves = Slaves::new(&plan, &cable);
     work(plan);
-    slaves.have_no_complaint();
+    slaves.have_no_complaint(&cable);
     for seen in slaves.seen() {
         // In the end each is let go.
         assert_eq!(seen.state, Some((DpState::WaitPrm, None)));

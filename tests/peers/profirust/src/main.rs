@@ -2,11 +2,12 @@
 //!
 //! | call | what |
 //! |---|---|
-//! | `profirust-peer master PORT OWN IDENT WATCHDOG-10-MS SLAVE...` | a master at address OWN; each SLAVE is `ADDRESS:USER_PRM:CONFIGURATION:OUTPUTS:INPUTS`, bytes as hexadecimal digits, lengths in bytes |
+//! | `profirust-peer master PORT OWN IDENT WATCHDOG-10-MS SLAVE...` | a master at address OWN |
 //! | its line `running` | answered when all slaves exchange data |
-//! | its line `exchange ADDRESS OUTPUTS` | the slave has these outputs from now on; answered with its inputs behind them |
+//! | its line `exchange ADDRESS OUTPUTS` | a slave's outputs from now on; answered with its inputs behind them |
 //! | `profirust-peer decode` | each line is bytes, answered with the telegrams that they are |
 //!
+//! Each SLAVE is `ADDRESS:USER_PRM:CONFIGURATION:OUTPUTS:INPUTS`, bytes as hexadecimal digits, lengths in bytes.
 //! Each answer begins with `ok`. A mistake ends the program.
 
 use std::error::Error as StdError;
@@ -33,6 +34,8 @@ const HIGHEST: u8 = 8;
 const ROUNDS: u8 = 100;
 /// Far more than a round takes: where one takes longer, Global_Control is never sent, but Data_Exchange is.
 const ROUND_BITS: u32 = 16_000_000;
+/// As a master has it.
+const PRIORITY: i32 = 60;
 /// The outputs of a slave are new in the first answer behind them, or in the second one if they came while one was
 /// under way.
 const ANSWERS: u64 = 3;
@@ -189,6 +192,11 @@ impl Master {
     }
 
     fn run(mut self) -> Done<()> {
+        let priority = libc::sched_param { sched_priority: PRIORITY };
+        // SAFETY: the kernel reads a live value.
+        if unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const priority) } != 0 {
+            return Err(std::io::Error::last_os_error().into());
+        }
         self.fdl.set_online();
         self.dp.enter_operate();
         say("ready")?;
