@@ -7,9 +7,11 @@
 //! | `turns` | from the first telegram to a motor that turns, at each rate |
 //! | `names` | what is wrong is reported by name, and disturbs nobody else |
 //! | `loss` | drives, telegrams and ports that are lost; noise and other masters |
+//! | `parameters` | codes and records, by each path |
 
 mod loss;
 mod names;
+mod parameters;
 mod turns;
 
 use std::sync::{Arc, Mutex};
@@ -38,6 +40,11 @@ pub fn drive(index: usize) -> LenzeDrive {
     drive.axis.stop.deceleration = 80.0;
     drive.axis.jog_deadman = None;
     drive
+}
+
+/// A cycle of 1 ms whose window has room for two drives at 1.5 Mbit/s.
+pub fn cycle() -> CyclePlan {
+    CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() }
 }
 
 /// A wire of this rate with so many drives.
