@@ -303,3 +303,6 @@ impl Profile {
             && (!faulted || inputs.named);
     }
 }
+
+#[cfg(test)]
+mod tests;
