@@ -81,7 +81,10 @@ impl<'a> Paced<'a> {
     /// The most cycles from the loss to the stop request on the wire.
     fn stops(&self) -> u64 {
         let next = if let Pace::OwnClock(_) = self.pace { self.divisor() } else { 1 };
-        next.saturating_add(self.queued()).saturating_add(self.ahead_of_stop())
+        // A repetition in progress holds up no stop of a drive that is lost: it has failed, and the request behind it
+        // is new to the drive, whatever that has received.
+        let ahead = if let Pace::HalfDuplex(_) = self.pace { 0 } else { self.ahead_of_stop() };
+        next.saturating_add(self.queued()).saturating_add(ahead)
     }
 
     /// The cycles of the requests that leave before one with a stop.
@@ -183,6 +186,10 @@ mod tests {
         // The stop waits for its turn as well.
         assert_eq!(bound_of(Pace::HalfDuplex(5), Pace::Cycle), [4 + 2 * 8 + 5 + 6, 4 + 2 * 8 + 5 + 6]);
         assert_eq!(bound_of(Pace::Cycle, Pace::HalfDuplex(5)), [4 + 2 * 4 + 6 + 5, 4 + 2 * 4 + 1]);
+        // What a drive of the group is sent counts with its next new request; what the lost one is sent is new.
+        let of = |axis, before_stop| Paced { axis, pace: Pace::HalfDuplex(0), before_stop };
+        let all = [of(&x, 1), of(&y, 1), of(&alone, 1)];
+        assert_eq!([bound(&all[0], &all), bound(&all[2], &all)], [4 + 2 * 4 + 2 + 2, 4 + 2 * 4 + 1]);
         // The last packet counts for 7 cycles, and the stop leaves in the next own slot.
         assert_eq!(bound_of(Pace::OwnClock(7), Pace::Cycle), [4 + 2 * 4 + 7 + 4, 4 + 2 * 4 + 7 + 4]);
     }

@@ -12,12 +12,14 @@ use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::internals::rt::{Clock, PollSet};
 use fieldbeat::internals::sim::world::WorldClock;
+use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, World, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::Time;
 use fieldbeat::{CyclePlan, Flow, Plan};
 
 use super::fuse::{Call, Fused};
+use super::lenze;
 use crate::virtual_time::support::{all_simulated, drive, jog};
 
 /// A clock that panics at its n-th call from now, and at some more from there.
@@ -262,6 +264,67 @@ fn a_panic_before_the_first_cycle_is_an_end_like_any_other() {
     assert!((0..20_000).any(|_| machine.engine.step() == Flow::End));
     let end = machine.engine.finish();
     assert!(end.panic.is_some() && end.status.planned < 20_000, "{end:?}");
+}
+
+/// The wire is polled after a panic as before it, so that every drive has its turn in each cycle: by `send` alone one of
+/// them would have, and 31 drives would wait longer than their watchdogs.
+#[test]
+fn a_panic_leaves_the_drives_of_a_half_duplex_wire_their_turns() {
+    const DRIVES: usize = 4;
+    for call in [0, 1, 3, 5, 8] {
+        let bus = lenze::wire(12_000_000, DRIVES);
+        let mut segment = ProfibusSegment::of(&bus);
+        segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
+        let cycle = CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() };
+        let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+        plan.check().unwrap();
+        let world = World::new(SimPlan::from(segment).build(), WorldOptions::default()).unwrap();
+        let (left, panics) = (Arc::new(AtomicI64::new(0)), Arc::new(AtomicI64::new(0)));
+        let clock = FusedClock { clock: world.clock(), left, panics };
+        let control = Control::default();
+        let Assembly { mut engine, mut axes, .. } =
+            assemble(&plan, clock.clone(), &world, None, control.clone()).unwrap();
+        engine.begin();
+        let mut until = |axes: &[Axis], what: &str, done: &dyn Fn(&Axis) -> bool| {
+            assert!((0..40_000).any(|_| (engine.step(), axes.iter().all(done)).1), "never: {what}");
+        };
+        until(&axes, "online", &|axis| axis.feedback().link == Link::Online);
+        for axis in &mut axes {
+            axis.post(Command::Enable).unwrap();
+        }
+        until(&axes, "enabled", &|axis| axis.feedback().is_operational());
+        for axis in &mut axes {
+            axis.post(jog(8.0)).unwrap();
+        }
+        until(&axes, "turning", &|axis| axis.feedback().status.velocity > 7.9);
+        clock.left.store(call, Ordering::Relaxed);
+        clock.panics.store(1, Ordering::Relaxed);
+        let drive = |index: usize| {
+            let look = |drive: &mut LenzeSim, now| (drive.events().exchanges, drive.truth(now));
+            world.look_on(lenze::PORT, index, look).unwrap()
+        };
+        while !control.is_stopping() {
+            engine.step();
+        }
+        let before: Vec<u64> = (0..DRIVES).map(|index| drive(index).0).collect();
+        let (mut steps, mut ramp) = (0, [0; DRIVES]);
+        while axes.iter().any(|axis| axis.feedback().status.state.is_powered()) {
+            engine.step();
+            steps += 1;
+            assert!(steps < 2_000, "call {call}: no end");
+            for index in 0..DRIVES {
+                let (exchanges, truth) = drive(index);
+                let turns = exchanges - before[index];
+                assert!(turns + 3 >= steps, "call {call}: drive {index} had {turns} turns in {steps} cycles");
+                ramp[index] += u32::from(truth.powered && truth.velocity > 0.5 && truth.velocity < 7.5);
+                assert!(truth.powered || truth.velocity.abs() < 0.5, "call {call}: off in motion: {truth:?}");
+            }
+        }
+        assert!(ramp.iter().all(|cycles| *cycles > 5), "call {call}: {ramp:?} cycles of a ramp");
+        assert!((0..20_000).any(|_| engine.step() == Flow::End), "call {call}: no end");
+        let panic = engine.finish().panic.unwrap();
+        assert_eq!((panic.count, panic.left_out.len(), panic.cut_short), (1, 0, false), "{panic:?}");
+    }
 }
 
 /// The thread that opens the connections of a bus is gone: its axes stop, and no other.

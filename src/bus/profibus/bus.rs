@@ -541,7 +541,9 @@ impl Bus for ProfibusBus {
         self.take_in(slots);
         let up = self.line.is_up();
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            if !slot.due || !matches!(slot.exchange, Exchange::Idle | Exchange::Missed) {
+            // One that is queued stays so: here it is made sure of, after a panic in its turn for example.
+            let waits = matches!(slot.exchange, Exchange::Idle | Exchange::Missed | Exchange::Queued);
+            if !slot.due || !waits {
                 continue;
             }
             if up && self.end == End::None {

@@ -304,3 +304,6 @@ impl Profile {
             && (!faulted || inputs.named);
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -16,7 +16,7 @@ use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
 use crate::drive::controller::take_commands;
-use crate::rt::Clock;
+use crate::rt::{Clock, PollSet};
 use crate::time::Time;
 
 /// A part of the loop that panics so often is left out.
@@ -24,6 +24,8 @@ const MOST: u8 = 2;
 
 /// A bus takes in at most so many batches in one cycle: what all of its drives sent, several times over.
 const MOST_LOOKS: u32 = 16;
+/// Waits in one window, at most. A turn of a half-duplex wire is some of them, and the shortest takes 100 us.
+const MOST_WAITS: u32 = 256;
 
 /// A panic of the loop, for its end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -213,6 +215,7 @@ impl<C: Clock> Engine<C> {
             }
         }
         self.status.executed += 1;
+        self.take_turns(&cycle);
         // All that comes by the deadline is in the sockets then.
         self.sleep(&cycle, cycle.deadline);
         for bus in 0..self.buses.len() {
@@ -243,6 +246,40 @@ impl<C: Clock> Engine<C> {
             CycleRecord { index: cycle.index, grid: cycle.grid, wake_ns, missed, ..CycleRecord::default() };
         self.publish_stop(&cycle, record);
         self.flow(ended)
+    }
+
+    /// Polls the half-duplex wires until the deadline, so that what waits for its turn, the stop of each drive, leaves.
+    fn take_turns(&mut self, cycle: &Cycle) {
+        let polled: Vec<usize> = (0..self.buses.len()).filter(|bus| self.buses[*bus].is_polled).collect();
+        let mut poll_set = PollSet::with_room(polled.len());
+        for _ in 0..MOST_WAITS {
+            let looks: Vec<_> = (polled.iter())
+                .filter_map(|bus| {
+                    self.bus(cycle, Stage::Receive, *bus, |open, _| (open.bus.poll_at(), open.bus.fd()))
+                })
+                .collect();
+            let at = looks.iter().filter_map(|(at, _)| *at).min();
+            let Some(at) = at.filter(|at| *at < cycle.deadline) else { return };
+            poll_set.fill(looks.iter().map(|(_, fd)| *fd));
+            let clock = &mut self.clock;
+            self.panics.guard(cycle.index, Some(Stage::Receive), Part::Clock, || {
+                if clock.now() < at {
+                    clock.wait(&mut poll_set, at);
+                }
+            });
+            let now = self.now_or(cycle, cycle.deadline);
+            if now >= cycle.deadline {
+                return;
+            }
+            for bus in &polled {
+                self.bus(cycle, Stage::Receive, *bus, |open, slots| {
+                    open.bus.receive(cycle, slots);
+                    if open.bus.poll_at().is_some_and(|at| at <= now) {
+                        open.bus.poll(cycle, now, slots);
+                    }
+                });
+            }
+        }
     }
 
     fn flow(&mut self, ended: bool) -> Flow {

@@ -7,12 +7,16 @@
 //! | `turns` | from the first telegram to a motor that turns, at each rate |
 //! | `names` | what is wrong is reported by name, and disturbs nobody else |
 //! | `loss` | drives, telegrams and ports that are lost; noise and other masters |
+//! | `evidence` | Done means that the drive did it |
 //! | `parameters` | codes and records, by each path |
+//! | `tap` | drives that the test shares with the world |
 
+mod evidence;
 mod loss;
 mod names;
 mod parameters;
-mod turns;
+pub mod tap;
+pub mod turns;
 
 use std::sync::{Arc, Mutex};
 
@@ -23,7 +27,7 @@ use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::internals::bus::{Bus, Notes};
 use fieldbeat::internals::net::Carriers;
 use fieldbeat::sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
-use fieldbeat::sim::{SimPlan, WorldOptions};
+use fieldbeat::sim::{SerialWire, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::{CyclePlan, Master, OpenError, Plan, Simulation};
 
@@ -87,16 +91,21 @@ impl Lenze {
 
     /// The same, the wire changed.
     pub fn with(bus: ProfibusPlan, cycle: CyclePlan, change: impl FnOnce(&mut ProfibusSegment)) -> Lenze {
-        let count = bus.drives.len();
         let mut segment = ProfibusSegment::of(&bus);
         for drive in &mut segment.drives {
             drive.motor.ramps_s = (0.01, 0.01, 0.01);
         }
         change(&mut segment);
+        Lenze::on(bus, cycle, segment.wire())
+    }
+
+    /// These drives, on a wire that is there.
+    pub fn on(bus: ProfibusPlan, cycle: CyclePlan, wire: SerialWire) -> Lenze {
+        let count = bus.drives.len();
         let notes = Noted::default();
         let bus = NotedPlan { plan: bus, notes: Arc::clone(&notes) };
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
-        let simulated = SimPlan::from(segment).build();
+        let simulated = Simulated { wires: vec![wire], ..Simulated::default() };
         let sim = Master::from_plan(plan).simulate_with(simulated, WorldOptions::default());
         Lenze { sim: sim.unwrap_or_else(|error| panic!("{error}")), notes, count }
     }

@@ -11,6 +11,7 @@
 //! | `newest` | the newest setpoint is taken, and wins |
 //! | `stale` | a setpoint that is not renewed stops its axis |
 //! | `stop` | an axis that nothing moves any more comes to rest, whatever stops it |
+//! | `misuse` | a drive that checks its master finds nothing wrong |
 //!
 //! Bounds are counted in turns of the loop in which the drive can be reached. A drive is given [`REACTION`] of them:
 //! some reports prove a breach, the request goes out, the drive takes it and its motor slows down by what can be seen.

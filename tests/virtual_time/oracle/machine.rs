@@ -13,17 +13,21 @@ use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
 use fieldbeat::bus::linudp::{ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
+use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, ProfibusPlan};
 use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
+use fieldbeat::sim::profibus::{Misuse, ProfibusSegment};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 
 use crate::virtual_time::kollmorgen::{self, LINE};
+use crate::virtual_time::lenze::PORT;
+use crate::virtual_time::lenze::tap::TapWire;
 use crate::virtual_time::support::{self, MASTER};
 
 /// Axes of a machine.
@@ -50,6 +54,8 @@ pub enum Kind {
     Moons,
     /// Positions (1701h), velocities (1702h) and torques (1703h) on one segment.
     Kollmorgen,
+    /// Drives in turn on one half-duplex wire.
+    Lenze,
 }
 
 /// A machine to be built.
@@ -59,7 +65,7 @@ pub struct Shape {
     /// After a stop the axes hold; else their power goes off.
     pub hold: bool,
     /// The protocol's other way: tagged replies, menu 0, a leading clock; a drive that takes no change between two
-    /// commands for an edge, and whose clock shakes.
+    /// commands for an edge, and whose clock shakes; PROFIdrive, and turns that take longer than a cycle.
     pub other: bool,
     /// Parameters are written as well where the master does not refuse it: with power off, and in native mode.
     pub free_writes: bool,
@@ -321,6 +327,7 @@ pub struct Machine {
     pub scales: Vec<Scale>,
     taps: Vec<Tap>,
     line: Option<TapLine>,
+    wire: Option<TapWire>,
     addresses: Vec<SocketAddrV4>,
     /// Calls under way: a ticket that is dropped would cancel its call.
     pub calls: Vec<CallTicket>,
@@ -397,8 +404,32 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     drive
 }
 
+fn lenze(index: usize, shape: Shape) -> LenzeDrive {
+    let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index as u8);
+    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    if shape.other {
+        (drive.profile, drive.enable_bit) = (DriveProfile::Profidrive, None);
+    }
+    drive
+}
+
+/// At 12 Mbit/s all have their turn in each cycle; at 1.5 Mbit/s in some of them.
+fn profibus(shape: Shape) -> ProfibusPlan {
+    let drives = (0..AXES).map(|index| lenze(index, shape)).collect();
+    if !shape.other {
+        return ProfibusPlan::new(PORT, 12_000_000, drives);
+    }
+    let plan = ProfibusPlan::new(PORT, 1_500_000, drives);
+    plan.in_turn(plan.least_divisor(CyclePlan::default().grid()).expect("there is one"))
+}
+
 /// The bus of a machine, on drives that are there already or on new ones.
-fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn BusPlan> {
+fn bus(
+    shape: Shape,
+    taps: &mut Vec<Tap>,
+    line: &mut Option<TapLine>,
+    wire: &mut Option<TapWire>,
+) -> Box<dyn BusPlan> {
     let places = 0..AXES;
     let fresh = taps.is_empty();
     match shape.kind {
@@ -440,6 +471,15 @@ fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn
             }
             Box::new(EthernetIpPlan::new(SCANNER, drives))
         }
+        Kind::Lenze => {
+            let plan = profibus(shape);
+            wire.get_or_insert_with(|| {
+                let mut segment = ProfibusSegment::of(&plan);
+                segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
+                TapWire::new(segment)
+            });
+            Box::new(plan)
+        }
         Kind::Kollmorgen => {
             let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
             let plan = EthercatPlan::new(LINE, drives);
@@ -456,10 +496,11 @@ fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn
 }
 
 /// The drives, or the segment, that the test holds.
-fn drives(taps: &[Tap], line: Option<&TapLine>) -> Simulated {
+fn drives(taps: &[Tap], line: Option<&TapLine>, wire: Option<&TapWire>) -> Simulated {
     Simulated {
         drives: taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
         segments: line.map(|line| Box::new(line.clone()) as Box<dyn SimSegment>).into_iter().collect(),
+        wires: wire.map(TapWire::wire).into_iter().collect(),
         ..Simulated::default()
     }
 }
@@ -478,22 +519,23 @@ impl Machine {
     /// How the axes of such a machine are judged.
     pub fn scales(kind: Kind) -> Vec<Scale> {
         let shape = Shape { kind, hold: false, other: false, free_writes: true };
-        let bus = bus(shape, &mut Vec::new(), &mut None);
+        let bus = bus(shape, &mut Vec::new(), &mut None, &mut None);
         bus.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
     }
 
     pub fn new(shape: Shape) -> Machine {
-        let (mut taps, mut line) = (Vec::new(), None);
-        let bus = bus(shape, &mut taps, &mut line);
+        let (mut taps, mut line, mut wire) = (Vec::new(), None, None);
+        let bus = bus(shape, &mut taps, &mut line, &mut wire);
         let plans: Vec<AxisPlan> = bus.axes().into_iter().cloned().collect();
         Machine {
-            sim: master(shape, bus, drives(&taps, line.as_ref()), None),
+            sim: master(shape, bus, drives(&taps, line.as_ref(), wire.as_ref()), None),
             shape,
             scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
             plans,
             addresses: taps.iter().map(SimDrive::address).collect(),
             taps,
             line,
+            wire,
             calls: Vec::new(),
         }
     }
@@ -506,8 +548,8 @@ impl Machine {
             let connected = std::mem::take(&mut tap.lock().connected);
             connected.into_iter().for_each(|from| tap.disconnected(now, from));
         }
-        let bus = bus(self.shape, &mut self.taps, &mut self.line);
-        let drives = drives(&self.taps, self.line.as_ref());
+        let bus = bus(self.shape, &mut self.taps, &mut self.line, &mut self.wire);
+        let drives = drives(&self.taps, self.line.as_ref(), self.wire.as_ref());
         self.sim = master(self.shape, bus, drives, Some(now + ms * MS));
     }
 
@@ -528,6 +570,7 @@ impl Machine {
     pub fn truth(&self, index: usize) -> Truth {
         let now = self.world().now();
         let truth = match self.taps.get(index) {
+            None if let Some(wire) = &self.wire => wire.drives[index].lock().drive.truth(now),
             Some(tap) => match &mut tap.lock().drive {
                 Drive::LinMot(drive) => drive.truth(now),
                 Drive::Moons(drive) => drive.truth(now),
@@ -542,6 +585,15 @@ impl Machine {
         Truth { position: truth.position / counts, velocity: truth.velocity / counts, ..truth }
     }
 
+    /// What its master did that it must not: a drive that is told something else by a repetition ignores it. Others on
+    /// its wire speak into its telegrams, whoever their master is.
+    pub fn misuse(&self, index: usize) -> Option<String> {
+        let drive = self.wire.as_ref()?.drives.get(index)?;
+        let misuse = drive.lock().drive.misuse();
+        let Misuse { too_early, interrupted, state, .. } = misuse;
+        (misuse.total() > too_early + interrupted + state).then(|| format!("{misuse:?}"))
+    }
+
     pub fn online(&self) -> bool {
         (0..AXES).all(|index| self.sim.feedback(index).link == Link::Online)
     }
@@ -551,6 +603,7 @@ impl Machine {
         match self.addresses.get(index) {
             Some(address) if plugged => drop(self.world().plug(*address)),
             Some(address) => drop(self.world().unplug(*address)),
+            None if let Some(wire) = &self.wire => wire.drives[index].lock().unplugged = !plugged,
             None => drop(self.world().deafen(LINE, index, !plugged)),
         }
     }
@@ -558,6 +611,7 @@ impl Machine {
     pub fn restart(&self, index: usize) {
         match self.addresses.get(index) {
             Some(address) => drop(self.world().restart(*address)),
+            None if self.wire.is_some() => drop(self.world().restart_on(PORT, index)),
             None => drop(self.world().restart_slave(LINE, index)),
         }
     }
@@ -566,6 +620,7 @@ impl Machine {
     pub fn inhibit(&self, index: usize, ns: u64) {
         match self.addresses.get(index) {
             Some(address) => drop(self.world().inhibit(*address, ns)),
+            None if self.wire.is_some() => drop(self.world().inhibit_on(PORT, index, ns)),
             None => drop(self.world().inhibit_slave(LINE, index, ns)),
         }
     }
@@ -579,6 +634,8 @@ impl Machine {
                 Drive::Moons(drive) => drive.provoke(0x0100),
                 Drive::Unidrive(drive) => drive.provoke(Trip(40)),
             },
+            // Its phase current is too large.
+            None if let Some(wire) = &self.wire => wire.drives[index].lock().drive.provoke(0x2310),
             None => {
                 let fault = fieldbeat::internals::bus::ethercat::faults::Fault::FOLLOWING;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
@@ -590,12 +647,22 @@ impl Machine {
     pub fn lose(&self, index: usize, requests: u32, replies: u32) {
         match self.taps.get(index) {
             Some(tap) => tap.lock().lose = [requests, replies],
+            None if let Some(wire) = &self.wire => wire.drives[index].lock().lose = [requests, replies],
             None => self.plug(index, requests + replies == 0),
         }
     }
 
     /// Repeats a request of long ago at the drive, so many microseconds from now.
     pub fn repeat_request(&self, index: usize, motion: bool, back: usize, us: u64) {
+        if let Some(wire) = &self.wire {
+            // On a serial wire nothing comes late: another master, or requests that arrive broken.
+            let (at, count) = (self.world().now() + us * 1_000, back as u64 % 3 + 1);
+            match motion {
+                true => (0..count).for_each(|n| wire.voice.say(at + n * 400 * US, &[0xDC, 9, 9])),
+                false => wire.drives[index].lock().spoil[0] = count as u32,
+            }
+            return;
+        }
         let Some(tap) = self.taps.get(index) else {
             // It passes the slaves once more, and returns.
             if let Some(mut frame) = self.frame(back) {
@@ -616,12 +683,21 @@ impl Machine {
                 let [scanner, drive] = self.packets_of(index);
                 self.world().inject(drive, scanner, &bytes, at);
             }
-            Kind::Unidrive | Kind::Kollmorgen => {}
+            Kind::Unidrive | Kind::Kollmorgen | Kind::Lenze => {}
         }
     }
 
     /// Repeats a reply of long ago at the master, so many microseconds from now.
     pub fn repeat_reply(&self, index: usize, back: usize, us: u64) {
+        if let Some(wire) = &self.wire {
+            // The last answer once more, or answers that arrive broken.
+            let mut drive = wire.drives[index].lock();
+            match back % 2 {
+                0 => wire.voice.say(self.world().now() + us * 1_000, &drive.answer),
+                _ => drive.spoil[1] = back as u32 % 3 + 1,
+            }
+            return;
+        }
         let Some(tap) = self.taps.get(index) else {
             if let Some(frame) = self.frame(back) {
                 self.world().inject_frame(LINE, &frame, self.world().now() + us * 1_000);
@@ -685,7 +761,7 @@ fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
     match (kind, index) {
         (Kind::LinMot, _) => scale,
         (Kind::Moons, _) => Scale { near: 0.02, still: 0.3, ..scale },
-        (Kind::Unidrive, _) => Scale { positions: false, homes: false, ..scale },
+        (Kind::Unidrive | Kind::Lenze, _) => Scale { positions: false, homes: false, ..scale },
         // A position controller of 60 Hz comes to rest for a while.
         (Kind::Kollmorgen, 0) => Scale { near: 0.02, still: 0.6, ..scale },
         (Kind::Kollmorgen, 1) => Scale { positions: false, still: 0.3, ..scale },

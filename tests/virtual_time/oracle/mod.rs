@@ -43,11 +43,11 @@ const TRIES: usize = 600;
 
 /// The machine of a seed, and its rounds.
 fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
-    let kinds = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons];
+    let kinds = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons, Kind::Lenze];
     let only = variable::<String>("ORACLE_KIND");
     let named = only.and_then(|name| kinds.into_iter().find(|kind| format!("{kind:?}") == name));
-    let kind = named.unwrap_or(kinds[(seed % 4) as usize]);
-    let bits = seed / 4;
+    let kind = named.unwrap_or(kinds[(seed % 5) as usize]);
+    let bits = seed / 5;
     let (hold, other) = (bits & 1 != 0, bits & 2 != 0);
     let shape = Shape { kind, hold, other, free_writes: !without.free_writes };
     let scales = Machine::scales(kind);

@@ -421,6 +421,9 @@ impl Run {
             }
             self.step()?;
         }
+        if let Some((axis, text)) = (0..AXES).find_map(|axis| Some((axis, self.machine.misuse(axis)?))) {
+            return Err(self.found(axis, Breach { rule: "misuse", text }));
+        }
         let open = (0..AXES).find(|axis| !self.watches[*axis].pending.is_empty());
         match open {
             None => Ok(()),

@@ -196,6 +196,12 @@ pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
             ("0x6081:0", "30000000"),
             ("0x6083:0", "20000"),
         ],
+        Kind::Lenze => &[
+            // No saving; a fixed speed; a reset of faults.
+            ("C0003", "0"),
+            ("C0039/1", "100"),
+            ("C0043", "0"),
+        ],
     }
 }
 

@@ -9,8 +9,10 @@
 //! | `mod` | the kinds of faults, their bounds, and the count of what came of them |
 //! | `machine` | a machine of any shape, brought into motion, given a fault, and brought back |
 //! | `moons` | drives with their own clock, and edges |
+//! | `lenze` | drives in turn on one wire |
 //! | `watch` | what one drive is told |
 
+mod lenze;
 mod machine;
 mod moons;
 mod watch;
