@@ -22,11 +22,11 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-pub(crate) use notation::go_on;
 pub use notation::{
     Access, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList, Request,
     Wanted, Watcher,
 };
+pub(crate) use notation::{bits, count, go_on};
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
 #[cfg(test)]

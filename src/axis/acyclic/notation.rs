@@ -334,3 +334,25 @@ pub(crate) fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usi
         ControlFlow::Break(()) => Err(ListError::BrokenOff { drive: access.drive.to_owned() }),
     }
 }
+
+/// Hexadecimal digits and nothing else.
+pub(crate) fn bits(digits: &str) -> Option<u64> {
+    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
+}
+
+/// The count that `text` means for a parameter with so many decimals.
+pub(crate) fn count(text: &str, decimals: u32) -> Option<i64> {
+    match text {
+        "true" => return Some(1),
+        "false" => return Some(0),
+        _ => {}
+    }
+    let Some((whole, part)) = text.split_once('.') else { return text.parse().ok() };
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let places = u32::try_from(part.len()).ok().filter(|places| *places <= decimals)?;
+    if !digits(whole.strip_prefix('-').unwrap_or(whole)) || !digits(part) {
+        return None;
+    }
+    let number: i64 = format!("{whole}{part}").parse().ok()?;
+    number.checked_mul(10_i64.pow(decimals - places))
+}

@@ -20,7 +20,7 @@ mod list;
 
 use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::ExceptionCode;
-use crate::axis::acyclic::{Call, ListError, Listing, Notation, NotationError, Wanted};
+use crate::axis::acyclic::{Call, ListError, Listing, Notation, NotationError, Wanted, bits, count};
 
 /// The service of a call that reads.
 pub const READ: u32 = 1;
@@ -217,28 +217,6 @@ impl Notation for Parameters {
 fn scaled(known: &Known, number: i64) -> String {
     let value = format!("{:.*}", known.decimals as usize, known.value(number));
     format!("{value} {}", known.unit).trim_end().to_owned()
-}
-
-/// Hexadecimal digits and nothing else.
-fn bits(digits: &str) -> Option<u64> {
-    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
-}
-
-/// The count that `text` means for a parameter with so many decimals.
-fn count(text: &str, decimals: u32) -> Option<i64> {
-    match text {
-        "true" => return Some(1),
-        "false" => return Some(0),
-        _ => {}
-    }
-    let Some((whole, part)) = text.split_once('.') else { return text.parse().ok() };
-    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    let places = u32::try_from(part.len()).ok().filter(|places| *places <= decimals)?;
-    if !digits(whole.strip_prefix('-').unwrap_or(whole)) || !digits(part) {
-        return None;
-    }
-    let number: i64 = format!("{whole}{part}").parse().ok()?;
-    number.checked_mul(10_i64.pow(decimals - places))
 }
 
 /// The correct form.

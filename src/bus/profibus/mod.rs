@@ -10,6 +10,7 @@
 //! | `profile`, `native` | control word and set point, status and actual value; native process data |
 //! | `station` | the master's view of one drive |
 //! | `acyclic` | parameters, in the drive's own turns |
+//! | `target`, `catalogue`, `notation` | what a call is for; known codes; how people write them |
 //! | `bus`, `bus_plan` | line, stations and port as one bus |
 //! | `schedule` | its turns on the grid: whether they fit, and how long one waits |
 //! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
@@ -22,6 +23,7 @@
 mod acyclic;
 mod bus;
 mod bus_plan;
+mod catalogue;
 mod check;
 #[cfg(feature = "config")]
 mod config;
@@ -36,6 +38,7 @@ mod profile;
 mod schedule;
 mod start_up;
 mod station;
+pub(crate) mod target;
 pub(crate) mod wire;
 
 pub use native::{NATIVE_WORDS, Native, NativeInputs, NativeOutput};

@@ -426,9 +426,9 @@ impl Station {
         match (self.sending, answer) {
             (Sending::StartUp, Answer::Refused(function)) => self.start_up.refused(function),
             (Sending::StartUp, _) => self.start_up.acknowledged(),
-            (Sending::Msac1, Answer::Refused(_)) => {
+            (Sending::Msac1, Answer::Refused(function)) => {
                 self.close(at, slot);
-                self.acyclic.answered(at, acyclic::Answer::Refused);
+                self.acyclic.answered(at, acyclic::Answer::Refused(function));
             }
             (Sending::Msac1, _) => {
                 self.close(at, slot);

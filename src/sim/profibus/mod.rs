@@ -232,6 +232,11 @@ impl LenzeSim {
         self.slave.drive.codes.eeprom_writes
     }
 
+    /// The value of a code, in counts; 0 if there is none. This counts as no telegram.
+    pub fn parameter(&self, code: u16, subcode: u16) -> i32 {
+        self.slave.drive.codes.get(code, subcode)
+    }
+
     /// Its true state at `now`; its counts are revolutions. This counts as no telegram.
     pub fn truth(&mut self, now: Time) -> Truth {
         self.slave.advance(now);

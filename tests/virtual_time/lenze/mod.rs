@@ -7,9 +7,11 @@
 //! | `turns` | from the first telegram to a motor that turns, at each rate |
 //! | `names` | what is wrong is reported by name, and disturbs nobody else |
 //! | `loss` | drives, telegrams and ports that are lost; noise and other masters |
+//! | `parameters` | codes and records, by each path |
 
 mod loss;
 mod names;
+mod parameters;
 mod turns;
 
 use std::sync::{Arc, Mutex};

@@ -18,12 +18,47 @@
 //!    [`lost`](Acyclic::lost) when the telegram is closed.
 //!
 //! [`ended`](Acyclic::ended) follows when the drive has left Data_Exchange: its channel and its MSAC1 begin anew.
+//!
+//! One request is under way at a time. A write of which the drive may have received something is never sent again: if its
+//! end cannot be found out, it times out. A call that has ended for the application leaves its request to be finished
+//! here, so that no answer of it meets the next one.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the calls of one drive, and whose turn is theirs |
+//! | `channel` | a job in the parameter channel: paths A and B |
+//! | `transfer` | a record by MSAC1 |
+//! | `request` | parameters by path C: a request in a record, and its response |
+
+mod channel;
+mod request;
+#[cfg(test)]
+mod tests;
+mod transfer;
+
+use self::channel::{Channel, Job};
+use self::request::{BATCH, Next, Requests};
+use self::transfer::{Event, Transfer};
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
+use super::target::{
+    NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Parameter, Target, commanding as codes_that_command,
+};
+use super::wire::msac1::Record;
 use crate::axis::Link;
-use crate::axis::acyclic::{CallError, Commanding, Port};
+use crate::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE, raw};
+use crate::axis::acyclic::{Answer as CallAnswer, CallError, Commanding, Port, Posted};
 use crate::rt::Regions;
-use crate::time::Time;
+use crate::time::{S, Time};
+
+/// One turn of so many may be an MSAC1 request, while the power of the drive is on or coming on ...
+const EVERY_ON: u32 = 4;
+/// ... and while it is off.
+const EVERY_OFF: u32 = 2;
+/// A request whose calls have ended is given up after so long, ns.
+const LEFT_NS: u64 = 2 * S;
+/// So many calls are taken from the queue in one turn, at most.
+const MOST_TAKEN: usize = 32;
 
 /// What a turn of the drive is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,82 +76,446 @@ pub(super) enum Answer<'a> {
     Data(&'a [u8]),
     /// The bare acknowledgement: the answer is to be polled for.
     Acknowledged,
-    /// Refused by the link layer (UE, RR, RS): the service is not active.
-    Refused,
+    /// Refused by the link layer, with this function (UE, RR, RS).
+    Refused(u8),
 }
 
 /// The acyclic access to one drive.
 #[derive(Debug)]
 pub(super) struct Acyclic {
     port: Port,
-    channel: [u8; CHANNEL],
+    /// A request is under way, a call waits, or the channel has to be sent.
+    is_busy: bool,
+    channel: Channel,
+    work: Box<Work>,
+}
+
+/// What is touched only while there is a call.
+#[derive(Debug)]
+struct Work {
+    path: ParameterPath,
+    has_dpv1: bool,
+    /// Turns since the last one of MSAC1.
+    since: u32,
+    /// The next turn may be one.
+    is_open: bool,
+    active: Option<Active>,
+    /// A call that was taken, and cannot go with those before it.
+    ahead: Option<Posted>,
+    transfer: Transfer,
+    requests: Requests,
+    /// What was read last, and what was handed over to be written.
+    read: Kept,
+    loaded: Kept,
+}
+
+/// What a request is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// A job in the channel.
+    Channel(Job),
+    /// A record is read, or written.
+    Record(Record),
+    /// A parameter request, or the reading of its response.
+    Request { response: bool },
+}
+
+/// The request under way.
+#[derive(Debug)]
+struct Active {
+    way: Way,
+    writes: bool,
+    commands: bool,
+    /// A job of the channel has left.
+    is_out: bool,
+    begun: Time,
+    /// The last of its calls has ended.
+    left: Option<Time>,
+    /// Its calls, in their order; the place of one that has ended is empty.
+    calls: [Option<Posted>; BATCH],
+    count: usize,
+}
+
+impl Active {
+    /// The drive may have received what matters of it.
+    fn is_sent(&self, transfer: &Transfer) -> bool {
+        match self.way {
+            Way::Channel(_) => self.is_out,
+            Way::Request { response: true } => true,
+            Way::Record(_) | Way::Request { response: false } => transfer.is_sent,
+        }
+    }
+
+    fn calls(&self) -> &[Option<Posted>] {
+        self.calls.get(..self.count).unwrap_or_default()
+    }
 }
 
 /// The calls that command a drive.
 pub(super) fn commanding(_drive: &LenzeDrive) -> Commanding {
-    Commanding::none()
+    codes_that_command()
 }
 
 impl Acyclic {
     /// That of `drive`.
     pub(super) fn new(drive: &LenzeDrive, port: Port) -> Acyclic {
-        debug_assert!(drive.parameters != ParameterPath::Pkw || drive.channel);
-        Acyclic { port, channel: [0; CHANNEL] }
+        // Without a channel in the process data there is no path in it.
+        let path = match drive.parameters {
+            ParameterPath::Pkw | ParameterPath::Drivecom if !drive.channel => ParameterPath::None,
+            path => path,
+        };
+        let work = Work {
+            path,
+            has_dpv1: drive.has_dpv1(),
+            since: 0,
+            is_open: false,
+            active: None,
+            ahead: None,
+            transfer: Transfer::new(),
+            requests: Requests::new(path),
+            read: Kept::default(),
+            loaded: Kept::default(),
+        };
+        Acyclic { port, is_busy: true, channel: Channel::new(path), work: Box::new(work) }
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.port.memory(regions);
+        regions.add(&*self.work);
     }
 
     /// Nothing is to be done: no call runs, none is posted, and calls that command the drive are refused or not as it
     /// knows. Checked in each turn, so that nothing else is.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
-        self.port.is_empty()
+        !self.is_busy && self.port.is_empty()
     }
 
     /// Takes the next call, and ends those that are over. `guarded`: calls that command the drive are refused.
     /// `exchanges`: the drive is in Data_Exchange.
-    pub(super) fn advance(&mut self, _now: Time, link: Link, exchanges: bool, guarded: bool) {
+    pub(super) fn advance(&mut self, now: Time, link: Link, exchanges: bool, guarded: bool) {
         self.port.guard(guarded);
         let online = exchanges && !matches!(link, Link::Unseen | Link::Lost);
-        self.port.refuse_all(if online { CallError::Refused(0) } else { CallError::NotOnline });
+        if !online {
+            if let Some(ahead) = self.work.ahead.take() {
+                self.port.end(&ahead, Err(CallError::NotOnline));
+            }
+            self.port.refuse_all(CallError::NotOnline);
+        }
+        self.look(now, online);
+        for _ in 0..MOST_TAKEN {
+            if self.work.active.is_some() {
+                break;
+            }
+            let Some(posted) = self.next() else { break };
+            self.take_up(now, posted);
+        }
+        let Work { active, transfer, ahead, since, is_open, .. } = &mut *self.work;
+        if let Some(Active { way: Way::Channel(job), .. }) = active
+            && self.channel.is_free()
+        {
+            self.channel.begin(*job);
+        }
+        let every = if guarded { EVERY_ON } else { EVERY_OFF };
+        *is_open = since.saturating_add(1) >= every && now >= transfer.not_before;
+        self.is_busy = active.is_some() || ahead.is_some() || !self.channel.is_free();
+    }
+
+    /// Ends the calls under way that are over.
+    fn look(&mut self, now: Time, online: bool) {
+        let Work { active, transfer, requests, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        let is_sent = of.is_sent(transfer);
+        let mut changed = false;
+        for place in &mut of.calls {
+            let Some(posted) = place else { continue };
+            let over = match () {
+                () if now.since(of.begun) > posted.limit_ns => Some(CallError::TimedOut),
+                () if self.port.is_cancelled(posted) => Some(CallError::Cancelled),
+                () if is_sent => None,
+                () if !online => Some(CallError::NotOnline),
+                () => self.port.refusal(posted),
+            };
+            if let Some(why) = over {
+                self.port.end(posted, Err(why));
+                (*place, changed) = (None, true);
+            }
+        }
+        let nobody_waits = of.calls().iter().all(Option::is_none);
+        if nobody_waits {
+            let left = *of.left.get_or_insert(now);
+            if !is_sent || now.since(left) > LEFT_NS {
+                if matches!(of.way, Way::Channel(_)) {
+                    self.channel.clear();
+                }
+                *active = None;
+            }
+        } else if changed && !is_sent && matches!(of.way, Way::Request { .. }) {
+            // Nothing of those that have ended is sent.
+            requests.build(&of.calls, of.writes, transfer);
+            of.commands = of.calls().iter().flatten().any(|posted| self.port.commands(posted));
+        }
+    }
+
+    /// The next call.
+    fn next(&mut self) -> Option<Posted> {
+        let Some(posted) = self.work.ahead.take() else { return self.port.take() };
+        let over = match self.port.refusal(&posted) {
+            _ if self.port.is_cancelled(&posted) => Some(CallError::Cancelled),
+            why => why,
+        };
+        match over {
+            Some(why) => {
+                self.port.end(&posted, Err(why));
+                self.port.take()
+            }
+            None => Some(posted),
+        }
+    }
+
+    fn take_up(&mut self, now: Time, posted: Posted) {
+        let here = match posted.call.service {
+            SIZE | PART => self.work.read.answer(&posted).ok_or(NOT_READ),
+            LOAD => self.work.loaded.load(&posted).ok_or(NOT_LOADED),
+            _ => match self.way(&posted) {
+                Ok(way) => return self.begin(now, way, posted),
+                Err(status) => Err(status),
+            },
+        };
+        self.port.end(&posted, here.map_err(CallError::Refused));
+    }
+
+    /// How a call is carried out; an error is its status.
+    fn way(&mut self, posted: &Posted) -> Result<Way, u32> {
+        let Work { path, has_dpv1, transfer, requests, loaded, .. } = &mut *self.work;
+        let call = posted.call;
+        let msac1 = || if *has_dpv1 { Ok(()) } else { Err(NO_DPV1) };
+        match (call.service, Target::unpack(call.address).ok_or(NO_CALL)?) {
+            (READ, Target::Record(record)) => {
+                msac1()?;
+                transfer.read(record);
+                Ok(Way::Record(record))
+            }
+            (STORE, Target::Record(record)) => {
+                msac1()?;
+                let bytes = loaded.whole(posted).ok_or(NOT_LOADED)?;
+                let fits = transfer.write(record, |out| out.bytes(bytes));
+                if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) }
+            }
+            (READ | WRITE, Target::Parameter(parameter)) => match *path {
+                ParameterPath::None => Err(NO_PATH),
+                ParameterPath::Pkw | ParameterPath::Drivecom => {
+                    let write = (call.service == WRITE).then_some(call.value);
+                    Job::of(parameter, write, *path).map(Way::Channel)
+                }
+                ParameterPath::Msac1 { .. } => {
+                    msac1()?;
+                    requests.admit(parameter, call.service == WRITE)?;
+                    Ok(Way::Request { response: false })
+                }
+            },
+            _ => Err(NO_CALL),
+        }
+    }
+
+    fn begin(&mut self, now: Time, way: Way, posted: Posted) {
+        let mut of = Active {
+            way,
+            writes: posted.call.service != READ,
+            commands: self.port.commands(&posted),
+            is_out: false,
+            begun: now,
+            left: None,
+            calls: [None; BATCH],
+            count: 1,
+        };
+        of.calls[0] = Some(posted);
+        if matches!(way, Way::Request { .. }) {
+            self.gather(&mut of, &posted);
+            let Work { transfer, requests, .. } = &mut *self.work;
+            requests.begin(&posted);
+            requests.build(&of.calls, of.writes, transfer);
+        }
+        self.work.active = Some(of);
+    }
+
+    /// Takes the calls that can go in the same request. Writes of a series have to end one by one, since the first that
+    /// fails ends it.
+    fn gather(&mut self, of: &mut Active, first: &Posted) {
+        if of.writes && first.series != 0 {
+            return;
+        }
+        for place in of.calls.iter_mut().skip(1) {
+            let Some(posted) = self.port.take() else { return };
+            let parameter = |posted: &Posted| match Target::unpack(posted.call.address) {
+                Some(Target::Parameter(parameter)) => Some(parameter),
+                _ => None,
+            };
+            let joins = |parameter: Parameter| {
+                let requests = &self.work.requests;
+                parameter.kind().size().is_some() && requests.admit(parameter, of.writes).is_ok()
+            };
+            let is_same = posted.call.service == first.call.service && (!of.writes || posted.series == 0);
+            if !is_same || ![first, &posted].into_iter().all(|posted| parameter(posted).is_some_and(joins)) {
+                self.work.ahead = Some(posted);
+                return;
+            }
+            of.commands |= self.port.commands(&posted);
+            *place = Some(posted);
+            of.count += 1;
+        }
     }
 
     /// A call of the application that commands the drive is under way.
     #[inline]
     pub(super) fn commands(&self) -> bool {
-        false
+        self.work.active.as_ref().is_some_and(|of| of.commands)
     }
 
     /// The parameter channel in the outputs.
     #[inline]
     pub(super) fn channel(&self) -> &[u8; CHANNEL] {
-        &self.channel
+        self.channel.out()
     }
 
     /// The data of an MSAC1 request, in place of the next Data_Exchange; `None`: there is none to send. Empty: a poll
     /// for the answer.
     #[inline]
     pub(super) fn data_unit(&self) -> Option<&[u8]> {
-        None
+        // Usually there is none.
+        if !self.is_busy || !self.work.is_open {
+            return None;
+        }
+        let way = self.work.active.as_ref()?.way;
+        (!matches!(way, Way::Channel(_))).then(|| self.work.transfer.data())
     }
 
     /// The telegram of this turn has left.
     #[inline]
-    pub(super) fn sent(&mut self, _at: Time, _turn: Turn) {}
+    pub(super) fn sent(&mut self, _at: Time, turn: Turn) {
+        match turn {
+            Turn::DataExchange => {
+                self.work.since = self.work.since.saturating_add(1);
+                let has_job = self.channel.sent();
+                if let Some(of) = &mut self.work.active {
+                    of.is_out |= has_job;
+                }
+            }
+            Turn::Msac1 => {
+                (self.work.since, self.work.is_open) = (0, false);
+                self.work.transfer.sent();
+            }
+        }
+    }
 
     /// Data_Exchange was answered, with this channel in its inputs.
     #[inline]
-    pub(super) fn channel_answered(&mut self, _at: Time, _channel: &[u8; CHANNEL]) {}
+    pub(super) fn channel_answered(&mut self, _at: Time, channel: &[u8; CHANNEL]) {
+        if let Some(ended) = self.channel.answered(channel) {
+            self.finish_all(ended.map(u64::from));
+        }
+    }
 
     /// The MSAC1 request was answered.
-    pub(super) fn answered(&mut self, _at: Time, _answer: Answer<'_>) {}
+    pub(super) fn answered(&mut self, at: Time, answer: Answer<'_>) {
+        let Work { active, transfer, requests, read, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        let event = transfer.answered(at, answer);
+        match (of.way, event) {
+            (Way::Channel(_), _) | (_, Event::None) => {}
+            (_, Event::Refused(status)) => self.finish_all(Err(status)),
+            (Way::Record(_), Event::Written) => self.finish_all(Ok(0)),
+            (Way::Record(_), Event::Read(data)) => {
+                if let [Some(posted), ..] = &of.calls {
+                    *read = Kept::of_read(posted, data.len(), data);
+                }
+                self.finish_all(Ok(raw(data)));
+            }
+            (Way::Record(_), Event::Unknown) if of.writes => self.finish(|_, _| Err(CallError::TimedOut)),
+            (Way::Record(record), Event::Unknown) => transfer.read(record),
+            (Way::Request { response: false }, Event::Written) => {
+                of.way = Way::Request { response: true };
+                requests.read_response(transfer);
+            }
+            (Way::Request { .. }, Event::Unknown) if of.writes => {
+                // A response with its number shows what became of it.
+                of.way = Way::Request { response: true };
+                requests.read_response(transfer);
+            }
+            (Way::Request { .. }, Event::Unknown) => self.request_anew(),
+            (Way::Request { .. }, Event::Read(data)) => self.respond(at, data),
+            (Way::Request { response: true }, Event::Written) => {}
+        }
+    }
 
-    /// The telegram of this turn was not answered, with all its repetitions: the drive may have received it.
-    pub(super) fn lost(&mut self, _turn: Turn) {}
+    /// Reads what is still wanted by a request of its own.
+    fn request_anew(&mut self) {
+        let Work { active, transfer, requests, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        if of.calls().iter().all(Option::is_none) {
+            *active = None;
+            return;
+        }
+        of.way = Way::Request { response: false };
+        requests.build(&of.calls, of.writes, transfer);
+    }
+
+    /// The record with the response was read.
+    fn respond(&mut self, at: Time, data: &[u8]) {
+        let Work { active, transfer, requests, read, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        match requests.respond(data, of.calls(), of.writes, read) {
+            Next::Again => transfer.again(at),
+            Next::Further => self.request_anew(),
+            Next::Over(result) => self.finish_all(result),
+            Next::Each => self.finish(|work, place| work.requests.result(place).map_err(CallError::Refused)),
+        }
+    }
+
+    /// Ends all calls under way alike; an error is a status.
+    fn finish_all(&mut self, result: Result<u64, u32>) {
+        self.finish(|_, _| result.map_err(CallError::Refused));
+    }
+
+    /// Ends the request, and its calls with the result of each. What was written is the value of a write.
+    fn finish(&mut self, result: impl Fn(&Work, usize) -> Result<u64, CallError>) {
+        let Some(of) = self.work.active.take() else { return };
+        let mut failed = 0;
+        for (place, posted) in of.calls().iter().enumerate() {
+            let Some(posted) = posted else { continue };
+            let mut result = result(&self.work, place);
+            if posted.series != 0 && posted.series == failed {
+                result = Err(CallError::Skipped);
+            } else if result.is_err() {
+                failed = posted.series;
+            }
+            let address = posted.call.address;
+            let answer = |value| CallAnswer { status: 0, address, value };
+            self.port
+                .end(posted, result.map(|read| answer(if of.writes { posted.call.value } else { read })));
+        }
+    }
+
+    /// The telegram of this turn was not answered, with all its repetitions: the drive may have received it. A job in
+    /// the channel stays where it is.
+    pub(super) fn lost(&mut self, turn: Turn) {
+        if turn == Turn::Msac1 {
+            self.work.transfer.lost();
+        }
+    }
 
     /// The drive has left Data_Exchange, or is set up anew.
-    pub(super) fn ended(&mut self) {}
+    pub(super) fn ended(&mut self) {
+        self.channel.reset();
+        self.is_busy = true;
+        let Work { active, transfer, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        if of.is_sent(transfer) {
+            let why = if of.writes { CallError::TimedOut } else { CallError::Restarted };
+            self.finish(|_, _| Err(why));
+        } else {
+            transfer.anew();
+        }
+    }
 }

@@ -13,10 +13,14 @@ impl ErrorNumber {
     pub const READ_ONLY: ErrorNumber = ErrorNumber(0x01);
     /// A limit is exceeded.
     pub const LIMIT: ErrorNumber = ErrorNumber(0x02);
+    /// The subindex is wrong.
+    pub const SUBINDEX: ErrorNumber = ErrorNumber(0x03);
     /// This interface has no right to change it.
     pub const NO_RIGHT: ErrorNumber = ErrorNumber(0x0B);
     /// Not in this state.
     pub const STATE: ErrorNumber = ErrorNumber(0x11);
+    /// The response has no room for it.
+    pub const TOO_LONG: ErrorNumber = ErrorNumber(0x15);
     /// The first number of the manufacturer's own.
     const OWN: u16 = 0x65;
 

@@ -1,0 +1,330 @@
+//! Paths A and B.
+
+use super::*;
+
+/// The page of the vendor: 43 degrees.
+const READ_C0061: [u8; 8] = [0x10, 0x3D, 0, 0, 0, 0, 0, 0];
+const IS_43: [u8; 8] = [0x20, 0x3D, 0, 0, 0, 0x06, 0x8F, 0xB0];
+
+#[test]
+fn pkw_reads_and_shows_no_job_before_the_next_one() {
+    let mut side = Side::new(ParameterPath::Pkw);
+    let mut seen = Vec::new();
+    for _ in 0..2 {
+        let mut ticket = side.read(C0061);
+        let mut late = 3;
+        let end = side.by_channel(&mut ticket, |out| {
+            if seen.last() != Some(&out) {
+                seen.push(out);
+            }
+            late -= i32::from(out == READ_C0061);
+            Some(if out == READ_C0061 && late < 0 { IS_43 } else { [0; 8] })
+        });
+        assert_eq!(end, Ok(430_000));
+        assert!(!side.access.is_idle(), "the job is still there");
+    }
+    assert_eq!(seen, [[0; 8], READ_C0061, [0; 8], READ_C0061]);
+    // The old answer stands for a while: there is no next job before it has gone.
+    let mut ticket = side.read(C0061);
+    let mut turn = 0;
+    let end = side.by_channel(&mut ticket, |out| {
+        turn += 1;
+        assert_eq!(out == READ_C0061, turn > 5, "{turn}");
+        Some(if turn < 5 || turn > 7 { IS_43 } else { [0; 8] })
+    });
+    assert_eq!((end, turn), (Ok(430_000), 8));
+}
+
+#[test]
+fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
+    let mut side = Side::new(ParameterPath::Pkw);
+    let write = |raw: u64| (WRITE, C0039_2, raw);
+    for ((service, address, value), job, answer, expected) in [
+        // Element jobs of a subcode; 7 is "write word" from the master, and "error" from the drive.
+        (write(1_504_000), "80270200 0016F300", "50270200 0016F300", Ok(1_504_000)),
+        (write(9), "80270200 00000009", "70270200 00000002", Err(2)),
+        (write(9), "80270200 00000009", "80270200 00000000", Err(0x0B)),
+        ((READ, C0039_2, 0), "60270200 00000000", "40270200 0000FFFF", Ok(0xFFFF)),
+        ((WRITE, code(150, 1, Kind::U16), 0x1_0007), "70960100 00000007", "40960100 00000007", Ok(0x1_0007)),
+        ((WRITE, code(150, 0, Kind::I16), 0xFFFE), "20960000 0000FFFE", "10960000 0000FFFE", Ok(0xFFFE)),
+        ((READ, code(1999, 0, Kind::Own), 0), "17CF0000 00000000", "77CF0000 00000000", Err(0)),
+        ((READ, C0061, 0), "103D0000 00000000", "303D0000 00068FB0", Err(BROKEN)),
+    ] {
+        let [job, answer] = [job, answer].map(hex);
+        let mut ticket = side.post(service, address, value);
+        let (mut turn, mut foreign) = (0, Vec::new());
+        for at in [0, 1, 2] {
+            let mut other = answer;
+            other[at] ^= if at == 0 { 1 } else { 4 };
+            foreign.push(other);
+        }
+        let end = side.by_channel(&mut ticket, |out| {
+            if out == [0; 8] {
+                return Some(out);
+            }
+            assert_eq!(out, job);
+            turn += 1;
+            // Those to another code, or another subcode, and one that is lost.
+            match turn {
+                1..=3 => Some(foreign[turn - 1]),
+                4 => None,
+                _ => Some(answer),
+            }
+        });
+        assert_eq!(end, expected.map_err(CallError::Refused), "{answer:02X?}");
+    }
+    let mut ticket = side.read(code(0x1000, 0, Kind::Own));
+    let end = side.by_channel(&mut ticket, Some);
+    assert_eq!(end, Err(CallError::Refused(super::super::super::target::UNREACHABLE)));
+}
+
+/// A drive by DRIVECOM: acts on each job whose handshake bit is another one, after so many exchanges.
+struct Drivecom {
+    job: [u8; 8],
+    answer: [u8; 8],
+    delay: u32,
+    left: u32,
+    /// 30 and 70 (false), or 00 and 40.
+    bare: bool,
+    value: [u8; 4],
+    error: bool,
+    writes: Vec<[u8; 8]>,
+}
+
+impl Drivecom {
+    fn new(value: [u8; 4]) -> Drivecom {
+        let (job, answer) = ([0; 8], [0; 8]);
+        Drivecom { job, answer, delay: 2, left: 0, bare: false, value, error: false, writes: Vec::new() }
+    }
+
+    fn exchange(&mut self, out: [u8; 8]) -> [u8; 8] {
+        if (out[0] ^ self.job[0]) & 0x40 != 0 && out[0] & 7 != 0 {
+            self.left = self.delay;
+            if out[0] & 7 == 2 {
+                self.writes.push(out);
+            }
+        }
+        if out[0] & 7 == 0 {
+            (self.job, self.answer) = (out, [out[0] & 0x40, 0, 0, 0, 0, 0, 0, 0]);
+            return self.answer;
+        }
+        self.job = out;
+        if self.left > 0 {
+            self.left -= 1;
+            return self.answer;
+        }
+        let style = if self.bare { 0 } else { 0x30 };
+        let error = if self.error { 0x80 } else { 0 };
+        self.answer = [out[0] & 0x40 | style | error, out[1], out[2], out[3], 0, 0, 0, 0];
+        self.answer[4..].copy_from_slice(&self.value);
+        self.answer
+    }
+}
+
+#[test]
+fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
+    for bare in [false, true] {
+        let mut side = Side::new(ParameterPath::Drivecom);
+        let mut drive = Drivecom { bare, ..Drivecom::new([0, 0x06, 0x8F, 0xB0]) };
+        for _ in 0..3 {
+            let mut ticket = side.read(C0061);
+            let mut jobs = Vec::new();
+            let end = side.by_channel(&mut ticket, |out| {
+                jobs.push(out);
+                Some(drive.exchange(out))
+            });
+            assert_eq!(end, Ok(430_000));
+            assert!(jobs.iter().any(|job| job[0] & 0xBF == 0x31 && job[1..] == [0, 0x5F, 0xC2, 0, 0, 0, 0]));
+        }
+        // The length of the reply says 4: it is that of the code that counts.
+        for (kind, raw) in [(Kind::U8, 0), (Kind::U16, 6), (Kind::I32, 0x0006_8FB0)] {
+            let mut ticket = side.read(code(61, 0, kind));
+            assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(raw), "{kind:?}");
+        }
+        drive.value = [0; 4];
+        let mut ticket = side.write(code(39, 0, Kind::Own), 1_504_000);
+        assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(1_504_000));
+        let mut ticket = side.write(code(39, 2, Kind::U16), 0xFFFE);
+        assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(0xFFFE));
+        assert_eq!(drive.writes.iter().map(|job| job[0] & 0xBF).collect::<Vec<_>>(), [0x32, 0x12]);
+        assert_eq!(drive.writes[0][1..], [0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
+        assert_eq!(drive.writes[1][1..], [2, 0x5F, 0xD8, 0xFF, 0xFE, 0, 0]);
+        (drive.error, drive.value) = (true, [6, 7, 0, 0]);
+        let mut ticket = side.read(C0061);
+        let end = side.by_channel(&mut ticket, |out| Some(drive.exchange(out)));
+        assert_eq!(end, Err(CallError::Refused(0x0607_0000)));
+    }
+}
+
+#[test]
+fn drivecom_takes_the_reply_of_its_own_handshake_index_and_subindex_only() {
+    let mut side = Side::new(ParameterPath::Drivecom);
+    let mut ticket = side.read(C0039_2);
+    let mut turn = 0;
+    let end = side.by_channel(&mut ticket, |out| {
+        if out[0] & 7 == 0 {
+            return Some([0; 8]);
+        }
+        turn += 1;
+        let mut reply = [out[0] & 0x40 | 0x31, out[1], out[2], out[3], 0, 0, 0, 7];
+        match turn {
+            1 => reply[0] ^= 0x40,
+            2 => reply[1] ^= 1,
+            3 => reply[2] ^= 1,
+            4 => reply[3] ^= 1,
+            5 => return None,
+            _ => {}
+        }
+        Some(reply)
+    });
+    assert_eq!((end, turn), (Ok(7), 6));
+}
+
+#[test]
+fn drivecom_begins_against_what_the_drive_shows() {
+    // One that still shows the bit of a master before, and follows at once, later, or not at all.
+    for follows in [Some(0), Some(1), Some(3), None] {
+        let mut side = Side::new(ParameterPath::Drivecom);
+        let mut shown = 0x40;
+        let mut behind = std::collections::VecDeque::from(vec![0x40; follows.unwrap_or(0)]);
+        let mut ticket = side.read(C0061);
+        let mut acted = 0;
+        let end = side.by_channel(&mut ticket, |out| {
+            if out[0] & 7 == 0 {
+                if follows.is_some() {
+                    behind.push_back(out[0] & 0x40);
+                    shown = behind.pop_front().unwrap();
+                }
+                return Some([shown, 0, 0, 0, 0, 0, 0, 0]);
+            }
+            if out[0] & 0x40 == shown {
+                return Some([shown, 0, 0, 0, 0, 0, 0, 0]);
+            }
+            acted += 1;
+            Some([out[0] & 0x40, out[1], out[2], out[3], 0, 0, 0, 9])
+        });
+        assert_eq!((end, acted), (Ok(9), 1), "{follows:?}");
+    }
+}
+
+#[test]
+fn one_wrong_answer_does_not_keep_a_channel_from_its_first_job() {
+    let mut side = Side::new(ParameterPath::Drivecom);
+    side.rest(1, [0x40, 0, 0, 0, 0, 0, 0, 0]);
+    let mut ticket = side.read(C0061);
+    let end = side.by_channel(&mut ticket, |out| {
+        Some(if out[0] & 7 == 0 { [0; 8] } else { [out[0] & 0x40, out[1], out[2], out[3], 0, 0, 0, 1] })
+    });
+    assert_eq!(end, Ok(1));
+    assert!(side.now < Time(30 * MS), "{}", side.now.0);
+}
+
+#[test]
+fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
+    for path in [ParameterPath::Pkw, ParameterPath::Drivecom] {
+        // Ten exchanges are lost, and the job stands; then the drive is gone.
+        let mut side = Side::new(path);
+        side.rest(3, [0; 8]);
+        let mut ticket = side.write(C0039_2, 1_504_000);
+        let Sent::Exchange(job) = side.turn() else { panic!("a channel") };
+        assert_ne!(job, [0; 8]);
+        for _ in 0..10 {
+            side.access.lost(Turn::DataExchange);
+            assert_eq!(side.turn(), Sent::Exchange(job));
+        }
+        side.access.ended();
+        assert_eq!(ticket.poll(), Some(Err(CallError::TimedOut)), "{path:?}");
+        for _ in 0..10 {
+            assert_eq!(side.turn(), Sent::Exchange([0; 8]), "{path:?}");
+            side.access.channel_answered(side.now, &[0; 8]);
+        }
+        assert!(side.access.is_idle());
+        // What reads can be repeated by who wants it; what was not sent waits for the drive.
+        let mut ticket = side.read(C0061);
+        side.turn();
+        side.access.ended();
+        assert_eq!(ticket.poll(), Some(Err(CallError::Restarted)));
+        let mut ticket = side.write(C0039_2, 5);
+        side.access.advance(side.now, Link::Online, true, false);
+        side.access.ended();
+        assert_eq!(ticket.poll(), None);
+        assert_eq!(side.turn(), Sent::Exchange([0; 8]));
+        side.access.channel_answered(side.now, &[0; 8]);
+        assert!(matches!(side.turn(), Sent::Exchange(job) if job[7] == 5));
+    }
+}
+
+#[test]
+fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
+    for (path, cancels) in [
+        (ParameterPath::Pkw, false),
+        (ParameterPath::Pkw, true),
+        (ParameterPath::Drivecom, false),
+        (ParameterPath::Drivecom, true),
+    ] {
+        let mut side = Side::new(path);
+        side.rest(3, [0; 8]);
+        let mut first = side.write(C0039_2, 1);
+        let Sent::Exchange(job) = side.turn() else { panic!("a channel") };
+        side.access.channel_answered(side.now, &[0; 8]);
+        if cancels {
+            first.cancel();
+        } else {
+            side.now = side.now + 6 * S;
+        }
+        let mut second = side.write(C0039_2, 2);
+        for _ in 0..20 {
+            assert_eq!(side.turn(), Sent::Exchange(job), "it stands until its answer");
+            assert!(side.access.commands());
+            side.access.channel_answered(side.now, &[0; 8]);
+        }
+        let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
+        assert_eq!(first.poll(), Some(Err(why)));
+        let mut late = job;
+        late[0] = if path == ParameterPath::Pkw { 0x50 | job[0] & 0xF } else { job[0] & 0x40 };
+        let end = side.by_channel(&mut second, |out| {
+            Some(match out {
+                _ if out == job => late,
+                [0x80, .., 2] => [0x50, out[1], out[2], 0, 0, 0, 0, 2],
+                [service, .., 2] => [service & 0x40, out[1], out[2], out[3], 0, 0, 0, 0],
+                _ => [out[0] & 0x40, 0, 0, 0, 0, 0, 0, 0],
+            })
+        });
+        assert_eq!(end, Ok(2), "{path:?}");
+    }
+}
+
+#[test]
+fn a_drive_that_never_answers_holds_up_nothing_for_ever() {
+    for path in [ParameterPath::Pkw, ParameterPath::Drivecom] {
+        let mut side = Side::new(path);
+        let mut ticket = side.write(C0039_2, 1);
+        assert_eq!(side.by_channel(&mut ticket, |_| Some([0; 8])), Err(CallError::TimedOut));
+        assert!(side.access.commands());
+        side.rest(2_100, [0; 8]);
+        assert!(side.access.is_idle() && !side.access.commands(), "{path:?}");
+    }
+}
+
+#[test]
+fn what_commands_is_refused_while_power_is_on_until_it_has_left() {
+    for path in [ParameterPath::Pkw, ParameterPath::Drivecom, MSAC1] {
+        let mut side = Side::new(path);
+        // Posted before power came on, and not sent.
+        let mut ticket = side.write(C0039_2, 1);
+        let mut harmless = side.write(code(12, 0, Kind::Own), 5_000);
+        side.access.advance(side.now, Link::Online, true, false);
+        side.guarded = true;
+        side.access.advance(side.now, Link::Online, true, true);
+        assert_eq!(ticket.poll(), Some(Err(CallError::Commands)), "{path:?}");
+        assert!(!side.access.commands());
+        side.turn();
+        assert!(side.application.post(Call { service: WRITE, address: C0039_2, value: 1 }, LIMIT).is_err());
+        assert_eq!(harmless.poll(), None, "it is under way");
+    }
+}
+
+fn hex(text: &str) -> [u8; 8] {
+    let digits: String = text.split_whitespace().collect();
+    u64::from_str_radix(&digits, 16).expect("hexadecimal").to_be_bytes()
+}

@@ -1,0 +1,68 @@
+//! What is known of single codes of a Lenze drive: those that the fact sheet names, and the ramp times. A drive has many
+//! more, and checks every value itself.
+
+use super::target::{Kind, Parameter};
+
+/// The decimals of a code that is not here: most values of these drives are 32 bits with four of them (EMF2133IB
+/// manual). Newer drives have other factors.
+pub const DECIMALS: u32 = 4;
+
+/// What is known of a code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Known {
+    /// Its number.
+    pub code: u16,
+    /// Its highest subcode; 0: it has none.
+    pub subcodes: u8,
+    /// What it is.
+    pub name: &'static str,
+    /// What its value is on the wire.
+    pub kind: Kind,
+    /// One count is `10^-decimals` of the unit.
+    pub decimals: u32,
+    /// The unit of the scaled value; empty for a plain number.
+    pub unit: &'static str,
+    /// It cannot be written.
+    pub read_only: bool,
+}
+
+impl Known {
+    const fn new(code: u16, name: &'static str, unit: &'static str) -> Known {
+        Known { code, subcodes: 0, name, kind: Kind::I32, decimals: DECIMALS, unit, read_only: false }
+    }
+}
+
+/// The codes (EMF2133IB and E82ZAFPC manuals; the ramp times, the subcodes of C0039, and the unit of the fixed set
+/// points of a drive that is not an 8200, are assumed).
+pub const CODES: [Known; 6] = [
+    Known::new(3, "automatic saving: 0 keeps cyclic writes off the EEPROM", ""),
+    Known::new(11, "full speed: 100 % of the set point", ""),
+    Known::new(12, "acceleration time of the main set point", "s"),
+    Known::new(13, "deceleration time of the main set point", "s"),
+    Known { subcodes: 3, ..Known::new(39, "fixed set points (JOG)", "Hz") },
+    Known { read_only: true, ..Known::new(61, "temperature of the heat sink", "°C") },
+];
+
+impl Parameter {
+    /// What is known of it.
+    pub fn known(self) -> Option<&'static Known> {
+        CODES.iter().find(|known| known.code == self.code)
+    }
+
+    /// What its value is on the wire.
+    pub fn kind(self) -> Kind {
+        match (self.kind, self.known()) {
+            (Kind::Own, Some(known)) => known.kind,
+            (kind, _) => kind,
+        }
+    }
+
+    /// Its decimals: those of a kind that is named are not known.
+    pub fn decimals(self) -> u32 {
+        match (self.kind, self.known()) {
+            (Kind::Own, Some(known)) => known.decimals,
+            (Kind::Own, None) => DECIMALS,
+            _ => 0,
+        }
+    }
+}

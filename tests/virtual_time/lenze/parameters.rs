@@ -1,0 +1,318 @@
+//! Codes and records of a drive that exchanges data meanwhile, by each path, against the strict drive.
+
+use std::time::Duration;
+
+use fieldbeat::axis::{
+    Call, CallError, CallTicket, Command, Link, ParameterError, ParameterTicket, Parameters, Scalar,
+};
+use fieldbeat::bus::profibus::{Numbers, ParameterPath, ProfibusPlan};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::profibus::Channel;
+use fieldbeat::{CyclePlan, Simulation};
+
+use super::turns::{STOP, jog};
+use super::{Lenze, PORT, wire};
+use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet, refuses_while_on};
+
+const MSAC1: ParameterPath = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
+
+/// A path, and what a drive at its other end does.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    path: ParameterPath,
+    bare: bool,
+    /// Polls until an answer of MSAC1 comes.
+    delay: u16,
+}
+
+const WAYS: [Way; 5] = [
+    Way { path: ParameterPath::Pkw, bare: false, delay: 0 },
+    Way { path: ParameterPath::Drivecom, bare: false, delay: 0 },
+    Way { path: ParameterPath::Drivecom, bare: true, delay: 0 },
+    Way { path: MSAC1, bare: false, delay: 0 },
+    Way { path: MSAC1, bare: false, delay: 3 },
+];
+
+fn machine_on(way: Way, mut bus: ProfibusPlan) -> Lenze {
+    bus.drives.iter_mut().for_each(|drive| drive.parameters = way.path);
+    Lenze::with(bus, CyclePlan::default(), |segment| {
+        for drive in &mut segment.drives {
+            drive.acyclic.delay = way.delay;
+            if way.bare {
+                drive.channel = Channel::DrivecomBare;
+            }
+        }
+    })
+}
+
+fn machine(way: Way, drives: usize) -> Lenze {
+    machine_on(way, wire(1_500_000, drives))
+}
+
+impl Lenze {
+    fn parameters(&mut self, index: usize) -> Parameters {
+        self.sim.axis(index).parameter()
+    }
+
+    /// The end of an access while the machine turns.
+    fn ended<T: Scalar>(
+        &mut self,
+        ticket: Result<ParameterTicket<T>, ParameterError>,
+    ) -> Result<T, ParameterError> {
+        let mut ticket = ticket?;
+        for _ in 0..10_000 {
+            if let Some(end) = ticket.poll() {
+                return end;
+            }
+            self.sim.step();
+        }
+        panic!("an access without an end")
+    }
+
+    fn get(&mut self, index: usize, address: &str) -> Result<i32, ParameterError> {
+        let ticket = self.parameters(index).post_read(address);
+        self.ended(ticket)
+    }
+
+    fn put(&mut self, index: usize, address: &str, value: i32) -> Result<(), ParameterError> {
+        let ticket = self.parameters(index).post_write(address, value);
+        self.ended(ticket)
+    }
+
+    fn call_ended(&mut self, ticket: &mut CallTicket) -> Result<u64, CallError> {
+        for _ in 0..10_000 {
+            if let Some(end) = ticket.poll() {
+                return end.map(|answer| answer.value);
+            }
+            self.sim.step();
+        }
+        panic!("a call without an end")
+    }
+
+    fn kept_to_the_rules(&self) {
+        for index in 0..self.count {
+            assert_eq!(self.misuse(index).total(), 0, "{:?}", self.misuse(index));
+        }
+    }
+}
+
+#[test]
+fn codes_are_read_and_written_by_each_path() {
+    for way in WAYS {
+        let mut m = machine(way, 2);
+        m.online();
+        assert_eq!(m.get(0, "C0061").unwrap(), 430_000, "{way:?}");
+        m.put(0, "C0039/2", 1_504_000).unwrap();
+        m.put(1, "C0039/2", -77).unwrap();
+        for (index, value) in [(0, 1_504_000), (1, -77)] {
+            assert_eq!(m.get(index, "C0039/2").unwrap(), value, "{way:?}");
+            assert_eq!(m.look(index, |drive, _| drive.parameter(39, 2)), value, "{way:?}");
+            assert_eq!(m.look(index, |drive, _| drive.eeprom_writes()), 1, "{way:?}");
+        }
+        // A value of 16 bits, and twice the same.
+        let word = m.parameters(0).post_read::<u16>("C0093.u16");
+        assert_eq!(m.ended(word).unwrap(), 2_133, "{way:?}");
+        assert_eq!(m.get(0, "C0061").unwrap(), m.get(0, "C0061").unwrap());
+        let refused = m.get(0, "C1999").unwrap_err().to_string();
+        assert!(refused.contains("does not exist"), "{refused}");
+        let refused = m.put(0, "C0039/2", 4_800_001).unwrap_err().to_string();
+        assert!(refused.contains("a limit is exceeded") || refused.contains("too high"), "{refused}");
+        let refused = m.get(0, "C0039/9").unwrap_err().to_string();
+        assert!(refused.contains("subindex"), "{refused}");
+        m.kept_to_the_rules();
+        for counters in m.finish() {
+            assert!(counters.missed == 0 && counters.malformed == 0, "{way:?}: {counters:?}");
+        }
+    }
+}
+
+#[test]
+fn a_motor_turns_on_while_codes_are_read() {
+    for way in WAYS {
+        let mut m = machine(way, 2);
+        m.ready();
+        m.post(0, jog(8.0));
+        m.turns(0, 8.0);
+        for _ in 0..20 {
+            assert_eq!(m.get(0, "C0061").unwrap(), 430_000, "{way:?}");
+            assert!((m.speed(0) - 8.0).abs() < 0.1, "{way:?}");
+        }
+        // A stop does not wait for the calls.
+        let _ticket = m.parameters(0).post_read::<i32>("C0061").unwrap();
+        m.done(0, STOP);
+        assert!(m.speed(0).abs() < 0.05);
+        m.kept_to_the_rules();
+        for counters in m.finish() {
+            assert_eq!((counters.missed, counters.malformed), (0, 0), "{way:?}");
+        }
+    }
+}
+
+#[test]
+fn calls_that_are_posted_together_end_each_with_its_own() {
+    for way in WAYS {
+        let mut m = machine(way, 1);
+        m.online();
+        let parameters = m.parameters(0);
+        let mut tickets: Vec<_> = (0..30)
+            .map(|turn| parameters.post_read::<i32>(["C0061", "C0003", "C0039/3"][turn % 3]).unwrap())
+            .collect();
+        for (turn, ticket) in tickets.drain(..).enumerate() {
+            let value = m.ended(Ok(ticket)).unwrap();
+            assert_eq!(value, [430_000, 10_000, 0][turn % 3], "{way:?}");
+        }
+        m.kept_to_the_rules();
+    }
+}
+
+#[test]
+fn telegrams_that_are_lost_change_no_value_and_write_nothing_twice() {
+    for way in WAYS {
+        let mut m = machine(way, 2);
+        m.online();
+        let (mut done, mut uncertain) = (0, 0);
+        for seed in 0..4 {
+            // So many that now and then all repetitions are lost, too.
+            m.sim.world().set_wire_faults(PORT, FaultPlan { seed, drop: 0.2, ..FaultPlan::default() });
+            for round in 0..10 {
+                let value = 100 * seed as i32 + round;
+                match m.put(0, "C0039/2", value) {
+                    Ok(()) => {
+                        done += 1;
+                        assert_eq!(m.look(0, |drive, _| drive.parameter(39, 2)), value, "{way:?}");
+                    }
+                    Err(ParameterError::Failed { why: CallError::TimedOut, .. }) => uncertain += 1,
+                    Err(ParameterError::Failed { why: CallError::NotOnline, .. }) => {}
+                    Err(other) => panic!("{way:?}: {other}"),
+                }
+                match m.get(0, "C0061") {
+                    Ok(value) => assert_eq!(value, 430_000, "{way:?}"),
+                    Err(ParameterError::Failed { .. }) => {}
+                    Err(other) => panic!("{way:?}: {other}"),
+                }
+            }
+            m.sim.world().set_wire_faults(PORT, FaultPlan::default());
+            m.online();
+        }
+        let written = m.look(0, |drive, _| drive.eeprom_writes());
+        assert!(done > 10, "{way:?}: {done} done, {uncertain} uncertain");
+        assert!((done..=done + uncertain).contains(&written), "{way:?}: {written} of {done} and {uncertain}");
+        assert_eq!(m.look(1, |drive, _| drive.eeprom_writes()), 0);
+        let misuse = m.misuse(0);
+        assert_eq!((misuse.job, misuse.handshake, misuse.changed_retry), (0, 0, 0), "{way:?}: {misuse:?}");
+    }
+}
+
+#[test]
+fn a_drive_that_restarts_in_a_write_leaves_it_uncertain_and_has_it_once() {
+    for way in WAYS {
+        for after in 0..16 {
+            let mut m = machine(way, 1);
+            m.online();
+            let mut ticket = m.parameters(0).post_write("C0039/2", 9).unwrap();
+            (0..after).for_each(|_| m.sim.step());
+            if let Some(end) = ticket.poll() {
+                assert!(end.is_ok(), "{way:?} {after}");
+                continue;
+            }
+            assert!(m.sim.world().restart_on(PORT, 0));
+            let end = m.ended(Ok(ticket));
+            let why = match &end {
+                Err(ParameterError::Failed { why, .. }) => *why,
+                other => panic!("{way:?} {after}: {other:?}"),
+            };
+            assert!(matches!(why, CallError::TimedOut | CallError::NotOnline), "{way:?} {after}: {why}");
+            m.until("back", 20_000, |sim| sim.feedback(0).link == Link::Online);
+            m.sim.run(200);
+            let written = m.look(0, |drive, _| drive.eeprom_writes());
+            assert!(written <= u64::from(why == CallError::TimedOut), "{way:?} {after}: {written} {why}");
+            assert_eq!(m.get(0, "C0061").unwrap(), 430_000, "{way:?} {after}");
+            m.kept_to_the_rules();
+        }
+    }
+}
+
+#[test]
+fn a_text_comes_in_parts_and_a_record_as_bytes() {
+    let mut m = machine(WAYS[4], 1);
+    m.online();
+    let acyclic = m.sim.axis(0).acyclic().clone();
+    let limit = Duration::from_secs(5);
+    // As `param get` reads it: the beginning, the size, the parts.
+    let long = |m: &mut Lenze, address: &str| {
+        let Call { address, .. } = acyclic.notation().read(address).unwrap();
+        let parts = (1..7).map(|part| (4, 8 * part));
+        let calls = [(1, 0), (3, 0)].into_iter().chain(parts);
+        let calls: Vec<_> = calls.map(|(service, value)| Call { service, address, value }).collect();
+        let mut tickets = acyclic.post_series(&calls, limit).unwrap();
+        tickets.iter_mut().map(|ticket| m.call_ended(ticket)).collect::<Vec<_>>()
+    };
+    let ends = long(&mut m, "C0200.text");
+    let whole = "82S8212V_31000 simulated, with EMF2133IB PROFIBUS-DP";
+    assert_eq!(ends[1], Ok(whole.len() as u64));
+    let values: Vec<u64> =
+        ends.into_iter().enumerate().filter(|(place, _)| *place != 1).map(|(_, end)| end.unwrap()).collect();
+    let bytes: Vec<u8> = values.into_iter().flat_map(u64::to_le_bytes).collect();
+    assert_eq!(bytes[..whole.len()], *whole.as_bytes());
+    // The record 47 itself has no response now: that is "again later", and never comes.
+    let Call { address, .. } = acyclic.notation().read("0/47").unwrap();
+    let mut ticket = acyclic.post(Call { service: 1, address, value: 0 }, Duration::from_millis(50)).unwrap();
+    assert_eq!(m.call_ended(&mut ticket), Err(CallError::TimedOut));
+    let refused = m.get(0, "0/48").unwrap_err().to_string();
+    assert!(refused.contains("no such index (80 B0 00)"), "{refused}");
+    m.kept_to_the_rules();
+}
+
+/// A drive and the codes that command it.
+struct Guarded {
+    m: Lenze,
+    last: i32,
+    received: usize,
+}
+
+fn guarded(way: Way) -> Guarded {
+    Guarded { m: machine(way, 1), last: 0, received: 0 }
+}
+
+impl Subject for Guarded {
+    const WATCHED: (&'static str, [u64; 2]) = ("C0039/2", [10_000, 20_000]);
+    const COMMANDING: &'static [&'static str] = &["C0039", "C0011", "C0043", "C0135.u16", "C0999", "C0105"];
+    const HARMLESS: (&'static str, u64) = ("C0012", 10_000);
+
+    fn sim(&mut self) -> &mut Simulation {
+        &mut self.m.sim
+    }
+
+    fn is_on(&mut self) -> bool {
+        self.m.look(0, |drive, _| drive.axis_state()).is_powered()
+    }
+
+    fn received(&mut self) -> usize {
+        // Each write has another value.
+        let value = self.m.look(0, |drive, _| drive.parameter(39, 2));
+        self.received += usize::from(value != self.last);
+        self.last = value;
+        self.received
+    }
+}
+
+#[test]
+fn a_lenze_drive_is_not_commanded_by_parameters_while_its_power_is_on() {
+    for way in WAYS {
+        refuses_while_on(guarded(way));
+        never_meet(guarded(way));
+        never_in_any_sequence(guarded(way), 1, 60);
+    }
+}
+
+#[test]
+fn enabling_goes_on_when_a_write_that_commands_has_ended() {
+    for way in WAYS {
+        let mut m = machine(way, 1);
+        m.online();
+        let mut ticket = m.parameters(0).post_write("C0039/2", 5).unwrap();
+        m.done(0, Command::Enable);
+        assert!(ticket.poll().is_some(), "{way:?}");
+        m.kept_to_the_rules();
+    }
+}
