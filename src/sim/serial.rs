@@ -147,6 +147,7 @@ impl Medium {
 
     /// The master hands bytes to its driver; how many it takes.
     pub(super) fn write(&mut self, now: Time, bytes: &[u8]) -> usize {
+        self.begun.get_or_insert(now);
         let count = bytes.len().min(DRIVER - self.unsent(now).min(DRIVER));
         let mut telegram = bytes[..count].to_vec();
         if self.garbled {

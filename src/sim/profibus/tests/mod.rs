@@ -40,14 +40,15 @@ struct Reply {
 
 impl Bench {
     fn of(segment: &ProfibusSegment) -> Bench {
-        Bench {
-            medium: Medium::new(segment.wire()),
-            line: segment.line(),
-            now: START,
-            fcb: None,
-            master: MASTER,
-            slave: SLAVE,
-        }
+        Bench::since(START, segment)
+    }
+
+    /// The wire begins at `now`.
+    fn since(now: Time, segment: &ProfibusSegment) -> Bench {
+        let (medium, line) = (Medium::new(segment.wire()), segment.line());
+        let mut bench = Bench { medium, line, now, fcb: None, master: MASTER, slave: SLAVE };
+        bench.run(now);
+        bench
     }
 
     /// One slave at a rate.

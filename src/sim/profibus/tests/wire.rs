@@ -42,7 +42,6 @@ fn a_second_master_and_noise_are_received_by_all() {
     let mut bench = Bench::of(&segment);
     // It begins at once; the fourth telegram is answered 30 ms later.
     let mut got = Vec::new();
-    bench.medium.step(START, &mut |_, _, _| ());
     while let Some(reply) = bench.take(100 * MS) {
         got.push(reply.bytes);
     }
@@ -66,9 +65,8 @@ fn what_is_due_before_the_first_moment_does_not_come_all_at_once() {
     let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
     let foreign = ForeignSettings { after_ns: 35 * MS, ..ForeignSettings::new(3) };
     let noise = NoiseSettings { every_ns: 10 * MS, ..NoiseSettings::default() };
-    let mut bench = Bench::of(&ProfibusSegment { foreign: Some(foreign), noise: Some(noise), ..segment });
-    bench.now = Time(1_000 * START.0);
-    bench.wait(0);
+    let segment = ProfibusSegment { foreign: Some(foreign), noise: Some(noise), ..segment };
+    let mut bench = Bench::since(Time(1_000 * START.0), &segment);
     let count = |bench: &Bench, place: usize| {
         let device: &dyn Any = &*bench.medium.wire.drives[place];
         let noise = device.downcast_ref::<Noise>().map(|noise| noise.bursts);
