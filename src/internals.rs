@@ -192,6 +192,9 @@ pub mod cycle {
 #[cfg(feature = "doctor")]
 pub mod doctor {
     pub use crate::doctor::*;
+    pub mod port {
+        pub use crate::doctor::port::*;
+    }
     pub mod stats {
         pub use crate::doctor::stats::*;
     }

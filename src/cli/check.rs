@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use fieldbeat::config::{self, ConfigError};
 use fieldbeat::internals;
+use fieldbeat::internals::doctor::port::blocked;
 use fieldbeat::internals::rt::host::rt_throttling;
 use serde_json::json;
 
@@ -41,16 +42,17 @@ impl Check {
         let throttling = rt_throttling();
         let starving =
             throttling.and_then(|throttling| internals::cycle::starvation(&plan.cycle, &throttling));
+        let refusal = starving.or_else(|| blocked(&plan));
         if self.json {
             let file = self.config.display().to_string();
             let of_host = |message| ConfigError::of_file(file, message);
-            let errors: Vec<ConfigError> = starving.clone().map(of_host).into_iter().collect();
+            let errors: Vec<ConfigError> = refusal.clone().map(of_host).into_iter().collect();
             print(internals::config::json(&plan, &errors))?;
         } else {
             for line in internals::config::describe(&plan) {
                 print(line)?;
             }
         }
-        starving.map_or(Ok(()), |why| Err(Stop::usage(why)))
+        refusal.map_or(Ok(()), |why| Err(Stop::usage(why)))
     }
 }

@@ -3,16 +3,17 @@
 
 use std::fs;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 
 use super::Subject;
 use super::ethtool::Nic;
-use crate::bus::BusPlan;
-use crate::net::{Carriers, Datagrams, Frames, UdpOptions};
+use super::tty::{self, Untried};
+use super::way::Port;
+use crate::net::local;
+use crate::net::tty::Tried;
 use crate::rt::host::cores_of;
 use crate::rt::{Denied, Memory, MonotonicClock, RealtimeError, Regions, memory, thread};
 
@@ -28,7 +29,8 @@ pub(super) struct Facts {
 impl Facts {
     /// Those of this host.
     pub fn of_this_host(subject: &Subject) -> Facts {
-        Facts { root: Root(PathBuf::from("/")), probes: Probes::try_out(subject) }
+        let root = Root(PathBuf::from("/"));
+        Facts { probes: Probes::try_out(&root, subject), root }
     }
 }
 
@@ -168,10 +170,12 @@ pub(super) struct Probes {
     pub addresses: Vec<(Ipv4Addr, String)>,
     /// Settings of the interfaces that the buses use, by name.
     pub nics: Vec<(String, Nic)>,
+    /// What the drivers of the serial ports make of the plan's settings, by path.
+    pub ports: Vec<(String, Result<Tried, Untried>)>,
 }
 
 impl Probes {
-    fn try_out(subject: &Subject) -> Probes {
+    fn try_out(root: &Root, subject: &Subject) -> Probes {
         let (core, priority) = (subject.core, subject.cycle.priority);
         let addresses = addresses();
         let used = |(ip, _): &&(Ipv4Addr, String)| subject.wires.iter().any(|wire| wire.local.ip() == ip);
@@ -179,11 +183,14 @@ impl Probes {
         let mut names: Vec<String> = addresses.iter().filter(used).map(|(_, name)| name.clone()).collect();
         names.dedup();
         names.extend(of_lines);
+        let try_port = |port: &Port| (port.path.clone(), tty::try_out(root, &port.path, &port.line));
+        let real = subject.ports.iter().filter(|port| local::name(&port.path).is_none());
         Probes {
             core: on_a_thread(move || thread::pin(core)),
             fifo: on_a_thread(move || thread::fifo(priority)),
             memory: try_memory(subject.cycle.memory),
             clock_read_ns: clock_read_ns(),
+            ports: real.map(try_port).collect(),
             nics: names.into_iter().map(|name| (name.clone(), Nic::ask(&name))).collect(),
             addresses,
         }
@@ -192,6 +199,11 @@ impl Probes {
     /// The settings of the interface `name`, if a bus uses it.
     pub fn nic(&self, name: &str) -> Option<&Nic> {
         self.nics.iter().find(|(known, _)| known == name).map(|(_, nic)| nic)
+    }
+
+    /// What the driver of port `path` makes of its settings, if a bus uses it.
+    pub fn port(&self, path: &str) -> Option<&Result<Tried, Untried>> {
+        self.ports.iter().find(|(known, _)| known == path).map(|(_, tried)| tried)
     }
 
     /// The interface that has `address`.
@@ -242,77 +254,6 @@ fn addresses() -> Vec<(Ipv4Addr, String)> {
     addresses
 }
 
-/// Where a bus meets the network, as it says itself when it is opened.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wire {
-    /// The bus' name.
-    pub bus: String,
-    /// Where the master listens and sends from.
-    pub local: SocketAddrV4,
-    /// How its socket is opened.
-    pub options: UdpOptions,
-    /// Where its drives listen.
-    pub drives: Vec<SocketAddrV4>,
-}
-
-/// Where a bus without IP addresses meets the network: its frames have an interface for themselves.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Line {
-    /// The bus' name.
-    pub bus: String,
-    /// The interface.
-    pub interface: String,
-}
-
-/// How a bus meets the network.
-pub(super) enum Way {
-    Wire(Wire),
-    Line(Line),
-}
-
-impl Way {
-    /// That of a bus: the first carrier that it opens. Refused, so that nothing is opened.
-    pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Way> {
-        let noted = FirstOpened::default();
-        let _ = bus.open(period_ns, &noted);
-        let name = bus.name().to_owned();
-        Some(match noted.0.into_inner().ok()?? {
-            Carrier::Datagrams(local, options) => {
-                let drives = bus.addresses();
-                Way::Wire(Wire { bus: name, local, options, drives })
-            }
-            Carrier::Frames(interface) => Way::Line(Line { bus: name, interface }),
-        })
-    }
-}
-
-/// The carrier of a bus.
-enum Carrier {
-    Datagrams(SocketAddrV4, UdpOptions),
-    Frames(String),
-}
-
-/// Carriers that only note what a bus opens first.
-#[derive(Default)]
-struct FirstOpened(Mutex<Option<Carrier>>);
-
-impl FirstOpened {
-    fn note<T>(&self, carrier: Carrier) -> io::Result<T> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(carrier);
-        Err(io::ErrorKind::Unsupported.into())
-    }
-}
-
-impl Carriers for FirstOpened {
-    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        self.note(Carrier::Datagrams(bind, *options))
-    }
-
-    fn frames(&self, interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
-        self.note(Carrier::Frames(interface.to_owned()))
-    }
-}
-
 /// The path as a user knows it.
 pub(super) fn shown(path: &str) -> String {
     Path::new("/").join(path).display().to_string()
@@ -345,6 +286,7 @@ pub(super) mod testing {
                     (Ipv4Addr::new(192, 168, 1, 1), "eth0".into()),
                 ],
                 nics: Vec::new(),
+                ports: Vec::new(),
             };
             let host = Host(Facts { root: Root(directory), probes });
             host.with(files)
@@ -357,6 +299,14 @@ pub(super) mod testing {
                 fs::create_dir_all(path.parent().unwrap()).unwrap();
                 fs::write(path, text).unwrap();
             }
+            self
+        }
+
+        /// A link.
+        pub fn linked(self, path: &str, to: &str) -> Host {
+            let root = &self.0.root.0;
+            fs::create_dir_all(root.join(path).parent().unwrap()).unwrap();
+            std::os::unix::fs::symlink(root.join(to), root.join(path)).unwrap();
             self
         }
 
@@ -393,15 +343,13 @@ pub(super) mod testing {
     /// The default plan on core 3.
     pub fn subject() -> Subject {
         let cycle = CyclePlan { core: Some(3), ..CyclePlan::default() };
-        Subject { source: None, core: 3, cycle, wires: Vec::new(), lines: Vec::new() }
+        Subject { source: None, core: 3, cycle, wires: Vec::new(), lines: Vec::new(), ports: Vec::new() }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::testing::Host;
-    use super::*;
-    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
 
     #[test]
     fn reads_threads_whatever_their_names() {
@@ -421,26 +369,5 @@ mod tests {
         let host = Host::new(&[("proc/cmdline", "quiet preempt=none rcu_nocbs=2 preempt=full\n")]);
         assert_eq!(host.0.root.boot("preempt").as_deref(), Some("full"));
         assert_eq!(host.0.root.boot("quiet"), None);
-    }
-
-    #[test]
-    fn a_bus_shows_its_wire_without_opening_it() {
-        let drives = [11, 12].map(|host| LinUdpDrive::new(format!("x{host}"), [127, 77, 0, host].into()));
-        let bus = LinUdpPlan::new([127, 77, 0, 1].into(), drives.into());
-        let way = Way::of(&bus, 1_000_000).unwrap();
-        let Way::Wire(wire) = way else { panic!("it has addresses") };
-        assert_eq!(wire.local, "127.77.0.1:41136".parse().unwrap());
-        let drives: Vec<String> = wire.drives.iter().map(ToString::to_string).collect();
-        assert_eq!(drives, ["127.77.0.11:49360", "127.77.0.12:49360"]);
-        assert_eq!(wire.options.peers, 2);
-    }
-
-    #[test]
-    fn a_bus_without_addresses_is_known_by_its_interface() {
-        let noted = FirstOpened::default();
-        assert!(noted.frames("eth1", 0x88A4).is_err(), "nothing is opened");
-        assert!(noted.frames("eth2", 0x88A4).is_err());
-        let Some(Carrier::Frames(interface)) = noted.0.into_inner().unwrap() else { panic!("frames") };
-        assert_eq!(interface, "eth1", "the first one counts");
     }
 }

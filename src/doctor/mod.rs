@@ -3,10 +3,11 @@
 //! | file | what |
 //! |---|---|
 //! | `facts` | what this host reports: files, and probes for what no file says |
-//! | `ethtool` | settings of a network interface |
+//! | `ethtool`, `tty` | settings of a network interface, and of a serial port |
+//! | `way` | how a bus meets the network |
 //! | `finding` | the result of a check |
 //! | `kernel`, `rights`, `core`, `power`, `clock`, `memory` | the checks: facts in, findings out |
-//! | `network`, `nic` | the same for each bus, with a configuration only |
+//! | `network`, `nic`, `port`, `interrupts` | the same for each bus, with a configuration only |
 //! | `measure` | settings that can be tried at run time, and their effect here |
 //! | `stats` | quantiles and ratios with intervals; the benches use them too |
 //! | `report` | findings and measurements as text and as JSON |
@@ -25,19 +26,23 @@ mod core;
 mod ethtool;
 mod facts;
 mod finding;
+mod interrupts;
 mod kernel;
 mod measure;
 mod memory;
 mod network;
 mod nic;
+pub(crate) mod port;
 mod power;
 mod report;
 mod rights;
 pub(crate) mod stats;
+mod tty;
+mod way;
 
 use std::path::PathBuf;
 
-pub use facts::{Line, Wire};
+pub use way::{Line, Port, Wire};
 
 pub use finding::{Area, Finding, Verdict};
 pub use measure::{
@@ -48,7 +53,7 @@ pub use report::{Carried, Counts, Host, Report};
 
 use crate::cycle::{CyclePlan, Plan};
 use crate::rt::thread::default_core;
-use facts::Way;
+use way::Way;
 
 /// The plan that the host is to run.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,6 +68,8 @@ pub struct Subject {
     pub wires: Vec<Wire>,
     /// Those of its buses that have no IP addresses.
     pub lines: Vec<Line>,
+    /// The serial ports of its buses.
+    pub ports: Vec<Port>,
 }
 
 impl Subject {
@@ -74,6 +81,7 @@ impl Subject {
             match way {
                 Way::Wire(wire) => subject.wires.push(wire),
                 Way::Line(line) => subject.lines.push(line),
+                Way::Port(port) => subject.ports.push(port),
             }
         }
         subject
@@ -83,7 +91,7 @@ impl Subject {
     pub fn cycle(cycle: CyclePlan) -> Subject {
         // Every computer has a core 0, whatever its kernel reports.
         let core = cycle.core.or_else(default_core).unwrap_or(0);
-        Subject { source: None, cycle, core, wires: Vec::new(), lines: Vec::new() }
+        Subject { source: None, cycle, core, wires: Vec::new(), lines: Vec::new(), ports: Vec::new() }
     }
 }
 
@@ -102,6 +110,7 @@ fn judge(facts: &facts::Facts, subject: &Subject) -> Vec<Finding> {
     findings.extend(clock::check(facts, subject));
     findings.extend(memory::check(facts));
     findings.extend(network::check(facts, subject));
+    findings.extend(port::check(facts, subject));
     findings
 }
 

@@ -6,9 +6,10 @@
 use std::net::SocketAddrV4;
 
 use super::Subject;
-use super::facts::{Facts, Line, Root, Wire};
+use super::facts::{Facts, Root};
 use super::finding::{Finding, lines};
 use super::nic;
+use super::way::{Line, Wire};
 
 /// All of them, for each bus.
 pub(super) fn check(facts: &Facts, subject: &Subject) -> Vec<Finding> {

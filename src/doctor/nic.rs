@@ -1,26 +1,26 @@
-//! The network interface of a bus: where its interrupts go, which threads handle them, and what delays them.
+//! The network interface of a bus: which interrupts it has, and what delays them.
 //!
-//! Sources: Documentation/core-api/irq/irq-affinity.rst, Documentation/networking/scaling.rst and napi.rst, ethtool(8).
+//! Sources: Documentation/networking/scaling.rst and napi.rst, ethtool(8).
 
 use std::io;
 
 use super::Subject;
-use super::core::others;
 use super::ethtool::{Coalescing, Nic};
-use super::facts::{Facts, Root, Thread};
-use super::finding::{Finding, lines, list, write};
-use crate::cycle::Wait;
-use crate::rt::host::cores_of;
+use super::facts::{Facts, Root};
+use super::finding::{Finding, write};
+use super::interrupts::Served;
 
 /// All of them, for the interface `name`, but for what only IP has.
 pub(super) fn check(facts: &Facts, bus: &str, name: &str, subject: &Subject) -> Vec<Finding> {
     let root = &facts.root;
-    let interrupts = interrupts(root, name);
-    let mut findings = vec![
-        affinity(root, bus, &interrupts, subject),
-        threads(root, bus, &interrupts, subject),
-        deferral(root, bus, name),
-    ];
+    let served = Served {
+        bus,
+        interrupts: interrupts(root, name),
+        why: "otherwise each packet, those of others on this network included, interrupts the loop's core",
+        none: "a virtual interface",
+    };
+    let mut findings =
+        vec![served.affinity(root, subject), served.threads(root, subject), deferral(root, bus, name)];
     findings.extend(facts.probes.nic(name).map(|nic| coalescing(bus, name, &nic.coalescing)));
     findings
 }
@@ -53,98 +53,6 @@ fn interrupts(root: &Root, name: &str) -> Vec<u32> {
     );
     all.retain(|irq| root.has(&format!("proc/irq/{irq}")));
     all
-}
-
-fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
-    let core = subject.core;
-    let finding = Finding::network(
-        bus,
-        "interrupts",
-        &format!("on other cores than {core}"),
-        "otherwise each packet, those of others on this network included, interrupts the loop's core",
-    );
-    if interrupts.is_empty() {
-        return finding.good("none of its own: a virtual interface");
-    }
-    // Where they go now; older kernels report only where they may.
-    let file = |irq: u32, name: &str| root.text(&format!("proc/irq/{irq}/{name}"));
-    let mut on_core = Vec::new();
-    for irq in interrupts {
-        let now = file(*irq, "effective_affinity_list").or_else(|_| file(*irq, "smp_affinity_list"));
-        match now {
-            Ok(now) if cores_of(&now).is_some_and(|cores| cores.contains(&core)) => on_core.push(*irq),
-            Ok(_) => {}
-            Err(error) => return finding.unread(&format!("proc/irq/{irq}/smp_affinity_list"), &error),
-        }
-    }
-    if on_core.is_empty() {
-        return finding.good(format!("{} elsewhere", numbers(interrupts)));
-    }
-    let away = list(&others(root, core));
-    let finding = finding.poor(format!("{} on core {core}", numbers(&on_core)));
-    if away.is_empty() {
-        return finding.advise("no setting helps: this is the only core");
-    }
-    let path = |irq: u32| format!("proc/irq/{irq}/smp_affinity_list");
-    let before = |irq| root.get(&path(irq)).unwrap_or_else(|| core.to_string());
-    let moved = lines(&on_core, |irq| write(&away, &path(*irq)));
-    finding.fix(
-        format!("{moved}\nor irqaffinity={away} on the kernel command line"),
-        lines(&on_core, |irq| write(before(*irq), &path(*irq))),
-    )
-}
-
-fn numbers(interrupts: &[u32]) -> String {
-    let all = interrupts.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-    format!("irq {all}")
-}
-
-/// The priority that the kernel gives interrupt threads (kernel/irq/manage.c, sched_set_fifo).
-const USUAL_PRIORITY: u8 = 50;
-
-/// On PREEMPT_RT, and with threadirqs, interrupts are handled by threads.
-fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
-    let (core, priority) = (subject.core, subject.cycle.priority);
-    let finding = Finding::network(
-        bus,
-        "interrupt threads",
-        &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
-        "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they never run",
-    );
-    if interrupts.is_empty() {
-        return finding.good("none: a virtual interface");
-    }
-    if !root.shows_everybody() {
-        return finding.unknown("this user, or this container, does not see all processes");
-    }
-    let of_this = |thread: &Thread| thread.interrupt().is_some_and(|irq| interrupts.contains(&irq));
-    let threads: Vec<Thread> = root.threads().into_iter().filter(of_this).collect();
-    if threads.is_empty() {
-        return finding.good("none: handled in interrupts, above every priority");
-    }
-    let names = |chosen: &[&Thread]| {
-        let one = |thread: &&Thread| format!("{} {} {}", thread.name, thread.policy(), thread.priority);
-        chosen.iter().map(one).collect::<Vec<_>>().join(", ")
-    };
-    let low: Vec<&Thread> = threads.iter().filter(|thread| thread.priority < USUAL_PRIORITY).collect();
-    if !low.is_empty() {
-        let back = |thread: &&Thread| match thread.is_real_time() {
-            true => format!("sudo chrt -f -p {} {}", thread.priority, thread.tid),
-            false => format!("sudo chrt -o -p 0 {}", thread.tid),
-        };
-        let raised = lines(&low, |thread| format!("sudo chrt -f -p {USUAL_PRIORITY} {}", thread.tid));
-        return finding.poor(names(&low)).fix(raised, lines(&low, back));
-    }
-    let spins = subject.cycle.wait == Wait::Spin;
-    let starved = |thread: &&Thread| spins && thread.priority < priority && thread.cores == [core];
-    let starved: Vec<&Thread> = threads.iter().filter(starved).collect();
-    if !starved.is_empty() {
-        return finding.poor(format!("{}, on core {core} below a loop that spins", names(&starved))).advise(
-            "move its interrupts to another core, as above; their threads follow\n\
-                 or set wait = \"poll\" in [cycle]",
-        );
-    }
-    finding.good(names(&threads.iter().collect::<Vec<_>>()))
 }
 
 /// Packets may be left in the card's ring on purpose, for a timer to fetch them.
@@ -234,11 +142,9 @@ fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
 mod tests {
     use super::*;
     use crate::doctor::Verdict::{Good, Poor, Unknown};
-    use crate::doctor::facts::testing::{Host, KTHREADD, subject};
+    use crate::doctor::facts::testing::Host;
 
     const BUS: &str = "linmot";
-
-    const ONLINE: (&str, &str) = ("sys/devices/system/cpu/online", "0-3\n");
 
     #[test]
     fn interrupts_are_found_on_the_card_above_it_or_on_its_line() {
@@ -257,44 +163,6 @@ mod tests {
         assert_eq!(check(&below), [32]);
         assert_eq!(check(&[("sys/class/net/eth0/device/irq", "0\n")]), [0_u32; 0]);
         assert_eq!(check(&[]), [0_u32; 0]);
-    }
-
-    #[test]
-    fn interrupts_belong_on_other_cores() {
-        let check =
-            |files: &[(&str, &str)], irqs: &[u32]| affinity(&Host::new(files).0.root, BUS, irqs, &subject());
-        let effective = "proc/irq/31/effective_affinity_list";
-        let allowed = ("proc/irq/31/smp_affinity_list", "0-3\n");
-        assert_eq!(check(&[ONLINE, (effective, "2\n"), allowed], &[31]).found, "irq 31 elsewhere");
-        let here = check(&[ONLINE, (effective, "3\n"), allowed], &[31]);
-        assert_eq!((here.verdict, here.found.as_str()), (Poor, "irq 31 on core 3"));
-        assert!(here.fix.unwrap().starts_with("echo 0-2 | sudo tee /proc/irq/31/smp_affinity_list\n"));
-        assert_eq!(here.undo.unwrap(), "echo 0-3 | sudo tee /proc/irq/31/smp_affinity_list");
-        assert_eq!(check(&[ONLINE, allowed], &[31]).verdict, Poor);
-        assert_eq!(
-            check(&[(effective, "3\n")], &[31]).fix.unwrap(),
-            "no setting helps: this is the only core"
-        );
-        assert_eq!(check(&[], &[31]).verdict, Unknown);
-        assert_eq!(check(&[], &[]).verdict, Good);
-    }
-
-    #[test]
-    fn interrupt_threads_have_their_priority_and_a_core_to_run_on() {
-        let mut plan = subject();
-        let host = || Host::new(&[KTHREADD]);
-        let check = |host: Host, plan: &Subject| threads(&host.0.root, BUS, &[31], plan);
-        assert_eq!(check(Host::new(&[]), &plan).verdict, Unknown);
-        assert_eq!(check(host(), &plan).found, "none: handled in interrupts, above every priority");
-        let thread = |policy, priority, cores| host().thread(9, "irq/31-eth0", true, policy, priority, cores);
-        assert_eq!(check(thread(libc::SCHED_FIFO, 50, "3"), &plan).found, "irq/31-eth0 SCHED_FIFO 50");
-        let low = check(thread(libc::SCHED_OTHER, 0, "0-3"), &plan);
-        assert_eq!((low.verdict, low.fix.as_deref()), (Poor, Some("sudo chrt -f -p 50 9")));
-        assert_eq!(low.undo.unwrap(), "sudo chrt -o -p 0 9");
-        plan.cycle.wait = Wait::Spin;
-        assert!(check(thread(libc::SCHED_FIFO, 50, "3"), &plan).found.ends_with("below a loop that spins"));
-        assert_eq!(check(thread(libc::SCHED_FIFO, 50, "0-3"), &plan).verdict, Good);
-        assert_eq!(check(thread(libc::SCHED_FIFO, 90, "3"), &plan).verdict, Good);
     }
 
     #[test]
