@@ -26,7 +26,7 @@ pub use notation::{
     Access, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList, Request,
     Wanted, Watcher,
 };
-pub(crate) use notation::{bits, count, go_on};
+pub(crate) use notation::{bits, count, go_on, read_listed};
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
 #[cfg(test)]

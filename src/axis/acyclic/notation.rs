@@ -335,6 +335,26 @@ pub(crate) fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usi
     }
 }
 
+/// Those of `rows` that the drive has, with their values.
+pub(crate) fn read_listed(
+    access: Access<'_>,
+    watch: Watcher<'_>,
+    rows: Vec<Listed>,
+) -> Result<Vec<Listed>, ListError> {
+    let all = rows.len();
+    let mut found = Vec::with_capacity(all);
+    for (done, row) in rows.into_iter().enumerate() {
+        go_on(access, watch, done, all)?;
+        match access.read(&row.address) {
+            Ok(raw) => found.push(Listed { raw: Some(raw), ..row }),
+            // Another model has it, or another firmware.
+            Err(ParameterError::Refused { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(found)
+}
+
 /// Hexadecimal digits and nothing else.
 pub(crate) fn bits(digits: &str) -> Option<u64> {
     u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))

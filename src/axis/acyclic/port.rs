@@ -163,21 +163,28 @@ impl Port {
     #[inline]
     pub fn take(&mut self) -> Option<Posted> {
         // The usual case.
-        if self.calls.is_empty() { None } else { self.take_next() }
+        if self.calls.is_empty() { None } else { self.take_if(|_| true) }
     }
 
-    fn take_next(&mut self) -> Option<Posted> {
+    /// The same if it is `wanted`; else it stays the next one.
+    pub fn take_if(&mut self, wanted: impl Fn(&Posted) -> bool) -> Option<Posted> {
         // Bounded by what is queued now: the application may go on posting.
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
-            let posted = self.calls.pop().ok()?;
-            if self.is_cancelled(&posted) {
-                self.end(&posted, Err(CallError::Cancelled));
+            let posted = *self.calls.peek().ok()?;
+            let over = if self.is_cancelled(&posted) {
+                Some(CallError::Cancelled)
             } else if posted.series != 0 && posted.series == self.failed {
-                self.end(&posted, Err(CallError::Skipped));
-            } else if let Some(why) = self.refusal(&posted) {
-                self.end(&posted, Err(why));
+                Some(CallError::Skipped)
             } else {
-                return Some(posted);
+                self.refusal(&posted)
+            };
+            if over.is_none() && !wanted(&posted) {
+                return None;
+            }
+            self.calls.pop().ok()?;
+            match over {
+                Some(why) => self.end(&posted, Err(why)),
+                None => return Some(posted),
             }
         }
         None

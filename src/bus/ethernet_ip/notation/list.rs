@@ -1,9 +1,7 @@
 //! Lists of what a drive has: parameters, registers, commands.
 
 use super::{Address, names};
-use crate::axis::acyclic::{
-    Access, ListError, Listed, Listing, Notation, ParameterError, Wanted, Watcher, go_on,
-};
+use crate::axis::acyclic::{ListError, Listed, Listing, Notation, Wanted, read_listed};
 use crate::bus::ethernet_ip::target::Target;
 use crate::bus::ethernet_ip::wire::opcodes::{self, Operand};
 
@@ -15,7 +13,7 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
             "drive {drive} lists parameters, registers or commands; leave --modified and --from out"
         )));
     }
-    let rows: Vec<Listed> = match wanted.part {
+    let mut rows: Vec<Listed> = match wanted.part {
         None => parameters().chain(registers()).chain(commands()).chain(others()).collect(),
         Some("parameters") => parameters().collect(),
         Some("registers") => registers().collect(),
@@ -28,25 +26,11 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
     };
     Ok(match wanted.values {
         false => Listing::Known(rows),
-        true => Listing::Read(Box::new(move |access, watch| read(access, watch, rows))),
-    })
-}
-
-/// Those that can be read, with their values, as far as the drive has them.
-fn read(access: Access<'_>, watch: Watcher<'_>, mut rows: Vec<Listed>) -> Result<Vec<Listed>, ListError> {
-    rows.retain(|row| super::Addresses.read(&row.address).is_ok());
-    let all = rows.len();
-    let mut found = Vec::with_capacity(all);
-    for (done, row) in rows.into_iter().enumerate() {
-        go_on(access, watch, done, all)?;
-        match access.read(&row.address) {
-            Ok(raw) => found.push(Listed { raw: Some(raw), ..row }),
-            // Another model has it, or another firmware.
-            Err(ParameterError::Refused { .. }) => {}
-            Err(error) => return Err(error.into()),
+        true => {
+            rows.retain(|row| super::Addresses.read(&row.address).is_ok());
+            Listing::Read(Box::new(move |access, watch| read_listed(access, watch, rows)))
         }
-    }
-    Ok(found)
+    })
 }
 
 fn row(address: String, name: Option<&'static str>) -> Listed {

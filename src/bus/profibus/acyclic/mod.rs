@@ -42,7 +42,7 @@ use self::transfer::{Event, Transfer};
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
-    NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Parameter, Target, commanding as codes_that_command,
+    BROKEN, NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Target, commanding as codes_that_command,
 };
 use super::wire::msac1::Record;
 use crate::axis::Link;
@@ -100,8 +100,6 @@ struct Work {
     /// The next turn may be one.
     is_open: bool,
     active: Option<Active>,
-    /// A call that was taken, and cannot go with those before it.
-    ahead: Option<Posted>,
     transfer: Transfer,
     requests: Requests,
     /// What was read last, and what was handed over to be written.
@@ -170,7 +168,6 @@ impl Acyclic {
             since: 0,
             is_open: false,
             active: None,
-            ahead: None,
             transfer: Transfer::new(),
             requests: Requests::new(path),
             read: Kept::default(),
@@ -198,9 +195,6 @@ impl Acyclic {
         self.port.guard(guarded);
         let online = exchanges && !matches!(link, Link::Unseen | Link::Lost);
         if !online {
-            if let Some(ahead) = self.work.ahead.take() {
-                self.port.end(&ahead, Err(CallError::NotOnline));
-            }
             self.port.refuse_all(CallError::NotOnline);
         }
         self.look(now, online);
@@ -208,10 +202,10 @@ impl Acyclic {
             if self.work.active.is_some() {
                 break;
             }
-            let Some(posted) = self.next() else { break };
+            let Some(posted) = self.port.take() else { break };
             self.take_up(now, posted);
         }
-        let Work { active, transfer, ahead, since, is_open, .. } = &mut *self.work;
+        let Work { active, transfer, since, is_open, .. } = &mut *self.work;
         if let Some(Active { way: Way::Channel(job), .. }) = active
             && self.channel.is_free()
         {
@@ -219,7 +213,7 @@ impl Acyclic {
         }
         let every = if guarded { EVERY_ON } else { EVERY_OFF };
         *is_open = since.saturating_add(1) >= every && now >= transfer.not_before;
-        self.is_busy = active.is_some() || ahead.is_some() || !self.channel.is_free();
+        self.is_busy = active.is_some() || !self.channel.is_free();
     }
 
     /// Ends the calls under way that are over.
@@ -255,22 +249,6 @@ impl Acyclic {
             // Nothing of those that have ended is sent.
             requests.build(&of.calls, of.writes, transfer);
             of.commands = of.calls().iter().flatten().any(|posted| self.port.commands(posted));
-        }
-    }
-
-    /// The next call.
-    fn next(&mut self) -> Option<Posted> {
-        let Some(posted) = self.work.ahead.take() else { return self.port.take() };
-        let over = match self.port.refusal(&posted) {
-            _ if self.port.is_cancelled(&posted) => Some(CallError::Cancelled),
-            why => why,
-        };
-        match over {
-            Some(why) => {
-                self.port.end(&posted, Err(why));
-                self.port.take()
-            }
-            None => Some(posted),
         }
     }
 
@@ -343,25 +321,22 @@ impl Acyclic {
     /// Takes the calls that can go in the same request. Writes of a series have to end one by one, since the first that
     /// fails ends it.
     fn gather(&mut self, of: &mut Active, first: &Posted) {
-        if of.writes && first.series != 0 {
+        let Acyclic { port, work, .. } = self;
+        let joins = |posted: &Posted| match Target::unpack(posted.call.address) {
+            Some(Target::Parameter(parameter)) => {
+                posted.call.service == first.call.service
+                    && (!of.writes || posted.series == 0)
+                    && parameter.kind().size().is_some()
+                    && work.requests.admit(parameter, of.writes).is_ok()
+            }
+            _ => false,
+        };
+        if !joins(first) {
             return;
         }
         for place in of.calls.iter_mut().skip(1) {
-            let Some(posted) = self.port.take() else { return };
-            let parameter = |posted: &Posted| match Target::unpack(posted.call.address) {
-                Some(Target::Parameter(parameter)) => Some(parameter),
-                _ => None,
-            };
-            let joins = |parameter: Parameter| {
-                let requests = &self.work.requests;
-                parameter.kind().size().is_some() && requests.admit(parameter, of.writes).is_ok()
-            };
-            let is_same = posted.call.service == first.call.service && (!of.writes || posted.series == 0);
-            if !is_same || ![first, &posted].into_iter().all(|posted| parameter(posted).is_some_and(joins)) {
-                self.work.ahead = Some(posted);
-                return;
-            }
-            of.commands |= self.port.commands(&posted);
+            let Some(posted) = port.take_if(joins) else { return };
+            of.commands |= port.commands(&posted);
             *place = Some(posted);
             of.count += 1;
         }
@@ -424,6 +399,10 @@ impl Acyclic {
         let event = transfer.answered(at, answer);
         match (of.way, event) {
             (Way::Channel(_), _) | (_, Event::None) => {}
+            // The drive has the request, and only its response was refused.
+            (Way::Request { response: true }, Event::Refused(status)) if of.writes && status != BROKEN => {
+                self.finish(|_, _| Err(CallError::TimedOut));
+            }
             (_, Event::Refused(status)) => self.finish_all(Err(status)),
             (Way::Record(_), Event::Written) => self.finish_all(Ok(0)),
             (Way::Record(_), Event::Read(data)) => {

@@ -6,7 +6,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::super::plan::Numbers;
-use super::super::target::{BROKEN, Kind};
+use super::super::target::{BROKEN, Kind, Parameter};
 use super::*;
 use crate::axis::acyclic::{Acyclic as Application, Call, CallTicket, both_of};
 use crate::time::MS;

@@ -156,7 +156,10 @@ impl Transfer {
 
     fn refused(&mut self, function: u8) -> Event<'static> {
         if function != ReplyFunction::NoResource as u8 {
-            return Event::Refused(target::link(function));
+            // Of a poll: the request before it was taken.
+            let was_taken = self.polls && self.is_sent;
+            (self.polls, self.acknowledged) = (false, None);
+            return if was_taken { Event::Unknown } else { Event::Refused(target::link(function)) };
         }
         // An answer that nobody has fetched is in the way of the request; a poll changes nothing.
         if !self.polls {

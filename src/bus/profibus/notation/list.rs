@@ -1,7 +1,7 @@
 //! The list of the known codes.
 
 use super::catalogue::{CODES, Known};
-use crate::axis::acyclic::{Access, ListError, Listed, Listing, ParameterError, Wanted, Watcher, go_on};
+use crate::axis::acyclic::{ListError, Listed, Listing, Wanted, read_listed};
 
 /// How what is `wanted` is listed.
 pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
@@ -15,7 +15,7 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
     let rows: Vec<Listed> = CODES.iter().flat_map(rows).collect();
     Ok(match wanted.values {
         false => Listing::Known(rows),
-        true => Listing::Read(Box::new(move |access, watch| read(access, watch, rows))),
+        true => Listing::Read(Box::new(move |access, watch| read_listed(access, watch, rows))),
     })
 }
 
@@ -31,20 +31,4 @@ fn rows(known: &Known) -> impl Iterator<Item = Listed> {
         usage: Some(format!("{} {}", known.kind, if known.read_only { "read" } else { "read write" })),
         raw: None,
     })
-}
-
-/// Those that the drive has, with their values.
-fn read(access: Access<'_>, watch: Watcher<'_>, rows: Vec<Listed>) -> Result<Vec<Listed>, ListError> {
-    let all = rows.len();
-    let mut found = Vec::with_capacity(all);
-    for (done, row) in rows.into_iter().enumerate() {
-        go_on(access, watch, done, all)?;
-        match access.read(&row.address) {
-            Ok(raw) => found.push(Listed { raw: Some(raw), ..row }),
-            // Another drive has other codes.
-            Err(ParameterError::Refused { .. }) => {}
-            Err(error) => return Err(error.into()),
-        }
-    }
-    Ok(found)
 }

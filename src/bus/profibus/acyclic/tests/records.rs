@@ -172,6 +172,11 @@ fn writes_go_together_unless_the_first_that_fails_has_to_end_the_rest() {
     assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
     assert_eq!(series[0].poll(), Some(Err(CallError::Refused(0))));
     assert_eq!(module.written.len(), 1, "the second one was never sent");
+    // A read that fails keeps the write behind it from being sent.
+    let mut series = side.series(&[(READ, code(999, 0, Kind::Own), 0), (WRITE, C0039_2, 2)]);
+    let mut last = series.pop().unwrap();
+    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
+    assert_eq!(module.written.len(), 1);
     // One that is cancelled before the request leaves is not in it.
     let mut wanted = side.write(C0039_2, 3);
     let unwanted = side.write(C0039_2, 4);
@@ -314,6 +319,24 @@ fn busy_is_again_later_and_all_else_is_refused_by_name() {
         let mut ticket = side.write(C0039_2, 9);
         let end = side.by_msac1(&mut ticket, |_| Some(Reply::Refused(function)));
         assert_eq!(end, Err(CallError::Refused(0x3000_0000 | u32::from(function))));
+    }
+}
+
+#[test]
+fn a_write_whose_outcome_is_refused_is_uncertain() {
+    // The poll for the answer, and the reading of the response.
+    for (refused, reply) in [
+        (&[][..], Reply::Refused(3)),
+        (&[0x5E, 0, 47, 240], Reply::Refused(3)),
+        (&[0x5E, 0, 47, 240], Reply::Data(vec![0xDE, 0x80, 0xB6, 0])),
+    ] {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module::new();
+        let mut ticket = side.write(C0039_2, 9);
+        let end = side.by_msac1(&mut ticket, |data| {
+            Some(if data == refused { reply.clone() } else { module.exchange(data) })
+        });
+        assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1), "{reply:?}");
     }
 }
 
