@@ -233,7 +233,8 @@ fn set(port: &OwnedFd, line: &SerialLine) -> io::Result<()> {
     let taken = self::settings(port)?;
     if ![taken.c_ispeed, taken.c_ospeed].into_iter().all(|rate| is_near(line.rate, rate)) {
         let message = format!(
-            "its driver has {} bit/s in place of {}, and 0.3 % off is the most: choose a rate that the adapter supports",
+            "its driver has {} bit/s in place of {}, and 0.3 % off is the most: choose a rate that the \
+             adapter supports",
             taken.c_ospeed, line.rate
         );
         return Err(io::Error::new(io::ErrorKind::Unsupported, message));

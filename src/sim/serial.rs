@@ -29,8 +29,8 @@ pub trait SimSerial: Any + Send {
     /// others are 0.
     fn receive(&mut self, now: Time, bytes: &[u8]);
 
-    /// When it wants to run by its own clock, to answer for example; queried after every other call. What was due before
-    /// the wire's first moment runs then.
+    /// When it wants to run by its own clock, to answer for example; queried after every other call. What was due
+    /// before the wire's first moment runs then.
     fn next_due(&self) -> Option<Time>;
 
     /// Its own clock has come to that: what it appends to `out` it sends from now on.

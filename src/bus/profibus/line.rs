@@ -1,5 +1,5 @@
-//! The link layer of the only master on a wire: silence before the first telegram, the token, one request at a time with
-//! its slot time and its repetitions, and what arrives meanwhile.
+//! The link layer of the only master on a wire: silence before the first telegram, the token, one request at a time
+//! with its slot time and its repetitions, and what arrives meanwhile.
 //!
 //! A machine of state and time: it takes instants and slices, and knows neither port nor drives. The bus writes what
 //! [`to_send`](Line::to_send) returns, and hands over what has arrived.
@@ -330,7 +330,8 @@ impl Line {
         }
     }
 
-    /// The next telegram is the request of drive `index` that `write` writes, and what its answer is; `None`: it is none.
+    /// The next telegram is the request of drive `index` that `write` writes, and what its answer is; `None`: it is
+    /// none.
     #[inline]
     pub(super) fn request(
         &mut self,

@@ -73,8 +73,8 @@ pub struct Bits {
     pub idle: u32,
     /// Tid2: the same after a request that nobody answers.
     pub idle_unanswered: u32,
-    /// What the driver of a port adds, at most, between a byte on the wire and its reading: it extends the slot time. In
-    /// ns, since it has nothing to do with the rate.
+    /// What the driver of a port adds, at most, between a byte on the wire and its reading: it extends the slot time.
+    /// In ns, since it has nothing to do with the rate.
     pub latency_ns: u64,
 }
 

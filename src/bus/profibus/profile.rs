@@ -5,7 +5,8 @@
 //! the status word.
 //!
 //! Assumed, because the sheet is silent: bits of the ramp generator that are 0 stop the drive along its own ramp with
-//! its power on. PROFIdrive has the bits of DRIVECOM, and bit 10 in addition; without it the drive ignores the telegram.
+//! its power on. PROFIdrive has the bits of DRIVECOM, and bit 10 in addition; without it the drive ignores the
+//! telegram.
 
 use super::native::{NativeOutput, NativePort};
 use super::plan::{DriveProfile, LenzeDrive, StatusBit};
@@ -149,8 +150,8 @@ impl Profile {
         }
     }
 
-    /// The control word and the set point that are desired with the next telegram, if they are others than before; built
-    /// again for the same telegram, they are the same.
+    /// The control word and the set point that are desired with the next telegram, if they are others than before;
+    /// built again for the same telegram, they are the same.
     #[inline]
     pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort) -> Option<(u16, i16)> {
         let Desired { power, motion, setpoint, .. } = desired;

@@ -449,7 +449,8 @@ impl Station {
         }
     }
 
-    /// The telegram of its turn has failed: nothing answers it, however often it was repeated. The next one counts anew.
+    /// The telegram of its turn has failed: nothing answers it, however often it was repeated. The next one counts
+    /// anew.
     #[cold]
     pub(super) fn failed(&mut self, slot: &mut Slot) {
         (self.count, self.was_answered) = (FIRST, false);

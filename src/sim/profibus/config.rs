@@ -33,7 +33,10 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns
         drives,
         ..default
     });
-    segment.faults().into_iter().for_each(|(_, fault)| table.fault(fault.key, fault.message));
+    // A drive whose plan is wrong has that reported.
+    if plan.drives.iter().all(|drive| drive.faults().is_empty()) {
+        segment.faults().into_iter().for_each(|(_, fault)| table.fault(fault.key, fault.message));
+    }
     segment
 }
 

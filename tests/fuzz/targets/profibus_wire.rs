@@ -1,5 +1,5 @@
-//! What arrives on a PROFIBUS, for every parser of it: no bytes make it panic, nothing reaches beyond what it was given,
-//! telegrams are the same wherever they are cut, and a telegram that is read is written the same.
+//! What arrives on a PROFIBUS, for every parser of it: no bytes make it panic, nothing reaches beyond what it was
+//! given, telegrams are the same wherever they are cut, and a telegram that is read is written the same.
 
 use fieldbeat::axis::State;
 use fieldbeat::internals::bus::profibus::wire::base_mode::{Outcome, Response};

@@ -1,6 +1,5 @@
 //! Drives, telegrams and ports that are lost; noise and other masters.
 
-use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, State, StopCause};
 use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::sim::FaultPlan;
@@ -8,10 +7,12 @@ use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings};
 use fieldbeat::time::{MS, S};
 
 use super::turns::{STOP, jog};
-use super::{Lenze, PORT, own, wire};
+use super::{Lenze, PORT, cycle, own, wire};
 
-fn turning(drives: usize) -> Lenze {
-    let mut m = Lenze::new(wire(1_500_000, drives), CyclePlan::default());
+fn turning(drives: usize, bucket: u32) -> Lenze {
+    let mut bus = wire(1_500_000, drives);
+    bus.drives.iter_mut().for_each(|drive| drive.axis.health.bucket = bucket);
+    let mut m = Lenze::new(bus, cycle());
     m.ready();
     for index in 0..drives {
         m.post(index, jog(8.0));
@@ -26,13 +27,15 @@ fn lost_and_broken_telegrams_are_repeated_with_the_same_bytes() {
         (1, FaultPlan { drop: 0.05, ..FaultPlan::default() }),
         (2, FaultPlan { corrupt: 0.05, ..FaultPlan::default() }),
     ] {
-        let mut m = turning(2);
+        let mut m = turning(2, 20);
+        m.post(1, jog(-4.0));
+        m.turns(1, -4.0);
         m.sim.world().set_wire_faults(PORT, FaultPlan { seed, ..faults.clone() });
         for _ in 0..3_000 {
             m.sim.run(1);
-            for index in [0, 1] {
+            for (index, velocity) in [(0, 8.0), (1, -4.0)] {
                 let status = m.feedback(index).status;
-                assert!((status.velocity - 8.0).abs() < 0.1, "another one's value: {status:?}");
+                assert!((status.velocity - velocity).abs() < 1.0, "another one's value: {status:?}");
             }
         }
         for index in [0, 1] {
@@ -55,7 +58,7 @@ fn lost_and_broken_telegrams_are_repeated_with_the_same_bytes() {
 
 #[test]
 fn a_drive_that_was_switched_off_stops_its_axis_and_comes_back_by_the_application_only() {
-    let mut m = turning(2);
+    let mut m = turning(2, 5);
     assert!(m.sim.world().restart_on(PORT, 0));
     m.until("its loss", 100, |sim| sim.feedback(0).stopped.is_some());
     m.until("it is back", 5_000, |sim| sim.feedback(0).link == Link::Online);
@@ -74,7 +77,7 @@ fn a_drive_that_was_switched_off_stops_its_axis_and_comes_back_by_the_applicatio
 
 #[test]
 fn a_port_that_vanishes_stops_the_axes_and_comes_back() {
-    let mut m = turning(2);
+    let mut m = turning(2, 5);
     assert!(m.sim.world().unplug_port(PORT));
     m.until("its loss", 200, |sim| (0..2).all(|index| sim.feedback(index).stopped.is_some()));
     m.sim.run(500);
@@ -92,7 +95,7 @@ fn a_port_that_vanishes_stops_the_axes_and_comes_back() {
 #[test]
 fn nothing_is_sent_while_another_master_has_the_wire_and_it_is_named() {
     let foreign = ForeignSettings { every_ns: MS, count: Some(1_500), ..ForeignSettings::new(9) };
-    let mut m = Lenze::with(wire(1_500_000, 1), CyclePlan::default(), |wire| {
+    let mut m = Lenze::with(wire(1_500_000, 1), cycle(), |wire| {
         wire.foreign = Some(foreign);
     });
     m.sim.run(1_000);
@@ -110,7 +113,7 @@ fn another_master_that_comes_later_stops_the_axes() {
     // Some of its telegrams collide with others.
     let every_ns = 10_300_000;
     let foreign = ForeignSettings { after_ns, every_ns, count: Some(20), ..ForeignSettings::new(9) };
-    let mut m = Lenze::with(wire(1_500_000, 1), CyclePlan::default(), |wire| {
+    let mut m = Lenze::with(wire(1_500_000, 1), cycle(), |wire| {
         wire.foreign = Some(foreign);
     });
     m.ready();
@@ -128,7 +131,7 @@ fn another_master_that_comes_later_stops_the_axes() {
 fn noise_costs_exchanges_and_no_more() {
     let mut bus = wire(1_500_000, 2);
     bus.drives.iter_mut().for_each(|drive| drive.axis.health.bucket = 20);
-    let mut m = Lenze::with(bus, CyclePlan::default(), |wire| {
+    let mut m = Lenze::with(bus, cycle(), |wire| {
         wire.noise = Some(NoiseSettings { seed: 5, every_ns: 5 * MS, bytes: 8 });
     });
     m.ready();
@@ -140,7 +143,7 @@ fn noise_costs_exchanges_and_no_more() {
         m.sim.run(1);
         for index in [0, 1] {
             let status = m.feedback(index).status;
-            assert!((status.velocity - 8.0).abs() < 0.1, "{status:?}");
+            assert!((status.velocity - 8.0).abs() < 1.0, "{status:?}");
         }
     }
     m.done(0, STOP);
@@ -153,7 +156,7 @@ fn noise_costs_exchanges_and_no_more() {
 fn the_own_echo_is_skipped() {
     let mut bus = wire(1_500_000, 2);
     bus.echo = true;
-    let mut m = Lenze::new(bus, CyclePlan::default());
+    let mut m = Lenze::new(bus, cycle());
     m.ready();
     m.post(0, jog(8.0));
     m.turns(0, 8.0);

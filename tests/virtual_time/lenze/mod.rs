@@ -42,6 +42,11 @@ pub fn drive(index: usize) -> LenzeDrive {
     drive
 }
 
+/// A cycle of 1 ms whose window has room for two drives at 1.5 Mbit/s.
+pub fn cycle() -> CyclePlan {
+    CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() }
+}
+
 /// A wire of this rate with so many drives.
 pub fn wire(rate: u32, count: usize) -> ProfibusPlan {
     ProfibusPlan::new(PORT, rate, (0..count).map(drive).collect())

@@ -1,16 +1,15 @@
 //! What is wrong with a drive is reported by name, and disturbs nobody else.
 
-use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, Outcome, State};
 use fieldbeat::sim::profibus::{LenzeSettings, UserPrm};
 use fieldbeat::time::{MS, S};
 
 use super::turns::jog;
-use super::{Lenze, wire};
+use super::{Lenze, cycle, wire};
 
 /// Drive 0 is changed, and does not come; drive 1 turns. The note on drive 0.
 fn refused(change: impl FnOnce(&mut LenzeSettings)) -> String {
-    let mut m = Lenze::with(wire(1_500_000, 2), CyclePlan::default(), |wire| change(&mut wire.drives[0]));
+    let mut m = Lenze::with(wire(1_500_000, 2), cycle(), |wire| change(&mut wire.drives[0]));
     m.until("the other one", 5_000, |sim| sim.feedback(1).link == Link::Online);
     m.done(1, Command::Enable);
     m.post(1, jog(8.0));
@@ -50,7 +49,7 @@ fn nobody_at_an_address_is_named() {
 
 #[test]
 fn a_fault_is_named_by_the_diagnosis_and_reset_by_an_edge() {
-    let mut m = Lenze::new(wire(1_500_000, 1), CyclePlan::default());
+    let mut m = Lenze::new(wire(1_500_000, 1), cycle());
     m.ready();
     m.post(0, jog(8.0));
     m.turns(0, 8.0);
@@ -66,7 +65,7 @@ fn a_fault_is_named_by_the_diagnosis_and_reset_by_an_edge() {
 
 #[test]
 fn a_missing_hardware_enable_shows_and_an_enable_fails_by_name() {
-    let mut m = Lenze::new(wire(1_500_000, 1), CyclePlan::default());
+    let mut m = Lenze::new(wire(1_500_000, 1), cycle());
     m.online();
     assert!(!m.feedback(0).status.inhibited);
     m.sim.world().inhibit_on(super::PORT, 0, 10 * S);
@@ -79,7 +78,7 @@ fn a_missing_hardware_enable_shows_and_an_enable_fails_by_name() {
 fn a_drive_whose_master_is_gone_coasts_within_its_watchdog() {
     let mut bus = wire(1_500_000, 1);
     bus.drives[0].watchdog.timeout_ns = Some(50 * MS);
-    let mut m = Lenze::new(bus, CyclePlan::default());
+    let mut m = Lenze::new(bus, cycle());
     m.ready();
     m.post(0, jog(8.0));
     m.turns(0, 8.0);

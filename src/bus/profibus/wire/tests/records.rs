@@ -208,7 +208,10 @@ proptest! {
     #[test]
     fn responses_of_random_formats_are_whole(
         id in prop::sample::select(vec![1_u8, 2, 0x81, 0x82]), count in 0..5_u8,
-        body in vec(prop_oneof![prop::sample::select(vec![0_u8, 1, 2, 3, 0x40, 0x41, 0x42, 0x43, 0x44]), any::<u8>()], 0..30),
+        body in vec(
+            prop_oneof![prop::sample::select(vec![0_u8, 1, 2, 3, 0x40, 0x41, 0x42, 0x43, 0x44]), any::<u8>()],
+            0..30,
+        ),
     ) {
         let record = [vec![1, id, 0, count], body].concat();
         if let Ok(response) = Response::parse(&record) {
