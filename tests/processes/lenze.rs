@@ -43,7 +43,7 @@ impl Wire {
                  realtime = \"off\"\n[[bus]]\nprotocol = \"profibus-dp\"\ndevice = \"{device}\"\n\
                  latency = \"3ms\"\n{more}\n\
                  [bus.defaults]\ndivisor = 16\nlimits = {{ velocity = 25, acceleration = 50 }}\n\
-                 stop.deceleration = 50\njog_deadman = \"off\"\nwatchdog = \"6s\"\n\
+                 stop = {{ deceleration = 50, standstill_for = 5 }}\njog_deadman = \"off\"\nwatchdog = \"6s\"\n\
                  health = {{ bucket = \"5s\", leak = 1 }}\n\
                  [[bus.drive]]\nname = \"infeed\"\naddress = 3\n\
                  [[bus.drive]]\nname = \"outfeed\"\naddress = 4\nphase = 8\n{of_second}\n",
@@ -139,9 +139,11 @@ fn codes_are_read_and_written_by_a_master_of_its_own_and_through_the_one_that_ru
             does("set", &format!("{name} C0039/2 {raw}")).expect(0);
             let read = does("get", &format!("{name} C0039/2 --json"));
             assert_eq!(read.expect(0).json()["raw"], raw, "{read:?}");
-            // As warm as the simulated drive is unless its configuration says otherwise, °C.
-            let read = does("get", &format!("{name} C0061 --json"));
-            assert_eq!(read.expect(0).json()["value"], 43.0, "{read:?}");
+            // As warm as the simulated drive is unless its configuration says otherwise.
+            let read = does("get", &format!("{name} C0061"));
+            assert!(read.expect(0).out.contains("430000 (0x68FB0) = 43.0000 °C"), "{read:?}");
+            assert!(does("list", name).expect(0).out.contains("C0039/2"));
+            does("set", &format!("{name} C0061 1")).refused(&[name, "what the drive only reports"]);
             does("get", &format!("{name} 12.5")).refused(&[name, "not an address of this drive"]);
         }
     };

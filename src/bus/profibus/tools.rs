@@ -16,7 +16,7 @@ use super::wire::dp::DiagnosisStatus;
 use crate::bus::tools::{Program, Stop, Tool, arguments};
 use crate::net::{Carriers, Os, Place};
 use crate::rt::MonotonicClock;
-use crate::time::{MS, Time, nanos};
+use crate::time::MS;
 
 /// The commands that this protocol adds.
 pub(super) const TOOLS: &[Tool] = &[Tool {
