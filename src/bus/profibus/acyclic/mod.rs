@@ -29,25 +29,27 @@
 //! | `channel` | a job in the parameter channel: paths A and B |
 //! | `transfer` | a record by MSAC1 |
 //! | `request` | parameters by path C: a request in a record, and its response |
+//! | `ends` | how what is under way goes on, and ends |
 
 mod channel;
+mod ends;
 mod request;
 #[cfg(test)]
 mod tests;
 mod transfer;
 
 use self::channel::{Channel, Job};
-use self::request::{BATCH, Next, Requests};
-use self::transfer::{Event, Transfer};
+use self::request::{BATCH, Requests};
+use self::transfer::Transfer;
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
-    BROKEN, NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Target, commanding as codes_that_command,
+    NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Target, commanding as codes_that_command,
 };
 use super::wire::msac1::Record;
 use crate::axis::Link;
-use crate::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE, raw};
-use crate::axis::acyclic::{Answer as CallAnswer, CallError, Commanding, Port, Posted};
+use crate::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE};
+use crate::axis::acyclic::{CallError, Commanding, Port, Posted};
 use crate::rt::Regions;
 use crate::time::{S, Time};
 
@@ -389,90 +391,6 @@ impl Acyclic {
     pub(super) fn channel_answered(&mut self, _at: Time, channel: &[u8; CHANNEL]) {
         if let Some(ended) = self.channel.answered(channel) {
             self.finish_all(ended.map(u64::from));
-        }
-    }
-
-    /// The MSAC1 request was answered.
-    pub(super) fn answered(&mut self, at: Time, answer: Answer<'_>) {
-        let Work { active, transfer, requests, read, .. } = &mut *self.work;
-        let Some(of) = active else { return };
-        let event = transfer.answered(at, answer);
-        match (of.way, event) {
-            (Way::Channel(_), _) | (_, Event::None) => {}
-            // The drive has the request, and only its response was refused.
-            (Way::Request { response: true }, Event::Refused(status)) if of.writes && status != BROKEN => {
-                self.finish(|_, _| Err(CallError::TimedOut));
-            }
-            (_, Event::Refused(status)) => self.finish_all(Err(status)),
-            (Way::Record(_), Event::Written) => self.finish_all(Ok(0)),
-            (Way::Record(_), Event::Read(data)) => {
-                if let [Some(posted), ..] = &of.calls {
-                    *read = Kept::of_read(posted, data.len(), data);
-                }
-                self.finish_all(Ok(raw(data)));
-            }
-            (Way::Record(_), Event::Unknown) if of.writes => self.finish(|_, _| Err(CallError::TimedOut)),
-            (Way::Record(record), Event::Unknown) => transfer.read(record),
-            (Way::Request { response: false }, Event::Written) => {
-                of.way = Way::Request { response: true };
-                requests.read_response(transfer);
-            }
-            (Way::Request { .. }, Event::Unknown) if of.writes => {
-                // A response with its number shows what became of it.
-                of.way = Way::Request { response: true };
-                requests.read_response(transfer);
-            }
-            (Way::Request { .. }, Event::Unknown) => self.request_anew(),
-            (Way::Request { .. }, Event::Read(data)) => self.respond(at, data),
-            (Way::Request { response: true }, Event::Written) => {}
-        }
-    }
-
-    /// Reads what is still wanted by a request of its own.
-    fn request_anew(&mut self) {
-        let Work { active, transfer, requests, .. } = &mut *self.work;
-        let Some(of) = active else { return };
-        if of.calls().iter().all(Option::is_none) {
-            *active = None;
-            return;
-        }
-        of.way = Way::Request { response: false };
-        requests.build(&of.calls, of.writes, transfer);
-    }
-
-    /// The record with the response was read.
-    fn respond(&mut self, at: Time, data: &[u8]) {
-        let Work { active, transfer, requests, read, .. } = &mut *self.work;
-        let Some(of) = active else { return };
-        match requests.respond(data, of.calls(), of.writes, read) {
-            Next::Again => transfer.again(at),
-            Next::Further => self.request_anew(),
-            Next::Over(result) => self.finish_all(result),
-            Next::Each => self.finish(|work, place| work.requests.result(place).map_err(CallError::Refused)),
-        }
-    }
-
-    /// Ends all calls under way alike; an error is a status.
-    fn finish_all(&mut self, result: Result<u64, u32>) {
-        self.finish(|_, _| result.map_err(CallError::Refused));
-    }
-
-    /// Ends the request, and its calls with the result of each. What was written is the value of a write.
-    fn finish(&mut self, result: impl Fn(&Work, usize) -> Result<u64, CallError>) {
-        let Some(of) = self.work.active.take() else { return };
-        let mut failed = 0;
-        for (place, posted) in of.calls().iter().enumerate() {
-            let Some(posted) = posted else { continue };
-            let mut result = result(&self.work, place);
-            if posted.series != 0 && posted.series == failed {
-                result = Err(CallError::Skipped);
-            } else if result.is_err() {
-                failed = posted.series;
-            }
-            let address = posted.call.address;
-            let answer = |value| CallAnswer { status: 0, address, value };
-            self.port
-                .end(posted, result.map(|read| answer(if of.writes { posted.call.value } else { read })));
         }
     }
 
