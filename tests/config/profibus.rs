@@ -194,8 +194,8 @@ fn the_turns_are_laid_on_the_grid_of_the_cycle() {
         "its turn: 12 bytes of outputs and 12 of inputs, 8 of them the parameter channel; 107.917 us on the wire, \
          215.834 us at most; all drives in turn 431.668 us",
         "start-up takes it over: Set_Prm (3 bytes of User_Prm) for ident number 0x0082 locks it to this master, and \
-         its outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another master has \
-         locked is left alone, and named; DRIVECOM words",
+         its outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another master \
+         has locked is left alone, and named; DRIVECOM words",
         "takes velocities, 1500 rpm at a count of 16384; no moves, no streams, no homing",
         "parameters by the DRIVECOM channel in the process data",
         "a parameter that is written again and again wears the drive's EEPROM, unless saving is off: C0003 = 0",
