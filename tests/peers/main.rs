@@ -10,7 +10,8 @@
 //! | `ethernet_ip` | EtherNet/IP: frames, and an adapter, scanners and clients of others |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
-//! | `peer` | a peer that is told by lines what to do |
+//! | `peer` | a peer that is told by lines what to do, and one that is a package of its own |
+//! | `profibus` | PROFIBUS DP: masters of the crate profirust and of pyprofibus |
 //! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
@@ -21,6 +22,7 @@ mod ethernet_ip;
 mod linudp;
 mod modbus;
 mod peer;
+mod profibus;
 mod readers;
 #[path = "../support/mod.rs"]
 mod support;

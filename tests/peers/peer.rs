@@ -1,4 +1,4 @@
-//! A peer that is told by lines what to do.
+//! A peer that is told by lines what to do, and one that is a package of its own.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -7,7 +7,18 @@ use std::process::{Child, Command, Stdio};
 
 use crossbeam_channel::{Receiver, unbounded};
 
-use crate::support::LONG;
+use crate::support::{LONG, checkout};
+
+/// Builds the program of `tests/peers/NAME`, a package of its own, unless that was done already.
+pub fn package(name: &str) -> PathBuf {
+    let target = checkout("target/peers").join(name);
+    let mut cargo = Command::new(std::env::var("CARGO").unwrap_or_else(|_| "cargo".into()));
+    cargo.args(["build", "--quiet", "--release", "--locked", "--manifest-path"]);
+    cargo.arg(checkout("tests/peers").join(name).join("Cargo.toml")).env("CARGO_TARGET_DIR", &target);
+    let output = cargo.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    target.join(format!("release/{name}-peer"))
+}
 
 /// A program that answers lines by lines. Dropped = killed.
 pub struct Peer {

@@ -8,7 +8,8 @@ use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan};
 
 use super::scan::scan;
-use super::{WIRE, at_master, cable, master, segment, serve, soem};
+use super::{WIRE, at_master, cable, segment, serve, soem};
+use crate::peer::package;
 use crate::support::{Cable, LONG, Machine, Program};
 
 /// Cycles of 2 ms until all drives are online on a segment that has just been switched on, or was left.
@@ -69,7 +70,7 @@ fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) 
 const FALLEN: Duration = Duration::from_millis(500);
 
 fn ethercrab(what: &str) -> impl Fn(&str) -> Command {
-    let peer = master::build();
+    let peer = package("ethercrab");
     move |namespace| {
         let mut command = Cable::command(namespace, peer.to_str().unwrap());
         command.args([WIRE, "2", what]);

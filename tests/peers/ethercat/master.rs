@@ -1,28 +1,17 @@
 //! The crate ethercrab, a master that others wrote, on our simulated line.
 
 use std::path::Path;
-use std::process::Command;
 
 use fieldbeat::bus::ethercat::Family;
 
 use super::dissector::{ABORT, Address, FRMW, LRW, Message, dissect, exchanges};
 use super::{WIRE, cable, capture, said, segment, serve};
-use crate::support::{Cable, Machine, Program, checkout};
-
-/// Builds their master, unless that was done already.
-pub fn build() -> std::path::PathBuf {
-    let target = checkout("target/peers/ethercrab");
-    let mut cargo = Command::new(std::env::var("CARGO").unwrap_or_else(|_| "cargo".into()));
-    cargo.args(["build", "--quiet", "--release", "--locked", "--manifest-path"]);
-    cargo.arg(checkout("tests/peers/ethercrab/Cargo.toml")).env("CARGO_TARGET_DIR", &target);
-    let output = cargo.output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    target.join("release/ethercrab-peer")
-}
+use crate::peer::package;
+use crate::support::{Cable, Machine, Program};
 
 fn turns_a_drive(test: u8, short_clocks: bool) {
     let (machine, cable) = (Machine::new(test), cable(test));
-    let peer = build();
+    let peer = package("ethercrab");
     let _line = serve(&cable, segment(Family::S700, 2, short_clocks));
     let mut ended = None;
     let file = capture(&cable, &machine, || {
