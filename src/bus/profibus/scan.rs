@@ -23,6 +23,8 @@ const NOISE_NS: u64 = 5 * S;
 const ROUNDS: u8 = 2;
 /// The longest wait at a time, ns.
 const LOOK_NS: u64 = 10 * MS;
+/// The most reads at a time: whoever floods the port shall not keep the scan from its end.
+const MOST_READS: usize = 64;
 /// The first request to a slave (FCB 1, FCV 0), as of a master that begins.
 const FIRST: (bool, bool) = (true, false);
 
@@ -199,11 +201,9 @@ impl Scan {
         let until = self.line.look_at(true).map_or(LOOK_NS, |at| at.since(self.now));
         self.now = wait(port.fd(), until.min(LOOK_NS)).ok_or(ScanError::Interrupted)?;
         let mut answered = false;
-        loop {
+        for _ in 0..MOST_READS {
             let received = port.receive(0, self.line.room());
-            let Some((at, count)) = received.map_err(|_: Broken| ScanError::Broken)? else {
-                return Ok(answered);
-            };
+            let Some((at, count)) = received.map_err(|_: Broken| ScanError::Broken)? else { break };
             self.line.received(at, count);
             while let Some(heard) = self.line.heard(at) {
                 match heard {
@@ -220,6 +220,7 @@ impl Scan {
                 }
             }
         }
+        Ok(answered)
     }
 }
 
