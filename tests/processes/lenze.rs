@@ -226,7 +226,7 @@ fn an_ordinary_user_is_told_which_right_is_missing() {
     // SAFETY: the kernel writes one number.
     assert_eq!(unsafe { libc::ioctl(master.as_raw_fd(), libc::TIOCGPTN, &raw mut number) }, 0);
     let port = format!("/dev/pts/{number}");
-    std::fs::set_permissions(&port, PermissionsExt::from_mode(0)).unwrap();
+    std::fs::set_permissions(&port, PermissionsExt::from_mode(0o000)).unwrap();
     let ended = Program::spawn(as_ordinary_user(&machine).args(["profibus", "scan", &port])).end();
     ended.refused(&[&format!("no right to use {port}"), "dialout"]);
 }

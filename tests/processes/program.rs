@@ -53,6 +53,8 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
         if drive["protocol"] == "profibus-dp" {
             assert_eq!(drive["position"], serde_json::Value::Null, "it tells none: {drive}");
             assert!(drive["protocol_counters"]["wire_us"].as_u64().unwrap() > 0, "{drive}");
+            // It has turned, rpm.
+            assert!(drive["monitor"][0]["max"].as_f64().unwrap() > 100.0, "{drive}");
             continue;
         }
         if drive["protocol"] == "modbus-tcp" {
