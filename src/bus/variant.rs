@@ -28,7 +28,7 @@ impl Variant {
         }
     }
 
-    /// The segment in place of `interface`.
+    /// The segment in place of `interface`, or the wire in place of a port.
     pub fn interface(&self, interface: &str) -> String {
         match self.place {
             0 => interface.to_owned(),

@@ -27,7 +27,8 @@ pub fn is_demo(path: impl AsRef<Path>) -> bool {
 
 /// The demo with so many drives on its first bus, 1 ... 128, and this period. A bus that does not take the period is
 /// left out, and the clock of a bus that is left out does not lead. `place`, below [`DEMO_PLACES`], chooses the
-/// addresses: 127.77.x.y and `local:demo` at 0, 127.241.x.y and `local:demo-2` at 1, and so on.
+/// addresses: 127.77.x.y, `local:demo` and `local:demo-wire` at 0, 127.241.x.y, `local:demo-2` and `local:demo-wire-2`
+/// at 1, and so on.
 pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Configuration, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));

@@ -604,7 +604,15 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
         // No Kollmorgen takes the others.
         let leads = period_ns.is_multiple_of(MS);
-        assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 4 } else { 3 }, leads));
+        assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 5 } else { 4 }, leads));
+    }
+    // The turns of its PROFIBUS wire fit at any of these: a plan in which they do not is refused.
+    for period_ns in [50 * US, 250 * US, 333 * US, MS, 2 * MS, 3 * MS, 4 * MS, 8 * MS, 10 * MS, 16 * MS] {
+        let plan = demo_plan(1, period_ns, 0).unwrap().plan;
+        let lenzes = plan.buses.last().unwrap().axes();
+        let [first, second] = lenzes[..] else { panic!("{lenzes:?}") };
+        assert!((20 * MS..=33 * MS).contains(&(u64::from(first.divisor) * period_ns)), "{period_ns}");
+        assert_eq!((second.divisor, second.phase), (first.divisor, first.divisor / 2), "{period_ns}");
     }
     // What a busy computer is allowed is stated in time.
     for period_ns in [MS, 4 * MS, 8 * MS] {

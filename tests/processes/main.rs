@@ -21,6 +21,7 @@
 //! | `ethercat` | the scan of an EtherCAT line |
 //! | `ethernet_ip` | the scan of EtherNet/IP devices |
 //! | `moons` | MOONS' drives, and their parameters |
+//! | `lenze` | Lenze drives on a wire, their parameters, and the scan of it |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -35,6 +36,7 @@ mod ethernet_ip;
 #[path = "../support/fuse.rs"]
 mod fuse;
 mod kollmorgen;
+mod lenze;
 mod links;
 mod linmot;
 mod masters;

@@ -12,6 +12,7 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
 use crate::net::Carriers;
 
@@ -88,6 +89,10 @@ impl BusPlan for ProfibusPlan {
         drive.axis.on_found_running = FoundRunning::Refuse;
         drive.show = [const { None }; MONITOR_CHANNELS];
         Some(Box::new(ProfibusPlan { drives: vec![drive], ..self.clone() }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(ProfibusPlan::variant(self, wanted)?))
     }
 
     fn addresses(&self) -> Vec<SocketAddrV4> {

@@ -49,7 +49,7 @@ pub const OWN: [OwnCounter; 13] = [
     OwnCounter { key: "noise", what: "receptions while nobody was to send" },
     OwnCounter { key: "second_master", what: "telegrams of another master" },
     OwnCounter { key: "start_ups", what: "telegrams of its start-up, which are no exchanges" },
-    OwnCounter { key: "wire_us", what: "microseconds that its telegrams took on the wire: the bus load" },
+    OwnCounter { key: "wire_us", what: "bus load, microseconds of its telegrams on the wire" },
 ];
 
 impl Own {

@@ -35,10 +35,14 @@ pub(crate) mod notation;
 mod notes;
 mod plan;
 mod profile;
+#[cfg(feature = "cli")]
+mod scan;
 mod schedule;
 mod start_up;
 mod station;
 pub(crate) mod target;
+#[cfg(feature = "cli")]
+mod tools;
 pub(crate) mod wire;
 
 pub use native::{NATIVE_WORDS, Native, NativeInputs, NativeOutput};
@@ -61,5 +65,5 @@ pub(super) const REGISTERED: super::Protocol = super::Protocol {
     #[cfg(feature = "config")]
     read: config::bus,
     #[cfg(feature = "cli")]
-    tools: &[],
+    tools: tools::TOOLS,
 };

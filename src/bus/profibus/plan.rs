@@ -6,6 +6,7 @@
 use super::wire::dp::{self, dpv1};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::bus::variant::Variant;
 pub use crate::net::Rs485;
 use crate::net::{Parity, SerialLine};
 use crate::time::MS;
@@ -260,6 +261,17 @@ impl ProfibusPlan {
             rs485: Rs485::default(),
             drives,
         }
+    }
+
+    /// This wire in another machine; its drives have to be its own, since their number decides what fits on it.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<ProfibusPlan> {
+        if wanted.drives.is_some() {
+            return None;
+        }
+        let mut plan = self.clone();
+        plan.device = wanted.interface(&plan.device);
+        plan.drives.iter_mut().for_each(|drive| wanted.schedule(&mut drive.axis, 0));
+        Some(plan)
     }
 
     /// How bytes are sent.

@@ -38,7 +38,8 @@ pub struct Demo {
     /// Length of the whole demo, the wait for the drives included; without it, 10 s from then on.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// How many LinMot drives, next to two Unidrives, Kollmorgens and MOONS' each, and a coupler with terminals.
+    /// How many LinMot drives, next to two Unidrives, Kollmorgens, MOONS' and Lenzes each, and a coupler with
+    /// terminals.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
     /// The period of the cycle; without it, the shortest of 1, 2, 4, 8 and 16 ms that this host carries now.

@@ -1,5 +1,5 @@
-//! PROFIBUS DP: masters of others and our simulated slaves, and our master and others' decoder. Each master is at one end
-//! of a cable between two pseudo-terminals, the slaves are at the other one.
+//! PROFIBUS DP: masters of others and our simulated slaves, and our master and others' decoder. Each master is at one
+//! end of a cable between two pseudo-terminals, the slaves are at the other one.
 //!
 //! No package has a slave, and none has DP-V1: what our slaves and acyclic access do beyond DP-V0 is not judged here.
 //!

@@ -1,0 +1,298 @@
+//! Lists the stations of a wire, on a normal thread: who answers FDL status, and the diagnosis of each. It changes
+//! nothing in them: no parametrisation, no process data.
+//!
+//! The wire is listened to first. While another master uses it nothing is sent, and the scan ends with its address.
+
+use std::os::fd::RawFd;
+
+use thiserror::Error;
+
+use super::line::{Answer, Expected, Heard, Instead, Job, Line, Ready};
+use super::plan::ProfibusPlan;
+use super::wire::dp::{Diagnosis, DiagnosisStatus};
+use super::wire::sap::Service;
+use super::wire::telegram::STATION_MAX;
+use crate::net::{Broken, Serial};
+use crate::time::{MS, S, Time};
+
+/// The wire is listened to for so long at least, ns: a master with a long cycle is silent in between.
+const LISTEN_NS: u64 = S;
+/// A wire that is not silent for long enough within this time is given up, ns.
+const NOISE_NS: u64 = 5 * S;
+/// How often a station that has not answered is asked again: a telegram can be lost.
+const ROUNDS: u8 = 2;
+/// The longest wait at a time, ns.
+const LOOK_NS: u64 = 10 * MS;
+/// The most reads at a time: whoever floods the port shall not keep the scan from its end.
+const MOST_READS: usize = 64;
+/// The first request to a slave (FCB 1, FCV 0), as of a master that begins.
+const FIRST: (bool, bool) = (true, false);
+
+/// A station that has answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Found {
+    /// Its address.
+    pub(super) address: u8,
+    /// Its diagnosis; `None`: it has not answered, or not with one.
+    pub(super) diagnosis: Option<Seen>,
+}
+
+/// What a slave says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Seen {
+    /// Its state.
+    pub(super) status: DiagnosisStatus,
+    /// The master that has parametrised it.
+    pub(super) master: Option<u8>,
+    /// Its ident number.
+    pub(super) ident: u16,
+    /// Its extended diagnosis.
+    pub(super) extended: Vec<u8>,
+    /// The DRIVECOM fault code in it.
+    pub(super) fault: Option<u16>,
+}
+
+/// Why a scan did not complete.
+#[derive(Clone, PartialEq, Eq, Error)]
+pub(super) enum ScanError {
+    /// Its end was requested.
+    #[error("interrupted")]
+    Interrupted,
+    /// The port cannot be used.
+    #[error("{0}")]
+    Port(String),
+    /// It has gone.
+    #[error("the port has failed: look at its adapter")]
+    Broken,
+    /// Somebody else uses the wire.
+    #[error(
+        "another master, address {0}, uses this wire, and a scan would disturb it: end that one first, or ask it \
+        (fieldbeat status)"
+    )]
+    OtherMaster(u8),
+    /// Something is received all the time, and it is no telegram.
+    #[error(
+        "the wire is not silent, and what is received on it is no telegram: name its rate (--rate), and look at its \
+        termination and shield"
+    )]
+    Noise,
+    /// Nobody is there.
+    #[error(
+        "no station answers; check power, cable, termination, which of its wires is which, and the rate (--rate)"
+    )]
+    Silent,
+}
+crate::errors::debug_as_display!(ScanError);
+
+/// Waits until the descriptor is readable, or for so many ns, and returns the time; `None`: the end was requested.
+pub(super) type Wait<'a> = &'a mut dyn FnMut(Option<RawFd>, u64) -> Option<Time>;
+
+/// The stations that answer on the wire of `plan`, whose drives do not matter, by address.
+pub(super) fn scan(
+    port: &mut dyn Serial,
+    plan: &ProfibusPlan,
+    wait: Wait<'_>,
+) -> Result<Vec<Found>, ScanError> {
+    let mut scan = Scan { line: Line::new(plan), now: Time(0), found: Vec::new() };
+    scan.listen(port, wait)?;
+    for _ in 0..ROUNDS {
+        for address in (0..=plan.highest_address.min(STATION_MAX)).filter(|own| *own != plan.address) {
+            let known = scan.found.iter().any(|found| found.address == address);
+            if !known && scan.ask(port, wait, Question::Status(address))? {
+                scan.found.push(Found { address, diagnosis: None });
+                scan.ask(port, wait, Question::Diagnosis(address))?;
+            }
+        }
+    }
+    scan.found.sort_by_key(|found| found.address);
+    if scan.found.is_empty() { Err(ScanError::Silent) } else { Ok(scan.found) }
+}
+
+#[derive(Clone, Copy)]
+enum Question {
+    Status(u8),
+    Diagnosis(u8),
+}
+
+struct Scan {
+    line: Line,
+    now: Time,
+    found: Vec<Found>,
+}
+
+impl Scan {
+    /// Opens the port, listens, and claims the wire.
+    fn listen(&mut self, port: &mut dyn Serial, wait: Wait<'_>) -> Result<(), ScanError> {
+        let notes = port.notes();
+        loop {
+            self.now = wait(None, MS).ok_or(ScanError::Interrupted)?;
+            if port.opened().is_some() {
+                break;
+            }
+            if let Some(why) = notes.get(0) {
+                return Err(ScanError::Port(why));
+            }
+        }
+        port.discard().map_err(|_| ScanError::Broken)?;
+        self.line.opened(self.now);
+        let begun = self.now;
+        loop {
+            self.take_in(port, wait)?;
+            let listened = self.now.since(begun);
+            if listened > NOISE_NS && !self.line.is_up() {
+                return Err(ScanError::Noise);
+            }
+            match if listened < LISTEN_NS { Ready::Wait } else { self.line.ready(self.now) } {
+                Ready::Free => return Ok(()),
+                Ready::Claim => self.hand_over(port)?,
+                _ => {}
+            }
+        }
+    }
+
+    /// Asks, and waits for what comes of it: whether the station has answered.
+    fn ask(&mut self, port: &mut dyn Serial, wait: Wait<'_>, question: Question) -> Result<bool, ScanError> {
+        let mut asked = false;
+        loop {
+            match self.line.ready(self.now) {
+                Ready::Free if asked => return Ok(false),
+                Ready::Free => {
+                    self.put(question);
+                    self.hand_over(port)?;
+                    asked = true;
+                }
+                Ready::Resend | Ready::Claim => self.hand_over(port)?,
+                Ready::Overdue { instead: Instead::Silence, failed, .. } => match port.unsent() {
+                    Ok(bytes @ 1..) => self.line.still_sends(self.now, bytes, failed),
+                    _ if failed => return Ok(false),
+                    _ => {}
+                },
+                Ready::Overdue { failed: true, .. } => return Ok(false),
+                Ready::Overdue { .. } | Ready::Wait => {}
+            }
+            if self.take_in(port, wait)? {
+                return Ok(true);
+            }
+        }
+    }
+
+    fn put(&mut self, question: Question) {
+        match question {
+            Question::Status(address) => self.line.gap(address),
+            Question::Diagnosis(address) => {
+                let (service, (fcb, fcv)) = (Service::SlaveDiag, FIRST);
+                let head = service.head(address, self.line.address(), fcb, fcv);
+                let saps = service.saps();
+                let expected = Expected { da: address, saps, acknowledge: false, data: None };
+                self.line.request(address, |out| Some((head.emit(&[], out)?, expected)));
+            }
+        }
+    }
+
+    fn hand_over(&mut self, port: &mut dyn Serial) -> Result<(), ScanError> {
+        let (at, count) = port.send(0, self.line.to_send()).map_err(|_| ScanError::Broken)?;
+        self.line.sent(at, count);
+        Ok(())
+    }
+
+    /// Waits until the line wants to be looked at, or something arrives, and takes that in: whether the request that is
+    /// under way was answered.
+    fn take_in(&mut self, port: &mut dyn Serial, wait: Wait<'_>) -> Result<bool, ScanError> {
+        let until = self.line.look_at(true).map_or(LOOK_NS, |at| at.since(self.now));
+        self.now = wait(port.fd(), until.min(LOOK_NS)).ok_or(ScanError::Interrupted)?;
+        let mut answered = false;
+        for _ in 0..MOST_READS {
+            let received = port.receive(0, self.line.room());
+            let Some((at, count)) = received.map_err(|_: Broken| ScanError::Broken)? else { break };
+            self.line.received(at, count);
+            while let Some(heard) = self.line.heard(at) {
+                match heard {
+                    Heard::OtherMaster { address, .. } => return Err(ScanError::OtherMaster(address)),
+                    Heard::Answer(Job::Drive(address), answer) => {
+                        answered = true;
+                        let seen = seen(answer);
+                        if let Some(found) = self.found.iter_mut().find(|found| found.address == address) {
+                            found.diagnosis = seen;
+                        }
+                    }
+                    Heard::Answer(..) => answered = true,
+                    Heard::Malformed { .. } | Heard::Unrelated(..) => {}
+                }
+            }
+        }
+        Ok(answered)
+    }
+}
+
+fn seen(answer: Answer<'_>) -> Option<Seen> {
+    let Answer::Data { data, .. } = answer else { return None };
+    let diagnosis = Diagnosis::parse(data)?;
+    Some(Seen {
+        status: diagnosis.status,
+        master: diagnosis.master,
+        ident: diagnosis.ident,
+        extended: diagnosis.extended.to_vec(),
+        fault: diagnosis.fault(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::profibus::LenzeDrive;
+    use crate::net::Carriers;
+    use crate::sim::profibus::{ForeignSettings, ProfibusSegment};
+    use crate::sim::{SimPlan, World, WorldOptions};
+
+    const PORT: &str = "/dev/ttyS1";
+
+    /// A scan of the wire of these drives in virtual time, the wire changed.
+    fn scanned(change: impl FnOnce(&mut ProfibusSegment)) -> Result<Vec<Found>, ScanError> {
+        let drives = [3, 9].map(|address| LenzeDrive::new(format!("l{address}"), address));
+        let plan = ProfibusPlan::new(PORT, 500_000, drives.into());
+        let mut segment = ProfibusSegment::of(&plan);
+        change(&mut segment);
+        let world = World::new(SimPlan::from(segment).build(), WorldOptions::default()).unwrap();
+        let mut port = world.serial(PORT, &plan.line()).unwrap();
+        let own = ProfibusPlan { address: 0, drives: Vec::new(), ..plan };
+        let mut left = 1_000_000;
+        scan(&mut *port, &own, &mut |_, ns| {
+            world.advance(ns.max(1));
+            left -= 1;
+            (left > 0).then(|| world.now())
+        })
+    }
+
+    #[test]
+    fn stations_are_found_with_their_ident_numbers_and_keep_waiting_for_their_master() {
+        let found = scanned(|segment| segment.drives[1].ident = 0x1234).unwrap();
+        let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
+        assert_eq!(addresses, [3, 9]);
+        let seen: Vec<_> = found.into_iter().map(|found| found.diagnosis.unwrap()).collect();
+        assert_eq!((seen[0].ident, seen[1].ident), (LenzeDrive::IDENT, 0x1234));
+        for seen in &seen {
+            assert!(seen.status.has(DiagnosisStatus::PRM_REQ), "{seen:?}");
+            assert_eq!(seen.master, None);
+        }
+    }
+
+    #[test]
+    fn lost_telegrams_cost_a_station_a_round() {
+        let found = scanned(|segment| segment.faults.drop = 0.05).unwrap();
+        let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
+        assert_eq!(addresses, [3, 9]);
+    }
+
+    #[test]
+    fn a_wire_without_stations_is_named() {
+        assert_eq!(scanned(|segment| segment.drives.clear()), Err(ScanError::Silent));
+    }
+
+    #[test]
+    fn another_master_is_left_alone() {
+        let other = scanned(|segment| {
+            segment.foreign = Some(ForeignSettings { every_ns: 500 * MS, ..ForeignSettings::new(1) });
+        });
+        assert_eq!(other, Err(ScanError::OtherMaster(1)));
+    }
+}
