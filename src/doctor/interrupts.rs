@@ -28,8 +28,8 @@ pub(super) struct Served<'a> {
 const USUAL_PRIORITY: u8 = 50;
 
 impl Served<'_> {
-    /// Those that run on `core`: where they go now, as older kernels report only where they may. Otherwise the file that
-    /// cannot be read.
+    /// Those that run on `core`: where they go now, as older kernels report only where they may. Otherwise the file
+    /// that cannot be read.
     pub fn on(&self, root: &Root, core: usize) -> Result<Vec<u32>, (String, io::Error)> {
         let mut on_core = Vec::new();
         for irq in &self.interrupts {
@@ -77,7 +77,8 @@ impl Served<'_> {
             bus,
             "interrupt threads",
             &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
-            "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they never run",
+            "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they \
+             never run",
         );
         if interrupts.is_empty() {
             return finding.good(format!("none: {none}"));

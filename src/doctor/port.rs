@@ -1,7 +1,7 @@
 //! The serial port of a bus: its driver, what it delays, and on which cores it is served.
 //!
-//! Received bytes reach a program in two steps: the interrupt of the UART, or of the USB host controller, puts them into
-//! a buffer, and a worker of the kernel (system_unbound_wq) takes them from there (tty_flip_buffer_push() and
+//! Received bytes reach a program in two steps: the interrupt of the UART, or of the USB host controller, puts them
+//! into a buffer, and a worker of the kernel (system_unbound_wq) takes them from there (tty_flip_buffer_push() and
 //! flush_to_ldisc() in drivers/tty/tty_buffer.c).
 //!
 //! Sources: Documentation/ABI/testing/sysfs-tty, Documentation/core-api/workqueue.rst, drivers/usb/serial/ftdi_sio.c.
@@ -106,7 +106,8 @@ fn above(root: &Root, name: &str) -> Vec<String> {
     inside.take_while(|directory| directory.starts_with("sys/devices/")).map(str::to_owned).collect()
 }
 
-/// Above a UART there are, from Linux 6.5 on, two devices without a driver of their own (drivers/tty/serial/serial_base_bus.c).
+/// Above a UART there are, from Linux 6.5 on, two devices without a driver of their own
+/// (drivers/tty/serial/serial_base_bus.c).
 fn driver(root: &Root, name: &str) -> Option<String> {
     let mut drivers =
         above(root, name).into_iter().filter_map(|device| root.link(&format!("{device}/driver")));
@@ -171,8 +172,8 @@ fn rate(root: &Root, port: &Port, name: &str, tried: Option<&Outcome>) -> Findin
     }
 }
 
-/// The rate that a plain UART makes of `wanted`: its clock by 16 and by a whole number. Its driver reports the wanted one
-/// in any case (serial8250_do_set_termios()).
+/// The rate that a plain UART makes of `wanted`: its clock by 16 and by a whole number. Its driver reports the wanted
+/// one in any case (serial8250_do_set_termios()).
 fn divided(root: &Root, name: &str, wanted: u32) -> Option<u32> {
     let number = |file: &str| root.get(&format!("sys/class/tty/{name}/{file}"))?.parse::<u32>().ok();
     // PORT_8250 ... PORT_16550A (linux/serial_core.h).

@@ -1,5 +1,5 @@
-//! What is known of single codes of a Lenze drive: those that the fact sheet names, and the ramp times. A drive has many
-//! more, and checks every value itself.
+//! What is known of single codes of a Lenze drive: those that the fact sheet names, and the ramp times. A drive has
+//! many more, and checks every value itself.
 
 use super::target::{Kind, Parameter};
 

@@ -135,10 +135,10 @@ fn refusal(call: &Call, _mapped: &[u32]) -> Option<CallError> {
     (writes && !is_harmless).then_some(CallError::Commands)
 }
 
-/// Written while power is on, they move nothing, and change no state: automatic saving (C0003; sheet, 2), the ramp times
-/// of the main set point (C0012, C0013; assumed). All others may: C0011 is the speed of a full set point, C0039 has the
-/// fixed set points (sheet, 1 and 4). No document at hand says which codes are control words, operating modes and
-/// sources of the set point, so that each code that is not here may be one; any record may have one in it.
+/// Written while power is on, they move nothing, and change no state: automatic saving (C0003; sheet, 2), the ramp
+/// times of the main set point (C0012, C0013; assumed). All others may: C0011 is the speed of a full set point, C0039
+/// has the fixed set points (sheet, 1 and 4). No document at hand says which codes are control words, operating modes
+/// and sources of the set point, so that each code that is not here may be one; any record may have one in it.
 const HARMLESS: [u16; 3] = [3, 12, 13];
 
 /// Statuses of the drive's own: an [`ErrorNumber`] as it is, a [DRIVECOM error](ErrorCode) of class 1 ... 15 as it is.

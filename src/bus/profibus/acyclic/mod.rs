@@ -1,8 +1,8 @@
 //! Acyclic access to one drive, as its station sees it: what rides on the drive's own turns, and nothing else does.
 //!
 //! A turn of a drive is one telegram. With a parameter channel (paths A and B) a call is 8 bytes of the outputs of
-//! Data_Exchange, and its answer 8 bytes of the inputs, as often as it takes. With MSAC1 (path C) a call takes a turn in
-//! place of Data_Exchange now and then: its data unit goes to the service access point of MSAC1, and what the drive
+//! Data_Exchange, and its answer 8 bytes of the inputs, as often as it takes. With MSAC1 (path C) a call takes a turn
+//! in place of Data_Exchange now and then: its data unit goes to the service access point of MSAC1, and what the drive
 //! answers in that turn comes back here; never twice in a row, and never before a stop.
 //!
 //! The station calls, in each turn of its drive:
@@ -12,16 +12,16 @@
 //!    [`sent`](Acyclic::sent).
 //! 2. [`channel`](Acyclic::channel), the bytes for the outputs, and [`data_unit`](Acyclic::data_unit), the data of an
 //!    MSAC1 request if the turn is to be one.
-//! 3. `sent` when the telegram has left: with Data_Exchange, or with the MSAC1 request. A telegram that is repeated is the
-//!    same, and is not sent again here.
+//! 3. `sent` when the telegram has left: with Data_Exchange, or with the MSAC1 request. A telegram that is repeated is
+//!    the same, and is not sent again here.
 //! 4. One of [`channel_answered`](Acyclic::channel_answered), [`answered`](Acyclic::answered) and
 //!    [`lost`](Acyclic::lost) when the telegram is closed.
 //!
 //! [`ended`](Acyclic::ended) follows when the drive has left Data_Exchange: its channel and its MSAC1 begin anew.
 //!
-//! One request is under way at a time. A write of which the drive may have received something is never sent again: if its
-//! end cannot be found out, it times out. A call that has ended for the application leaves its request to be finished
-//! here, so that no answer of it meets the next one.
+//! One request is under way at a time. A write of which the drive may have received something is never sent again: if
+//! its end cannot be found out, it times out. A call that has ended for the application leaves its request to be
+//! finished here, so that no answer of it meets the next one.
 //!
 //! | file | what |
 //! |---|---|

@@ -1,7 +1,7 @@
 //! One request to a record by MSAC1, from its telegram to its answer, whether that comes at once or is polled for.
 //!
-//! The drive stores one answer. A request that was lost, or whose answer was, may have been carried out: it is polled for
-//! its answer, and never repeated here.
+//! The drive stores one answer. A request that was lost, or whose answer was, may have been carried out: it is polled
+//! for its answer, and never repeated here.
 
 use super::super::target::{self, BROKEN};
 use super::super::wire::Writer;
