@@ -194,7 +194,6 @@ impl Wire {
             wires: serial.into_iter().map(tap_wire).collect(),
             drives: simulated.into_iter().enumerate().map(tap).collect(),
             segments: line.into_iter().map(tap_line).collect(),
-            ..Simulated::default()
         };
         (wire, simulated)
     }

@@ -230,7 +230,7 @@ impl Acyclic {
                 () if now.since(of.begun) > posted.limit_ns => Some(CallError::TimedOut),
                 () if self.port.is_cancelled(posted) => Some(CallError::Cancelled),
                 // A read changes nothing, whatever the drive has received of it.
-                () if !online && !(is_sent && of.writes) => Some(CallError::NotOnline),
+                () if !(online || is_sent && of.writes) => Some(CallError::NotOnline),
                 () if is_sent => None,
                 () => self.port.refusal(posted),
             };

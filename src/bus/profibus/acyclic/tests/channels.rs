@@ -30,7 +30,7 @@ fn pkw_reads_and_shows_no_job_before_the_next_one() {
     let end = side.by_channel(&mut ticket, |out| {
         turn += 1;
         assert_eq!(out == READ_C0061, turn > 5, "{turn}");
-        Some(if turn < 5 || turn > 7 { IS_43 } else { [0; 8] })
+        Some(if (5..=7).contains(&turn) { [0; 8] } else { IS_43 })
     });
     assert_eq!((end, turn), (Ok(430_000), 8));
 }
