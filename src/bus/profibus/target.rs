@@ -135,11 +135,12 @@ fn refusal(call: &Call, _mapped: &[u32]) -> Option<CallError> {
     (writes && !is_harmless).then_some(CallError::Commands)
 }
 
-/// Written while power is on, they move nothing, and change no state: automatic saving (C0003; sheet, 2), the ramp
-/// times of the main set point (C0012, C0013; assumed). All others may: C0011 is the speed of a full set point, C0039
-/// has the fixed set points (sheet, 1 and 4). No document at hand says which codes are control words, operating modes
-/// and sources of the set point, so that each code that is not here may be one; any record may have one in it.
-const HARMLESS: [u16; 3] = [3, 12, 13];
+/// Written while power is on, they move nothing, and change no state: automatic saving (C0003; sheet, 2), and the time
+/// of the acceleration ramp (C0012; assumed). All others may: C0011 is the speed of a full set point, C0039 has the
+/// fixed set points (sheet, 1 and 4), and a long deceleration ramp (C0013; assumed) lets a motor run on behind a stop.
+/// No document at hand says which codes are control words, operating modes and sources of the set point, so that each
+/// code that is not here may be one; any record may have one in it.
+const HARMLESS: [u16; 2] = [3, 12];
 
 /// Statuses of the drive's own: an [`ErrorNumber`] as it is, a [DRIVECOM error](ErrorCode) of class 1 ... 15 as it is.
 /// The others are marked in their upper four bits.
@@ -267,7 +268,7 @@ mod tests {
         let refused = |target: Target, service| {
             refusal(&Call { service, address: target.pack(), value: 0 }, &[]).is_some()
         };
-        for target in [code(39), code(11), code(135), record] {
+        for target in [code(39), code(11), code(13), code(135), record] {
             for (service, expected) in [
                 (long::WRITE, true),
                 (long::STORE, true),
