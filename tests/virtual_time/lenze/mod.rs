@@ -8,10 +8,12 @@
 //! | `names` | what is wrong is reported by name, and disturbs nobody else |
 //! | `loss` | drives, telegrams and ports that are lost; noise and other masters |
 //! | `parameters` | codes and records, by each path |
+//! | `rate` | as many exchanges a second as the formula allows |
 
 mod loss;
 mod names;
 mod parameters;
+mod rate;
 mod turns;
 
 use std::sync::{Arc, Mutex};
