@@ -199,10 +199,13 @@ fn scenarios() -> Vec<Scenario> {
         caches: true,
         ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
     };
-    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL, profibus::PROTOCOL]
+    // 64 drives are 16 wires already.
+    let on_wires = [1, 8, lenze::SEGMENT, 64].map(|drives| Scenario::of(profibus::PROTOCOL, drives));
+    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
         .into_iter()
         .flat_map(of)
-        .chain([with_terminals, Scenario::of(profibus::PROTOCOL, lenze::SEGMENT)])
+        .chain(on_wires)
+        .chain([with_terminals])
         .collect()
 }
 
