@@ -47,9 +47,11 @@ use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
 use fieldbeat::internals::bus::linudp::upid;
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
-use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus};
+use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::cycle::record::{DriveRecord, Record};
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, Outbox, StreamPeer, Streams, UdpOptions};
+use fieldbeat::internals::net::{
+    Carriers, Datagrams, Frames, Os, Outbox, Serial, SerialLine, StreamPeer, Streams, UdpOptions,
+};
 use fieldbeat::internals::rt::{MonotonicClock, Usage};
 use fieldbeat::telemetry::{DriveEnd, Numbers};
 use fieldbeat::time::{MS, Ns, S, US};
@@ -60,6 +62,7 @@ use support::budgets::{self, Budgets};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
+use support::lenze::{self, NullWires};
 use support::line::{self, NullLine, NullLines, Settled};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
 use support::packets;
@@ -196,9 +199,12 @@ fn scenarios() -> Vec<Scenario> {
         caches: true,
         ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
     };
+    // 64 drives are 16 wires already.
+    let on_wires = [1, 8, lenze::SEGMENT, 64].map(|drives| Scenario::of(profibus::PROTOCOL, drives));
     [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
         .into_iter()
         .flat_map(of)
+        .chain(on_wires)
         .chain([with_terminals])
         .collect()
 }
@@ -206,17 +212,20 @@ fn scenarios() -> Vec<Scenario> {
 /// The child: the loop over drives in memory, all in operation.
 fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     rig::be_virtual();
-    let memory = InMemory(match protocol {
-        ethercat::PROTOCOL => {
-            let line = |first| line_of(first, (drives - first).min(LINE_MOST), terminals);
-            (0..drives).step_by(LINE_MOST).map(line).collect()
-        }
-        _ => Vec::new(),
-    });
+    let line = |first| line_of(first, (drives - first).min(LINE_MOST), terminals);
+    let lines = if protocol == ethercat::PROTOCOL { drives } else { 0 };
+    let wires = if protocol == profibus::PROTOCOL { drives } else { 0 };
+    let memory = InMemory(
+        (0..lines).step_by(LINE_MOST).map(line).collect(),
+        NullWires(lenze::wires("local:count", wires), rig::now),
+    );
     let buses = match protocol {
         linudp::PROTOCOL => Fleet::linmots(drives).buses(Side::Ours),
         modbus::PROTOCOL => Fleet::unidrives(drives).buses(Side::Ours),
         ethernet_ip::PROTOCOL => Fleet::moons(drives).buses(Side::Ours),
+        profibus::PROTOCOL => {
+            memory.1.0.iter().map(|wire| Box::new(wire.clone()) as Box<dyn BusPlan>).collect()
+        }
         _ => memory.0.iter().map(|line| Box::new(line.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();
@@ -251,8 +260,8 @@ fn line_of(first: usize, drives: usize, terminals: usize) -> NullLines {
     NullLines(plan, rig::now, Settled::default())
 }
 
-/// Every drive in memory, and lines by their interfaces.
-struct InMemory(Vec<NullLines>);
+/// Every drive in memory, lines by their interfaces, and wires by their ports.
+struct InMemory(Vec<NullLines>, NullWires);
 
 impl Carriers for &InMemory {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
@@ -266,6 +275,10 @@ impl Carriers for &InMemory {
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
         let line = self.0.iter().find(|line| line.0.interface == interface);
         line.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
+    }
+
+    fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        self.1.open(port)
     }
 }
 

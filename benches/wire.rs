@@ -12,6 +12,9 @@
 //! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
 //! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
 //!
+//! A Lenze drive's exchange is its turn on a wire: a cycle of a wire whose four drives are due in each (12 Mbit/s), with
+//! the master's own telegrams, shared by its drives.
+//!
 //! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed
 //! beforehand.
 
@@ -19,6 +22,7 @@
 mod support;
 
 use std::hint::black_box;
+use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::path::Path;
 use std::process::ExitCode;
@@ -45,20 +49,21 @@ use fieldbeat::internals::bus::modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
 };
 use fieldbeat::internals::bus::modbus::{Finding, Found};
-use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus};
+use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::drive::machine::Machine;
-use fieldbeat::internals::net::Frames;
+use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Serial, SerialLine, UdpOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
 use support::callgrind::{counted as collected, paused};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
+use support::lenze::{self, NullWires};
 use support::line::{self, NullLine, NullLines, Settled};
 use support::rig::Calls;
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
-use support::{Args, Report, fleet, moons, shown};
+use support::{Args, Report, fleet, moons, rig, shown};
 
 /// Drives of the line; the frame of a single one is measured too.
 const LINE: usize = 16;
@@ -489,12 +494,112 @@ impl Unlinked {
     }
 }
 
+/// Carriers of serial wires in memory only.
+struct SerialOnly(NullWires);
+
+impl Carriers for SerialOnly {
+    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        self.0.open(port)
+    }
+}
+
+/// A wire whose drives all follow a velocity, each in every cycle, answered from memory.
+struct Wired {
+    bus: Box<dyn Bus>,
+    machines: Vec<Machine>,
+    slots: Vec<Slot>,
+    cycle: Cycle,
+}
+
+impl Wired {
+    /// All axes in operation and turning.
+    fn operational(drives: usize) -> Wired {
+        let plan = lenze::plan("local:wire", 0, drives);
+        let wires = CountedNet::over(SerialOnly(NullWires(vec![plan.clone()], line_now)), &Calls::default());
+        let bus = BusPlan::open(&plan, PERIOD_NS, &wires).expect("a wire in memory");
+        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
+        let machines = (0..drives).map(|index| machine(&plan, index)).collect();
+        let mut wired = Wired { bus, machines, slots: vec![slot; drives], cycle: BEGIN };
+        wired.cycle.grid = Time(1_000 * PERIOD_NS);
+        wired.bus.prepare(&wired.cycle, &mut wired.slots);
+        wired.until("in operation", |slot, _| slot.status.at > Time(0));
+        wired.start(Command::Enable);
+        wired.until("enabled", |_, machine| machine.end() == Some(Ok(())));
+        wired.start(Command::Velocity { acceleration: 100.0 });
+        (0..5_000).for_each(|_| wired.turn());
+        for (slot, machine) in wired.slots.iter().zip(&wired.machines) {
+            assert_eq!(slot.status.state, State::OperationEnabled);
+            assert_eq!(machine.end(), None, "it goes on following");
+            assert!(slot.status.velocity > 9.0, "{:?}", slot.status);
+        }
+        wired.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
+        wired
+    }
+
+    fn start(&mut self, command: Command) {
+        let now = self.cycle.grid;
+        self.machines.iter_mut().for_each(|machine| machine.start(now, Some(command)));
+    }
+
+    fn until(&mut self, what: &str, done: impl Fn(&Slot, &Machine) -> bool) {
+        for _ in 0..100_000 {
+            self.turn();
+            if self.slots.iter().zip(&self.machines).all(|(slot, machine)| done(slot, machine)) {
+                return;
+            }
+        }
+        panic!("the drives are not {what}: {:?}", self.bus.notes().and_then(|notes| notes.get(0)));
+    }
+
+    /// One cycle of the bus, with what the loop does to its slots, and its window.
+    #[inline]
+    fn turn(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        self.bus.send(&self.cycle, &mut self.slots);
+        loop {
+            if rig::is_reply_waiting() {
+                LINE_NOW.fetch_add(40 * US, Ordering::Relaxed);
+                self.bus.receive(&self.cycle, &mut self.slots);
+            }
+            match self.bus.poll_at() {
+                Some(at) if at < self.cycle.deadline => {
+                    if rig::is_reply_waiting() {
+                        continue;
+                    }
+                    LINE_NOW.store(at.0, Ordering::Relaxed);
+                    self.bus.poll(&self.cycle, at, &mut self.slots);
+                }
+                _ => break,
+            }
+        }
+        let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        let mut next = self.cycle;
+        advance(&mut next);
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            commit(machine, slot);
+            slot.exchange = Exchange::Idle;
+            observe(machine, self.cycle.grid, slot);
+            // Another velocity each time, as far as the ramp allows.
+            machine.input.level = velocity;
+            machine.propose(next.grid, slot);
+        }
+        self.bus.prepare(&next, &mut self.slots);
+        black_box(&self.slots);
+    }
+}
+
 /// What is counted in place of being measured.
-const SCENARIOS: [Scenario; 4] = [
+const SCENARIOS: [Scenario; 5] = [
     Scenario::of(linudp::PROTOCOL, 1),
     Scenario::of(modbus::PROTOCOL, 1),
     Scenario::of(ethercat::PROTOCOL, LINE),
     Scenario::of(ethernet_ip::PROTOCOL, 1),
+    Scenario::of(profibus::PROTOCOL, lenze::A_WIRE),
 ];
 /// Exchanges that are counted.
 const COUNTED: u64 = 128;
@@ -517,6 +622,10 @@ fn counted(scenario: Scenario) -> Ran {
         ethernet_ip::PROTOCOL => {
             let mut clocked = Clocked::operational();
             count(&mut || clocked.turn())
+        }
+        profibus::PROTOCOL => {
+            let mut wired = Wired::operational(scenario.drives);
+            count(&mut || wired.turn())
         }
         _ => {
             let mut linked = Linked::operational(scenario.drives);

@@ -20,9 +20,12 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
+use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
+use fieldbeat::bus::{BusPlan, Grid};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, WorldOptions};
+use fieldbeat::sim::profibus::ProfibusSegment;
+use fieldbeat::sim::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Status};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
@@ -544,4 +547,61 @@ fn thirty_two_clocks_for_a_minute() {
 #[ignore = "an hour of 32 drives: a minute, and only in a release build"]
 fn thirty_two_clocks_for_an_hour() {
     clocks(32, 60 * MINUTE);
+}
+
+/// A whole segment of Lenze drives at 1.5 Mbit/s in turn, and LinMots in every cycle of the same loop: every slot is
+/// executed, and each drive is asked in its own ones and answers.
+#[test]
+fn a_segment_of_thirty_one_drives_beside_thirty_two_linmots() {
+    const CYCLES: u64 = 20_000;
+    let lenze = |index: u8| {
+        let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index);
+        drive.axis.limits.velocity = Some(20.0);
+        drive.axis.jog_deadman = None;
+        drive.watchdog.timeout_ns = Some(S);
+        drive
+    };
+    let grid = Grid { period_ns: MS, deadline_ns: MS / 2 };
+    let wire = ProfibusPlan::new("/dev/ttyS1", 1_500_000, (0..31).map(lenze).collect());
+    let divisor = wire.least_divisor(grid).expect("they fit");
+    let wire = wire.in_turn(divisor);
+    assert!(wire.turn_faults(grid).is_empty() && wire.faults(MS).is_empty());
+    let linmot = |index: u8| {
+        let mut drive = LinUdpDrive::new(format!("x{index}"), Ipv4Addr::new(10, 1, 0, 2 + index));
+        drive.axis.limits.position = Some((0.0, 200.0));
+        drive
+    };
+    let linmots = LinUdpPlan::new(Ipv4Addr::new(10, 1, 0, 1), (0..32).map(linmot).collect());
+    let mut simulated = Simulated::default();
+    LinMots::of(&linmots).build(&mut simulated);
+    ProfibusSegment::of(&wire).build(&mut simulated);
+    let cycle = CyclePlan { period_ns: MS, ..CyclePlan::default() };
+    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(linmots), Box::new(wire)];
+    let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
+    let mut sim =
+        Master::from_plan(plan).simulate_with(simulated, WorldOptions::default()).expect("it is whole");
+    let all = 0..63;
+    assert!(sim.run_until(60_000, |sim| all.clone().all(|index| sim.feedback(index).link == Link::Online)));
+    for index in all.clone() {
+        sim.axis(index).post(Command::Enable).expect("there is room");
+    }
+    assert!(sim.run_until(20_000, |sim| all.clone().all(|index| sim.feedback(index).is_operational())));
+    for index in 32..63 {
+        sim.axis(index).jog(4.0).expect("there is room");
+    }
+    sim.run(CYCLES);
+    for index in 32..63 {
+        let velocity = sim.feedback(index).status.velocity;
+        assert!((velocity - 4.0).abs() < 0.1, "{index}: {velocity}");
+    }
+    let end = sim.finish();
+    let status = end.status;
+    assert_eq!((status.planned, status.skipped), (status.executed, 0));
+    for (index, drive) in end.drives.iter().enumerate() {
+        let c = drive.counters;
+        assert_eq!((drive.losses, c.missed, c.late, c.malformed), (0, 0, 0, 0), "{drive:?}");
+        let every = if index < 32 { 1 } else { u64::from(divisor) };
+        assert!(c.sent >= CYCLES / every && c.sent - c.answered <= 1, "{every}: {drive:?}");
+    }
+    println!("{} cycles, each Lenze drive in each {divisor}th", status.planned);
 }

@@ -8,8 +8,8 @@ use std::task::Waker;
 
 use fieldbeat::internals::net::frames::Unsent;
 use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, Frames, LinkNotes, Os, Outbox, Received, Sent, StreamPeer, Streams,
-    UdpOptions,
+    Broken, Carriers, Datagrams, Frames, LinkNotes, Os, Outbox, Received, Sent, Serial, SerialLine,
+    StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::internals::rt::Regions;
 use fieldbeat::time::Time;
@@ -62,6 +62,12 @@ impl<N: Carriers> Carriers for CountedNet<N> {
         let look = u64::from(peers.len() > 1);
         let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
         Ok(Box::new(CountedStreams { net: self.net.streams(peers)?, look, calls, on_connections }))
+    }
+
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
+        let net = self.net.serial(port, line)?;
+        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections }))
     }
 }
 
@@ -137,15 +143,15 @@ impl Frames for CountedFrames {
     }
 }
 
-struct CountedStreams {
-    net: Box<dyn Streams>,
+struct CountedStreams<N: ?Sized = dyn Streams> {
+    net: Box<N>,
     /// System calls of a look: an only connection has no epoll, and is not looked at.
     look: u64,
     calls: Calls,
     on_connections: Calls,
 }
 
-impl CountedStreams {
+impl<N: ?Sized> CountedStreams<N> {
     /// One call, unless there was no connection to make it on.
     fn count<T>(&self, result: &Result<T, Broken>) {
         let made = u64::from(!matches!(result, Err(Broken::Absent)));
@@ -154,7 +160,22 @@ impl CountedStreams {
     }
 }
 
-impl Streams for CountedStreams {
+/// A port is taken over without a call; those of its opening are not the loop's.
+impl Serial for CountedStreams<dyn Serial> {
+    fn unsent(&mut self) -> Result<usize, Broken> {
+        paused(|| {
+            let result = self.net.unsent();
+            self.count(&result);
+            result
+        })
+    }
+
+    fn discard(&mut self) -> Result<(), Broken> {
+        self.net.discard()
+    }
+}
+
+impl<N: Streams + ?Sized> Streams for CountedStreams<N> {
     fn fd(&self) -> Option<RawFd> {
         self.net.fd()
     }

@@ -7,7 +7,8 @@
 //! | `count` | instructions of one scenario, counted by callgrind |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
-//! | `fleet`, `unidrive`, `line`, `moons` | the drives it runs; a Unidrive, a line of Kollmorgens and a MOONS' drive in memory |
+//! | `fleet` | the drives it runs |
+//! | `unidrive`, `line`, `moons`, `lenze` | a Unidrive, a line of Kollmorgens, a MOONS' drive, a wire of Lenze drives in memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
 //! | `packets` | the same for class 1 packets, which answer nothing |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
@@ -24,6 +25,7 @@ pub mod count;
 pub mod counted;
 pub mod fleet;
 pub mod handshake;
+pub mod lenze;
 pub mod libmodbus;
 pub mod line;
 pub mod moons;

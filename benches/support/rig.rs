@@ -130,6 +130,27 @@ const VIRTUAL_READ_NS: u64 = 50;
 /// Only leaps and readings move the clock, so that each run is the same.
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
 
+/// There are serial wires in memory: a wait lasts until there is a reply, or until its end.
+static SERIAL: AtomicBool = AtomicBool::new(false);
+/// So many of them have a reply that waits to be taken.
+static REPLIES: AtomicU64 = AtomicU64::new(0);
+
+/// A serial wire in memory was opened.
+pub fn serial_is_there() {
+    SERIAL.store(true, Ordering::Relaxed);
+}
+
+/// A reply waits on a serial wire in memory, or was taken.
+pub fn reply_waits(waits: bool) {
+    let waiting = REPLIES.load(Ordering::Relaxed);
+    REPLIES.store(if waits { waiting + 1 } else { waiting - 1 }, Ordering::Relaxed);
+}
+
+/// Whether a reply waits on any of them.
+pub fn is_reply_waiting() -> bool {
+    REPLIES.load(Ordering::Relaxed) > 0
+}
+
 /// From now on time is virtual.
 pub fn be_virtual() {
     VIRTUAL.store(true, Ordering::Relaxed);
@@ -195,8 +216,15 @@ impl Clock for Meter {
 
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
         add(&self.calls, 1);
-        // In virtual time all replies are there.
-        VIRTUAL.load(Ordering::Relaxed) || MonotonicClock.wait(set, until)
+        if !VIRTUAL.load(Ordering::Relaxed) {
+            return MonotonicClock.wait(set, until);
+        }
+        // In virtual time all replies are there; on a serial wire the next one is asked for only later.
+        let is_idle = SERIAL.load(Ordering::Relaxed) && !is_reply_waiting();
+        if is_idle {
+            leap(until.since(now()));
+        }
+        !is_idle
     }
 
     fn spin(&mut self) {

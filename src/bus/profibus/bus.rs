@@ -216,9 +216,10 @@ impl ProfibusBus {
                         continue;
                     };
                     slot.counters.own[Own::WireUs as usize] += at.since(self.began_at) / 1_000;
-                    let exchanged = station.exchanges();
+                    let usual = station.exchanges() && !station.starts();
                     station.answered(at, answer, slot);
-                    if !exchanged || station.starts() {
+                    // The answer to its first exchange ends the start-up.
+                    if !usual || station.starts() {
                         self.changed(index);
                     }
                 }

@@ -10,11 +10,13 @@
 //! | `evidence` | Done means that the drive did it |
 //! | `parameters` | codes and records, by each path |
 //! | `tap` | drives that the test shares with the world |
+//! | `rate` | as many exchanges a second as the formula allows |
 
 mod evidence;
 mod loss;
 mod names;
 mod parameters;
+mod rate;
 pub mod tap;
 pub mod turns;
 
