@@ -12,8 +12,8 @@
 //! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
 //! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
 //!
-//! A Lenze drive's exchange is its turn on a wire: a cycle of a wire whose four drives are due in each (12 Mbit/s), with
-//! the master's own telegrams, shared by its drives.
+//! A Lenze drive's exchange is its turn on a wire: a cycle of a wire whose four drives are due in each (12 Mbit/s),
+//! with the master's own telegrams, shared by its drives.
 //!
 //! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed
 //! beforehand.

@@ -266,8 +266,8 @@ fn a_panic_before_the_first_cycle_is_an_end_like_any_other() {
     assert!(end.panic.is_some() && end.status.planned < 20_000, "{end:?}");
 }
 
-/// The wire is polled after a panic as before it, so that every drive has its turn in each cycle: by `send` alone one of
-/// them would have, and 31 drives would wait longer than their watchdogs.
+/// The wire is polled after a panic as before it, so that every drive has its turn in each cycle: by `send` alone one
+/// of them would have, and 31 drives would wait longer than their watchdogs.
 #[test]
 fn a_panic_leaves_the_drives_of_a_half_duplex_wire_their_turns() {
     const DRIVES: usize = 4;

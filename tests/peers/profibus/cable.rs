@@ -97,8 +97,8 @@ impl Cable {
         telegrams
     }
 
-    /// Whether the master got an answer of each of these stations before it sent the next telegram. On a busy computer it
-    /// does not always wait for so long, and talks while the slave does.
+    /// Whether the master got an answer of each of these stations before it sent the next telegram. On a busy computer
+    /// it does not always wait for so long, and talks while the slave does.
     pub fn is_in_turns(&self, stations: &[u8]) -> bool {
         self.telegrams().windows(2).all(|pair| {
             let [(by, request), (next, _)] = pair else { unreachable!() };

@@ -43,7 +43,8 @@ const WATCHDOG_NS: u64 = 10 * S;
 /// No master is looked for at this address and beyond.
 const HIGHEST: u8 = 8;
 
-/// A wire at this port. Slow: a request takes its way through three threads of this computer and the kernel's, and back.
+/// A wire at this port. Slow: a request takes its way through three threads of this computer and the kernel's, and
+/// back.
 fn plan(port: &str) -> ProfibusPlan {
     let drive = |address: u8| {
         let mut drive = LenzeDrive::new(format!("l{address}"), address);

@@ -1,5 +1,5 @@
-//! As many exchanges as the formula has: whole turns that begin inside the windows, each as long as rate, bytes, MaxTsdr
-//! and idle time make it.
+//! As many exchanges as the formula has: whole turns that begin inside the windows, each as long as rate, bytes,
+//! MaxTsdr and idle time make it.
 
 use fieldbeat::CyclePlan;
 use fieldbeat::bus::Grid;

@@ -46,8 +46,10 @@ fn open(port: &str) -> Box<dyn Serial> {
 fn answer(master: &mut dyn Serial) -> Result<Vec<u8>, Broken> {
     let (mut got, mut end) = (Vec::new(), None);
     until("answered", || {
+        // What follows is the next answer's.
         let mut room = [0; 3];
-        match master.receive(0, &mut room) {
+        let room = &mut room[..3 - got.len()];
+        match master.receive(0, room) {
             Ok(count) => got.extend_from_slice(&room[..count.map_or(0, |(_, count)| count)]),
             Err(why) => end = Some(why),
         }
