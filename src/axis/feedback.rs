@@ -254,7 +254,7 @@ impl Feedback {
 impl Feedback {
     /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
     /// those that are not new stand there still.
-    #[inline(always)] // Once for each axis and cycle.
+    #[inline]
     pub(crate) fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool) {
         if shows {
             return self.write_all_to(cell);
