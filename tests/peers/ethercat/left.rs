@@ -62,8 +62,8 @@ fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) 
     drop(left);
     let _fresh = serve(&cable, segment());
     let fresh = online();
-    // Of a busy host some frames are lost, each with a step. A drive with power comes to standstill before it is set up:
-    // up to 160 cycles, as `virtual_time/kollmorgen/left.rs` holds it.
+    // Of a busy host some frames are lost, each with a step. A drive with power comes to standstill before it is set
+    // up: up to 160 cycles, as `virtual_time/kollmorgen/left.rs` holds it.
     assert!(taken_over < fresh + fresh / 10 + 160, "{taken_over} cycles, {fresh} on a fresh segment");
     eprintln!("{taken_over} cycles, {fresh} on a fresh segment");
 }
