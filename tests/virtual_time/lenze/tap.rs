@@ -115,9 +115,12 @@ impl SimSerial for Tap {
     }
 }
 
+/// Telegrams, and when each is to be sent.
+type Sayings = VecDeque<(Time, Vec<u8>)>;
+
 /// Sends what the test wants on the wire, whoever speaks there.
 #[derive(Clone, Default)]
-pub struct Voice(Arc<Mutex<VecDeque<(Time, Vec<u8>)>>>);
+pub struct Voice(Arc<Mutex<Sayings>>);
 
 impl Voice {
     /// Sends `bytes` at `at`, in the order of the calls.
@@ -134,8 +137,9 @@ impl SimSerial for Voice {
     }
 
     fn run(&mut self, now: Time, out: &mut Vec<u8>) {
-        if let Some((_, bytes)) = self.0.lock().unwrap().pop_front_if(|(at, _)| *at <= now) {
-            out.extend(bytes);
+        let mut sayings = self.0.lock().unwrap();
+        if sayings.front().is_some_and(|(at, _)| *at <= now) {
+            out.extend(sayings.pop_front().into_iter().flat_map(|(_, bytes)| bytes));
         }
     }
 

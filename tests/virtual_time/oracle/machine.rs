@@ -501,7 +501,6 @@ fn drives(taps: &[Tap], line: Option<&TapLine>, wire: Option<&TapWire>) -> Simul
         drives: taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
         segments: line.map(|line| Box::new(line.clone()) as Box<dyn SimSegment>).into_iter().collect(),
         wires: wire.map(TapWire::wire).into_iter().collect(),
-        ..Simulated::default()
     }
 }
 
