@@ -122,7 +122,7 @@ fn all_mistakes_of_a_file_come_at_once() {
 #[test]
 fn a_mistake_in_the_arguments_is_one_line() {
     for (arguments, parts) in [
-        ("frob", "unrecognized subcommand 'frob'; see `fieldbeat --help`"),
+        ("quux", "unrecognized subcommand 'quux'; see `fieldbeat --help`"),
         ("dem", "a similar subcommand exists: 'demo'"),
         ("run", "arguments were not provided: <CONFIG>; see `fieldbeat run --help`"),
         ("run a.toml b.toml", "unexpected argument 'b.toml' found"),
