@@ -139,6 +139,14 @@ pub mod sync {
             self.0.queue.lock().unwrap().pop_front().ok_or(())
         }
 
+        /// A copy, since the lock ends here.
+        pub fn peek(&self) -> Result<Box<T>, ()>
+        where
+            T: Copy,
+        {
+            self.0.queue.lock().unwrap().front().copied().map(Box::new).ok_or(())
+        }
+
         pub fn slots(&self) -> usize {
             self.0.length()
         }
