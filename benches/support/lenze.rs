@@ -14,7 +14,7 @@ use super::rig;
 
 /// Drives of a wire at the highest rate that are due in every cycle of 1 ms.
 pub const A_WIRE: usize = 4;
-/// The most drives of a segment without a repeater, beside the master.
+/// The most drives of a segment without a repeater, next to the master.
 pub const SEGMENT: usize = 31;
 /// Each of so many is due in every cycle of so many: about [`A_WIRE`] in each.
 pub const SEGMENT_EVERY: u32 = 8;
@@ -137,7 +137,7 @@ impl NullSerial {
 }
 
 impl Drive {
-    /// It is enabled, and turns as it is told, a little faster or slower in each exchange.
+    /// It is enabled, and turns as commanded, a little faster or slower in each exchange.
     fn exchange(&mut self, request: &[u8], count: u8) {
         let Some([high, low, set_high, set_low]) =
             request.get(CONTROL..CONTROL + 4).map(|words| [words[0], words[1], words[2], words[3]])

@@ -10,7 +10,7 @@
 //! | `ethernet_ip` | EtherNet/IP: frames, and an adapter, scanners and clients of others |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
-//! | `peer` | a peer that is told by lines what to do, and one that is a package of its own |
+//! | `peer` | a peer that takes commands by lines, and one that is a package of its own |
 //! | `profibus` | PROFIBUS DP: masters of the crate profirust and of pyprofibus |
 //! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |
 //!

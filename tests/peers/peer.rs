@@ -1,4 +1,4 @@
-//! A peer that is told by lines what to do, and one that is a package of its own.
+//! A peer that takes commands by lines, and one that is a package of its own.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};

@@ -9,7 +9,7 @@
 //! | `telegrams` | start-up telegrams, byte by byte |
 //! | `masters` | the crate profirust and pyprofibus bring our slaves to Data_Exchange, and read their parameters |
 //! | `own` | our master does so; profirust decodes what is on the wire |
-//! | `programs` | pyprofibus, told by lines what to do; profirust is the package `tests/peers/profirust` |
+//! | `programs` | pyprofibus, commanded by lines; profirust is the package `tests/peers/profirust` |
 
 mod cable;
 mod masters;

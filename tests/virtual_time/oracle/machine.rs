@@ -584,7 +584,7 @@ impl Machine {
         Truth { position: truth.position / counts, velocity: truth.velocity / counts, ..truth }
     }
 
-    /// What its master did that it must not: a drive that is told something else by a repetition ignores it. Others on
+    /// What its master did that it must not: a drive ignores what a repetition says otherwise. Others on
     /// its wire speak into its telegrams, whoever their master is.
     pub fn misuse(&self, index: usize) -> Option<String> {
         let drive = self.wire.as_ref()?.drives.get(index)?;

@@ -108,7 +108,7 @@ impl Wire {
             }
         }
         let line = self.bus.line();
-        let told = |index: usize| {
+        let reached = |index: usize| {
             let requests = self.taps.drives[index].lock().requests.take().unwrap_or_default();
             let exchanges: Vec<_> = requests.iter().filter(|(_, bytes)| bytes[4] & 0x80 == 0).collect();
             let first = exchanges.iter().position(|(_, bytes)| {
@@ -129,7 +129,7 @@ impl Wire {
             };
             (slot(first) - last, next.map(|place| slot(place) - last))
         };
-        (0..self.count()).map(told).collect()
+        (0..self.count()).map(reached).collect()
     }
 
     /// The set point of a jog.

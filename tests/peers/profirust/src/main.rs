@@ -1,4 +1,4 @@
-//! The crate profirust as a master and as a decoder of telegrams; told by lines what to do.
+//! The crate profirust as a master and as a decoder of telegrams; commanded by lines.
 //!
 //! | call | what |
 //! |---|---|
