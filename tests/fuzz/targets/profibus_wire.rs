@@ -38,19 +38,12 @@ fn found(bytes: &[u8], cut: usize) -> (Found, usize) {
                     same(telegram, &rest[..size]);
                     (None, size)
                 }
-                Next::Malformed { why: Malformed::Start { .. }, drop } => {
-                    (Some(Malformed::Start { byte: 0 }), drop)
-                }
                 Next::Malformed { why, drop } => (Some(why), drop),
             };
             assert!((1..=rest.len()).contains(&size));
             start += size;
             match all.last_mut() {
-                Some((Some(Malformed::Start { .. }), sum))
-                    if matches!(why, Some(Malformed::Start { .. })) =>
-                {
-                    *sum += size;
-                }
+                Some((Some(Malformed::Start), sum)) if why == Some(Malformed::Start) => *sum += size,
                 _ => all.push((why, size)),
             }
         }
