@@ -306,7 +306,7 @@ impl Address {
                 let length = u8::try_from(text.len()).ok().filter(|_| is_text && text.len() <= TEXT_MAX)?;
                 [&[length], text.as_bytes()].concat()
             }
-            Shape::Octets => long::parse_octets(text).filter(|bytes| !bytes.is_empty())?,
+            Shape::Octets => long::parse_octets(text)?,
             _ => {
                 let number = self.number(text).ok()?;
                 let size = self.shape.integer().bits as usize / 8;

@@ -165,12 +165,7 @@ impl Notation for Objects {
 
 /// The bytes of a string: printable characters, or octets; `None`: it is none, or too long.
 pub(in crate::bus::ethercat) fn string(kind: Type, text: &str) -> Option<Vec<u8>> {
-    let bytes = match kind {
-        Type::Octets => long::parse_octets(text)?,
-        _ => text.as_bytes().to_vec(),
-    };
-    let is_fine = |byte: &u8| kind == Type::Octets || byte.is_ascii_graphic() || *byte == b' ';
-    ((1..=MOST).contains(&bytes.len()) && bytes.iter().all(is_fine)).then_some(bytes)
+    if kind == Type::Octets { long::parse_octets(text) } else { long::parse_text(text) }
 }
 
 /// Those that the drive has, with their values.

@@ -40,7 +40,7 @@ pub const STATION_MAX: u8 = 126;
 /// Room for any telegram.
 pub type Buffer = [u8; MAX];
 
-/// From whom to whom, at which service, what for. A reply that has all of it in reverse answers the request.
+/// From whom to whom, at which service, what for. A reply has all of it in reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Head {
     /// The destination, 0 ... 127.
@@ -88,18 +88,6 @@ impl Head {
         out[1..3].fill(le);
         out.get_mut(end..end + 2)?.copy_from_slice(&[check, ED]);
         Some(end + 2)
-    }
-
-    /// This head is the reply to a request: the addresses and the service access points are the other way round.
-    ///
-    /// A refusal may leave the access points out: what has no such service cannot name it (assumed).
-    #[inline]
-    pub fn answers(&self, request: &Head) -> bool {
-        let Some(reply) = self.fc.reply() else { return false };
-        let stations = (self.da, self.sa) == (request.sa, request.da);
-        let saps = (self.dsap, self.ssap);
-        let same_service = saps == (request.ssap, request.dsap);
-        stations && (same_service || reply.function.is_refusal() && saps == (None, None))
     }
 }
 
