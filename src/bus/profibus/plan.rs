@@ -160,7 +160,7 @@ pub enum ParameterPath {
 
 impl ParameterPath {
     /// It is in the process data.
-    pub fn is_channel(self) -> bool {
+    pub(crate) fn is_channel(self) -> bool {
         matches!(self, ParameterPath::Pkw { .. } | ParameterPath::Drivecom)
     }
 }

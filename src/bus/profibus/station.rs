@@ -340,21 +340,21 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: false };
         if self.sending != Sending::DataExchange {
-            return self.sent_other(at);
+            return self.sent_other();
         }
         self.passed_over = false;
         slot.gone.grid = Some(self.grid);
         self.profile.sent();
         if !self.acyclic.is_idle() {
-            self.acyclic.sent(at, Turn::DataExchange);
+            self.acyclic.sent(Turn::DataExchange);
         }
     }
 
     #[cold]
-    fn sent_other(&mut self, at: Time) {
+    fn sent_other(&mut self) {
         self.passed_over = true;
         if self.sending == Sending::Msac1 {
-            self.acyclic.sent(at, Turn::Msac1);
+            self.acyclic.sent(Turn::Msac1);
         }
     }
 
@@ -382,7 +382,7 @@ impl Station {
             && self.process_at > 0
             && let Some(channel) = data.first_chunk()
         {
-            self.acyclic.channel_answered(at, channel);
+            self.acyclic.channel_answered(channel);
         }
         self.read(at, data, slot);
     }

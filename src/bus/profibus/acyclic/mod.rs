@@ -351,7 +351,7 @@ impl Acyclic {
 
     /// The telegram of this turn has left.
     #[inline]
-    pub(super) fn sent(&mut self, _at: Time, turn: Turn) {
+    pub(super) fn sent(&mut self, turn: Turn) {
         match turn {
             Turn::DataExchange => {
                 self.work.since = self.work.since.saturating_add(1);
@@ -369,7 +369,7 @@ impl Acyclic {
 
     /// Data_Exchange was answered, with this channel in its inputs.
     #[inline]
-    pub(super) fn channel_answered(&mut self, _at: Time, channel: &[u8; CHANNEL]) {
+    pub(super) fn channel_answered(&mut self, channel: &[u8; CHANNEL]) {
         if let Some(ended) = self.channel.answered(channel) {
             self.finish_all(ended.map(u64::from));
         }

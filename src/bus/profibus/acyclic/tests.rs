@@ -83,7 +83,7 @@ impl Side {
         let msac1 = self.access.data_unit().filter(|_| self.last == Turn::DataExchange).map(<[u8]>::to_vec);
         self.last = if msac1.is_some() { Turn::Msac1 } else { Turn::DataExchange };
         let channel = *self.access.channel();
-        self.access.sent(self.now, self.last);
+        self.access.sent(self.last);
         msac1.map_or(Sent::Exchange(channel), Sent::Msac1)
     }
 
@@ -97,7 +97,7 @@ impl Side {
         for _ in 0..20_000 {
             match self.turn() {
                 Sent::Exchange(out) => match channel(out) {
-                    Some(inputs) => self.access.channel_answered(self.now, &inputs),
+                    Some(inputs) => self.access.channel_answered(&inputs),
                     None => self.access.lost(Turn::DataExchange),
                 },
                 Sent::Msac1(data) => match msac1(&data) {
@@ -134,7 +134,7 @@ impl Side {
     pub fn rest(&mut self, turns: usize, inputs: [u8; CHANNEL]) {
         for _ in 0..turns {
             match self.turn() {
-                Sent::Exchange(_) => self.access.channel_answered(self.now, &inputs),
+                Sent::Exchange(_) => self.access.channel_answered(&inputs),
                 Sent::Msac1(_) => self.access.answered(self.now, Answer::Acknowledged),
             }
         }
@@ -213,8 +213,8 @@ proptest! {
             let (kind, channel, data) = answers.get(turn).cloned().unwrap_or((0, [0; CHANNEL], Vec::new()));
             match (side.turn(), kind) {
                 (Sent::Exchange(_), 5) => side.access.lost(Turn::DataExchange),
-                (Sent::Exchange(out), 4) if mirrored => side.access.channel_answered(side.now, &out),
-                (Sent::Exchange(_), _) => side.access.channel_answered(side.now, &channel),
+                (Sent::Exchange(out), 4) if mirrored => side.access.channel_answered(&out),
+                (Sent::Exchange(_), _) => side.access.channel_answered(&channel),
                 (Sent::Msac1(_), 5) => side.access.lost(Turn::Msac1),
                 (Sent::Msac1(_), 4) => side.access.ended(),
                 (Sent::Msac1(_), 3) => side.access.answered(side.now, Answer::Refused(channel[0])),

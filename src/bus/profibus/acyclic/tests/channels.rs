@@ -265,7 +265,7 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
         assert_eq!(ticket.poll(), Some(Err(CallError::TimedOut)), "{path:?}");
         for _ in 0..10 {
             assert_eq!(side.turn(), Sent::Exchange([0; 8]), "{path:?}");
-            side.access.channel_answered(side.now, &[0; 8]);
+            side.access.channel_answered(&[0; 8]);
         }
         assert!(side.access.is_idle());
         // What reads can be repeated by who wants it; what was not sent waits for the drive.
@@ -278,7 +278,7 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
         side.access.ended();
         assert_eq!(ticket.poll(), None);
         assert_eq!(side.turn(), Sent::Exchange([0; 8]));
-        side.access.channel_answered(side.now, &[0; 8]);
+        side.access.channel_answered(&[0; 8]);
         assert!(matches!(side.turn(), Sent::Exchange(job) if job[7] == 5));
     }
 }
@@ -292,7 +292,7 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
         side.rest(3, [0; 8]);
         let mut first = side.write(C0039_2, 1);
         let Sent::Exchange(job) = side.turn() else { panic!("a channel") };
-        side.access.channel_answered(side.now, &[0; 8]);
+        side.access.channel_answered(&[0; 8]);
         if cancels {
             first.cancel();
         } else {
@@ -302,7 +302,7 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
         for _ in 0..20 {
             assert_eq!(side.turn(), Sent::Exchange(job), "it stands until its answer");
             assert!(side.access.commands());
-            side.access.channel_answered(side.now, &[0; 8]);
+            side.access.channel_answered(&[0; 8]);
         }
         let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
         assert_eq!(first.poll(), Some(Err(why)));

@@ -372,7 +372,7 @@ fn what_the_drive_forgets_ends_with_it() {
         let mut side = Side::new(MSAC1);
         let mut ticket = side.post(service, C0039_2, 0);
         while !matches!(side.turn(), Sent::Msac1(_)) {
-            side.access.channel_answered(side.now, &[0; 8]);
+            side.access.channel_answered(&[0; 8]);
         }
         side.access.ended();
         assert_eq!(ticket.poll(), Some(Err(why)));
@@ -514,7 +514,7 @@ fn while_power_is_on_fewer_turns_are_taken_from_the_exchange() {
         let mut turns = Vec::new();
         for turn in 0..40 {
             match side.turn() {
-                Sent::Exchange(_) => side.access.channel_answered(side.now, &[0; 8]),
+                Sent::Exchange(_) => side.access.channel_answered(&[0; 8]),
                 Sent::Msac1(_) => {
                     turns.push(turn);
                     side.access.answered(side.now, Answer::Acknowledged);
