@@ -3,8 +3,7 @@
 //! | target | services | value |
 //! |---|---|---|
 //! | a code as a number | [`READ`](long::READ), [`WRITE`](long::WRITE) | the raw bits of its kind |
-//! | a code as a text | [`READ`](long::READ), then [`SIZE`](long::SIZE) and [`PART`](long::PART) | bytes |
-//! | a record | the same, and [`LOAD`](long::LOAD) with [`STORE`](long::STORE) | bytes |
+//! | a code as a text, a record | [`READ`](long::READ), then [`SIZE`](long::SIZE) and [`PART`](long::PART); [`LOAD`](long::LOAD), then [`STORE`](long::STORE) | bytes |
 
 use std::borrow::Cow;
 
