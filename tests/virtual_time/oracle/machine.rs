@@ -585,12 +585,14 @@ impl Machine {
     }
 
     /// What its master did that it must not: a drive ignores what a repetition says otherwise. Others on
-    /// its wire speak into its telegrams, whoever their master is.
+    /// its wire speak into its telegrams, whoever their master is. An answer in its name, in the place of one to a
+    /// request that it did not receive, ends that request: the drive takes the next one for its repetition.
     pub fn misuse(&self, index: usize) -> Option<String> {
-        let drive = self.wire.as_ref()?.drives.get(index)?;
-        let misuse = drive.lock().drive.misuse();
-        let Misuse { too_early, interrupted, state, .. } = misuse;
-        (misuse.total() > too_early + interrupted + state).then(|| format!("{misuse:?}"))
+        let shared = self.wire.as_ref()?.drives.get(index)?.lock();
+        let misuse = shared.drive.misuse();
+        let Misuse { too_early, interrupted, state, changed_retry, .. } = misuse;
+        let excused = too_early + interrupted + state + changed_retry.min(shared.forged);
+        (misuse.total() > excused).then(|| format!("{misuse:?}"))
     }
 
     pub fn online(&self) -> bool {
@@ -692,7 +694,10 @@ impl Machine {
             // The last answer once more, or answers that arrive broken.
             let mut drive = wire.drives[index].lock();
             match back % 2 {
-                0 => wire.voice.say(self.world().now() + us * 1_000, &drive.answer),
+                0 => {
+                    drive.forged += 1;
+                    wire.voice.say(self.world().now() + us * 1_000, &drive.answer);
+                }
                 _ => drive.spoil[1] = back as u32 % 3 + 1,
             }
             return;
