@@ -7,7 +7,7 @@
 //! drive that does not answer is sent what is desired of it all the same, since it may be the stop; once its link is
 //! lost, a diagnosis takes turns with that, and shows what became of it.
 
-use super::acyclic::{self, Acyclic, Turn, commanding};
+use super::acyclic::{self, Acyclic, Turn};
 use super::counters::Own;
 use super::line::{Answer, Expected};
 use super::native::{Native, NativePort, native};
@@ -15,6 +15,7 @@ use super::notes::Note;
 use super::plan::{CHANNEL, LenzeDrive};
 use super::profile::{Inputs, Profile};
 use super::start_up::{StartUp, Step};
+use super::target::commanding;
 use super::wire::dp::{Diagnosis, DiagnosisStatus, station_status};
 use super::wire::sap::Service;
 use super::wire::telegram::MAX;
@@ -114,7 +115,7 @@ impl Station {
     /// of its acyclic access. `None`: its plan is not free of faults.
     pub(super) fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
         let (application, native) = native();
-        let (ends, port) = queue(drive.axis.parameter_queue, commanding(drive));
+        let (ends, port) = queue(drive.axis.parameter_queue, commanding());
         let (outputs, inputs) = drive.lengths()?;
         let process_at = drive.process_at();
         let word = |word: u8, length: usize| {

@@ -122,7 +122,7 @@ impl LenzeSettings {
         settings.configuration = drive.configuration.clone();
         settings.channel = match (drive.channel, drive.parameters) {
             (false, _) => Channel::None,
-            (true, ParameterPath::Pkw) => Channel::Pkw,
+            (true, ParameterPath::Pkw { .. }) => Channel::Pkw,
             (true, _) => Channel::Drivecom,
         };
         if let ParameterPath::Msac1 { slot, index, numbers, .. } = drive.parameters {
