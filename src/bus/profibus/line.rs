@@ -8,6 +8,7 @@
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
 //! counts until the wire was idle: what follows them may be the rest of the same one.
 
+use super::other::Sign;
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
 use super::wire::telegram::{self, Frame, Head, MAX, Malformed, Next, Telegram};
@@ -63,12 +64,7 @@ pub(super) enum Heard<'a> {
     /// No telegram, while an answer was expected or not.
     Malformed { why: Malformed, expected: bool },
     /// A telegram of the master at this address.
-    OtherMaster {
-        /// Its address.
-        address: u8,
-        /// It is a token, which has no check byte.
-        is_token: bool,
-    },
+    OtherMaster { address: u8, sign: Sign },
 }
 
 /// An answer.
@@ -500,15 +496,18 @@ impl Line {
         let answer = match telegram {
             Telegram::Acknowledge if expected.acknowledge => Ok(Answer::Acknowledged),
             Telegram::Acknowledge => Err(Judged::Unrelated(Unrelated::Kind, None)),
-            Telegram::Token { sa, .. } if sa != *address => Err(Judged::OtherMaster(sa)),
+            Telegram::Token { da, sa } if sa != *address => {
+                Err(Judged::OtherMaster(sa, if da == sa { Sign::Token } else { Sign::Passed }))
+            }
             // Its own, from an adapter that returns it.
             Telegram::Token { .. } => Err(Judged::Unrelated(Unrelated::Kind, None)),
             Telegram::Data(frame) => expected.judge(&frame, *address),
         };
         Some(match answer {
-            Err(Judged::OtherMaster(address)) => {
-                let is_token = matches!(telegram, Telegram::Token { .. });
-                Heard::OtherMaster { address, is_token }
+            Err(Judged::OtherMaster(address, sign)) => {
+                let searched = waits && matches!(job, Job::Gap(_));
+                let sign = if sign == Sign::Answer && !searched { Sign::Request } else { sign };
+                Heard::OtherMaster { address, sign }
             }
             Err(Judged::Unrelated(why, from)) if waits => Heard::Unrelated(why, from),
             Err(Judged::Unrelated(_, from)) => Heard::Unrelated(Unrelated::Late, from),
@@ -536,7 +535,7 @@ impl Timing {
 
 enum Judged {
     Unrelated(Unrelated, Option<u8>),
-    OtherMaster(u8),
+    OtherMaster(u8, Sign),
 }
 
 impl Expected {
@@ -548,14 +547,14 @@ impl Expected {
         if fc.0 & REQUEST != 0 {
             return Err(match sa == own {
                 true => Judged::Unrelated(Unrelated::Kind, None),
-                false => Judged::OtherMaster(sa),
+                false => Judged::OtherMaster(sa, Sign::Request),
             });
         }
         if (da, sa) != (own, self.da) {
             return Err(Judged::Unrelated(Unrelated::Station, Some(sa)));
         }
         if fc.0 & STATION != 0 {
-            return Err(Judged::OtherMaster(sa));
+            return Err(Judged::OtherMaster(sa, Sign::Answer));
         }
         let same_service = self.saps == ssap.zip(dsap);
         let fits = self.data.is_none_or(|length| frame.data.len() == usize::from(length));

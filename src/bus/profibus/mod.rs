@@ -15,6 +15,7 @@
 //! | `schedule` | its turns on the grid: whether they fit, and how long one waits |
 //! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
 //! | `config` | its keys in a configuration |
+//! | `other` | whether another master is on the wire |
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
 //!
 //! What follows is the reference of docs/ for its configuration.
@@ -33,6 +34,7 @@ mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
+mod other;
 mod plan;
 mod profile;
 #[cfg(feature = "cli")]

@@ -304,7 +304,10 @@ impl Station {
             _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
             _ if self.diagnosis_due => Sending::Diagnosis,
             Link::Unseen | Link::Lost => Sending::Diagnosis,
-            _ if may_be_acyclic && self.acyclic.data_unit().is_some() => Sending::Msac1,
+            // Without a count its repetition would be a second request.
+            _ if may_be_acyclic && self.count != FIRST && self.acyclic.data_unit().is_some() => {
+                Sending::Msac1
+            }
             _ => Sending::DataExchange,
         }
     }

@@ -86,7 +86,7 @@ fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
         rig.now = rig.now + silent - US;
         assert_eq!(rig.line.ready(rig.now), Ready::Wait);
         rig.arrive(&[0xDC, 9, 9]);
-        assert_eq!(rig.heard(), Some(Heard::OtherMaster { address: 9, is_token: true }));
+        assert_eq!(rig.heard(), Some(Heard::OtherMaster { address: 9, sign: Sign::Token }));
         assert_eq!(rig.heard(), None);
     }
     rig.now = rig.now + silent;
@@ -197,8 +197,8 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
         (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
-        (frame(7, 4, 0x7D), Some(Heard::OtherMaster { address: 4, is_token: false })),
-        (frame(2, 7, 0x38), Some(Heard::OtherMaster { address: 7, is_token: false })),
+        (frame(7, 4, 0x7D), Some(Heard::OtherMaster { address: 4, sign: Sign::Request })),
+        (frame(2, 7, 0x38), Some(Heard::OtherMaster { address: 7, sign: Sign::Request })),
     ] {
         let mut rig = Rig::up(|_| ());
         rig.request();
