@@ -209,9 +209,10 @@ impl ProfibusBus {
                     else {
                         continue;
                     };
-                    slot.counters.own[Own::WireUs as usize] += at.since(self.began_at) / 1_000;
                     let usual = station.exchanges() && !station.starts();
                     station.answered(at, answer, slot);
+                    let took_ns = self.line.quiet_since().since(self.began_at);
+                    slot.counters.own[Own::WireUs as usize] += took_ns / 1_000;
                     // The answer to its first exchange ends the start-up.
                     if !usual || station.starts() {
                         self.changed(index);

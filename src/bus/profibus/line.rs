@@ -7,6 +7,9 @@
 //! Nothing is sent while something may still be on the wire: own bytes, those of an answer that is late or broken,
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
 //! counts until the wire was idle: what follows them may be the rest of the same one.
+//!
+//! The port is looked at inside the windows only, and an answer that ends outside of them is read late. It ended when a
+//! station that keeps to MaxTsdr has sent it, at the latest, and the idle time behind it runs from then.
 
 use super::other::Sign;
 use super::plan::ProfibusPlan;
@@ -148,6 +151,8 @@ struct Timing {
     free_at: Time,
     /// The answer is overdue, or the rest of the telegram is to be sent.
     overdue_at: Time,
+    /// The answer has begun by then, if its station keeps to MaxTsdr.
+    answer_by: Time,
     idle_ns: u64,
 }
 
@@ -174,6 +179,7 @@ pub(super) struct Line {
     used: u16,
     line: SerialLine,
     slot_ns: u64,
+    answer_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
     request: [u8; MAX],
@@ -192,6 +198,7 @@ impl Line {
                 garbled: false,
                 free_at: Time(0),
                 overdue_at: Time(0),
+                answer_by: Time(0),
                 idle_ns: bits(plan.bits.idle.max(plan.bits.sync)),
             },
             job: Job::Own,
@@ -207,6 +214,7 @@ impl Line {
             used: 0,
             line,
             slot_ns: plan.slot_ns(),
+            answer_ns: bits(plan.bits.max_tsdr).saturating_add(plan.bits.latency_ns),
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
             request: [0; MAX],
@@ -394,7 +402,7 @@ impl Line {
         self.echo_left = if self.echo { self.length } else { 0 };
         if self.job != Job::Own {
             (self.timing.state, self.timing.overdue_at) = (State::Waiting, ends + self.slot_ns);
-            self.timing.free_at = ends;
+            (self.timing.free_at, self.timing.answer_by) = (ends, ends + self.answer_ns);
             return;
         }
         let is_token = self.length == 3;
@@ -403,6 +411,12 @@ impl Line {
             State::Claiming(sent) => State::Claiming(sent + 1),
             _ => State::Free,
         };
+    }
+
+    /// What was received last had ended by then.
+    #[inline]
+    pub(super) fn quiet_since(&self) -> Time {
+        self.timing.free_at - self.timing.idle_ns
     }
 
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
@@ -477,7 +491,7 @@ impl Line {
             timing.put_off(at, 0);
             return None;
         }
-        let telegram = match Next::parse(bytes) {
+        let (telegram, ended) = match Next::parse(bytes) {
             Next::Incomplete { at_least } => {
                 timing.put_off(at, self.line.span_ns(at_least));
                 return None;
@@ -490,7 +504,8 @@ impl Line {
             }
             Next::Telegram { telegram, size } => {
                 *used += size as u16;
-                telegram
+                // One that was in the port before it was looked for has ended sooner.
+                (telegram, at.min(timing.answer_by + self.line.span_ns(size)))
             }
         };
         let answer = match telegram {
@@ -514,6 +529,9 @@ impl Line {
             Ok(_) if !waits => Heard::Unrelated(Unrelated::Late, Some(expected.da)),
             Ok(answer) => {
                 timing.state = State::Free;
+                if *used == *filled {
+                    timing.free_at = ended + timing.idle_ns;
+                }
                 Heard::Answer(*job, answer)
             }
         })

@@ -115,6 +115,34 @@ fn the_answer_of_the_sheet_answers_at_any_split() {
 }
 
 #[test]
+fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
+    let byte = 22_000 / 3;
+    // Request, MaxTsdr, answer.
+    let ended = 21 * byte + 100 * US + 21 * byte;
+    for late in [0, 5 * US, 22 * US, 500 * US] {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        let begin = rig.now;
+        rig.now = begin + ended + late;
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), answer());
+        let free = begin + ended + 22 * US;
+        assert_eq!(rig.line.ready(free - US), Ready::Wait, "{late}");
+        assert_eq!(rig.line.ready(free + US), Ready::Free, "{late}");
+    }
+    // With a slow driver, or with something behind it, the wire may have been in use until now.
+    for (latency_ns, behind) in [(400 * US, &[][..]), (0, &TOKEN[..])] {
+        let mut rig = Rig::up(|plan| plan.bits.latency_ns = latency_ns);
+        rig.request();
+        rig.now = rig.now + ended + 300 * US;
+        rig.arrive(&[&REPLY, behind].concat());
+        assert_eq!(rig.heard(), answer());
+        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+    }
+}
+
+#[test]
 fn a_request_without_an_answer_is_repeated_byte_for_byte_and_then_fails() {
     let mut rig = Rig::up(|plan| plan.retries = 2);
     rig.request();
