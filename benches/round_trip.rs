@@ -6,8 +6,8 @@
 //! operation, in the same wait mode: every millisecond one of them has its exchange. Both stamp before the call that
 //! sends and after the one that receives, and the same bytes go both ways.
 //!
-//! A Kollmorgen drive stands on a line of its own on this host, `local:`: the bare loop sends the frame of ours again
-//! and again, with the index and the time of its own.
+//! A Kollmorgen drive stands on a segment of its own on this host, `local:`: the bare loop sends the frame of ours
+//! again and again, with the index and the time of its own.
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has
 //! its turns with ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a
@@ -81,7 +81,7 @@ fn main() -> ExitCode {
     for (wait, _) in MODES {
         matches.push(Match::new("linudp-v2", Fleet::linmots(1), wait, Rival::Bare));
         matches.push(Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, Rival::Bare));
-        matches.push(Match::new(ethercat::PROTOCOL, Fleet::line(1), wait, Rival::Bare));
+        matches.push(Match::new(ethercat::PROTOCOL, Fleet::segment(1), wait, Rival::Bare));
         let with = libmodbus.as_ref().map(Rival::Libmodbus);
         matches.extend(with.map(|rival| Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, rival)));
     }

@@ -4,8 +4,8 @@
 //!   cycle is everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare,
 //!   records and feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep
 //!   in between, where caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken
-//!   off. A line of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from memory
-//!   from then on.
+//!   off. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
+//!   memory from then on.
 //! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with
 //!   the loop without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns:
@@ -24,8 +24,8 @@
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
 //!   same.
 //! - With `--count`, in place of all that: **instructions a drive and cycle** of the loop without a socket, and its
-//!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a line
-//!   of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
+//!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a
+//!   segment of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -63,24 +63,24 @@ use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
 use support::lenze::{self, NullWires};
-use support::line::{self, NullLine, NullLines, Settled};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
 use support::packets;
 use support::rig::{self, Calls, Pace, Rig};
+use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
 use support::{Args, Report, Steal, in_turns, shown, unidrive};
 
-/// Drives of the lines on sockets: alone, and against the bare loop.
-const LINE_ALONE: usize = 16;
-const LINE_DUEL: usize = 4;
+/// Drives of the segments on sockets: alone, and against the bare loop.
+const SEGMENT_ALONE: usize = 16;
+const SEGMENT_DUEL: usize = 4;
 
 /// Both kinds in one cycle.
 const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, ..Fleet::NONE };
 
-/// All kinds in one cycle: 32 LinMots and a line of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in
-/// every fourth.
-const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, line: 8, moons: 32, ..Fleet::NONE };
+/// All kinds in one cycle: 32 LinMots and a segment of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives
+/// in every fourth.
+const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, segment: 8, moons: 32, ..Fleet::NONE };
 
 /// The drives of a machine among the couplers and terminals of one: 64 slaves, one frame.
 const DRIVES_OF_64: usize = 8;
@@ -115,9 +115,9 @@ fn main() -> ExitCode {
     let without = without_socket("LinMots", args.quick, drives, of(Fleet::linmots));
     let unidrives = without_socket("Unidrives", args.quick, drives, of(Fleet::unidrives));
     let moons = without_socket("MOONS' drives", args.quick, drives, of(Fleet::moons));
-    let lines: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
-    let mut standing = StandingLines::new(lines);
-    let in_lines = without_socket("drives of one line", args.quick, lines, |count, what, cycles| {
+    let segments: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
+    let mut standing = StandingSegments::new(segments);
+    let in_segments = without_socket("drives of one segment", args.quick, segments, |count, what, cycles| {
         standing.slice(count, what, cycles)
     });
     drop(standing);
@@ -126,7 +126,7 @@ fn main() -> ExitCode {
     let together = together(&granted, args.quick, &budgets, &mut report);
     let all_kinds = all_kinds(&granted, args.quick, &budgets, &mut report);
     let packets = packets_on_sockets(&granted, args.quick, &budgets, &mut report);
-    let lines_on_sockets = lines_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let segments_on_sockets = segments_on_sockets(&granted, args.quick, &budgets, &mut report);
     let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
@@ -153,9 +153,9 @@ fn main() -> ExitCode {
             "steal_ms": on.steal_ms,
         }));
     }
-    for (drives, without) in lines.iter().zip(in_lines) {
+    for (drives, without) in segments.iter().zip(in_segments) {
         report.append(json!({
-            "line_drives": drives,
+            "segment_drives": drives,
             "loop_ns": without.back_to_back.value,
             "loop_ns_interval": without.back_to_back.ends(),
             "loop_paced_ns": without.paced.value,
@@ -177,7 +177,7 @@ fn main() -> ExitCode {
     report.append(together);
     report.append(all_kinds);
     report.append(packets);
-    lines_on_sockets.into_iter().for_each(|line| report.append(line));
+    segments_on_sockets.into_iter().for_each(|segment| report.append(segment));
     whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
 }
@@ -186,8 +186,8 @@ fn main() -> ExitCode {
 const COMPARED: [usize; 4] = [1, 8, 64, 256];
 /// Cycles that are counted: each drive publishes its numbers in one of 64 of them.
 const COUNTED_CYCLES: u64 = 128;
-/// Drives that fit into the frame of one line.
-const LINE_MOST: usize = 64;
+/// Drives that fit into the frame of one segment.
+const SEGMENT_MOST: usize = 64;
 
 /// What is counted in place of being measured. At 64 drives the first-level misses are of interest, at 256 the
 /// second-level ones.
@@ -212,11 +212,11 @@ fn scenarios() -> Vec<Scenario> {
 /// The child: the loop over drives in memory, all in operation.
 fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     rig::be_virtual();
-    let line = |first| line_of(first, (drives - first).min(LINE_MOST), terminals);
-    let lines = if protocol == ethercat::PROTOCOL { drives } else { 0 };
+    let segment = |first| segment_of(first, (drives - first).min(SEGMENT_MOST), terminals);
+    let segments = if protocol == ethercat::PROTOCOL { drives } else { 0 };
     let wires = if protocol == profibus::PROTOCOL { drives } else { 0 };
     let memory = InMemory(
-        (0..lines).step_by(LINE_MOST).map(line).collect(),
+        (0..segments).step_by(SEGMENT_MOST).map(segment).collect(),
         NullWires(lenze::wires("local:count", wires), rig::now),
     );
     let buses = match protocol {
@@ -226,14 +226,14 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
         profibus::PROTOCOL => {
             memory.1.0.iter().map(|wire| Box::new(wire.clone()) as Box<dyn BusPlan>).collect()
         }
-        _ => memory.0.iter().map(|line| Box::new(line.0.clone()) as Box<dyn BusPlan>).collect(),
+        _ => memory.0.iter().map(|segment| Box::new(segment.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();
     let carriers = CountedNet::over(&memory, &calls);
     let cycle = rig::exchange_cycle(MS, Wait::Poll);
     let mut rig = Rig::new(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls));
     rig.enable();
-    while !memory.0.iter().all(|line| line.2.get().is_some()) {
+    while !memory.0.iter().all(|segment| segment.2.get().is_some()) {
         rig.turn(|_| {});
     }
     rig.jog();
@@ -249,19 +249,19 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     Ran { calls: Some(calls.load(Ordering::Relaxed) - before), ..ran }
 }
 
-/// So many drives, from `first` on, and terminals on a line of their own.
-fn line_of(first: usize, drives: usize, terminals: usize) -> NullLines {
+/// So many drives, from `first` on, and terminals on a segment of their own.
+fn segment_of(first: usize, drives: usize, terminals: usize) -> NullSegments {
     let name = format!("local:count-{first}");
-    let mut plan = line::plan(&name, drives, terminals);
+    let mut plan = segment::plan(&name, drives, terminals);
     plan.name = name;
     for (place, drive) in plan.drives.iter_mut().enumerate() {
         drive.axis.name = format!("k{}", first + place);
     }
-    NullLines(plan, rig::now, Settled::default())
+    NullSegments(plan, rig::now, Settled::default())
 }
 
-/// Every drive in memory, lines by their interfaces, and wires by their ports.
-struct InMemory(Vec<NullLines>, NullWires);
+/// Every drive in memory, segments by their interfaces, and wires by their ports.
+struct InMemory(Vec<NullSegments>, NullWires);
 
 impl Carriers for &InMemory {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
@@ -273,8 +273,8 @@ impl Carriers for &InMemory {
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
-        let line = self.0.iter().find(|line| line.0.interface == interface);
-        line.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
+        let segment = self.0.iter().find(|segment| segment.0.interface == interface);
+        segment.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
     }
 
     fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
@@ -302,15 +302,15 @@ fn slice_of(fleet: Fleet, what: usize, cycles: usize) -> Vec<f64> {
 /// Cycles of a slice at 1 kHz.
 const PACED: usize = 100;
 
-/// A line of each length in memory, in operation.
-struct StandingLines(Vec<(usize, Rig, Settled)>);
+/// A segment of each length in memory, in operation.
+struct StandingSegments(Vec<(usize, Rig, Settled)>);
 
-impl StandingLines {
-    fn new(lengths: &[usize]) -> StandingLines {
-        let line = |count: usize| {
+impl StandingSegments {
+    fn new(lengths: &[usize]) -> StandingSegments {
+        let segment = |count: usize| {
             let settled = Settled::default();
-            let plan = Fleet::line(count).ethercat(Side::Ours);
-            let carriers = NullLines(plan.clone(), rig::now, Settled::clone(&settled));
+            let plan = Fleet::segment(count).ethercat(Side::Ours);
+            let carriers = NullSegments(plan.clone(), rig::now, Settled::clone(&settled));
             let up = rig::on_loop_thread(|_| {
                 let cycle = rig::exchange_cycle(MS, Wait::Spin);
                 let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan)];
@@ -324,15 +324,15 @@ impl StandingLines {
             });
             (count, up.unwrap_or_else(|error| rig::give_up(error)), settled)
         };
-        StandingLines(lengths.iter().copied().map(line).collect())
+        StandingSegments(lengths.iter().copied().map(segment).collect())
     }
 
     fn slice(&mut self, count: usize, what: usize, cycles: usize) -> Vec<f64> {
-        let line = self.0.iter_mut().find(|(length, ..)| *length == count);
-        let (_, rig, settled) = line.expect("it stands");
+        let segment = self.0.iter_mut().find(|(length, ..)| *length == count);
+        let (_, rig, settled) = segment.expect("it stands");
         let slice = rig::on_loop_thread(|_| {
             if what > 1 {
-                return line_alone(settled, cycles);
+                return segment_alone(settled, cycles);
             }
             // To its time again, which the other ones have left.
             rig.set_pace(Pace::BackToBack);
@@ -345,15 +345,15 @@ impl StandingLines {
     }
 }
 
-/// What the line in memory takes by itself, ns a cycle.
-fn line_alone(settled: &Settled, cycles: usize) -> Vec<f64> {
-    let mut line = NullLine::settled(settled, rig::now);
+/// What the segment in memory takes by itself, ns a cycle.
+fn segment_alone(settled: &Settled, cycles: usize) -> Vec<f64> {
+    let mut segment = NullSegment::settled(settled, rig::now);
     let mut room = [0; FRAME_MAX];
     let frame = settled.get().map_or(&[][..], |(frame, _)| frame);
     let mut cycle = || {
         let begin = MonotonicClock::read();
-        let _ = std::hint::black_box(line.send(std::hint::black_box(frame)));
-        let _ = std::hint::black_box(line.receive(&mut room));
+        let _ = std::hint::black_box(segment.send(std::hint::black_box(frame)));
+        let _ = std::hint::black_box(segment.receive(&mut room));
         MonotonicClock::read().since(begin) as f64
     };
     (0..cycles).map(|_| cycle()).collect()
@@ -802,8 +802,8 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
         alone_at_1_khz(granted, ALL_KINDS, if quick { 2_000 } else { 20_000 });
     let (linmots, rest) = end.drives.split_at(ALL_KINDS.linmots);
     let (unidrives, rest) = rest.split_at(ALL_KINDS.unidrives);
-    let (line, moons) = rest.split_at(ALL_KINDS.line);
-    let kinds = [("LinMots", linmots), ("Unidrives", unidrives), ("Kollmorgens", line), ("MOONS", moons)]
+    let (segment, moons) = rest.split_at(ALL_KINDS.segment);
+    let kinds = [("LinMots", linmots), ("Unidrives", unidrives), ("Kollmorgens", segment), ("MOONS", moons)]
         .map(|(name, drives)| (name, Kind::sum(drives)));
     let (status, p50) = (end.status, |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value));
     println!("\nall kinds in one cycle at 1 kHz ({ALL_KINDS}); steal {} ms", shown(steal.ms()));
@@ -892,19 +892,19 @@ fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report:
     })
 }
 
-/// A line alone at 1 kHz, and the same with couplers and terminals; then a line against the bare loop.
-fn lines_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 3] {
+/// A segment alone at 1 kHz, and the same with couplers and terminals; then a segment against the bare loop.
+fn segments_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 3] {
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let fleets = [
-        ("a line", Fleet::line(LINE_ALONE)),
+        ("a segment", Fleet::segment(SEGMENT_ALONE)),
         ("terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
     ];
-    let [line, terminals] =
-        fleets.map(|(what, fleet)| line_alone_on_sockets(granted, what, fleet, alone, budgets, report));
+    let [segment, terminals] =
+        fleets.map(|(what, fleet)| segment_alone_on_sockets(granted, what, fleet, alone, budgets, report));
     let steal = Steal::begin();
     let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     for _ in 0..rounds {
-        let Some(duel) = duel(granted, Fleet::line(LINE_DUEL), 2 * MS, cycles) else { continue };
+        let Some(duel) = duel(granted, Fleet::segment(SEGMENT_DUEL), 2 * MS, cycles) else { continue };
         ours.push(duel.ours.busy);
         bare.push(duel.theirs.busy);
         ours_cpu.push(duel.ours.cpu);
@@ -912,23 +912,23 @@ fn lines_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &
     }
     let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
     println!(
-        "  {LINE_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
+        "  {SEGMENT_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
         Ns(2 * MS),
         shown(ratio),
         shown(cpu_ratio)
     );
     let duel = json!({
-        "duel_drives": LINE_DUEL,
+        "duel_drives": SEGMENT_DUEL,
         "sockets_ratio": ratio.map(|ratio| ratio.value),
         "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
         "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
         "steal_ms": steal.ms(),
     });
-    [line, terminals, duel]
+    [segment, terminals, duel]
 }
 
-/// A line at 1 kHz: nothing is left out or lost, and its system calls, which are those of one frame.
-fn line_alone_on_sockets(
+/// A segment at 1 kHz: nothing is left out or lost, and its system calls, which are those of one frame.
+fn segment_alone_on_sockets(
     granted: &Granted,
     what: &str,
     fleet: Fleet,
@@ -941,8 +941,8 @@ fn line_alone_on_sockets(
     let (status, drives) = (end.status, Kind::sum(&end.drives));
     let p50 = calls.quantile(0.5).map(|p50| p50.value);
     println!(
-        "\n{} drives and {} couplers and terminals on one line of this host at 1 kHz; steal {} ms",
-        fleet.line,
+        "\n{} drives and {} couplers and terminals on one segment of this host at 1 kHz; steal {} ms",
+        fleet.segment,
         fleet.terminals,
         shown(steal.ms())
     );
@@ -957,8 +957,8 @@ fn line_alone_on_sockets(
     within(report, budgets, what, &calls);
     check_page_faults(what, page_faults, budgets, report);
     json!({
-        "line_on_sockets": fleet.line,
-        "line_terminals": fleet.terminals,
+        "segment_on_sockets": fleet.segment,
+        "segment_terminals": fleet.terminals,
         "planned": status.planned,
         "executed": status.executed,
         "skipped": status.skipped,
@@ -977,7 +977,7 @@ fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
         "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} rounds"
     );
     let fleets = [
-        ("3 drives on one line", Fleet::line(3)),
+        ("3 drives on one segment", Fleet::segment(3)),
         ("8 LinMots", Fleet::linmots(8)),
         ("16 LinMots", Fleet::linmots(16)),
     ];
@@ -1113,8 +1113,8 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
     let others = [
         ("one Unidrive", Fleet::unidrives(1)),
         ("LinMots and Unidrives together", TOGETHER),
-        ("a line of one", Fleet::line(1)),
-        ("a line with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
+        ("a segment of one", Fleet::segment(1)),
+        ("a segment with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
         ("32 MOONS' drives", Fleet::moons(MOONS_DUEL)),
     ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
@@ -1175,8 +1175,8 @@ fn traced(fleet: Fleet) {
     let carriers = CountedNet::new(&counted);
     let calls = rig::on_loop_thread(|_| {
         // Under strace a call takes some 50 us.
-        // A line has to be brought up.
-        let period_ns = if fleet.line > 0 { 4 * MS } else { 20 * MS };
+        // A segment has to be brought up.
+        let period_ns = if fleet.segment > 0 { 4 * MS } else { 20 * MS };
         let cycle = rig::exchange_cycle(period_ns, Wait::Poll);
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();

@@ -9,8 +9,8 @@
 //!
 //! A MOONS' drive answers nothing: its exchange is a packet to it and one from it, as its own clock sends them.
 //!
-//! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
-//! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
+//! A Kollmorgen drive has no telegram of its own: one frame serves the segment. Its exchange is a whole cycle of the
+//! bus (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the segment.
 //!
 //! A Lenze drive's exchange is its turn on a wire: a cycle of a wire whose four drives are due in each (12 Mbit/s),
 //! with the master's own telegrams, shared by its drives.
@@ -59,14 +59,14 @@ use support::callgrind::{counted as collected, paused};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::lenze::{self, NullWires};
-use support::line::{self, NullLine, NullLines, Settled};
 use support::rig::Calls;
+use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
 use support::{Args, Report, fleet, moons, rig, shown};
 
-/// Drives of the line; the frame of a single one is measured too.
-const LINE: usize = 16;
+/// Drives of the segment; the frame of a single one is measured too.
+const SEGMENT: usize = 16;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 12;
@@ -374,7 +374,7 @@ impl Clocked {
     }
 }
 
-/// A line whose drives all follow a velocity, answered from memory.
+/// A segment whose drives all follow a velocity, answered from memory.
 struct Linked {
     bus: Box<dyn Bus>,
     machines: Vec<Machine>,
@@ -383,21 +383,21 @@ struct Linked {
     settled: Settled,
 }
 
-/// The time of the lines.
-static LINE_NOW: AtomicU64 = AtomicU64::new(0);
+/// The time of the buses in memory.
+static BUS_NOW: AtomicU64 = AtomicU64::new(0);
 
-fn line_now() -> Time {
-    Time(LINE_NOW.load(Ordering::Relaxed))
+fn bus_now() -> Time {
+    Time(BUS_NOW.load(Ordering::Relaxed))
 }
 
 impl Linked {
     /// All axes in operation and turning.
     fn operational(drives: usize) -> Linked {
-        let plan = line::plan("local:wire", drives, 0);
+        let plan = segment::plan("local:wire", drives, 0);
         let settled = Settled::default();
-        let lines = NullLines(plan.clone(), line_now, Settled::clone(&settled));
-        let lines = CountedNet::over(lines, &Calls::default());
-        let bus = BusPlan::open(&plan, PERIOD_NS, &lines).expect("a line in memory");
+        let segments = NullSegments(plan.clone(), bus_now, Settled::clone(&settled));
+        let segments = CountedNet::over(segments, &Calls::default());
+        let bus = BusPlan::open(&plan, PERIOD_NS, &segments).expect("a segment in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machines = (0..drives).map(|index| machine(&plan, index)).collect();
         let mut linked = Linked { bus, machines, slots: vec![slot; drives], cycle: BEGIN, settled };
@@ -435,12 +435,12 @@ impl Linked {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
         for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
             commit(machine, slot);
         }
-        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
         self.bus.receive(&self.cycle, &mut self.slots);
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         let mut next = self.cycle;
@@ -457,9 +457,9 @@ impl Linked {
     }
 }
 
-/// The same cycle without its bus: the line that takes a frame and gives it back, and the application.
+/// The same cycle without its bus: the segment that takes a frame and gives it back, and the application.
 struct Unlinked {
-    line: NullLine,
+    segment: NullSegment,
     frame: Vec<u8>,
     room: Box<[u8; FRAME_MAX]>,
     slots: Vec<Slot>,
@@ -470,7 +470,7 @@ impl Unlinked {
     fn new(linked: &Linked) -> Unlinked {
         let (frame, _) = linked.settled.get().expect("it is in operation");
         Unlinked {
-            line: NullLine::settled(&linked.settled, line_now),
+            segment: NullSegment::settled(&linked.settled, bus_now),
             frame: frame.clone(),
             room: Box::new([0; FRAME_MAX]),
             slots: linked.slots.clone(),
@@ -481,10 +481,10 @@ impl Unlinked {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
-        let _ = black_box(self.line.send(black_box(&self.frame)));
-        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
-        let _ = black_box(self.line.receive(black_box(&mut self.room[..])));
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
+        let _ = black_box(self.segment.send(black_box(&self.frame)));
+        BUS_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        let _ = black_box(self.segment.receive(black_box(&mut self.room[..])));
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         for slot in &mut self.slots {
             slot.exchange = Exchange::Idle;
@@ -519,7 +519,7 @@ impl Wired {
     /// All axes in operation and turning.
     fn operational(drives: usize) -> Wired {
         let plan = lenze::plan("local:wire", 0, drives);
-        let wires = CountedNet::over(SerialOnly(NullWires(vec![plan.clone()], line_now)), &Calls::default());
+        let wires = CountedNet::over(SerialOnly(NullWires(vec![plan.clone()], bus_now)), &Calls::default());
         let bus = BusPlan::open(&plan, PERIOD_NS, &wires).expect("a wire in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machines = (0..drives).map(|index| machine(&plan, index)).collect();
@@ -559,11 +559,11 @@ impl Wired {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
         loop {
             if rig::is_reply_waiting() {
-                LINE_NOW.fetch_add(40 * US, Ordering::Relaxed);
+                BUS_NOW.fetch_add(40 * US, Ordering::Relaxed);
                 self.bus.receive(&self.cycle, &mut self.slots);
             }
             match self.bus.poll_at() {
@@ -571,7 +571,7 @@ impl Wired {
                     if rig::is_reply_waiting() {
                         continue;
                     }
-                    LINE_NOW.store(at.0, Ordering::Relaxed);
+                    BUS_NOW.store(at.0, Ordering::Relaxed);
                     self.bus.poll(&self.cycle, at, &mut self.slots);
                 }
                 _ => break,
@@ -597,7 +597,7 @@ impl Wired {
 const SCENARIOS: [Scenario; 5] = [
     Scenario::of(linudp::PROTOCOL, 1),
     Scenario::of(modbus::PROTOCOL, 1),
-    Scenario::of(ethercat::PROTOCOL, LINE),
+    Scenario::of(ethercat::PROTOCOL, SEGMENT),
     Scenario::of(ethernet_ip::PROTOCOL, 1),
     Scenario::of(profibus::PROTOCOL, lenze::A_WIRE),
 ];
@@ -651,7 +651,7 @@ fn main() -> ExitCode {
         (ethercat::PROTOCOL, &ETHERCAT[..]),
         (ethernet_ip::PROTOCOL, &ETHERNET_IP[..]),
     ];
-    let mut lines = [LINE, 1].map(Linked::operational);
+    let mut segments = [SEGMENT, 1].map(Linked::operational);
     let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
     let mut quickest = [const { Vec::new() }; 4];
     let mut counted = [(0, 0); 4];
@@ -668,7 +668,7 @@ fn main() -> ExitCode {
         let counters = [
             linudp(&mut criterion),
             modbus(&mut criterion),
-            ethercat(&mut criterion, &mut lines),
+            ethercat(&mut criterion, &mut segments),
             ethernet_ip(&mut criterion),
         ];
         for (place, (protocol, names)) in protocols.iter().enumerate() {
@@ -698,7 +698,7 @@ fn main() -> ExitCode {
             );
         }
         let own = of("exchange").map(|whole| without(whole, of("drive")));
-        // All drives of the line share it.
+        // All drives of the segment share it.
         let own = if protocol == ethercat::PROTOCOL { own.map(a_drive) } else { own };
         println!("  {protocol:12} {}", shown(own));
         let (sent, answered) = counted[place];
@@ -760,11 +760,11 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     requested.slot.counters
 }
 
-fn ethercat(criterion: &mut Criterion, lines: &mut [Linked; 2]) -> Counters {
+fn ethercat(criterion: &mut Criterion, segments: &mut [Linked; 2]) -> Counters {
     let mut group = criterion.benchmark_group(ethercat::PROTOCOL);
     let names = [["exchange", "drive"], ["exchange of one", "drive of one"]];
     let mut counters = Counters::default();
-    for (linked, [exchange, drive]) in lines.iter_mut().zip(names) {
+    for (linked, [exchange, drive]) in segments.iter_mut().zip(names) {
         group.throughput(Throughput::Elements(linked.slots.len() as u64));
         group.bench_function(exchange, |bencher| bencher.iter(|| linked.turn()));
         // What of it is no master's.
@@ -812,10 +812,10 @@ fn ethernet_ip(criterion: &mut Criterion) -> Counters {
     clocked.slot.counters
 }
 
-/// The share of one drive of the line.
-fn a_drive(line: Interval) -> Interval {
-    let share = |ns: f64| ns / LINE as f64;
-    Interval { value: share(line.value), low: share(line.low), high: share(line.high) }
+/// The share of one drive of the segment.
+fn a_drive(segment: Interval) -> Interval {
+    let share = |ns: f64| ns / SEGMENT as f64;
+    Interval { value: share(segment.value), low: share(segment.low), high: share(segment.high) }
 }
 
 /// What criterion found of this part of a protocol, if it is measured.

@@ -131,14 +131,14 @@ impl Duel<'_> {
         let mut rig = self.rig();
         let mut bare = BareLoop::open(self.fleet, self.wait, self.period_ns)?;
         bare.enable()?;
-        // A line that gets no frames for two cycles is in operation no more.
-        let mut beside = Ok(None);
-        rig.enable_beside(|grid| {
-            if beside.is_ok() && self.fleet.line > 0 {
-                beside = bare.cycle(grid + self.period_ns / 2, true, |_| {});
+        // A segment that gets no frames for two cycles is in operation no more.
+        let mut bare_ran = Ok(None);
+        rig.enable_with(|grid| {
+            if bare_ran.is_ok() && self.fleet.segment > 0 {
+                bare_ran = bare.cycle(grid + self.period_ns / 2, true, |_| {});
             }
         });
-        beside?;
+        bare_ran?;
         let (ours, theirs) = self.turns(&mut rig, &mut bare)?;
         rig.settle();
         Ok(Outcome { ours, theirs, end: rig.end() })
@@ -193,7 +193,7 @@ struct BareLoop {
     linmots: Vec<(SocketAddrV4, Time)>,
     streams: Vec<TcpStream>,
     unidrives: Vec<Requested>,
-    line: Option<BareLine>,
+    segment: Option<BareSegment>,
 }
 
 /// A Unidrive and its exchange.
@@ -226,7 +226,7 @@ struct Reply<'a> {
 enum Of {
     Linmot,
     Unidrive,
-    Line,
+    Segment,
 }
 
 /// Processor time of the bare loop alone, ns a cycle, on the calling thread.
@@ -273,7 +273,7 @@ impl BareLoop {
             linmots: (0..fleet.linmots).map(|index| (fleet::address(Side::Bare, index), Time(0))).collect(),
             streams,
             unidrives: plan.drives.iter().map(Requested::new).collect(),
-            line: (fleet.line > 0).then(|| BareLine::open(fleet, wait, period_ns)).transpose()?,
+            segment: (fleet.segment > 0).then(|| BareSegment::open(fleet, wait, period_ns)).transpose()?,
         })
     }
 
@@ -285,13 +285,15 @@ impl BareLoop {
         let length = blocks.emit(&mut request);
         let phase = self.turn % self.fleet.every;
         self.turn = self.turn.wrapping_add(1);
-        // What a reply may come on; the LinMots' socket first, if there is one, and the line's last.
+        // What a reply may come on; the LinMots' socket first, if there is one, and the segment's last.
         let mut set: Vec<PollFd<'_>> = Vec::with_capacity(2 + self.streams.len());
         set.extend(self.socket.as_ref().map(|socket| PollFd::new(socket.as_fd(), PollFlags::POLLIN)));
         let streams_at = set.len();
         set.extend(self.streams.iter().map(|stream| PollFd::new(stream.as_fd(), PollFlags::empty())));
-        let line_at = set.len();
-        set.extend(self.line.as_ref().and_then(|line| line.fd).map(|fd| PollFd::new(fd, PollFlags::POLLIN)));
+        let segment_at = set.len();
+        set.extend(
+            self.segment.as_ref().and_then(|segment| segment.fd).map(|fd| PollFd::new(fd, PollFlags::POLLIN)),
+        );
 
         MonotonicClock.sleep_until(grid);
         let woke = MonotonicClock::read();
@@ -317,13 +319,13 @@ impl BareLoop {
                 unidrives_left += 1;
             }
         }
-        let mut lines_left = 0;
-        if let Some(line) = &mut self.line {
-            line.send()?;
-            lines_left = 1;
+        let mut segments_left = 0;
+        if let Some(segment) = &mut self.segment {
+            segment.send()?;
+            segments_left = 1;
         }
         let (mut now, mut last) = (woke, woke);
-        while linmots_left + unidrives_left + lines_left > 0 && now < deadline {
+        while linmots_left + unidrives_left + segments_left > 0 && now < deadline {
             if self.wait == Wait::Poll {
                 let rest = deadline.since(MonotonicClock::read());
                 let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
@@ -348,12 +350,12 @@ impl BareLoop {
                     take(Reply { rtt_ns: last.since(requested.sent), bytes, of: Of::Unidrive });
                 }
             }
-            if let Some(line) = self.line.as_mut().filter(|_| lines_left > 0 && is_ready(line_at))
-                && let Some((at, rtt_ns, bytes)) = line.receive()
+            if let Some(segment) = self.segment.as_mut().filter(|_| segments_left > 0 && is_ready(segment_at))
+                && let Some((at, rtt_ns, bytes)) = segment.receive()
             {
                 last = at;
-                lines_left = 0;
-                take(Reply { rtt_ns, bytes, of: Of::Line });
+                segments_left = 0;
+                take(Reply { rtt_ns, bytes, of: Of::Segment });
             }
             for (poll, requested) in set[streams_at..].iter_mut().zip(&self.unidrives) {
                 if requested.owed == 0 {
@@ -362,7 +364,7 @@ impl BareLoop {
             }
             now = MonotonicClock::read();
         }
-        Ok((linmots_left + unidrives_left + lines_left == 0).then(|| last.since(woke)))
+        Ok((linmots_left + unidrives_left + segments_left == 0).then(|| last.since(woke)))
     }
 
     /// Cycles until all drives are in operation: each switches on from a low control word only.
@@ -378,7 +380,7 @@ impl BareLoop {
                 Of::Linmot => linmots += usize::from(is_operational(reply.bytes)),
                 Of::Unidrive => unidrives += usize::from(is_active(reply.bytes)),
                 // It is already.
-                Of::Line => {}
+                Of::Segment => {}
             })?;
             let ended = (cycle + 1) % self.fleet.every == 0;
             let all = self.linmots.len() * self.fleet.every as usize;
@@ -390,9 +392,9 @@ impl BareLoop {
     }
 }
 
-/// A line: its last frame of the time when it came into operation, sent again with another index and the time of its
+/// A segment: its last frame of the time when it came into operation, sent again with another index and the time of its
 /// slot.
-struct BareLine {
+struct BareSegment {
     tap: Arc<Mutex<Tap>>,
     fd: Option<BorrowedFd<'static>>,
     /// The loop that brought it up.
@@ -466,15 +468,15 @@ impl Frames for Tapped {
     }
 }
 
-impl BareLine {
-    /// A line with all drives in operation: our loop brings it up, and is left standing.
-    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareLine> {
+impl BareSegment {
+    /// A segment with all drives in operation: our loop brings it up, and is left standing.
+    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareSegment> {
         let taps = Taps::default();
         let cycle = rig::exchange_cycle(period_ns, wait);
         let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(fleet.ethercat(Side::Bare))];
         let mut rig = Rig::new(cycle, buses, Pace::Grid, &taps, Calls::default());
         rig.enable();
-        // Until it asks for nothing besides, as in almost all cycles.
+        // Until it requests nothing else, as in almost all cycles.
         let tap = taps.0.into_inner().ok_or(ErrorKind::NotFound)?;
         let plain = |frame: &[u8]| {
             let last = datagrams(frame).ok()?.map_while(Result::ok).last()?;
@@ -496,7 +498,7 @@ impl BareLine {
         // SAFETY: the carrier keeps its descriptor open, and lives as long as the tap.
         let fd = guard.net.fd().map(|fd| unsafe { BorrowedFd::borrow_raw(fd) });
         drop(guard);
-        Ok(BareLine {
+        Ok(BareSegment {
             tap,
             fd,
             indices,

@@ -110,7 +110,7 @@ struct CountedFrames {
     calls: Calls,
 }
 
-/// One call each; on a line of this host, a frame that is not taken costs none more.
+/// One call each; on a segment of this host, a frame that is not taken costs none more.
 impl Frames for CountedFrames {
     fn fd(&self) -> Option<RawFd> {
         self.net.fd()

@@ -1,4 +1,4 @@
-//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and lines
+//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and segments
 //! `local:bench-...`.
 
 use std::fmt;
@@ -17,7 +17,7 @@ use fieldbeat::sim::linudp::LinMots;
 use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::sim::{SimBus, Simulated};
 
-use super::{line, moons, unidrive};
+use super::{moons, segment, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
@@ -70,8 +70,8 @@ pub struct Fleet {
     pub unidrives: usize,
     /// ... each in every cycle of so many, as many of them in one as in the next.
     pub every: u32,
-    /// Kollmorgen drives, on one line.
-    pub line: usize,
+    /// Kollmorgen drives, on one segment.
+    pub segment: usize,
     /// Couplers and terminals, behind these drives.
     pub terminals: usize,
     /// MOONS' drives, each in every cycle of so many as well: their interval.
@@ -80,7 +80,7 @@ pub struct Fleet {
 
 impl Fleet {
     /// No drive.
-    pub const NONE: Fleet = Fleet { linmots: 0, unidrives: 0, every: 1, line: 0, terminals: 0, moons: 0 };
+    pub const NONE: Fleet = Fleet { linmots: 0, unidrives: 0, every: 1, segment: 0, terminals: 0, moons: 0 };
 
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
@@ -92,14 +92,14 @@ impl Fleet {
         Fleet { unidrives: count, ..Fleet::NONE }
     }
 
-    /// A line of Kollmorgen drives only.
-    pub const fn line(count: usize) -> Fleet {
-        Fleet { line: count, ..Fleet::NONE }
+    /// A segment of Kollmorgen drives only.
+    pub const fn segment(count: usize) -> Fleet {
+        Fleet { segment: count, ..Fleet::NONE }
     }
 
-    /// A line of so many Kollmorgen drives, and of so many couplers and terminals behind them.
+    /// A segment of so many Kollmorgen drives, and of so many couplers and terminals behind them.
     pub const fn with_terminals(drives: usize, terminals: usize) -> Fleet {
-        Fleet { terminals, ..Fleet::line(drives) }
+        Fleet { terminals, ..Fleet::segment(drives) }
     }
 
     /// MOONS' drives only, in every cycle.
@@ -109,7 +109,7 @@ impl Fleet {
 
     /// All of them.
     pub fn drives(self) -> usize {
-        self.linmots + self.unidrives + self.line + self.moons
+        self.linmots + self.unidrives + self.segment + self.moons
     }
 
     /// How many Unidrives are due in a cycle.
@@ -145,9 +145,9 @@ impl Fleet {
         EthernetIpPlan::new(*master(side).ip(), (0..self.moons).map(drive).collect())
     }
 
-    /// Its line on `side`.
+    /// Its segment on `side`.
     pub fn ethercat(self, side: Side) -> EthercatPlan {
-        line::plan(&format!("local:bench-{}", side as u8), self.line, self.terminals)
+        segment::plan(&format!("local:bench-{}", side as u8), self.segment, self.terminals)
     }
 
     /// Its buses on `side`: LinMots first.
@@ -159,7 +159,7 @@ impl Fleet {
         if self.unidrives > 0 {
             buses.push(Box::new(self.modbus(side)));
         }
-        if self.line > 0 {
+        if self.segment > 0 {
             buses.push(Box::new(self.ethercat(side)));
         }
         if self.moons > 0 {
@@ -173,8 +173,8 @@ impl Fleet {
         let mut simulated = Simulated::default();
         LinMots::of(&self.linudp(side)).build(&mut simulated);
         Unidrives(self.modbus(side).drives.iter().map(unidrive::simulated).collect()).build(&mut simulated);
-        if self.line > 0 {
-            line::simulated(&self.ethercat(side)).build(&mut simulated);
+        if self.segment > 0 {
+            segment::simulated(&self.ethercat(side)).build(&mut simulated);
         }
         MoonsDrives::of(&self.ethernet_ip(side)).build(&mut simulated);
         simulated
@@ -184,8 +184,8 @@ impl Fleet {
 /// As [`FromStr`] takes it: `32+32/8+16+56+0`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Fleet { linmots, unidrives, every, line, terminals, moons } = self;
-        write!(f, "{linmots}+{unidrives}/{every}+{line}+{terminals}+{moons}")
+        let Fleet { linmots, unidrives, every, segment, terminals, moons } = self;
+        write!(f, "{linmots}+{unidrives}/{every}+{segment}+{terminals}+{moons}")
     }
 }
 
@@ -196,14 +196,14 @@ impl FromStr for Fleet {
         let (linmots, rest) = text.split_once('+').ok_or(())?;
         let (unidrives, rest) = rest.split_once('/').ok_or(())?;
         let (every, rest) = rest.split_once('+').ok_or(())?;
-        let (line, rest) = rest.split_once('+').ok_or(())?;
+        let (segment, rest) = rest.split_once('+').ok_or(())?;
         let (terminals, moons) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
             unidrives: number(unidrives)?,
             every: every.parse().map_err(|_| ())?,
-            line: number(line)?,
+            segment: number(segment)?,
             terminals: number(terminals)?,
             moons: number(moons)?,
         })

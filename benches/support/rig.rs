@@ -345,23 +345,23 @@ impl Rig {
 
     /// Turns until all drives are online, enables them, and turns until all are in operation.
     pub fn enable(&mut self) {
-        self.enable_beside(|_| {});
+        self.enable_with(|_| {});
     }
 
-    /// The same, with somebody who does his own after each turn, and gets its grid point.
-    pub fn enable_beside(&mut self, mut beside: impl FnMut(Time)) {
+    /// The same; `after_turn` runs after each turn, with its grid point.
+    pub fn enable_with(&mut self, mut after_turn: impl FnMut(Time)) {
         let drives = self.assembly.axes.len() as u32;
         self.turn_until(
             "online",
             |rig| rig.status().online == drives && rig.are_devices_in_operation(),
-            &mut beside,
+            &mut after_turn,
         );
         for axis in &mut self.assembly.axes {
             if let Err(error) = axis.post(Command::Enable) {
                 give_up(error)
             }
         }
-        self.turn_until("in operation", |rig| rig.status().operational == drives, &mut beside);
+        self.turn_until("in operation", |rig| rig.status().operational == drives, &mut after_turn);
     }
 
     /// Devices that are no drives take part.
@@ -402,7 +402,7 @@ impl Rig {
         }
     }
 
-    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, beside: &mut dyn FnMut(Time)) {
+    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, after_turn: &mut dyn FnMut(Time)) {
         // The grid is that of the last turn: there has to be one.
         self.turn(|_| {});
         let begin = self.grid;
@@ -411,7 +411,7 @@ impl Rig {
                 return;
             }
             self.turn(|_| {});
-            beside(self.grid);
+            after_turn(self.grid);
         }
         give_up(format!("the simulated drives are not {what}: {:?}", self.status()))
     }
