@@ -29,7 +29,7 @@ mod check;
 mod config;
 pub(crate) mod counters;
 mod describe;
-mod line;
+pub(crate) mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
@@ -39,7 +39,7 @@ mod profile;
 mod scan;
 mod schedule;
 mod start_up;
-mod station;
+pub(crate) mod station;
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;
