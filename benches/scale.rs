@@ -4,7 +4,7 @@
 //!   cycle is everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare,
 //!   records and feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep
 //!   in between, where caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken
-//!   off. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
+//!   off; so is what a PROFIBUS wire is waited for. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
 //!   memory from then on.
 //! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with
 //!   the loop without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
@@ -13,11 +13,13 @@
 //! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as
 //!   in the next, in one cycle at 1 kHz: nothing planned is left out, each exchange is closed; and the same against a
 //!   bare loop.
-//! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in every
-//!   fourth, in one cycle at 1 kHz.
+//! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives, 8 Unidrives and 4 Lenze
+//!   drives in every fourth, in one cycle at 1 kHz.
 //! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
 //! - **Segments on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at
 //!   1 kHz, and one of drives against a bare loop over the same bytes.
+//! - **A wire on a port of this host**: what 4 Lenze drives at 12 Mbit/s take at 1 kHz, and against a bare loop over the
+//!   same bytes: the send phase, the time until done, processor time.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
@@ -43,10 +45,12 @@ use fieldbeat::axis::{Acyclic, CallTicket};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
+use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
 use fieldbeat::internals::bus::linudp::upid;
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
+use fieldbeat::internals::bus::profibus::wire::telegram;
 use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::cycle::record::{DriveRecord, Record};
 use fieldbeat::internals::net::{
@@ -62,7 +66,7 @@ use support::budgets::{self, Budgets};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
-use support::lenze::{self, NullWires};
+use support::lenze::{self, NullSerial, NullWires};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
 use support::packets;
 use support::rig::{self, Calls, Pace, Rig};
@@ -78,9 +82,10 @@ const SEGMENT_DUEL: usize = 4;
 /// Both kinds in one cycle.
 const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, ..Fleet::NONE };
 
-/// All kinds in one cycle: 32 LinMots and a segment of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives
-/// in every fourth.
-const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, segment: 8, moons: 32, ..Fleet::NONE };
+/// All kinds in one cycle: 32 LinMots and a segment of 8 Kollmorgens in every cycle, 32 MOONS' drives, 8 Unidrives and
+/// a wire of 4 Lenze drives in every fourth.
+const ALL_KINDS: Fleet =
+    Fleet { linmots: 32, unidrives: 8, every: 4, segment: 8, terminals: 0, moons: 32, lenzes: 4 };
 
 /// The drives of a machine among the couplers and terminals of one: 64 slaves, one frame.
 const DRIVES_OF_64: usize = 8;
@@ -121,12 +126,14 @@ fn main() -> ExitCode {
         standing.slice(count, what, cycles)
     });
     drop(standing);
+    let on_wires = without_socket("Lenze drives", args.quick, drives, slice_of_wires);
     let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &budgets, &mut report);
     let together = together(&granted, args.quick, &budgets, &mut report);
     let all_kinds = all_kinds(&granted, args.quick, &budgets, &mut report);
     let packets = packets_on_sockets(&granted, args.quick, &budgets, &mut report);
     let segments_on_sockets = segments_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let wire_on_port = wire_on_port(&granted, args.quick, &budgets, &mut report);
     let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
@@ -174,10 +181,21 @@ fn main() -> ExitCode {
             "carrier_ns": without.carrier,
         }));
     }
+    for (drives, without) in drives.iter().zip(on_wires) {
+        report.append(json!({
+            "lenze_drives": drives,
+            "loop_ns": without.back_to_back.value,
+            "loop_ns_interval": without.back_to_back.ends(),
+            "loop_paced_ns": without.paced.value,
+            "loop_paced_ns_interval": without.paced.ends(),
+            "carrier_ns": without.carrier,
+        }));
+    }
     report.append(together);
     report.append(all_kinds);
     report.append(packets);
     segments_on_sockets.into_iter().for_each(|segment| report.append(segment));
+    wire_on_port.into_iter().for_each(|wire| report.append(wire));
     whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
 }
@@ -199,13 +217,10 @@ fn scenarios() -> Vec<Scenario> {
         caches: true,
         ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
     };
-    // 64 drives are 16 wires already.
-    let on_wires = [1, 8, lenze::SEGMENT, 64].map(|drives| Scenario::of(profibus::PROTOCOL, drives));
-    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
+    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL, profibus::PROTOCOL]
         .into_iter()
         .flat_map(of)
-        .chain(on_wires)
-        .chain([with_terminals])
+        .chain([Scenario::of(profibus::PROTOCOL, lenze::SEGMENT), with_terminals])
         .collect()
 }
 
@@ -277,8 +292,8 @@ impl Carriers for &InMemory {
         segment.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
     }
 
-    fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        self.1.open(port)
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        self.1.serial(port, line)
     }
 }
 
@@ -297,6 +312,47 @@ fn slice_of(fleet: Fleet, what: usize, cycles: usize) -> Vec<f64> {
         _ => carrier_alone(fleet, cycles),
     });
     slice.unwrap_or_else(|error| rig::give_up(error))
+}
+
+/// The same of Lenze drives on wires. The loop waits by poll: spinning would be counted as its time.
+fn slice_of_wires(count: usize, what: usize, cycles: usize) -> Vec<f64> {
+    let wires = NullWires(lenze::wires("local:slice", count), rig::now);
+    let run = |pace, cycles| {
+        let buses = wires.0.iter().map(|wire| Box::new(wire.clone()) as Box<dyn BusPlan>);
+        let cycle = rig::exchange_cycle(MS, Wait::Poll);
+        let mut rig = Rig::new(cycle, buses.collect(), Pace::BackToBack, &wires, Calls::default());
+        rig.enable();
+        rig.set_pace(pace);
+        (0..cycles).map(|_| rig.turn(|_| {}).busy_ns as f64).collect()
+    };
+    let slice = rig::on_loop_thread(|_| match what {
+        0 => run(Pace::BackToBack, cycles),
+        1 => run(Pace::Grid, PACED),
+        _ => wires_alone(&wires.0, cycles),
+    });
+    slice.unwrap_or_else(|error| rig::give_up(error))
+}
+
+/// What the wires in memory take by themselves, ns a cycle: what is on each before it is used, an exchange of each
+/// drive, and a token.
+fn wires_alone(plans: &[ProfibusPlan], cycles: usize) -> Vec<f64> {
+    let wire = |plan: &ProfibusPlan| (NullSerial::new(plan, rig::now), lenze::requests(plan));
+    let mut wires: Vec<_> = plans.iter().map(wire).collect();
+    let token = telegram::token(2, 2);
+    let mut room = [0; 64];
+    let mut cycle = || {
+        let begin = MonotonicClock::read();
+        for (wire, requests) in &mut wires {
+            let _ = std::hint::black_box(wire.receive(0, &mut room));
+            for request in requests {
+                let _ = std::hint::black_box(wire.send(0, std::hint::black_box(request)));
+                let _ = std::hint::black_box(wire.receive(0, &mut room));
+            }
+            let _ = std::hint::black_box(wire.send(0, &token));
+        }
+        MonotonicClock::read().since(begin) as f64
+    };
+    (0..cycles).map(|_| cycle()).collect()
 }
 
 /// Cycles of a slice at 1 kHz.
@@ -723,6 +779,62 @@ fn duel(granted: &Granted, fleet: Fleet, period_ns: u64, cycles: usize) -> Optio
     outcome.inspect_err(|why| println!("a slice without the bare loop: {why}")).ok()
 }
 
+/// Ours against the bare loop: ratios of the medians.
+struct Against {
+    /// From the end of the sleep until done.
+    busy: Option<Interval>,
+    /// Processor time of a cycle.
+    cpu: Option<Interval>,
+    /// The send phase, on a wire.
+    sending: Option<Interval>,
+    period_ns: u64,
+    steal_ms: Option<u64>,
+}
+
+impl Against {
+    fn bare(granted: &Granted, fleet: Fleet, period_ns: u64, rounds: usize, cycles: usize) -> Against {
+        let steal = Steal::begin();
+        let [mut ours, mut bare] = [const { [const { Sample::new() }; 3] }; 2];
+        for _ in 0..rounds {
+            let Some(Outcome { ours: of_ours, theirs, .. }) = duel(granted, fleet, period_ns, cycles) else {
+                continue;
+            };
+            for (samples, measured) in [(&mut ours, of_ours), (&mut bare, theirs)] {
+                let [busy, cpu, sending] = samples;
+                busy.push(measured.busy);
+                cpu.push(measured.cpu);
+                sending.push(measured.sending);
+            }
+        }
+        let [busy, cpu, sending] = std::array::from_fn(|what| ours[what].ratio(&bare[what], 0.5));
+        Against { busy, cpu, sending, period_ns, steal_ms: steal.ms() }
+    }
+
+    /// Prints it; its numbers.
+    fn report(&self, what: &str, drives: usize) -> Value {
+        let Against { busy, cpu, sending, period_ns, steal_ms } = self;
+        print!("  {drives} drives against the bare loop, every {} each: ours / bare ", Ns(*period_ns));
+        println!(
+            "{}, CPU {}, send phase {}; steal {} ms",
+            shown(*busy),
+            shown(*cpu),
+            shown(*sending),
+            shown(*steal_ms)
+        );
+        json!({
+            "duel": what,
+            "duel_drives": drives,
+            "sockets_ratio": busy.map(|ratio| ratio.value),
+            "sockets_ratio_interval": busy.map(|ratio| ratio.ends()),
+            "sockets_cpu_ratio": cpu.map(|ratio| ratio.value),
+            "sockets_cpu_ratio_interval": cpu.map(|ratio| ratio.ends()),
+            "send_ratio": sending.map(|ratio| ratio.value),
+            "send_ratio_interval": sending.map(|ratio| ratio.ends()),
+            "steal_ms": steal_ms,
+        })
+    }
+}
+
 /// Each side has half of it, so both fit in twice: a drive takes some 15 us of the two cores together.
 fn period(drives: usize) -> u64 {
     (drives as u64 * 80 * US).next_multiple_of(MS).max(2 * MS)
@@ -733,16 +845,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let steal = Steal::begin();
     let Alone { end, calls, on_connections, page_faults, .. } = alone_at_1_khz(granted, TOGETHER, alone);
-    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     let period_ns = period(TOGETHER.linmots + TOGETHER.due_unidrives());
-    for _ in 0..rounds {
-        let Some(duel) = duel(granted, TOGETHER, period_ns, cycles) else { continue };
-        ours.push(duel.ours.busy);
-        bare.push(duel.theirs.busy);
-        ours_cpu.push(duel.ours.cpu);
-        bare_cpu.push(duel.theirs.cpu);
-    }
-    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
+    let against = Against::bare(granted, TOGETHER, period_ns, rounds, cycles);
     let (linmots, unidrives) = end.drives.split_at(TOGETHER.linmots);
     let [linmots, unidrives] = [linmots, unidrives].map(Kind::sum);
     let status = end.status;
@@ -764,8 +868,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     println!(
         "  against the bare loop, every {} each: ours / bare {}, CPU {}",
         Ns(period_ns),
-        shown(ratio),
-        shown(cpu_ratio)
+        shown(against.busy),
+        shown(against.cpu)
     );
     report.check(
         format!("together: planned {} = executed + skipped", status.planned),
@@ -788,9 +892,9 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
         "unidrives_answered": unidrives.answered,
         "syscalls_per_cycle": p50(&calls),
         "syscalls_on_connections": p50(&on_connections),
-        "sockets_ratio": ratio.map(|ratio| ratio.value),
-        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "sockets_ratio": against.busy.map(|ratio| ratio.value),
+        "sockets_ratio_interval": against.busy.map(|ratio| ratio.ends()),
+        "sockets_cpu_ratio": against.cpu.map(|ratio| ratio.value),
         "steal_ms": steal.ms(),
     })
 }
@@ -802,9 +906,16 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
         alone_at_1_khz(granted, ALL_KINDS, if quick { 2_000 } else { 20_000 });
     let (linmots, rest) = end.drives.split_at(ALL_KINDS.linmots);
     let (unidrives, rest) = rest.split_at(ALL_KINDS.unidrives);
-    let (segment, moons) = rest.split_at(ALL_KINDS.segment);
-    let kinds = [("LinMots", linmots), ("Unidrives", unidrives), ("Kollmorgens", segment), ("MOONS", moons)]
-        .map(|(name, drives)| (name, Kind::sum(drives)));
+    let (segment, rest) = rest.split_at(ALL_KINDS.segment);
+    let (moons, lenzes) = rest.split_at(ALL_KINDS.moons);
+    let kinds = [
+        ("LinMots", linmots),
+        ("Unidrives", unidrives),
+        ("Kollmorgens", segment),
+        ("MOONS", moons),
+        ("Lenze drives", lenzes),
+    ]
+    .map(|(name, drives)| (name, Kind::sum(drives)));
     let (status, p50) = (end.status, |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value));
     println!("\nall kinds in one cycle at 1 kHz ({ALL_KINDS}); steal {} ms", shown(steal.ms()));
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
@@ -899,36 +1010,33 @@ fn segments_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report
         ("a segment", Fleet::segment(SEGMENT_ALONE)),
         ("terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
     ];
-    let [segment, terminals] =
-        fleets.map(|(what, fleet)| segment_alone_on_sockets(granted, what, fleet, alone, budgets, report));
-    let steal = Steal::begin();
-    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
-    for _ in 0..rounds {
-        let Some(duel) = duel(granted, Fleet::segment(SEGMENT_DUEL), 2 * MS, cycles) else { continue };
-        ours.push(duel.ours.busy);
-        bare.push(duel.theirs.busy);
-        ours_cpu.push(duel.ours.cpu);
-        bare_cpu.push(duel.theirs.cpu);
-    }
-    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
-    println!(
-        "  {SEGMENT_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
-        Ns(2 * MS),
-        shown(ratio),
-        shown(cpu_ratio)
-    );
-    let duel = json!({
-        "duel_drives": SEGMENT_DUEL,
-        "sockets_ratio": ratio.map(|ratio| ratio.value),
-        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
-        "steal_ms": steal.ms(),
+    let [segment, terminals] = fleets.map(|(what, fleet)| {
+        println!(
+            "\n{} drives and {} couplers and terminals on one segment of this host at 1 kHz",
+            fleet.segment, fleet.terminals
+        );
+        alone_on_sockets(granted, what, fleet, alone, budgets, report)
     });
-    [segment, terminals, duel]
+    let duel = Against::bare(granted, Fleet::segment(SEGMENT_DUEL), 2 * MS, rounds, cycles);
+    [segment, terminals, duel.report("a segment", SEGMENT_DUEL)]
 }
 
-/// A segment at 1 kHz: nothing is left out or lost, and its system calls, which are those of one frame.
-fn segment_alone_on_sockets(
+/// A wire of Lenze drives alone at 1 kHz, all of them in every cycle; then against the bare loop.
+fn wire_on_port(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 2] {
+    let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
+    let fleet = Fleet::lenzes(lenze::A_WIRE);
+    println!("\n{} drives on one PROFIBUS wire of this host at 1 kHz", fleet.lenzes);
+    let mut wire = alone_on_sockets(granted, "a wire", fleet, alone, budgets, report);
+    let calls = wire["syscalls_per_cycle"].as_f64();
+    let each = calls.map(|calls| (calls - 1.0) / fleet.lenzes as f64);
+    println!("  system calls an exchange in addition to the sleep: {}", shown(each));
+    wire["syscalls_per_exchange"] = json!(each);
+    let duel = Against::bare(granted, fleet, 2 * MS, rounds, cycles);
+    [wire, duel.report("a wire", fleet.lenzes)]
+}
+
+/// Drives of one kind at 1 kHz: nothing is left out or lost, and their system calls.
+fn alone_on_sockets(
     granted: &Granted,
     what: &str,
     fleet: Fleet,
@@ -940,15 +1048,9 @@ fn segment_alone_on_sockets(
     let Alone { end, calls, page_faults, .. } = alone_at_1_khz(granted, fleet, cycles);
     let (status, drives) = (end.status, Kind::sum(&end.drives));
     let p50 = calls.quantile(0.5).map(|p50| p50.value);
-    println!(
-        "\n{} drives and {} couplers and terminals on one segment of this host at 1 kHz; steal {} ms",
-        fleet.segment,
-        fleet.terminals,
-        shown(steal.ms())
-    );
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
     println!("  {drives}");
-    println!("  system calls a cycle, p50: {}", shown(p50));
+    println!("  system calls a cycle, p50: {}; steal {} ms", shown(p50), shown(steal.ms()));
     report.check(
         format!("{what}: planned {} = executed + skipped", status.planned),
         status.planned == status.executed + status.skipped,
@@ -957,8 +1059,9 @@ fn segment_alone_on_sockets(
     within(report, budgets, what, &calls);
     check_page_faults(what, page_faults, budgets, report);
     json!({
-        "segment_on_sockets": fleet.segment,
-        "segment_terminals": fleet.terminals,
+        "alone": what,
+        "drives": fleet.drives(),
+        "terminals": fleet.terminals,
         "planned": status.planned,
         "executed": status.executed,
         "skipped": status.skipped,
@@ -978,6 +1081,7 @@ fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
     );
     let fleets = [
         ("3 drives on one segment", Fleet::segment(3)),
+        ("4 drives on one wire, each in every fourth cycle", Fleet { every: 4, ..Fleet::lenzes(4) }),
         ("8 LinMots", Fleet::linmots(8)),
         ("16 LinMots", Fleet::linmots(16)),
     ];
@@ -1033,13 +1137,13 @@ fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> Alone {
         rig.enable();
         let (mut calls, mut on_them) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
         let mut of_moons = Vec::with_capacity(cycles * fleet.moons);
-        let others = fleet.drives() - fleet.moons;
+        let first = fleet.drives() - fleet.lenzes - fleet.moons;
         let usage = Usage::of_thread();
         for _ in 0..cycles {
             let (executed, before) = (rig.status().executed, carriers.on_connections());
             let turn = rig.turn(|record| match record {
                 Record::Drive(DriveRecord { axis, age_ns: Some(age_ns), .. })
-                    if usize::from(axis) >= others =>
+                    if (first..first + fleet.moons).contains(&axis.into()) =>
                 {
                     of_moons.push(u64::from(age_ns.get()));
                 }
@@ -1116,6 +1220,7 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
         ("a segment of one", Fleet::segment(1)),
         ("a segment with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
         ("32 MOONS' drives", Fleet::moons(MOONS_DUEL)),
+        ("a wire", Fleet::lenzes(lenze::A_WIRE)),
     ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
         match strace_of(granted, fleet) {
@@ -1174,9 +1279,8 @@ fn traced(fleet: Fleet) {
     let counted = Calls::default();
     let carriers = CountedNet::new(&counted);
     let calls = rig::on_loop_thread(|_| {
-        // Under strace a call takes some 50 us.
-        // A segment has to be brought up.
-        let period_ns = if fleet.segment > 0 { 4 * MS } else { 20 * MS };
+        // Under strace a call takes some 50 us. A segment and a wire have to be brought up.
+        let period_ns = if fleet.segment + fleet.lenzes > 0 { 4 * MS } else { 20 * MS };
         let cycle = rig::exchange_cycle(period_ns, Wait::Poll);
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();

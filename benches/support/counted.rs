@@ -65,9 +65,9 @@ impl<N: Carriers> Carriers for CountedNet<N> {
     }
 
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
-        let net = self.net.serial(port, line)?;
-        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections }))
+        let (net, calls) = (self.net.serial(port, line)?, Calls::clone(&self.calls));
+        // A port is none.
+        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections: Calls::default() }))
     }
 }
 

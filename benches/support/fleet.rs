@@ -1,5 +1,5 @@
 //! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and segments
-//! `local:bench-...`.
+//! and wires `local:bench-...`.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -12,15 +12,21 @@ use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
+use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::sim::ethernet_ip::MoonsDrives;
 use fieldbeat::sim::linudp::LinMots;
 use fieldbeat::sim::modbus::Unidrives;
+use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{SimBus, Simulated};
+use fieldbeat::time::US;
 
-use super::{moons, segment, unidrive};
+use super::{lenze, moons, segment, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
+
+/// The slot time of a wire on this host is longer by this, ns: the thread that answers has to be woken.
+const WOKEN_NS: u64 = 200 * US;
 
 /// Whose drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,11 +82,14 @@ pub struct Fleet {
     pub terminals: usize,
     /// MOONS' drives, each in every cycle of so many as well: their interval.
     pub moons: usize,
+    /// Lenze drives, four on each PROFIBUS wire, due like Unidrives.
+    pub lenzes: usize,
 }
 
 impl Fleet {
     /// No drive.
-    pub const NONE: Fleet = Fleet { linmots: 0, unidrives: 0, every: 1, segment: 0, terminals: 0, moons: 0 };
+    pub const NONE: Fleet =
+        Fleet { linmots: 0, unidrives: 0, every: 1, segment: 0, terminals: 0, moons: 0, lenzes: 0 };
 
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
@@ -107,9 +116,14 @@ impl Fleet {
         Fleet { moons: count, ..Fleet::NONE }
     }
 
+    /// Lenze drives only, in every cycle.
+    pub const fn lenzes(count: usize) -> Fleet {
+        Fleet { lenzes: count, ..Fleet::NONE }
+    }
+
     /// All of them.
     pub fn drives(self) -> usize {
-        self.linmots + self.unidrives + self.segment + self.moons
+        self.linmots + self.unidrives + self.segment + self.moons + self.lenzes
     }
 
     /// How many Unidrives are due in a cycle.
@@ -150,6 +164,16 @@ impl Fleet {
         segment::plan(&format!("local:bench-{}", side as u8), self.segment, self.terminals)
     }
 
+    /// Its wires on `side`. What simulates them is woken by the kernel.
+    pub fn profibus(self, side: Side) -> Vec<ProfibusPlan> {
+        let wires = lenze::wires(&format!("local:bench-wire-{}", side as u8), self.lenzes);
+        let on_this_host = |mut plan: ProfibusPlan| {
+            plan.bits.latency_ns = WOKEN_NS;
+            plan.in_turn(self.every)
+        };
+        wires.into_iter().map(on_this_host).collect()
+    }
+
     /// Its buses on `side`: LinMots first.
     pub fn buses(self, side: Side) -> Vec<Box<dyn BusPlan>> {
         let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
@@ -165,6 +189,7 @@ impl Fleet {
         if self.moons > 0 {
             buses.push(Box::new(self.ethernet_ip(side)));
         }
+        buses.extend(self.profibus(side).into_iter().map(|wire| Box::new(wire) as Box<dyn BusPlan>));
         buses
     }
 
@@ -177,15 +202,18 @@ impl Fleet {
             segment::simulated(&self.ethercat(side)).build(&mut simulated);
         }
         MoonsDrives::of(&self.ethernet_ip(side)).build(&mut simulated);
+        for wire in self.profibus(side) {
+            ProfibusSegment::of(&wire).build(&mut simulated);
+        }
         simulated
     }
 }
 
-/// As [`FromStr`] takes it: `32+32/8+16+56+0`.
+/// As [`FromStr`] takes it: `32+32/8+16+56+0+4`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Fleet { linmots, unidrives, every, segment, terminals, moons } = self;
-        write!(f, "{linmots}+{unidrives}/{every}+{segment}+{terminals}+{moons}")
+        let Fleet { linmots, unidrives, every, segment, terminals, moons, lenzes } = self;
+        write!(f, "{linmots}+{unidrives}/{every}+{segment}+{terminals}+{moons}+{lenzes}")
     }
 }
 
@@ -197,7 +225,8 @@ impl FromStr for Fleet {
         let (unidrives, rest) = rest.split_once('/').ok_or(())?;
         let (every, rest) = rest.split_once('+').ok_or(())?;
         let (segment, rest) = rest.split_once('+').ok_or(())?;
-        let (terminals, moons) = rest.split_once('+').ok_or(())?;
+        let (terminals, rest) = rest.split_once('+').ok_or(())?;
+        let (moons, lenzes) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
@@ -206,6 +235,7 @@ impl FromStr for Fleet {
             segment: number(segment)?,
             terminals: number(terminals)?,
             moons: number(moons)?,
+            lenzes: number(lenzes)?,
         })
     }
 }

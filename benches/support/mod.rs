@@ -11,6 +11,7 @@
 //! | `unidrive`, `moons` | a Unidrive, a MOONS' drive in memory |
 //! | `segment`, `lenze` | a segment of Kollmorgens, a wire of Lenze drives in memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
+//! | `bare_wire` | the bare loop's PROFIBUS wire |
 //! | `packets` | the same for class 1 packets, which answer nothing |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
@@ -20,6 +21,7 @@
 //! never fail a bench. Counts and errors do.
 
 pub mod bare;
+pub mod bare_wire;
 pub mod budgets;
 pub mod callgrind;
 pub mod count;
