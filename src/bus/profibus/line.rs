@@ -46,7 +46,7 @@ pub(super) enum Job {
 
 /// A request, as far as its answer is recognised by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Expected {
+pub struct Expected {
     /// The station.
     pub da: u8,
     /// Its service access point, and ours.
@@ -72,11 +72,16 @@ pub(super) enum Heard<'a> {
 
 /// An answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Answer<'a> {
+pub enum Answer<'a> {
     /// The bare acknowledgement, or OK or NR without data: the request was taken.
     Acknowledged,
-    /// Data; `high`: of high priority.
-    Data { high: bool, data: &'a [u8] },
+    /// Data.
+    Data {
+        /// Of high priority.
+        high: bool,
+        /// The data.
+        data: &'a [u8],
+    },
     /// Refused, with this function (UE, RR, RS).
     Refused(u8),
 }

@@ -30,7 +30,7 @@ mod check;
 mod config;
 pub(crate) mod counters;
 mod describe;
-mod line;
+pub(crate) mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
@@ -41,7 +41,7 @@ mod profile;
 mod scan;
 mod schedule;
 mod start_up;
-mod station;
+pub(crate) mod station;
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;
