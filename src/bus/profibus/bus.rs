@@ -10,6 +10,7 @@ use std::sync::Arc;
 use super::counters::Own;
 use super::line::{Heard, Instead, Job, Line, Ready, Unrelated};
 use super::notes::{Known, WireNotes};
+use super::other::{Others, Sign};
 use super::plan::ProfibusPlan;
 use super::station::Station;
 use super::wire::dp::GlobalControl;
@@ -17,17 +18,13 @@ use super::wire::sap::global_control;
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Broken, Carriers, Lock, Place, Serial};
 use crate::rt::Regions;
-use crate::time::{S, Time};
+use crate::time::Time;
 
 /// Steps of the wire in one call: a telegram and what follows from it each.
 const MOST_STEPS: usize = 16;
 /// Readings of the port in one call, and telegrams in one reading: what does not fit waits for the next one.
 const MOST_READS: usize = 4;
 const MOST_TELEGRAMS: usize = 32;
-/// So many tokens of another master in a row are one: of all telegrams they alone have no check byte.
-const TOKENS: u8 = 2;
-/// A master that was not received for so long is gone, ns.
-const OTHER_GONE_NS: u64 = S;
 /// Cycles that the orderly end may wait for one telegram.
 const END_WITHIN: u32 = 100;
 
@@ -65,9 +62,7 @@ pub(super) struct ProfibusBus {
     net: Box<dyn Serial>,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    /// Of the telegrams of another master: its address, how many in a row, and the slot of the newest.
-    other: Option<(u8, u8)>,
-    other_at: Time,
+    others: Others,
     end: End,
     waits: u32,
     notes: WireNotes,
@@ -144,8 +139,7 @@ impl ProfibusBus {
             line: Line::new(plan),
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
-            other: None,
-            other_at: Time(0),
+            others: Others::new(),
             end: End::None,
             waits: 0,
             notes: WireNotes::new(&plan.device, known, net.notes()),
@@ -215,9 +209,10 @@ impl ProfibusBus {
                     else {
                         continue;
                     };
-                    slot.counters.own[Own::WireUs as usize] += at.since(self.began_at) / 1_000;
                     let usual = station.exchanges() && !station.starts();
                     station.answered(at, answer, slot);
+                    let took_ns = self.line.quiet_since().since(self.began_at);
+                    slot.counters.own[Own::WireUs as usize] += took_ns / 1_000;
                     // The answer to its first exchange ends the start-up.
                     if !usual || station.starts() {
                         self.changed(index);
@@ -279,7 +274,7 @@ impl ProfibusBus {
                     Unrelated::Station | Unrelated::Kind => counters.foreign += 1,
                 }
             }
-            Unusual::OtherMaster(address, is_token) => self.other_master(address, is_token, slots),
+            Unusual::OtherMaster(address, sign) => self.other_master(address, sign, slots),
         }
     }
 
@@ -292,17 +287,12 @@ impl ProfibusBus {
 
     /// A telegram of another master. Before the first own one the wire is its; afterwards it is this master's, and the
     /// axes stop.
-    fn other_master(&mut self, address: u8, is_token: bool, slots: &mut [Slot]) {
+    fn other_master(&mut self, address: u8, sign: Sign, slots: &mut [Slot]) {
         if let Some(slot) = slots.get_mut(usize::from(self.last)) {
             Own::SecondMaster.count(&mut slot.counters);
         }
         self.unmatched.datagrams += 1;
-        let tokens = match self.other {
-            Some((before, tokens)) if before == address => tokens.saturating_add(1),
-            _ => 1,
-        };
-        (self.other, self.other_at) = (Some((address, tokens)), self.grid);
-        if is_token && tokens < TOKENS {
+        if !self.others.received(self.grid, address, sign) {
             return;
         }
         self.notes.set_other(Some(address));
@@ -501,8 +491,7 @@ impl ProfibusBus {
 enum Unusual {
     Garbage(Own, bool),
     Telegram(Unrelated, Option<u8>),
-    /// Its address, and whether it was a token.
-    OtherMaster(u8, bool),
+    OtherMaster(u8, Sign),
 }
 
 impl Unusual {
@@ -510,7 +499,7 @@ impl Unusual {
         match *heard {
             Heard::Malformed { ref why, expected } => Unusual::Garbage(Own::of(why), expected),
             Heard::Unrelated(why, from) => Unusual::Telegram(why, from),
-            Heard::OtherMaster { address, is_token } => Unusual::OtherMaster(address, is_token),
+            Heard::OtherMaster { address, sign } => Unusual::OtherMaster(address, sign),
             Heard::Answer(..) => Unusual::Telegram(Unrelated::Late, None),
         }
     }
@@ -558,8 +547,7 @@ impl Bus for ProfibusBus {
         if self.starting != 0 {
             self.let_start(cycle, slots);
         }
-        if self.other.is_some() && cycle.grid.since(self.other_at) > OTHER_GONE_NS {
-            self.other = None;
+        if self.others.has_gone(cycle.grid) {
             self.notes.set_other(None);
         }
     }

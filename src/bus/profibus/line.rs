@@ -7,7 +7,11 @@
 //! Nothing is sent while something may still be on the wire: own bytes, those of an answer that is late or broken,
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
 //! counts until the wire was idle: what follows them may be the rest of the same one.
+//!
+//! The port is looked at inside the windows only, and an answer that ends outside of them is read late. It ended when a
+//! station that keeps to MaxTsdr has sent it, at the latest, and the idle time behind it runs from then.
 
+use super::other::Sign;
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
 use super::wire::telegram::{self, Frame, Head, MAX, Malformed, Next, Telegram};
@@ -42,7 +46,7 @@ pub(super) enum Job {
 
 /// A request, as far as its answer is recognised by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Expected {
+pub struct Expected {
     /// The station.
     pub da: u8,
     /// Its service access point, and ours.
@@ -63,21 +67,21 @@ pub(super) enum Heard<'a> {
     /// No telegram, while an answer was expected or not.
     Malformed { why: Malformed, expected: bool },
     /// A telegram of the master at this address.
-    OtherMaster {
-        /// Its address.
-        address: u8,
-        /// It is a token, which has no check byte.
-        is_token: bool,
-    },
+    OtherMaster { address: u8, sign: Sign },
 }
 
 /// An answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Answer<'a> {
+pub enum Answer<'a> {
     /// The bare acknowledgement, or OK or NR without data: the request was taken.
     Acknowledged,
-    /// Data; `high`: of high priority.
-    Data { high: bool, data: &'a [u8] },
+    /// Data.
+    Data {
+        /// Of high priority.
+        high: bool,
+        /// The data.
+        data: &'a [u8],
+    },
     /// Refused, with this function (UE, RR, RS).
     Refused(u8),
 }
@@ -152,6 +156,8 @@ struct Timing {
     free_at: Time,
     /// The answer is overdue, or the rest of the telegram is to be sent.
     overdue_at: Time,
+    /// The answer has begun by then, if its station keeps to MaxTsdr.
+    answer_by: Time,
     idle_ns: u64,
 }
 
@@ -178,6 +184,7 @@ pub(super) struct Line {
     used: u16,
     line: SerialLine,
     slot_ns: u64,
+    answer_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
     request: [u8; MAX],
@@ -196,6 +203,7 @@ impl Line {
                 garbled: false,
                 free_at: Time(0),
                 overdue_at: Time(0),
+                answer_by: Time(0),
                 idle_ns: bits(plan.bits.idle.max(plan.bits.sync)),
             },
             job: Job::Own,
@@ -211,6 +219,7 @@ impl Line {
             used: 0,
             line,
             slot_ns: plan.slot_ns(),
+            answer_ns: bits(plan.bits.max_tsdr).saturating_add(plan.bits.latency_ns),
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
             request: [0; MAX],
@@ -398,7 +407,7 @@ impl Line {
         self.echo_left = if self.echo { self.length } else { 0 };
         if self.job != Job::Own {
             (self.timing.state, self.timing.overdue_at) = (State::Waiting, ends + self.slot_ns);
-            self.timing.free_at = ends;
+            (self.timing.free_at, self.timing.answer_by) = (ends, ends + self.answer_ns);
             return;
         }
         let is_token = self.length == 3;
@@ -407,6 +416,12 @@ impl Line {
             State::Claiming(sent) => State::Claiming(sent + 1),
             _ => State::Free,
         };
+    }
+
+    /// What was received last had ended by then.
+    #[inline]
+    pub(super) fn quiet_since(&self) -> Time {
+        self.timing.free_at - self.timing.idle_ns
     }
 
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
@@ -481,7 +496,7 @@ impl Line {
             timing.put_off(at, 0);
             return None;
         }
-        let telegram = match Next::parse(bytes) {
+        let (telegram, ended) = match Next::parse(bytes) {
             Next::Incomplete { at_least } => {
                 timing.put_off(at, self.line.span_ns(at_least));
                 return None;
@@ -494,27 +509,34 @@ impl Line {
             }
             Next::Telegram { telegram, size } => {
                 *used += size as u16;
-                telegram
+                // One that was in the port before it was looked for has ended sooner.
+                (telegram, at.min(timing.answer_by + self.line.span_ns(size)))
             }
         };
         let answer = match telegram {
             Telegram::Acknowledge if expected.acknowledge => Ok(Answer::Acknowledged),
             Telegram::Acknowledge => Err(Judged::Unrelated(Unrelated::Kind, None)),
-            Telegram::Token { sa, .. } if sa != *address => Err(Judged::OtherMaster(sa)),
+            Telegram::Token { da, sa } if sa != *address => {
+                Err(Judged::OtherMaster(sa, if da == sa { Sign::Token } else { Sign::Passed }))
+            }
             // Its own, from an adapter that returns it.
             Telegram::Token { .. } => Err(Judged::Unrelated(Unrelated::Kind, None)),
             Telegram::Data(frame) => expected.judge(&frame, *address),
         };
         Some(match answer {
-            Err(Judged::OtherMaster(address)) => {
-                let is_token = matches!(telegram, Telegram::Token { .. });
-                Heard::OtherMaster { address, is_token }
+            Err(Judged::OtherMaster(address, sign)) => {
+                let searched = waits && matches!(job, Job::Gap(_));
+                let sign = if sign == Sign::Answer && !searched { Sign::Request } else { sign };
+                Heard::OtherMaster { address, sign }
             }
             Err(Judged::Unrelated(why, from)) if waits => Heard::Unrelated(why, from),
             Err(Judged::Unrelated(_, from)) => Heard::Unrelated(Unrelated::Late, from),
             Ok(_) if !waits => Heard::Unrelated(Unrelated::Late, Some(expected.da)),
             Ok(answer) => {
                 timing.state = State::Free;
+                if *used == *filled {
+                    timing.free_at = ended + timing.idle_ns;
+                }
                 Heard::Answer(*job, answer)
             }
         })
@@ -536,7 +558,7 @@ impl Timing {
 
 enum Judged {
     Unrelated(Unrelated, Option<u8>),
-    OtherMaster(u8),
+    OtherMaster(u8, Sign),
 }
 
 impl Expected {
@@ -548,14 +570,14 @@ impl Expected {
         if fc.0 & REQUEST != 0 {
             return Err(match sa == own {
                 true => Judged::Unrelated(Unrelated::Kind, None),
-                false => Judged::OtherMaster(sa),
+                false => Judged::OtherMaster(sa, Sign::Request),
             });
         }
         if (da, sa) != (own, self.da) {
             return Err(Judged::Unrelated(Unrelated::Station, Some(sa)));
         }
         if fc.0 & STATION != 0 {
-            return Err(Judged::OtherMaster(sa));
+            return Err(Judged::OtherMaster(sa, Sign::Answer));
         }
         let same_service = self.saps == ssap.zip(dsap);
         let fits = self.data.is_none_or(|length| frame.data.len() == usize::from(length));

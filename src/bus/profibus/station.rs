@@ -68,7 +68,7 @@ struct Shown {
 /// One drive.
 #[derive(Debug)]
 #[repr(C, align(64))] // What each exchange touches comes first.
-pub(super) struct Station {
+pub struct Station {
     /// The slot of the grid that the outputs are built for.
     grid: Time,
     sending: Sending,
@@ -113,7 +113,7 @@ pub(super) struct Station {
 impl Station {
     /// The station of `drive` of the master at address `own`, and the application's ends of its native process data and
     /// of its acyclic access. `None`: its plan is not free of faults.
-    pub(super) fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
+    pub fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
         let (application, native) = native();
         let (ends, port) = queue(drive.axis.parameter_queue, commanding());
         let (outputs, inputs) = drive.lengths()?;
@@ -214,7 +214,7 @@ impl Station {
     /// Builds the outputs of the next send in place. Built again for the same send, they are the same: state that
     /// changes with every telegram changes in [`sent`](Self::sent).
     #[inline]
-    pub(super) fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         self.grid = cycle.grid;
         if let Some((control, setpoint)) = self.profile.encode(&slot.desired, &mut self.native) {
             self.put(self.process_at, control.to_be_bytes());
@@ -265,7 +265,7 @@ impl Station {
 
     /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
     #[inline]
-    pub(super) fn request(
+    pub fn request(
         &mut self,
         slot: &Slot,
         may_be_acyclic: bool,
@@ -304,7 +304,10 @@ impl Station {
             _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
             _ if self.diagnosis_due => Sending::Diagnosis,
             Link::Unseen | Link::Lost => Sending::Diagnosis,
-            _ if may_be_acyclic && self.acyclic.data_unit().is_some() => Sending::Msac1,
+            // Without a count its repetition would be a second request.
+            _ if may_be_acyclic && self.count != FIRST && self.acyclic.data_unit().is_some() => {
+                Sending::Msac1
+            }
             _ => Sending::DataExchange,
         }
     }
@@ -332,7 +335,7 @@ impl Station {
 
     /// The telegram of its turn left at `at`; the first time, if it is repeated.
     #[inline]
-    pub(super) fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
         if self.sending == Sending::StartUp {
             Own::StartUps.count(&mut slot.counters);
             return self.unsent(slot);
@@ -366,7 +369,7 @@ impl Station {
 
     /// The telegram of its turn was answered at `at`.
     #[inline]
-    pub(super) fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
+    pub fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
         self.count = if self.count == FIRST { SECOND } else { self.count ^ FCB };
         self.was_answered = true;
         let Answer::Data { high, data } = answer else { return self.answered_without(at, answer, slot) };

@@ -74,7 +74,8 @@ impl ProfibusSegment {
         let line = self.line();
         let drives =
             self.drives.iter().map(|drive| Box::new(LenzeSim::new(drive, line)) as Box<dyn SimSerial>);
-        let foreign = self.foreign.clone().map(|of| Box::new(ForeignMaster::new(of)) as Box<dyn SimSerial>);
+        let foreign = |of| Box::new(ForeignMaster::new(of, line)) as Box<dyn SimSerial>;
+        let foreign = self.foreign.clone().map(foreign);
         let noise = self.noise.map(|of| Box::new(Noise::new(of)) as Box<dyn SimSerial>);
         SerialWire {
             port: self.port.clone(),
