@@ -513,7 +513,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
         drive.axis.enable_timeout = Duration::from_secs(3);
         drive
     };
-    let paths = [ParameterPath::Drivecom, ParameterPath::Pkw, MSAC1];
+    let paths = [ParameterPath::Drivecom, ParameterPath::Pkw { pause: true }, MSAC1];
     let bus = ProfibusPlan::new(PORT, 12_000_000, paths.into_iter().enumerate().map(drive).collect());
     let mut segment = ProfibusSegment::of(&bus);
     segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
