@@ -11,13 +11,13 @@
 //! | a request with its check byte | 2 | 2^-34 as SD1, 2^-32 as SD3, less as SD2 |
 //! | an answer to a search of ours, with its check byte | 4 | 2^-41, while that is awaited |
 //!
-//! A weight of [`ENOUGH`] from one address in one second is another master: the two tokens of its claim and one request,
-//! two requests, or four tokens. A second begins with its first sign, so that three of them may have been in the second
-//! before: at the latest the seventh token, or the third request, within a second that follows.
+//! A weight of [`ENOUGH`] from one address in one second is another master: the two tokens of its claim and one
+//! request, two requests, or four tokens. A second begins with its first sign, so that three of them may have been in
+//! the second before: at the latest the seventh token, or the third request, within a second that follows.
 //!
-//! A thousand bursts a second, each of 14 bytes or more, leave no room for an exchange. They name another master less
-//! than once in 5 000 years: 127 addresses · (1000 · 2^-32 · 1.25)² / 2 a second for two requests, and less for what has
-//! a token in it. The own token with one bit changed, as a distorted echo, is none to itself.
+//! A thousand bursts a second, each of 14 bytes or more, leave no room for an exchange. They name another master
+//! less than once in 5 000 years: 127 addresses · (1000 · 2^-32 · 1.25)² / 2 a second for two requests, and less for
+//! what has a token in it. The own token with one bit changed, as a distorted echo, is none to itself.
 
 use crate::time::{S, Time};
 

@@ -34,6 +34,8 @@ pub struct Shared {
     pub answer: Vec<u8>,
     /// Answers that the test sent in its name.
     pub forged: u64,
+    /// Masters of it that died.
+    pub died: u64,
     odd: bool,
     line: SerialLine,
     /// Requests to it that left the master, and when the last byte did, if they are recorded.
@@ -173,6 +175,7 @@ impl TapWire {
                 due: None,
                 answer: Vec::new(),
                 forged: 0,
+                died: 0,
                 odd: false,
                 line,
                 requests: None,

@@ -574,6 +574,7 @@ impl Machine {
             let connected = std::mem::take(&mut tap.lock().connected);
             connected.into_iter().for_each(|from| tap.disconnected(now, from));
         }
+        self.wire.iter().flat_map(|wire| &wire.drives).for_each(|drive| drive.lock().died += 1);
         let bus = bus(self.shape, &mut self.taps, &mut self.line, &mut self.wire);
         let drives = drives(&self.taps, self.line.as_ref(), self.wire.as_ref());
         self.sim = master(self.shape, bus, drives, Some(now + ms * MS));
@@ -613,12 +614,14 @@ impl Machine {
 
     /// What its master did that it must not: a drive ignores what a repetition says otherwise. Others on
     /// its wire speak into its telegrams, whoever their master is. An answer in its name, in the place of one to a
-    /// request that it did not receive, ends that request: the drive takes the next one for its repetition.
+    /// request that it did not receive, ends that request: the drive takes the next one for its repetition, twice if
+    /// that is repeated itself. An acyclic request of a master that died is met by the first one of the next master.
     pub fn misuse(&self, index: usize) -> Option<String> {
         let shared = self.wire.as_ref()?.drives.get(index)?.lock();
         let misuse = shared.drive.misuse();
-        let Misuse { too_early, interrupted, state, changed_retry, .. } = misuse;
-        let excused = too_early + interrupted + state + changed_retry.min(shared.forged);
+        let Misuse { too_early, interrupted, state, changed_retry, acyclic, .. } = misuse;
+        let (repeated, met) = (changed_retry.min(2 * shared.forged), acyclic.min(shared.died));
+        let excused = too_early + interrupted + state + repeated + met;
         (misuse.total() > excused).then(|| format!("{misuse:?}"))
     }
 
