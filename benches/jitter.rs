@@ -1,12 +1,14 @@
 //! Wake-up latency of the loop, without a guard and with the automatic one, against `cyclictest` (rt-tests): same core,
 //! policy, priority and period, in turns.
 //!
-//! Ours is the real loop on a thread made by the real code, without a drive, and plain once more with a Lenze drive on a
-//! PROFIBUS wire of this host: the only bus that sends in the middle of a cycle, which must not move the next wake-up.
-//! Both read CLOCK_MONOTONIC right after an
-//! absolute `clock_nanosleep`; cyclictest tells every single latency in ns (`-v -N`), so that nothing is rounded or cut
-//! off. A slot that was passed over counts as a late wake-up, as in the loop's own telemetry. cyclictest passes over
-//! slots too but does not tell of them: they follow from the latency before them, and are added here.
+//! Ours is the real loop on a thread made by the real code, without a drive. Plain, it runs once more with a Lenze
+//! drive on a PROFIBUS wire of this host: the only bus that sends in the middle of a cycle must not move the next
+//! wake-up.
+//!
+//! Both read CLOCK_MONOTONIC right after an absolute `clock_nanosleep`; cyclictest tells every single latency in ns
+//! (`-v -N`), so that nothing is rounded or cut off. A slot that was passed over counts as a late wake-up, as in the
+//! loop's own telemetry. cyclictest passes over slots too but does not tell of them: they follow from the latency before
+//! them, and are added here.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;

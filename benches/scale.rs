@@ -4,8 +4,8 @@
 //!   cycle is everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare,
 //!   records and feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep
 //!   in between, where caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken
-//!   off; so is what a PROFIBUS wire is waited for. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
-//!   memory from then on.
+//!   off. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
+//!   memory from then on. The clock jumps over what a PROFIBUS wire is waited for.
 //! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with
 //!   the loop without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns:
@@ -18,8 +18,8 @@
 //! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
 //! - **Segments on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at
 //!   1 kHz, and one of drives against a bare loop over the same bytes.
-//! - **A wire on a port of this host**: what 4 Lenze drives at 12 Mbit/s take at 1 kHz, and against a bare loop over the
-//!   same bytes: the send phase, the time until done, processor time.
+//! - **A wire on a port of this host**: what 4 Lenze drives at 12 Mbit/s take at 1 kHz, and against a bare loop over
+//!   the same bytes: the send phase, the time until done, processor time.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That

@@ -12,9 +12,9 @@
 //! A Kollmorgen drive has no telegram of its own: one frame serves the segment. Its exchange is a whole cycle of the
 //! bus (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the segment.
 //!
-//! A Lenze drive's exchange is what a LinMot's is: its telegram is written in place and its answer taken in, without the
-//! wire. Its `turn` on the wire comes with the queue, the link layer, Global_Control and the token: a cycle of a wire
-//! whose four drives are due in each (12 Mbit/s), shared by them.
+//! A Lenze drive's exchange is what a LinMot's is: its telegram is written in place and its answer taken in, without
+//! the wire. Its `turn` on the wire comes with the queue, the link layer, Global_Control and the token: a cycle of a
+//! wire whose four drives are due in each (12 Mbit/s), shared by them.
 //!
 //! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed
 //! beforehand.
