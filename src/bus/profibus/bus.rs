@@ -233,7 +233,9 @@ impl ProfibusBus {
         let Some(station) = self.stations.get(usize::from(index)) else { return };
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
-        self.notes.set(index.into(), station.note());
+        if let Some(note) = station.note() {
+            self.notes.set(index.into(), note);
+        }
         if station.exchanges() && station.starts() {
             // Its outputs count from the next Global_Control on.
             (self.operates, self.control_at) = (true, Time(0));
