@@ -88,7 +88,7 @@ impl Scan {
 
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let (device, plan) = (&self.device, self.plan());
-        let _lock = Place::Port(device).lock().map_err(|why| Stop::failed(format!("{device} {why}")))?;
+        let _lock = Place::Port(device).lock().map_err(|why| Stop::usage(format!("{device} {why}")))?;
         let cannot = |error| Stop::usage(format!("cannot use {device}: {error}"));
         let mut port = Os::default().serial(device, &plan.line()).map_err(cannot)?;
         let mut wait = |fd, most_ns| {
