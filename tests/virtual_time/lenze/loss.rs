@@ -302,3 +302,16 @@ fn the_own_echo_is_skipped() {
         assert!(c.missed == 0 && c.malformed == 0 && own(&c, Own::Noise) == 0, "{c:?}");
     }
 }
+
+#[test]
+fn an_echo_that_nobody_has_announced_is_no_other_master() {
+    let mut m = Lenze::with(wire(1_500_000, 2), cycle(), |wire| wire.echo = true);
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    m.sim.run(5_000);
+    assert_eq!((m.feedback(0).stopped, m.note(0)), (None, None));
+    let counters = m.finish();
+    assert!(own(&counters[0], Own::WrongAnswer) > 1_000, "they come back: {counters:?}");
+    assert!(counters.iter().all(|c| own(c, Own::SecondMaster) == 0), "{counters:?}");
+}
