@@ -53,7 +53,7 @@ struct Get {
     drive: Drive,
     /// The address as the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a
     /// Unidrive, 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, AC, R:3 or
-    /// 0x01/1/7.text of a MOONS', or a name.
+    /// 0x01/1/7.text of a MOONS', C0061, C0039/2 (a subcode), C0150.u16 or 1/3 (a record) of a Lenze, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -65,9 +65,11 @@ struct Set {
     #[command(flatten)]
     drive: Drive,
     /// The address as the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a
-    /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, AC or R:3 of a MOONS', or a name.
+    /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, AC or R:3 of a MOONS', C0012, C0039/2 (a
+    /// subcode) or C0150.u16 of a Lenze, or a name.
     address: String,
-    /// A whole number, or its bits as 0x....; for a Unidrive or a MOONS' also a scaled value with a point, 1500.0.
+    /// A whole number, or its bits as 0x....; for a Unidrive, a MOONS' or a Lenze also a scaled value with a point,
+    /// 1500.0.
     #[arg(allow_negative_numbers = true)]
     value: String,
     /// Print one JSON object.

@@ -63,38 +63,63 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
     Ok(master)
 }
 
-/// A drive, and why it has no connection.
-fn with_reason(drive: &Drive) -> String {
-    match &drive.not_connected {
-        Some(why) => format!("{} ({why})", drive.name),
-        None => drive.name.clone(),
+/// Drives by name, each with the reason why it has no connection; one that several share is given once.
+fn with_reasons(drives: &[&Drive]) -> String {
+    let mut groups: Vec<(Option<&str>, Vec<&str>)> = Vec::new();
+    for drive in drives {
+        let why = drive.not_connected.as_deref();
+        match groups.iter_mut().find(|(known, _)| *known == why) {
+            Some((_, names)) => names.push(&drive.name),
+            None => groups.push((why, vec![&drive.name])),
+        }
     }
+    let named = groups.into_iter().map(|(why, names)| match why {
+        Some(why) => format!("{} ({why})", names.join(", ")),
+        None => names.join(", "),
+    });
+    named.collect::<Vec<_>>().join(", ")
 }
 
 /// One line that names the drives which made the run a failure, and what to look at.
 pub fn not_whole(summary: &Summary) -> Stop {
-    let of = |what: &str, chosen: &dyn Fn(&Drive) -> bool, remedy: &str| {
-        let chosen = summary.drives.iter().filter(|drive| chosen(drive));
-        let names: Vec<String> = chosen.map(with_reason).collect();
-        (!names.is_empty()).then(|| format!("{what}: {}{remedy}", names.join(", ")))
+    let chosen = |what: &dyn Fn(&Drive) -> bool| -> Vec<&Drive> {
+        summary.drives.iter().filter(|drive| what(drive)).collect()
+    };
+    // The reason says what to look at, where it is known.
+    let of_link = |what: &str, drives: Vec<&Drive>, remedy: &str| {
+        let is_open = drives.iter().any(|drive| drive.not_connected.is_none());
+        let remedy = if is_open { remedy } else { "" };
+        (!drives.is_empty()).then(|| format!("{what}: {}{remedy}", with_reasons(&drives)))
+    };
+    let of_host = |what: &str, drives: Vec<&Drive>, remedy: &str| {
+        let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
+        (!names.is_empty()).then(|| format!("{what}: {}; {remedy}", names.join(", ")))
     };
     let lines: Vec<String> = [
-        of(
+        of_link(
             "never answered",
-            &|drive| drive.answered == 0 && !drive.is_late(),
+            chosen(&|drive| drive.answered == 0 && !drive.is_late()),
             "; look at their power, cables and addresses",
         ),
-        of("lost on the way", &|drive| drive.losses > 0 && !drive.is_late(), "; look at their power and cables"),
-        of(
-            "answered after the receive deadline",
-            &|drive| (drive.answered == 0 || drive.losses > 0) && drive.is_late(),
-            "; raise receive_deadline or the period, or look at what holds them or this computer up",
+        of_link(
+            "lost on the way",
+            chosen(&|drive| drive.losses > 0 && !drive.is_late()),
+            "; look at their power and cables",
         ),
-        of("not online at the end", &|drive| drive.answered > 0 && drive.losses == 0 && !drive.is_online(), ""),
-        of(
+        of_host(
+            "answered after the receive deadline",
+            chosen(&|drive| (drive.answered == 0 || drive.losses > 0) && drive.is_late()),
+            "raise receive_deadline or the period, or look at what holds them or this computer up",
+        ),
+        of_link(
+            "not online at the end",
+            chosen(&|drive| drive.answered > 0 && drive.losses == 0 && !drive.is_online()),
+            "",
+        ),
+        of_host(
             "stopped by an overrun",
-            &|drive| drive.was_overrun(),
-            "; this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its \
+            chosen(&|drive| drive.was_overrun()),
+            "this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its \
              rights and a core of its own",
         ),
     ]

@@ -187,7 +187,7 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are() {
     // Next to a master of this host.
     let mut master = master(&wire.config, &[]);
     master.await_text("all drives online: 2");
-    wire.scan(&[]).end().failed(&[&wire.device, "is in use by another master"]);
+    wire.scan(&[]).end().refused(&[&wire.device, "is in use by another master"]);
     master.signal(SIGTERM);
     master.end().expect(0);
     sim.signal(SIGTERM);
@@ -211,10 +211,15 @@ fn a_port_that_is_missing_or_none_is_named_with_the_remedy() {
     let wire = Wire::new(206);
     let text = std::fs::read_to_string(&wire.config).unwrap().replace(&wire.device, "/dev/no-such-port");
     let missing = wire.machine.write("missing.toml", text);
-    let mut master = master(&missing, &[]);
-    master.await_text("drive infeed: not connected: there is no serial port /dev/no-such-port");
-    master.signal(SIGINT);
-    master.end();
+    let mut master = master(&missing, &["--for", "2s"]);
+    let why = "there is no serial port /dev/no-such-port: plug in its adapter, or look at the path (ls -l \
+               /dev/serial/by-id)";
+    master.await_text(&format!("drive infeed: not connected: {why}"));
+    let ended = master.end();
+    ended.expect(1);
+    // Once for both, and with no other advice.
+    let last = ended.err_but_host().lines().last().unwrap();
+    assert_eq!(last, format!("fieldbeat: never answered: infeed, outfeed ({why})"));
 }
 
 #[test]

@@ -141,7 +141,7 @@ fn a_scan_does_not_come_between_a_master_and_its_segment() {
     let first = started(&config);
     let scan = || run(["ethercat", "scan", interface]);
     let name = format!("{interface} is in use by another master, process {}", std::process::id());
-    scan().failed(&[&name]);
+    scan().refused(&[&name]);
     drop(first);
     scan().expect(0);
 }

@@ -53,7 +53,7 @@ impl Scan {
         let interface = &self.interface;
         // Next to a master of this host it would read while that one writes.
         let _lock =
-            Place::Interface(interface).lock().map_err(|why| Stop::failed(format!("{interface} {why}")))?;
+            Place::Interface(interface).lock().map_err(|why| Stop::usage(format!("{interface} {why}")))?;
         let mut frames = open(interface)?;
         let options = Options { sii: self.sii };
         let slaves = scan(&mut *frames, options, &|| !program.is_interrupted())

@@ -18,13 +18,15 @@ use super::wire::sap::global_control;
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Broken, Carriers, Lock, Place, Serial};
 use crate::rt::Regions;
-use crate::time::Time;
+use crate::time::{S, Time};
 
 /// Steps of the wire in one call: a telegram and what follows from it each.
 const MOST_STEPS: usize = 16;
 /// Readings of the port in one call, and telegrams in one reading: what does not fit waits for the next one.
 const MOST_READS: usize = 4;
 const MOST_TELEGRAMS: usize = 32;
+/// A wire that is not silent for long enough within this time is noisy, ns.
+const NOISY_NS: u64 = 2 * S;
 /// Cycles that the orderly end may wait for one telegram.
 const END_WITHIN: u32 = 100;
 
@@ -63,6 +65,8 @@ pub(super) struct ProfibusBus {
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
     others: Others,
+    /// When the port was opened.
+    opened_at: Time,
     end: End,
     waits: u32,
     notes: WireNotes,
@@ -140,9 +144,10 @@ impl ProfibusBus {
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
             others: Others::new(),
+            opened_at: Time(0),
             end: End::None,
             waits: 0,
-            notes: WireNotes::new(&plan.device, known, net.notes()),
+            notes: WireNotes::new(&plan.device, plan.address, known, net.notes()),
             net,
             ends,
             unmatched: Unmatched::default(),
@@ -154,6 +159,7 @@ impl ProfibusBus {
     #[cold]
     fn opened(&mut self, now: Time) {
         self.line.opened(now);
+        self.opened_at = now;
         if self.net.discard().is_err() {
             self.unmatched.errors += 1;
         }
@@ -233,7 +239,9 @@ impl ProfibusBus {
         let Some(station) = self.stations.get(usize::from(index)) else { return };
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
-        self.notes.set(index.into(), station.note());
+        if let Some(note) = station.note() {
+            self.notes.set(index.into(), note);
+        }
         if station.exchanges() && station.starts() {
             // Its outputs count from the next Global_Control on.
             (self.operates, self.control_at) = (true, Time(0));
@@ -283,6 +291,9 @@ impl ProfibusBus {
             Own::Noise.count(&mut slot.counters);
         }
         self.unmatched.datagrams += 1;
+        if !self.line.is_up() && self.grid.since(self.opened_at) > NOISY_NS {
+            self.notes.set_noisy();
+        }
     }
 
     /// A telegram of another master. Before the first own one the wire is its; afterwards it is this master's, and the
@@ -317,6 +328,8 @@ impl ProfibusBus {
                     }
                 }
                 Ready::Claim => {
+                    // It was silent.
+                    self.notes.set_other(None);
                     self.hand_over(slots);
                     return;
                 }

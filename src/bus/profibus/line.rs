@@ -16,7 +16,7 @@ use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
 use super::wire::telegram::{self, Frame, Head, MAX, Malformed, Next, Telegram};
 use crate::net::SerialLine;
-use crate::time::Time;
+use crate::time::{S, Time};
 
 /// Room for what arrives: an answer, and an own telegram that the adapter returns.
 const INBOX: usize = 2 * MAX;
@@ -27,6 +27,9 @@ const DIAGNOSIS: usize = 64;
 const REQUEST: u8 = 1 << 6;
 /// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
 const STATION: u8 = 0x30;
+/// A telegram with the own address so soon after the wire was claimed is one that the adapter returns, ns. Some come
+/// back within this time if any do, however late they are read.
+const KNOWN_NS: u64 = S;
 /// Functions of answers: refused (UE, RR, RS), data (DL, DH), taken without data (NR), none (OK).
 const REFUSED: std::ops::RangeInclusive<u8> = 1..=3;
 const DATA_LOW: u8 = 0x8;
@@ -187,6 +190,9 @@ pub(super) struct Line {
     answer_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
+    /// The adapter returns own telegrams although nobody said so: one has come back before `known_at`.
+    returns: bool,
+    known_at: Time,
     request: [u8; MAX],
     inbox: [u8; INBOX],
 }
@@ -222,6 +228,8 @@ impl Line {
             answer_ns: bits(plan.bits.max_tsdr).saturating_add(plan.bits.latency_ns),
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
+            returns: false,
+            known_at: Time(0),
             request: [0; MAX],
             inbox: [0; INBOX],
         }
@@ -413,7 +421,10 @@ impl Line {
         let is_token = self.length == 3;
         self.timing.free_at = ends + if is_token { self.timing.idle_ns } else { self.unanswered_ns };
         self.timing.state = match self.timing.state {
-            State::Claiming(sent) => State::Claiming(sent + 1),
+            State::Claiming(sent) => {
+                (self.returns, self.known_at) = (false, at + KNOWN_NS);
+                State::Claiming(sent + 1)
+            }
             _ => State::Free,
         };
     }
@@ -516,11 +527,10 @@ impl Line {
         let answer = match telegram {
             Telegram::Acknowledge if expected.acknowledge => Ok(Answer::Acknowledged),
             Telegram::Acknowledge => Err(Judged::Unrelated(Unrelated::Kind, None)),
-            Telegram::Token { da, sa } if sa != *address => {
-                Err(Judged::OtherMaster(sa, if da == sa { Sign::Token } else { Sign::Passed }))
+            Telegram::Token { da, sa } => {
+                let sign = if da == sa { Sign::Token } else { Sign::Passed };
+                Err(if sa == *address { Judged::Own(sign) } else { Judged::OtherMaster(sa, sign) })
             }
-            // Its own, from an adapter that returns it.
-            Telegram::Token { .. } => Err(Judged::Unrelated(Unrelated::Kind, None)),
             Telegram::Data(frame) => expected.judge(&frame, *address),
         };
         Some(match answer {
@@ -528,6 +538,16 @@ impl Line {
                 let searched = waits && matches!(job, Job::Gap(_));
                 let sign = if sign == Sign::Answer && !searched { Sign::Request } else { sign };
                 Heard::OtherMaster { address, sign }
+            }
+            Err(Judged::Own(sign)) => {
+                self.returns |= at <= self.known_at;
+                match timing.state {
+                    // Nothing of its own has been sent.
+                    State::Listening(_) => Heard::OtherMaster { address: *address, sign },
+                    _ if !self.echo && !self.returns => Heard::OtherMaster { address: *address, sign },
+                    State::Waiting => Heard::Unrelated(Unrelated::Kind, None),
+                    _ => Heard::Unrelated(Unrelated::Late, None),
+                }
             }
             Err(Judged::Unrelated(why, from)) if waits => Heard::Unrelated(why, from),
             Err(Judged::Unrelated(_, from)) => Heard::Unrelated(Unrelated::Late, from),
@@ -557,6 +577,8 @@ impl Timing {
 }
 
 enum Judged {
+    /// With the own address as its sender: from an adapter that returns it, or of a master with the same address.
+    Own(Sign),
     Unrelated(Unrelated, Option<u8>),
     OtherMaster(u8, Sign),
 }
@@ -569,7 +591,7 @@ impl Expected {
         let function = fc.0 & !STATION;
         if fc.0 & REQUEST != 0 {
             return Err(match sa == own {
-                true => Judged::Unrelated(Unrelated::Kind, None),
+                true => Judged::Own(Sign::Request),
                 false => Judged::OtherMaster(sa, Sign::Request),
             });
         }

@@ -38,6 +38,8 @@ pub(super) enum Note {
     NotReady,
     /// Its watchdog is not on although it was set.
     Unwatched,
+    /// The wire is never silent for long enough to be claimed, and what is received on it is no telegram.
+    Noisy,
 }
 
 const _: () = assert!(AtomicCell::<Note>::is_lock_free());
@@ -60,15 +62,17 @@ pub(super) struct WireNotes {
 #[derive(Debug)]
 struct Shared {
     device: String,
+    /// The address of this master.
+    own: u8,
     drives: Vec<(Known, AtomicCell<Note>)>,
-    /// That of the wire: another master has it, or none.
-    other: AtomicCell<Note>,
+    /// That of the wire: another master has it, it is noisy, or none.
+    wire: AtomicCell<Note>,
 }
 
 impl WireNotes {
-    pub(super) fn new(device: &str, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
+    pub(super) fn new(device: &str, own: u8, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
         let drives = drives.into_iter().map(|known| (known, AtomicCell::default())).collect();
-        let shared = Shared { device: device.to_owned(), drives, other: AtomicCell::default() };
+        let shared = Shared { device: device.to_owned(), own, drives, wire: AtomicCell::default() };
         WireNotes { shared: Arc::new(shared), port }
     }
 
@@ -86,7 +90,13 @@ impl WireNotes {
 
     /// Another master is on the wire, or not any more.
     pub(super) fn set_other(&self, master: Option<u8>) {
-        self.shared.other.store(master.map_or(Note::None, Note::Locked));
+        self.shared.wire.store(master.map_or(Note::None, Note::Locked));
+    }
+
+    /// The wire is never silent for long enough to be claimed.
+    pub(super) fn set_noisy(&self) {
+        // Another master says more.
+        let _ = self.shared.wire.compare_exchange(Note::None, Note::Noisy);
     }
 }
 
@@ -96,14 +106,24 @@ impl bus::Notes for WireNotes {
             return Some(note);
         }
         let device = &self.shared.device;
-        if let Note::Locked(master) = self.shared.other.load() {
-            return Some(format!(
-                "another master, address {master}, sends on {device}: end it, or look where the cable leads"
-            ));
+        match self.shared.wire.load() {
+            Note::Locked(master) => {
+                let own = if master == self.shared.own { " as this one" } else { "" };
+                return Some(format!(
+                    "another master, address {master}{own}, sends on {device}: end it, or look where the cable leads"
+                ));
+            }
+            Note::Noisy => {
+                return Some(format!(
+                    "the wire at {device} is not silent, and what is received on it is no telegram: look at the \
+                     rate, at termination and shield"
+                ));
+            }
+            _ => {}
         }
         let (Known { address, ident, configuration }, place) = self.shared.drives.get(index)?;
         Some(match place.load() {
-            Note::None | Note::Unwatched => return None,
+            Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(
                 "nobody answers at address {address} on {device}: look at its power, its cable and terminators, its \
                  address and the rate"

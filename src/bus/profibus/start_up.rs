@@ -101,9 +101,10 @@ impl StartUp {
         self.is_due
     }
 
-    /// Why the drive does not exchange data.
-    pub(super) fn note(&self) -> Note {
-        self.note
+    /// Why the drive does not exchange data; `None`: its diagnosis is to say so first.
+    pub(super) fn note(&self) -> Option<Note> {
+        let asks = self.step == Step::Check && matches!(self.note, Note::Refused { .. });
+        (!asks).then_some(self.note)
     }
 
     /// The service of the next step, and its data.

@@ -206,8 +206,8 @@ impl Station {
         self.was_answered
     }
 
-    /// Why it is not in Data_Exchange.
-    pub(super) fn note(&self) -> Note {
+    /// Why it is not in Data_Exchange, unless its diagnosis is to say so first.
+    pub(super) fn note(&self) -> Option<Note> {
         self.start_up.note()
     }
 

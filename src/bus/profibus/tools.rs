@@ -48,7 +48,8 @@ struct Scan {
     /// The rate of the wire, bit/s.
     #[arg(long, value_name = "BITS", default_value_t = ProfibusPlan::RATE, value_parser = rate)]
     rate: u32,
-    /// The own address: no station is looked for there. 0 is that of a programming device.
+    /// The own address: no station is looked for there. 0 is that of a programming device. Not that of a master that
+    /// has died while its drives turn: a diagnosis from there feeds their watchdogs.
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=i64::from(ADDRESS_MAX)))]
     address: u8,
     /// What the port adds before a byte is read, ms: an answer is waited for so much longer.
@@ -88,7 +89,7 @@ impl Scan {
 
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let (device, plan) = (&self.device, self.plan());
-        let _lock = Place::Port(device).lock().map_err(|why| Stop::failed(format!("{device} {why}")))?;
+        let _lock = Place::Port(device).lock().map_err(|why| Stop::usage(format!("{device} {why}")))?;
         let cannot = |error| Stop::usage(format!("cannot use {device}: {error}"));
         let mut port = Os::default().serial(device, &plan.line()).map_err(cannot)?;
         let mut wait = |fd, most_ns| {

@@ -22,7 +22,7 @@ pub struct List {
     /// For a LinMot: list only parameters whose value in flash is not the default, with that value.
     #[arg(long)]
     modified: bool,
-    /// For a LinMot, a MOONS' or a drive on EtherCAT: also read the current value of each.
+    /// For a LinMot, a MOONS', a Lenze or a drive on EtherCAT: also read the current value of each.
     #[arg(long, conflicts_with = "modified")]
     values: bool,
     /// Begin with this parameter of a LinMot [default: 0x0000], or this object of a drive on EtherCAT [default:

@@ -135,7 +135,7 @@ const DRIVE: [Field<DriveEnd>; 16] = [
     (Time, "drive_send_jitter_max", "The largest jitter of the requests.", |of| of.peaks.send_jitter.ns),
     (Time, "drive_value_age_max", LARGEST_AGE, |of| of.peaks.age.ns),
 ];
-const UNSENT: &str = "Requests not sent: refused by the operating system.";
+const UNSENT: &str = "Requests not sent: no connection, or refused by the operating system.";
 const SUSPECT: &str = "Replies that may belong to an earlier request.";
 const REJECTED: &str = "Malformed and unmatched datagrams from its address.";
 const INHIBITED: &str = "1 while the hardware enable (STO) is missing.";

@@ -216,6 +216,55 @@ fn tokens_of_noise_are_counted_and_stop_nobody() {
 }
 
 #[test]
+fn another_master_with_the_own_address_is_one_too() {
+    let own_address = wire(1_500_000, 1).address;
+    // From the beginning: nothing is sent.
+    let mut m = Lenze::with(wire(1_500_000, 1), cycle(), |wire| {
+        wire.foreign = Some(ForeignSettings { every_ns: MS, ..ForeignSettings::new(own_address) });
+    });
+    m.sim.run(1_000);
+    assert_eq!(m.look(0, |drive, _| drive.events().diagnoses), 0, "not a word");
+    let note = m.note(0).expect("it is not in Data_Exchange");
+    assert!(note.contains(&format!("another master, address {own_address} as this one")), "{note}");
+
+    // Later: its token, and a Data_Exchange that would turn the motor.
+    let go = [0x03, own_address, 0x7D, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x7F, 0x20, 0];
+    let mut telegram = vec![0x68, 15, 15, 0x68];
+    telegram.extend(go);
+    telegram.extend([go.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte)), 0x16]);
+    for telegrams in [ForeignSettings::new(own_address).telegrams, vec![telegram]] {
+        let foreign = ForeignSettings {
+            after_ns: 5 * S,
+            every_ns: 10_300_000,
+            telegrams,
+            ..ForeignSettings::new(own_address)
+        };
+        let mut m = Lenze::with(wire(1_500_000, 1), cycle(), |wire| {
+            wire.foreign = Some(foreign);
+        });
+        m.ready();
+        m.post(0, jog(8.0));
+        m.turns(0, 8.0);
+        m.until("its stop", 6_000, |sim| sim.feedback(0).stopped.is_some());
+        assert!(matches!(m.feedback(0).stopped, Some(StopCause::OtherMaster)), "{:?}", m.feedback(0).stopped);
+    }
+}
+
+#[test]
+fn a_wire_that_is_never_silent_is_named() {
+    let mut bus = wire(1_500_000, 1);
+    // The claim takes ten slot times.
+    bus.bits.latency_ns = 3 * MS;
+    bus.drives[0].axis.divisor = 16;
+    let mut m = Lenze::with(bus, cycle(), |wire| {
+        wire.noise = Some(NoiseSettings { seed: 5, every_ns: 2 * MS, bytes: 8 });
+    });
+    m.sim.run(4_000);
+    let note = m.note(0).expect("it is not in Data_Exchange");
+    assert!(note.contains(PORT) && note.contains("is not silent"), "{note}");
+}
+
+#[test]
 fn noise_costs_exchanges_and_no_more() {
     let mut bus = wire(1_500_000, 2);
     bus.drives.iter_mut().for_each(|drive| drive.axis.health.bucket = 20);
@@ -252,4 +301,17 @@ fn the_own_echo_is_skipped() {
     for c in counters {
         assert!(c.missed == 0 && c.malformed == 0 && own(&c, Own::Noise) == 0, "{c:?}");
     }
+}
+
+#[test]
+fn an_echo_that_nobody_has_announced_is_no_other_master() {
+    let mut m = Lenze::with(wire(1_500_000, 2), cycle(), |wire| wire.echo = true);
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    m.sim.run(5_000);
+    assert_eq!((m.feedback(0).stopped, m.note(0)), (None, None));
+    let counters = m.finish();
+    assert!(own(&counters[0], Own::WrongAnswer) > 1_000, "they come back: {counters:?}");
+    assert!(counters.iter().all(|c| own(c, Own::SecondMaster) == 0), "{counters:?}");
 }

@@ -1,5 +1,7 @@
 //! What is wrong with a drive is reported by name, and disturbs nobody else.
 
+use std::collections::BTreeSet;
+
 use fieldbeat::axis::{Command, Link, Outcome, State};
 use fieldbeat::sim::profibus::{LenzeSettings, UserPrm};
 use fieldbeat::time::{MS, S};
@@ -14,9 +16,14 @@ fn refused(change: impl FnOnce(&mut LenzeSettings)) -> String {
     m.done(1, Command::Enable);
     m.post(1, jog(8.0));
     m.turns(1, 8.0);
-    m.sim.run(2_000);
+    let mut notes = BTreeSet::new();
+    for _ in 0..2_000 {
+        m.sim.run(1);
+        notes.extend(m.note(0));
+    }
     assert_ne!(m.feedback(0).link, Link::Online);
     let note = m.note(0).expect("it is not in Data_Exchange");
+    assert_eq!(Vec::from_iter(notes), [note.as_str()], "the same each time");
     assert_eq!(m.note(1), None);
     let counters = m.finish();
     assert_eq!((counters[0].answered, counters[1].missed), (0, 0), "{counters:?}");

@@ -319,3 +319,34 @@ fn any_bytes_at_any_time_are_taken() {
         }
     }
 }
+
+#[test]
+fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what_is_sent() {
+    let other = |sign| Some(Heard::OtherMaster { address: 2, sign });
+    // Before its first telegram, nothing of its own can come back.
+    for echo in [false, true] {
+        let mut rig = Rig::new(|plan| plan.echo = echo);
+        rig.arrive(&TOKEN);
+        assert_eq!(rig.heard(), other(Sign::Token));
+    }
+
+    // The adapter has returned nothing for a second.
+    let mut rig = Rig::up(|_| ());
+    rig.now = rig.now + 2_000 * MS;
+    rig.request();
+    for (bytes, sign) in [(&REQUEST[..], Sign::Request), (&TOKEN, Sign::Token)] {
+        rig.arrive(bytes);
+        assert_eq!(rig.heard(), other(sign));
+    }
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+
+    // It has returned one: it returns others, early or late.
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.arrive(&TOKEN);
+    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Kind, None)));
+    rig.now = rig.now + 2_000 * MS;
+    rig.arrive(&TOKEN);
+    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Kind, None)));
+}

@@ -171,7 +171,7 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
     let disturbance = match now.reply {
         // Probes of an absent drive are no news.
         Reply::Missed if before.link != Link::Lost && before.link != Link::Unseen => disturbance("no reply"),
-        Reply::Unsent => disturbance("not sent: refused by the operating system"),
+        Reply::Unsent => disturbance("not sent: no connection, or refused by the operating system"),
         Reply::Suspect => disturbance("the reply may belong to an earlier request"),
         _ => None,
     };
