@@ -62,6 +62,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
+    /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to the begin
+    /// of its request, ns: all turns before its own. By default to its end.
+    fn request_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
+        self.turn_within_ns(index, grid)
+    }
+
     /// On a half-duplex wire: why its turns do not fit onto the grid, each with the index of its axis.
     fn turn_faults(&self, _grid: Grid) -> Vec<(usize, PlanFault)> {
         Vec::new()

@@ -30,6 +30,10 @@ macro_rules! forward_bus_plan {
             self.$field.turn_within_ns(index, grid)
         }
 
+        fn request_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64> {
+            self.$field.request_within_ns(index, grid)
+        }
+
         fn before_stop(&self, index: usize) -> u32 {
             self.$field.before_stop(index)
         }

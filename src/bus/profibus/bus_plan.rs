@@ -45,6 +45,10 @@ impl BusPlan for ProfibusPlan {
         Some(self.turn_within(index, grid))
     }
 
+    fn request_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
+        Some(self.request_within(index, grid))
+    }
+
     fn turn_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
         self.schedule_faults(grid)
     }
