@@ -40,6 +40,7 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             }
         }
         lines.extend(own);
+        lines.extend(bus.describe_turns(plan.cycle.grid()));
         lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
     lines.push(

@@ -66,6 +66,14 @@ macro_rules! forward_bus_plan {
             self.$field.notation()
         }
 
+        fn wire_us(&self) -> Option<usize> {
+            self.$field.wire_us()
+        }
+
+        fn describe_turns(&self, grid: fieldbeat::bus::Grid) -> Option<String> {
+            self.$field.describe_turns(grid)
+        }
+
         fn own_counters(&self) -> &'static [fieldbeat::internals::bus::OwnCounter] {
             self.$field.own_counters()
         }

@@ -4,7 +4,7 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 
 use super::bus::ProfibusBus;
-use super::counters::OWN;
+use super::counters::{OWN, Own};
 use super::notation::Codes;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::profile;
@@ -53,6 +53,10 @@ impl BusPlan for ProfibusPlan {
         self.schedule_faults(grid)
     }
 
+    fn describe_turns(&self, grid: Grid) -> Option<String> {
+        Some(self.describe_round(grid))
+    }
+
     fn before_stop(&self, _index: usize) -> u32 {
         // A telegram that is repeated stays what it is, and what is new in it would be ignored.
         1
@@ -77,6 +81,10 @@ impl BusPlan for ProfibusPlan {
 
     fn own_counters(&self) -> &'static [OwnCounter] {
         &OWN
+    }
+
+    fn wire_us(&self) -> Option<usize> {
+        Some(Own::WireUs as usize)
     }
 
     fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {

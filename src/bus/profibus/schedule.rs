@@ -249,6 +249,19 @@ impl ProfibusPlan {
         faster.into_iter().find(at)
     }
 
+    /// The bus load, percent: by the exchanges of a round, and with its room.
+    pub(super) fn loads(&self, grid: Grid) -> [f64; 2] {
+        let divisor = |drive: &LenzeDrive| u64::from(drive.axis.divisor.max(1));
+        let cycles = self.drives.iter().map(divisor).max().unwrap_or(1);
+        let round_ns = (cycles * grid.period_ns.max(1)) as f64;
+        let turns =
+            self.drives.iter().enumerate().map(|(index, drive)| {
+                self.usual_turn_ns(index) as f64 * cycles as f64 / divisor(drive) as f64
+            });
+        let (usual, room) = (turns.sum::<f64>(), self.room_ns(grid));
+        [usual, usual + (room.before + room.more) as f64].map(|ns| 100.0 * ns / round_ns)
+    }
+
     /// Lays the turns on the grid, round after round, each of them with its room at its begin.
     fn lay(&self, grid: Grid) -> Result<(), Late> {
         let divisors = || self.drives.iter().map(|drive| u64::from(drive.axis.divisor.max(1)));
