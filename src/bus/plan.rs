@@ -62,6 +62,17 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
+    /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to the begin
+    /// of its request, ns: all turns before its own. By default to its end.
+    fn request_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
+        self.turn_within_ns(index, grid)
+    }
+
+    /// On a half-duplex wire: what `check` prints of its turns on the grid, in one line.
+    fn describe_turns(&self, _grid: Grid) -> Option<String> {
+        None
+    }
+
     /// On a half-duplex wire: why its turns do not fit onto the grid, each with the index of its axis.
     fn turn_faults(&self, _grid: Grid) -> Vec<(usize, PlanFault)> {
         Vec::new()
@@ -107,6 +118,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     #[doc(hidden)]
     fn own_counters(&self) -> &'static [OwnCounter] {
         &[]
+    }
+
+    /// Which of `Counters::own` is the time that the telegrams of a drive took on a half-duplex wire, µs.
+    #[doc(hidden)]
+    fn wire_us(&self) -> Option<usize> {
+        None
     }
 
     /// The names of the fault codes of its drives.

@@ -40,6 +40,7 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             }
         }
         lines.extend(own);
+        lines.extend(bus.describe_turns(plan.cycle.grid()));
         lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
     lines.push(
@@ -180,8 +181,8 @@ fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
         |cycles| format!("{} ({})", count(cycles, "cycle"), Ns(period_ns.saturating_mul(cycles as u64)));
     match drive.pace {
         Pace::Cycle | Pace::Connection(_) => every,
-        Pace::HalfDuplex(0) => format!("{every}, over in the cycle in which it is due"),
-        Pace::HalfDuplex(late) => {
+        Pace::HalfDuplex(_, 0) => format!("{every}, over in the cycle in which it is due"),
+        Pace::HalfDuplex(_, late) => {
             format!("{every}, over {} later at most: its turn on the wire", cycles(late as usize))
         }
         Pace::OwnClock(fresh) => {
@@ -308,7 +309,7 @@ mod tests {
         let own_clock = ", whatever its link; a packet of its own clock counts for 30 cycles (30 ms)";
         assert_eq!(says(Pace::OwnClock(30)), format!("{every}{own_clock}"));
         let turn = ", over 1 cycle (1 ms) later at most: its turn on the wire";
-        assert_eq!(says(Pace::HalfDuplex(1)), format!("{every}{turn}"));
-        assert_eq!(says(Pace::HalfDuplex(0)), format!("{every}, over in the cycle in which it is due"));
+        assert_eq!(says(Pace::HalfDuplex(0, 1)), format!("{every}{turn}"));
+        assert_eq!(says(Pace::HalfDuplex(0, 0)), format!("{every}, over in the cycle in which it is due"));
     }
 }

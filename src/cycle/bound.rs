@@ -13,9 +13,9 @@ pub enum Pace {
     /// On a connection: a reply counts for so many cycles after the one that requested it, and the next request waits
     /// for it.
     Connection(u64),
-    /// On a half-duplex wire: an exchange ends so many cycles after the one in which it was due, at the latest. Its
-    /// request leaves by then, and the next one waits for it.
-    HalfDuplex(u64),
+    /// On a half-duplex wire: so many cycles after the one in which it was due the request of an exchange leaves, and
+    /// the exchange is over, at the latest. The next request waits for that.
+    HalfDuplex(u64, u64),
     /// The drive sends by its own clock: a packet counts for so many cycles. Requests leave at the agreed rate only.
     OwnClock(u64),
 }
@@ -37,7 +37,9 @@ impl<'a> Paced<'a> {
         let (period_ns, grid) = (cycle.period_ns.max(1), cycle.grid());
         let behind = |within_ns: u64| grid.cycles_behind(within_ns);
         let connection = bus.reply_within_ns(index).map(|ns| Pace::Connection(behind(ns)));
-        let half_duplex = bus.turn_within_ns(index, grid).map(|ns| Pace::HalfDuplex(behind(ns)));
+        let half_duplex = bus.request_within_ns(index, grid).zip(bus.turn_within_ns(index, grid));
+        let half_duplex = half_duplex
+            .map(|(request, end)| Pace::HalfDuplex(grid.in_window(request) / period_ns, behind(end)));
         // Its age counts from a packet that may have come in the window, to a later grid point.
         let own_clock =
             bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
@@ -52,7 +54,7 @@ impl<'a> Paced<'a> {
     /// The most cycles between two exchanges: one that has not ended is waited for, and the next one has its turn then.
     fn turn(&self) -> u64 {
         let open = match self.pace {
-            Pace::Connection(cycles) | Pace::HalfDuplex(cycles) => cycles,
+            Pace::Connection(cycles) | Pace::HalfDuplex(_, cycles) => cycles,
             Pace::Cycle | Pace::OwnClock(_) => 0,
         };
         (open / self.divisor()).saturating_add(1).saturating_mul(self.divisor())
@@ -63,13 +65,13 @@ impl<'a> Paced<'a> {
     fn late(&self) -> u64 {
         match self.pace {
             Pace::Cycle => 0,
-            Pace::Connection(cycles) | Pace::HalfDuplex(cycles) | Pace::OwnClock(cycles) => cycles,
+            Pace::Connection(cycles) | Pace::HalfDuplex(_, cycles) | Pace::OwnClock(cycles) => cycles,
         }
     }
 
     /// The most cycles from the slot of an exchange until its request is on the wire.
     fn queued(&self) -> u64 {
-        if let Pace::HalfDuplex(cycles) = self.pace { cycles } else { 0 }
+        if let Pace::HalfDuplex(cycles, _) = self.pace { cycles } else { 0 }
     }
 
     /// The most cycles from the last good exchange to the one that is known to fill the bucket.
@@ -78,12 +80,24 @@ impl<'a> Paced<'a> {
         self.divisor().saturating_add(misses).saturating_add(self.late())
     }
 
+    /// The most cycles from the loss to the next turn of `other`. On a half-duplex wire an exchange that is missed began
+    /// in an own slot, and divisors and phases say which slots of `other` follow.
+    fn turn_of(&self, other: &Paced<'_>) -> u64 {
+        let Pace::HalfDuplex(_, late) = self.pace else { return other.turn() };
+        let slot = |of: &Paced<'_>, count: u64| u64::from(of.axis.phase) + count * of.divisor();
+        let since = |count: u64| {
+            let lost = slot(self, count) + late + other.divisor();
+            lost.saturating_sub(slot(other, 0)) % other.divisor()
+        };
+        other.turn() - (0..other.divisor()).map(since).min().unwrap_or(0)
+    }
+
     /// The most cycles from the loss to the stop request on the wire.
     fn stops(&self) -> u64 {
         let next = if let Pace::OwnClock(_) = self.pace { self.divisor() } else { 1 };
         // A repetition in progress holds up no stop of a drive that is lost: it has failed, and the request behind it
         // is new to the drive, whatever that has received.
-        let ahead = if let Pace::HalfDuplex(_) = self.pace { 0 } else { self.ahead_of_stop() };
+        let ahead = if let Pace::HalfDuplex(..) = self.pace { 0 } else { self.ahead_of_stop() };
         next.saturating_add(self.queued()).saturating_add(ahead)
     }
 
@@ -142,7 +156,7 @@ pub fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
 pub fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
     let others = group(drive, all).filter(|one| one.axis.name != drive.axis.name);
     let others = others
-        .map(|one| one.turn().saturating_add(one.queued()).saturating_add(one.ahead_of_stop()))
+        .map(|one| drive.turn_of(one).saturating_add(one.queued()).saturating_add(one.ahead_of_stop()))
         .max()
         .unwrap_or(0);
     drive.filled().saturating_add(others.max(drive.stops()))
@@ -184,12 +198,22 @@ mod tests {
         // Each miss is known 5 cycles later, and the next request waits for that.
         assert_eq!(bound_of(Pace::Connection(5), Pace::Cycle), [4 + 2 * 8 + 5 + 2, 4 + 2 * 8 + 5 + 1]);
         // The stop waits for its turn as well.
-        assert_eq!(bound_of(Pace::HalfDuplex(5), Pace::Cycle), [4 + 2 * 8 + 5 + 6, 4 + 2 * 8 + 5 + 6]);
-        assert_eq!(bound_of(Pace::Cycle, Pace::HalfDuplex(5)), [4 + 2 * 4 + 6 + 5, 4 + 2 * 4 + 1]);
+        let turn = Pace::HalfDuplex(3, 5);
+        assert_eq!(bound_of(turn, Pace::Cycle), [4 + 2 * 8 + 5 + 4, 4 + 2 * 8 + 5 + 4]);
+        assert_eq!(bound_of(Pace::Cycle, turn), [4 + 2 * 4 + 6 + 3, 4 + 2 * 4 + 1]);
         // What a drive of the group is sent counts with its next new request; what the lost one is sent is new.
-        let of = |axis, before_stop| Paced { axis, pace: Pace::HalfDuplex(0), before_stop };
+        let of = |axis, before_stop| Paced { axis, pace: Pace::HalfDuplex(0, 0), before_stop };
         let all = [of(&x, 1), of(&y, 1), of(&alone, 1)];
         assert_eq!([bound(&all[0], &all), bound(&all[2], &all)], [4 + 2 * 4 + 2 + 2, 4 + 2 * 4 + 1]);
+        // The miss is known 5 cycles behind a slot of 4: in one of the next two, and y has slots in each second one.
+        let y = axis("y", 2, Some(1));
+        for (phase, next) in [(0, 1), (1, 2)] {
+            let (mut x, mut y) = (axis("x", 8, Some(1)), y.clone());
+            (x.phase, y.phase) = (0, phase);
+            let of = |axis, late| Paced { axis, pace: Pace::HalfDuplex(0, late), before_stop: 0 };
+            let all = [of(&x, 5), of(&y, 1)];
+            assert_eq!(bound(&all[0], &all), 8 + 2 * 8 + 5 + next, "{phase}");
+        }
         // The last packet counts for 7 cycles, and the stop leaves in the next own slot.
         assert_eq!(bound_of(Pace::OwnClock(7), Pace::Cycle), [4 + 2 * 4 + 7 + 4, 4 + 2 * 4 + 7 + 4]);
     }

@@ -224,6 +224,10 @@ fn the_turns_are_laid_on_the_grid_of_the_cycle() {
     let wire = "  wire: 12000000 bit/s, 8E1, this master at address 2: a telegram at a time, the adapter switches its \
                 direction; slot time 83.334 us (1000 bits), MaxTsdr 800 bits, one repetition at most";
     assert!(describe(&plan).iter().any(|line| line == wire), "{:#?}", describe(&plan));
+    // 4 x 107.9 us of each ms; with Set_Prm that is not answered within its slot time, 14 bytes of 11 bits and 1000.
+    let turns = "  turns: 4000 exchanges/s, where 8000 would begin inside the windows; bus load 43.2 %, 53.4 % in a \
+                 round with a slot time, a repetition and an acyclic telegram";
+    assert!(describe(&plan).iter().any(|line| line == turns), "{:#?}", describe(&plan));
     // A plan that was built in code is refused by the same words.
     let mut drives: Vec<LenzeDrive> =
         (0..4).map(|index| LenzeDrive::new(format!("l{index}"), 3 + index)).collect();

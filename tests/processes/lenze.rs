@@ -84,6 +84,8 @@ fn two_drives_come_online_whoever_is_there_first_and_the_run_says_what_the_wire_
     let _sim = simulation(&wire.config);
     let summary = end_once_online(master).expect(0).json();
     assert_sums(&summary);
+    let load = summary["buses"][0]["load_percent"].as_f64().unwrap();
+    assert!(load > 0.0 && load < 100.0, "{summary}");
     for name in ["infeed", "outfeed"] {
         let drive = drive(&summary, name);
         assert_eq!((&drive["protocol"], &drive["losses"]), (&"profibus-dp".into(), &0.into()), "{drive}");

@@ -30,6 +30,10 @@ macro_rules! forward_bus_plan {
             self.$field.turn_within_ns(index, grid)
         }
 
+        fn request_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64> {
+            self.$field.request_within_ns(index, grid)
+        }
+
         fn before_stop(&self, index: usize) -> u32 {
             self.$field.before_stop(index)
         }
@@ -60,6 +64,14 @@ macro_rules! forward_bus_plan {
 
         fn notation(&self) -> std::sync::Arc<dyn fieldbeat::internals::axis::acyclic::Notation> {
             self.$field.notation()
+        }
+
+        fn wire_us(&self) -> Option<usize> {
+            self.$field.wire_us()
+        }
+
+        fn describe_turns(&self, grid: fieldbeat::bus::Grid) -> Option<String> {
+            self.$field.describe_turns(grid)
         }
 
         fn own_counters(&self) -> &'static [fieldbeat::internals::bus::OwnCounter] {

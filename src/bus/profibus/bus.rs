@@ -243,8 +243,8 @@ impl ProfibusBus {
             self.notes.set(index.into(), note);
         }
         if station.exchanges() && station.starts() {
-            // Its outputs count from the next Global_Control on.
-            (self.operates, self.control_at) = (true, Time(0));
+            // Its outputs count from the next Global_Control on, which waits for the others that are due.
+            (self.operates, self.control_at) = (true, self.grid);
         }
     }
 

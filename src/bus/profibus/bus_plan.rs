@@ -4,7 +4,7 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 
 use super::bus::ProfibusBus;
-use super::counters::OWN;
+use super::counters::{OWN, Own};
 use super::notation::Codes;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::profile;
@@ -45,8 +45,16 @@ impl BusPlan for ProfibusPlan {
         Some(self.turn_within(index, grid))
     }
 
+    fn request_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
+        Some(self.request_within(index, grid))
+    }
+
     fn turn_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
         self.schedule_faults(grid)
+    }
+
+    fn describe_turns(&self, grid: Grid) -> Option<String> {
+        Some(self.describe_round(grid))
     }
 
     fn before_stop(&self, _index: usize) -> u32 {
@@ -73,6 +81,10 @@ impl BusPlan for ProfibusPlan {
 
     fn own_counters(&self) -> &'static [OwnCounter] {
         &OWN
+    }
+
+    fn wire_us(&self) -> Option<usize> {
+        Some(Own::WireUs as usize)
     }
 
     fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {

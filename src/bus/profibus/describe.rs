@@ -1,7 +1,8 @@
 //! What `check` says of a drive on a PROFIBUS wire.
 
 use super::plan::{CHANNEL, DriveProfile, LenzeDrive, ParameterPath, ProfibusPlan, Rs485};
-use crate::time::Ns;
+use crate::bus::Grid;
+use crate::time::{Ns, S};
 
 impl ProfibusPlan {
     /// Drive `index` beyond its axis; the first line is its address.
@@ -49,6 +50,18 @@ impl ProfibusPlan {
                 1 => "one repetition".to_owned(),
                 retries => format!("{retries} repetitions"),
             },
+        )
+    }
+
+    /// Its turns on the grid.
+    pub(super) fn describe_round(&self, grid: Grid) -> String {
+        let every_ns = |drive: &LenzeDrive| grid.period_ns as f64 * f64::from(drive.axis.divisor);
+        let planned: f64 = self.drives.iter().map(|drive| S as f64 / every_ns(drive)).sum();
+        let [usual, worst] = self.loads(grid);
+        format!(
+            "  turns: {planned:.0} exchanges/s, where {} would begin inside the windows; bus load {usual:.1} %, {worst:.1} % \
+             in a round with a slot time, a repetition and an acyclic telegram",
+            self.exchanges_within(S, grid),
         )
     }
 

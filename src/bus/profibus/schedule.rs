@@ -120,7 +120,17 @@ impl ProfibusPlan {
     /// From the slot in which an exchange of drive `index` is due to its end, at most: what the master sends itself,
     /// the turns of all the others and its own, each with all its repetitions, one of them acyclic.
     pub(super) fn turn_within(&self, index: usize, grid: Grid) -> u64 {
-        let (behind, ahead) = self.drives.split_at_checked(index + 1).unwrap_or_default();
+        self.turns_within(index, true, grid)
+    }
+
+    /// The same to the begin of its request.
+    pub(super) fn request_within(&self, index: usize, grid: Grid) -> u64 {
+        self.turns_within(index, false, grid)
+    }
+
+    /// The turns before that of drive `index`, and its `own`.
+    fn turns_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
+        let Some((behind, ahead)) = self.drives.split_at_checked(index + 1) else { return 0 };
         let tries = 1 + usize::from(self.retries);
         let mut turns: Vec<(u64, u64)> = (ahead.iter().chain(behind))
             .map(|drive| {
@@ -128,17 +138,29 @@ impl ProfibusPlan {
                 (once, self.acyclic_more_ns(drive, once))
             })
             .collect();
-        if let Some((once, more)) = turns.iter_mut().max_by_key(|(_, more)| *more) {
+        let count = turns.len() - usize::from(!own);
+        if let Some((once, more)) = turns[..count].iter_mut().max_by_key(|(_, more)| *more) {
             *once += *more;
         }
         let begins = |free: u64, took: u64| grid.in_window(free).saturating_add(took);
-        let with_control = |place: usize| {
-            turns.iter().enumerate().fold(self.left_over_ns(grid), |free, (at, (once, _))| {
-                let free = if at == place { begins(free, self.control_ns()) } else { free };
-                (0..tries).fold(free, |free, _| begins(free, *once))
-            })
+        // With Global_Control before the turn at `place`; those of so many drives.
+        let with_control = |place: usize, count: usize| {
+            let control = |free, at| if at == place { begins(free, self.control_ns()) } else { free };
+            let turns = turns.iter().take(count).enumerate();
+            let free = turns.fold(self.left_over_ns(grid), |free, (at, (once, _))| {
+                (0..tries).fold(control(free, at), |free, _| begins(free, *once))
+            });
+            control(free, count)
         };
-        let once = (0..turns.len()).map(with_control).max().unwrap_or(0);
+        // Global_Control leaves when no drive waits any more, or when it is late by its own period. It is ahead of no
+        // drive where that comes in each round.
+        let divisor = self.drives.iter().map(|drive| drive.axis.divisor).min().unwrap_or(1);
+        let all = with_control(usize::MAX, turns.len());
+        let catches_up = grid.in_window(all) < grid.period_ns.saturating_mul(divisor.into());
+        if catches_up && 2 * all < self.global_control_ns {
+            return with_control(usize::MAX, count);
+        }
+        let once = (0..turns.len()).map(|place| with_control(place, count)).max().unwrap_or(0);
         // Where turns are long, it is due more than once.
         once + once / self.global_control_ns.max(1) * grid.period_ns.max(self.control_ns())
     }
@@ -225,6 +247,19 @@ impl ProfibusPlan {
             ProfibusPlan { rate: *rate, bits, ..self.clone() }.lay(grid).is_ok()
         };
         faster.into_iter().find(at)
+    }
+
+    /// The bus load, percent: by the exchanges of a round, and with its room.
+    pub(super) fn loads(&self, grid: Grid) -> [f64; 2] {
+        let divisor = |drive: &LenzeDrive| u64::from(drive.axis.divisor.max(1));
+        let cycles = self.drives.iter().map(divisor).max().unwrap_or(1);
+        let round_ns = (cycles * grid.period_ns.max(1)) as f64;
+        let turns =
+            self.drives.iter().enumerate().map(|(index, drive)| {
+                self.usual_turn_ns(index) as f64 * cycles as f64 / divisor(drive) as f64
+            });
+        let (usual, room) = (turns.sum::<f64>(), self.room_ns(grid));
+        [usual, usual + (room.before + room.more) as f64].map(|ns| 100.0 * ns / round_ns)
     }
 
     /// Lays the turns on the grid, round after round, each of them with its room at its begin.

@@ -15,7 +15,7 @@ use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
 use crate::rt::host;
 use crate::telemetry::histograms::{DriveHistograms, Quantity};
-use crate::telemetry::summary::Found;
+use crate::telemetry::summary::{Found, loads};
 use crate::telemetry::{Histograms, Measured, Monitor};
 use crate::time::{MS, S, US};
 
@@ -57,6 +57,10 @@ impl Collector for Machine {
         sheet.numbers(&CONNECTION, connected.map(|(_, drive)| drive))?;
         sheet.monitored(plan, drives)?;
         sheet.numbers(&BUS, buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus)))?;
+        let loads = buses.iter().zip(loads(plan, &numbers));
+        let loads = loads.filter_map(|((name, _), percent)| Some(([("bus", name.as_str())], percent?)));
+        let help = ("bus_load_percent", "Load of the bus by the telegrams of its drives, since the start.");
+        sheet.family(help, None, MetricType::Gauge, loads, |to, percent| to.encode_gauge(&percent))?;
         sheet.numbers(&DEVICE, devices.iter().map(|device| ([("device", device.name.as_str())], device)))?;
         sheet.device_protocols(devices)?;
         let clocks = buses.iter().zip(clocks);

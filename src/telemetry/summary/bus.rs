@@ -5,6 +5,8 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::bus::BusClock;
+use crate::cycle::Plan;
+use crate::cycle::status::{DriveEnd, Numbers};
 use crate::time::{Ns, three_digits};
 
 /// One bus.
@@ -18,8 +20,24 @@ pub struct Bus {
     pub dropped: u64,
     /// Errors of the receiving socket.
     pub receive_errors: u64,
+    /// The bus load, percent: the time that the telegrams of its drives took there, of all slots so far; null:
+    /// it is no half-duplex wire, or no slot has passed.
+    pub load_percent: Option<f64>,
     /// Its clock and the grid; null: it has no clock.
     pub clock: Option<ClockNumbers>,
+}
+
+/// The load of each bus, percent.
+pub fn loads(plan: &Plan, numbers: &Numbers) -> Vec<Option<f64>> {
+    let slots_us = (numbers.status.planned * plan.cycle.period_ns) as f64 / 1e3;
+    let mut drives = numbers.drives.iter();
+    let buses = plan.buses.iter().map(|bus| (bus.wire_us(), bus.axes().len()));
+    let load = |(wire_us, count): (Option<usize>, usize)| {
+        let of_drive = |drive: &DriveEnd| wire_us.map(|wire_us| drive.counters.own[wire_us]);
+        let all_us: Option<u64> = drives.by_ref().take(count).map(of_drive).sum();
+        all_us.filter(|_| wire_us.is_some() && slots_us > 0.0).map(|us| 100.0 * us as f64 / slots_us)
+    };
+    buses.map(load).collect()
 }
 
 /// The clock of a bus relative to the grid.

@@ -9,6 +9,7 @@ mod text;
 
 use serde::Serialize;
 
+pub(super) use self::bus::loads;
 pub use self::bus::{Bus, ClockNumbers};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
 pub use self::drive::{Drive, Variable};
@@ -173,12 +174,13 @@ impl Summary {
             .collect();
         let leads = |bus: &str| plan.cycle.reference.as_deref() == Some(bus);
         let clocks = numbers.clocks.iter().copied().chain(std::iter::repeat(None));
-        let buses = (numbers.buses.iter().zip(clocks))
-            .map(|((name, unmatched), clock)| Bus {
+        let buses = (numbers.buses.iter().zip(clocks).zip(loads(plan, numbers)))
+            .map(|(((name, unmatched), clock), load_percent)| Bus {
                 name: name.clone(),
                 unmatched: unmatched.datagrams,
                 dropped: unmatched.dropped,
                 receive_errors: unmatched.errors,
+                load_percent,
                 clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
             })
             .collect();

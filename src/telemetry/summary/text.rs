@@ -100,6 +100,11 @@ impl Summary {
                 )?;
             }
         }
+        for Bus { name, load_percent, .. } in &self.buses {
+            if let Some(percent) = load_percent {
+                writeln!(f, "bus {name}: bus load {percent:.1} %")?;
+            }
+        }
         // The clock that leads the grid is with the loop.
         for bus in &self.buses {
             if let Some(clock) = bus.clock.as_ref().filter(|clock| !clock.leads) {

@@ -1,12 +1,12 @@
 //! As many exchanges as the formula has: whole turns that begin inside the windows, each as long as rate, bytes,
 //! MaxTsdr and idle time make it.
 
-use fieldbeat::CyclePlan;
-use fieldbeat::bus::Grid;
 use fieldbeat::bus::profibus::ProfibusPlan;
+use fieldbeat::bus::{BusPlan, Grid};
 use fieldbeat::internals::bus::profibus::counters::Own;
-use fieldbeat::telemetry::Counters;
+use fieldbeat::telemetry::{Counters, Summary};
 use fieldbeat::time::{MS, S, US};
+use fieldbeat::{CyclePlan, Granted, Plan};
 
 use super::{Lenze, cycle, own, wire};
 
@@ -63,4 +63,22 @@ fn a_wire_carries_the_exchanges_that_the_formula_allows() {
         let idle_ns = bus.line().bits_ns(bus.bits.idle.into());
         assert_eq!(wire_us / measured, (bus.usual_turn_ns(0) - idle_ns) / US, "{rate}: us of an exchange");
     }
+}
+
+#[test]
+fn the_summary_states_the_bus_load() {
+    let (mut m, bus) = full(12_000_000, 9, &cycle());
+    m.online();
+    m.sim.run(3_000);
+    let measured = m.sim.measured().clone();
+    let numbers = m.sim.finish();
+    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(bus)];
+    let plan = Plan { source: None, cycle: cycle(), buses, groups: Vec::new() };
+    let granted = Granted { policy: "", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
+    let summary = Summary::of(&plan, &numbers, &measured, &granted, None);
+    // Eight exchanges of 105 us in each cycle, behind a start-up with less.
+    let json = serde_json::to_value(&summary).unwrap();
+    let load = json["buses"][0]["load_percent"].as_f64().unwrap();
+    assert!(load > 75.0 && load < 84.0, "{load}");
+    assert!(summary.to_string().contains(&format!("\nbus profibus-dp: bus load {load:.1} %\n")), "{summary}");
 }

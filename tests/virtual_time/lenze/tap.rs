@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use fieldbeat::bus::profibus::Bits;
 use fieldbeat::internals::net::SerialLine;
 use fieldbeat::sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SerialWire, SimSerial};
@@ -26,6 +27,12 @@ pub struct Shared {
     pub spoil: [u32; 2],
     /// Of each two answers in turn it loses the first one, so that each request is repeated.
     pub flaky: bool,
+    /// It answers as late as it may, and breaks its answers to a request that was repeated less often than so.
+    pub slow: Option<u8>,
+    /// Its last request, and how often that was repeated.
+    request: (Vec<u8>, u8),
+    /// So much later than by itself it answers, if it is slow.
+    late_ns: u64,
     /// It answers Data_Exchange with its last answer to one, and takes nothing of it.
     pub frozen: bool,
     /// That answer begins then.
@@ -64,6 +71,11 @@ impl SimSerial for Tap {
         let shared = &mut *shared;
         let is_own = matches!(bytes, [0x68, _, _, _, da, _, fc, ..]
             if da & 0x7F == shared.address && fc & REQUEST != 0);
+        if is_own {
+            let again = shared.request.0 == bytes;
+            let repeated = if again { shared.request.1.saturating_add(1) } else { 0 };
+            shared.request = (bytes.to_vec(), repeated);
+        }
         if is_own && let Some(requests) = &mut shared.requests {
             requests.push((now, bytes.to_vec()));
         }
@@ -84,7 +96,9 @@ impl SimSerial for Tap {
 
     fn next_due(&self) -> Option<Time> {
         let shared = self.lock();
-        [shared.drive.next_due(), shared.due].into_iter().flatten().min()
+        let late_ns = if shared.slow.is_some() { shared.late_ns } else { 0 };
+        let by_itself = shared.drive.next_due().map(|due| due + late_ns);
+        [by_itself, shared.due].into_iter().flatten().min()
     }
 
     fn run(&mut self, now: Time, out: &mut Vec<u8>) {
@@ -102,9 +116,10 @@ impl SimSerial for Tap {
             shared.answer = out[begin..].to_vec();
         }
         shared.odd = !shared.odd;
+        let breaks = shared.slow.is_some_and(|whole_from| shared.request.1 < whole_from);
         if shared.unplugged || shared.flaky && shared.odd || take(&mut shared.lose[1]) {
             out.truncate(begin);
-        } else if take(&mut shared.spoil[1]) {
+        } else if breaks || take(&mut shared.spoil[1]) {
             let middle = (begin + out.len()) / 2;
             out[middle] ^= 0x10;
         }
@@ -163,6 +178,8 @@ pub struct TapWire {
 impl TapWire {
     pub fn new(segment: ProfibusSegment) -> TapWire {
         let line = segment.wire().line;
+        let max_tsdr = Bits::usual(line.rate).max_tsdr;
+        let late_ns = line.bits_ns(max_tsdr.into()) - line.bits_ns(MIN_TSDR);
         let drive = |settings: &LenzeSettings| {
             Tap(Arc::new(Mutex::new(Shared {
                 drive: LenzeSim::new(settings, line),
@@ -171,6 +188,9 @@ impl TapWire {
                 lose: [0; 2],
                 spoil: [0; 2],
                 flaky: false,
+                slow: None,
+                request: (Vec::new(), 0),
+                late_ns,
                 frozen: false,
                 due: None,
                 answer: Vec::new(),

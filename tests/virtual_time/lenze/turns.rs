@@ -8,6 +8,11 @@ use fieldbeat::time::MS;
 
 use super::{Lenze, PROFILE, cycle, own, wire};
 
+/// A count of the actual value, revolutions/s: 1500 rpm are 16384.
+const COUNT: f64 = 25.0 / 16_384.0;
+/// Below 1/256 of its full speed a motor does not turn, for its master.
+const TURNS_FROM: f64 = 64.0 * COUNT;
+
 pub const STOP: Command = Command::Stop { deceleration: None };
 
 pub fn jog(velocity: f64) -> Command {
@@ -28,7 +33,10 @@ fn two_drives_come_into_data_exchange_turn_and_stop() {
     m.turns(1, -4.0);
     for index in [0, 1] {
         m.done(index, STOP);
-        assert!(m.speed(index).abs() < 0.1, "{}", m.speed(index));
+        assert!(m.speed(index).abs() < TURNS_FROM, "{}", m.speed(index));
+        // What is left of the speed behind the ramp goes down to a 14th in 10 ms: the motor's controller has 30 Hz.
+        m.sim.run(20);
+        assert!(m.speed(index).abs() < COUNT, "{}", m.speed(index));
         m.done(index, Command::Disable);
         assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));
     }
@@ -93,7 +101,7 @@ fn the_end_leaves_the_drives_cleared_unlocked_and_off() {
         m.sim.step();
     }
     for index in [0, 1] {
-        assert!(m.speed(index).abs() < 0.1, "{}", m.speed(index));
+        assert_eq!(m.speed(index), 0.0);
         assert_eq!(m.look(index, |drive, _| drive.dp_state()), (DpState::WaitPrm, None));
         assert_eq!(m.look(index, |drive, _| drive.axis_state()), State::SwitchOnDisabled);
         assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));

@@ -123,6 +123,31 @@ fn the_longest_wait_is_that_for_all_others_with_their_repetitions() {
 }
 
 #[test]
+fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
+    let mut plan = wire(1_500_000, 2);
+    let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);
+    let (once, control) = (42.0 * byte + 183.0 * bit, 13.0 * byte + 150.0 * bit);
+    let within = |plan: &ProfibusPlan| [plan.request_within(1, WIDE), plan.turn_within(1, WIDE)];
+    let close = |within: [u64; 2], expected: [f64; 2]| {
+        let is_close = within.iter().zip(expected).all(|(ns, expected)| (*ns as f64 - expected).abs() < 10.0);
+        assert!(is_close, "{within:?}, {expected:?}");
+    };
+    (plan.token, plan.gap) = (false, None);
+    // Two tries begin in a window. In each cycle there is no room for both drives with all their repetitions, and
+    // Global_Control may come between them.
+    close(within(&plan), [1e6 + control, 1e6 + control + 2.0 * once]);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.divisor = 3);
+    close(within(&plan), [2.0 * once, 1e6 + 2.0 * once]);
+    // One that is due so often becomes late, and comes more than once.
+    plan.global_control_ns = 2 * MS;
+    close(within(&plan), [1e6 + control, 2e6 + control + 2.0 * once]);
+    // Alone on its wire it follows the own telegrams of the master only.
+    let mut plan = wire(500_000, 1);
+    plan.drives[0].axis.divisor = 3;
+    assert_eq!((plan.request_within(0, USUAL), plan.request_within(1, USUAL)), (32 * US, 0));
+}
+
+#[test]
 fn a_watchdog_outlasts_the_wait_for_a_turn() {
     let mut plan = every(2, wire(1_500_000, 2));
     plan.drives[0].watchdog.timeout_ns = Some(10 * MS);
