@@ -7,8 +7,8 @@
 //!
 //! Both read CLOCK_MONOTONIC right after an absolute `clock_nanosleep`; cyclictest tells every single latency in ns
 //! (`-v -N`), so that nothing is rounded or cut off. A slot that was passed over counts as a late wake-up, as in the
-//! loop's own telemetry. cyclictest passes over slots too but does not tell of them: they follow from the latency before
-//! them, and are added here.
+//! loop's own telemetry. cyclictest passes over slots too but does not tell of them: they follow from the latency
+//! before them, and are added here.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
