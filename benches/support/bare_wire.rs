@@ -44,6 +44,8 @@ pub struct BareWire {
     phase: u32,
     next: usize,
     sent: Time,
+    /// The last request is not answered.
+    owes: bool,
     answer: [u8; MAX],
     filled: usize,
     /// The wire is idle for so long before each request.
@@ -75,6 +77,7 @@ impl BareWire {
             phase: 0,
             next: 0,
             sent: Time(0),
+            owes: false,
             answer: [0; MAX],
             filled: 0,
             idle_ns: plan.line().bits_ns(plan.bits.idle.max(plan.bits.sync).into()),
@@ -88,9 +91,9 @@ impl BareWire {
         Rc::clone(&self.port)
     }
 
-    /// Drops what came too late, and sends the first request of this slot. How many drives are due in it.
+    /// Sends the first request of this slot, behind an answer that came too late. How many drives are due in it.
     pub fn begin(&mut self, phase: u32) -> io::Result<usize> {
-        while self.read()? {
+        while self.owes && self.read()? {
             self.filled = 0;
         }
         (self.phase, self.next) = (phase, 0);
@@ -114,6 +117,7 @@ impl BareWire {
         while MonotonicClock::read() < self.free_at {
             std::hint::spin_loop();
         }
+        self.owes = true;
         self.sent = MonotonicClock::read();
         (&*self.port).write_all(request)
     }
@@ -126,6 +130,7 @@ impl BareWire {
             return Ok(None);
         }
         let at = MonotonicClock::read();
+        self.owes = false;
         self.free_at = at + self.idle_ns;
         Ok(Some((at, at.since(self.sent))))
     }
