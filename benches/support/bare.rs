@@ -199,7 +199,7 @@ impl Duel<'_> {
 /// The least that any master has to do: sleep until the grid point, drop what came too late, `send` to each drive that
 /// is due, then `ppoll` and `recv` until all have answered or nine tenths of the period are over. It sends the bytes
 /// that the loop sends to a drive in operation, looks at none of the replies', and judges nothing. On a PROFIBUS wire
-/// the next request follows an answer after the idle time.
+/// it waits for an answer until the slot time is over, and the next request follows after the idle time.
 struct BareLoop {
     wait: Wait,
     period_ns: u64,
@@ -361,7 +361,9 @@ impl BareLoop {
         let (mut now, mut last) = (woke, woke);
         while linmots_left + unidrives_left + segments_left + turns_left > 0 && now < deadline {
             if self.wait == Wait::Poll {
-                let rest = deadline.since(MonotonicClock::read());
+                let begin = MonotonicClock::read();
+                let overdue_at = self.wire.as_ref().and_then(|wire| wire.overdue_at(begin));
+                let rest = overdue_at.map_or(deadline, |at| at.min(deadline)).since(begin);
                 let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
                 ppoll(&mut set, Some(timeout), None)?;
             }

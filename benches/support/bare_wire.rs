@@ -44,8 +44,9 @@ pub struct BareWire {
     phase: u32,
     next: usize,
     sent: Time,
-    /// The last request is not answered.
+    /// The last request is not answered; its slot time is over so long after it was sent.
     owes: bool,
+    within_ns: u64,
     answer: [u8; MAX],
     filled: usize,
     /// The wire is idle for so long before each request.
@@ -71,19 +72,29 @@ impl BareWire {
             let request = tap.requests.get(&drive.address).ok_or(ErrorKind::NotFound)?;
             Ok((drive.axis.phase, request.clone()))
         });
+        let requests: Vec<_> = requests.collect::<io::Result<_>>()?;
+        let longest = requests.iter().map(|(_, request)| request.len()).max().unwrap_or(0);
+        let within_ns = plan.line().span_ns(longest) + plan.slot_ns();
         Ok(BareWire {
             port: Rc::new(port),
-            requests: requests.collect::<io::Result<_>>()?,
+            requests,
             phase: 0,
             next: 0,
             sent: Time(0),
             owes: false,
+            within_ns,
             answer: [0; MAX],
             filled: 0,
             idle_ns: plan.line().bits_ns(plan.bits.idle.max(plan.bits.sync).into()),
             free_at: Time(0),
             _rig: rig,
         })
+    }
+
+    /// Until when the slot time of the last request lasts; `None`: it is answered, or that is over.
+    pub fn overdue_at(&self, now: Time) -> Option<Time> {
+        let at = self.sent + self.within_ns;
+        (self.owes && now < at).then_some(at)
     }
 
     /// Its port.
