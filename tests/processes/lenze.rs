@@ -145,7 +145,7 @@ fn codes_are_read_and_written_by_a_master_of_its_own_and_through_the_one_that_ru
             let read = does("get", &format!("{name} C0061"));
             assert!(read.expect(0).out.contains("430000 (0x68FB0) = 43.0000 °C"), "{read:?}");
             assert!(does("list", name).expect(0).out.contains("C0039/2"));
-            does("set", &format!("{name} C0061 1")).refused(&[name, "what the drive only reports"]);
+            does("set", &format!("{name} C0061 1")).refused(&[name, "the drive only reports this"]);
             does("get", &format!("{name} 12.5")).refused(&[name, "not an address of this drive"]);
         }
     };

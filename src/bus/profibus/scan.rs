@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use super::line::{Answer, Expected, Heard, Instead, Job, Line, Ready};
 use super::plan::ProfibusPlan;
-use super::wire::dp::{Diagnosis, DiagnosisStatus};
+use super::wire::dp::Diagnosis;
 use super::wire::sap::Service;
 use super::wire::telegram::STATION_MAX;
 use crate::net::{Broken, Serial};
@@ -33,23 +33,15 @@ const FIRST: (bool, bool) = (true, false);
 pub(super) struct Found {
     /// Its address.
     pub(super) address: u8,
-    /// Its diagnosis; `None`: it has not answered, or not with one.
-    pub(super) diagnosis: Option<Seen>,
+    /// The data of its diagnosis, if it has answered with one.
+    pub(super) data: Vec<u8>,
 }
 
-/// What a slave says of itself.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Seen {
-    /// Its state.
-    pub(super) status: DiagnosisStatus,
-    /// The master that has parametrised it.
-    pub(super) master: Option<u8>,
-    /// Its ident number.
-    pub(super) ident: u16,
-    /// Its extended diagnosis.
-    pub(super) extended: Vec<u8>,
-    /// The DRIVECOM fault code in it.
-    pub(super) fault: Option<u16>,
+impl Found {
+    /// What it says of itself; `None`: it has not answered, or not with a diagnosis.
+    pub(super) fn diagnosis(&self) -> Option<Diagnosis<'_>> {
+        Diagnosis::parse(&self.data)
+    }
 }
 
 /// Why a scan did not complete.
@@ -99,7 +91,7 @@ pub(super) fn scan(
         for address in (0..=plan.highest_address.min(STATION_MAX)).filter(|own| *own != plan.address) {
             let known = scan.found.iter().any(|found| found.address == address);
             if !known && scan.ask(port, wait, Question::Status(address))? {
-                scan.found.push(Found { address, diagnosis: None });
+                scan.found.push(Found { address, data: Vec::new() });
                 scan.ask(port, wait, Question::Diagnosis(address))?;
             }
         }
@@ -210,9 +202,9 @@ impl Scan {
                     Heard::OtherMaster { address, .. } => return Err(ScanError::OtherMaster(address)),
                     Heard::Answer(Job::Drive(address), answer) => {
                         answered = true;
-                        let seen = seen(answer);
-                        if let Some(found) = self.found.iter_mut().find(|found| found.address == address) {
-                            found.diagnosis = seen;
+                        let found = self.found.iter_mut().find(|found| found.address == address);
+                        if let (Some(found), Answer::Data { data, .. }) = (found, answer) {
+                            found.data = data.to_vec();
                         }
                     }
                     Heard::Answer(..) => answered = true,
@@ -224,22 +216,11 @@ impl Scan {
     }
 }
 
-fn seen(answer: Answer<'_>) -> Option<Seen> {
-    let Answer::Data { data, .. } = answer else { return None };
-    let diagnosis = Diagnosis::parse(data)?;
-    Some(Seen {
-        status: diagnosis.status,
-        master: diagnosis.master,
-        ident: diagnosis.ident,
-        extended: diagnosis.extended.to_vec(),
-        fault: diagnosis.fault(),
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::bus::profibus::LenzeDrive;
+    use crate::bus::profibus::wire::dp::DiagnosisStatus;
     use crate::net::Carriers;
     use crate::sim::profibus::{ForeignSettings, ProfibusSegment};
     use crate::sim::{SimPlan, World, WorldOptions};
@@ -268,7 +249,7 @@ mod tests {
         let found = scanned(|segment| segment.drives[1].ident = 0x1234).unwrap();
         let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
         assert_eq!(addresses, [3, 9]);
-        let seen: Vec<_> = found.into_iter().map(|found| found.diagnosis.unwrap()).collect();
+        let seen: Vec<_> = found.iter().map(|found| found.diagnosis().unwrap()).collect();
         assert_eq!((seen[0].ident, seen[1].ident), (LenzeDrive::IDENT, 0x1234));
         for seen in &seen {
             assert!(seen.status.has(DiagnosisStatus::PRM_REQ), "{seen:?}");

@@ -10,8 +10,8 @@ use serde_json::{Value, json};
 
 use super::check::{LATENCY_MAX_NS, rates};
 use super::plan::{ADDRESS_MAX, Bits, ProfibusPlan, RATES, Rs485};
-use super::scan::{Found, ScanError, Seen, scan};
-use super::wire::dp::DiagnosisStatus;
+use super::scan::{Found, ScanError, scan};
+use super::wire::dp::{Diagnosis, DiagnosisStatus};
 use crate::bus::tools::{Program, Stop, Tool, arguments, table};
 use crate::net::{Carriers, Os, Place};
 use crate::rt::MonotonicClock;
@@ -127,7 +127,7 @@ fn text(found: &[Found]) -> String {
 fn row(found: &Found) -> [String; 5] {
     let none = || "-".to_owned();
     let address = found.address.to_string();
-    let Some(seen) = &found.diagnosis else {
+    let Some(seen) = found.diagnosis() else {
         return [address, none(), none(), none(), "answers without a diagnosis: no slave of DP".to_owned()];
     };
     let watchdog = if seen.status.has(DiagnosisStatus::WD_ON) { "on" } else { "off" };
@@ -136,32 +136,32 @@ fn row(found: &Found) -> [String; 5] {
         format!("{:#06x}", seen.ident),
         seen.master.map_or_else(none, |master| master.to_string()),
         watchdog.to_owned(),
-        state(seen),
+        state(&seen),
     ]
 }
 
 /// What its master, or whoever is to become it, has to know.
-fn state(seen: &Seen) -> String {
+fn state(seen: &Diagnosis<'_>) -> String {
     let status = seen.status.without(DiagnosisStatus::ALWAYS | DiagnosisStatus::WD_ON);
     let mut words: Vec<String> = status.names().map(str::to_owned).collect();
     if words.is_empty() {
         words.push("in operation".to_owned());
     }
-    words.extend(seen.fault.filter(|fault| *fault != 0).map(|fault| format!("fault {fault:#06x}")));
+    words.extend(seen.fault().filter(|fault| *fault != 0).map(|fault| format!("fault {fault:#06x}")));
     words.join(", ")
 }
 
 /// A station as JSON.
 fn object(found: &Found) -> Value {
-    let seen = found.diagnosis.as_ref();
+    let seen = found.diagnosis();
     json!({
         "address": found.address,
         "ident": seen.map(|seen| seen.ident),
         "master": seen.and_then(|seen| seen.master),
         "watchdog": seen.map(|seen| seen.status.has(DiagnosisStatus::WD_ON)),
         "status": seen.map(|seen| seen.status.names().collect::<Vec<_>>()),
-        "extended": seen.map(|seen| &seen.extended),
-        "fault": seen.and_then(|seen| seen.fault),
+        "extended": seen.map(|seen| seen.extended),
+        "fault": seen.and_then(|seen| seen.fault()),
     })
 }
 
@@ -171,15 +171,15 @@ mod tests {
 
     #[test]
     fn stations_stand_in_a_table_with_what_is_known_of_them() {
-        let seen =
-            |status, master| Seen { status, master, ident: 0x82, extended: vec![3, 0, 0], fault: Some(0) };
-        let waits = DiagnosisStatus(DiagnosisStatus::PRM_REQ | DiagnosisStatus::ALWAYS);
-        let runs = DiagnosisStatus(DiagnosisStatus::WD_ON | DiagnosisStatus::ALWAYS);
-        let found = [
-            Found { address: 3, diagnosis: Some(seen(waits, None)) },
-            Found { address: 14, diagnosis: Some(Seen { fault: Some(0x2310), ..seen(runs, Some(2)) }) },
-            Found { address: 126, diagnosis: None },
-        ];
+        let found = |address, status: u32, master, fault: u16| {
+            let status = [&status.to_le_bytes()[..3], &[master]].concat();
+            let data = [&status[..], &[0, 0x82, 3], &fault.to_be_bytes()].concat();
+            Found { address, data }
+        };
+        let waits = DiagnosisStatus::PRM_REQ | DiagnosisStatus::ALWAYS;
+        let runs = DiagnosisStatus::WD_ON | DiagnosisStatus::ALWAYS;
+        let silent = Found { address: 126, data: Vec::new() };
+        let found = [found(3, waits, 255, 0), found(14, runs, 2, 0x2310), silent];
         let lines: Vec<String> = text(&found).lines().map(str::to_owned).collect();
         let words = |row: usize| lines[row].split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(words(0), "address ident master watchdog state");
