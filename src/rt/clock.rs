@@ -32,6 +32,13 @@ impl PollSet {
         self.fds.extend(descriptors.into_iter().map(poll));
     }
 
+    /// The descriptor at this place is another one, or is not there.
+    pub fn replace(&mut self, place: usize, descriptor: Option<RawFd>) {
+        if let Some(poll) = self.fds.get_mut(place) {
+            poll.fd = descriptor.unwrap_or(-1);
+        }
+    }
+
     /// Whether the last wait found the descriptor at this place readable, or broken; true without a descriptor, of
     /// which it says nothing.
     pub fn is_readable(&self, place: usize) -> bool {
@@ -52,6 +59,17 @@ pub trait Clock: Send {
 
     /// One turn of a spinning wait: keeps the processor, lets no other thread run.
     fn spin(&mut self);
+
+    /// Spins until `at`; returns when that was noticed.
+    fn spin_until(&mut self, at: Time) -> Time {
+        loop {
+            let now = self.now();
+            if now >= at {
+                return now;
+            }
+            self.spin();
+        }
+    }
 
     /// For how long the computer was suspended since it was started, ns: at most that, and a little less when this
     /// thread is interrupted in between.
