@@ -30,6 +30,9 @@ const TOKENS: u8 = 2;
 const OTHER_GONE_NS: u64 = S;
 /// Cycles that the orderly end may wait for one telegram.
 const END_WITHIN: u32 = 100;
+/// After something that answers nothing, or a silent slot time, the wire is looked at before anything is sent, for so
+/// many cycles. Otherwise what arrives is seen with the next answer, which it cannot be taken for.
+const WATCHFUL: u16 = 1_000;
 
 /// A wire and its drives.
 pub(super) struct ProfibusBus {
@@ -56,6 +59,9 @@ pub(super) struct ProfibusBus {
     rounds: u32,
     gap_address: u8,
     highest: u8,
+    /// The wire is looked at before anything is sent: always, or in so many cycles more.
+    always_looks: bool,
+    watchful: u16,
     /// When the telegram under way began.
     began_at: Time,
     /// The slot of the grid.
@@ -139,6 +145,9 @@ impl ProfibusBus {
             rounds: 0,
             gap_address: plan.address,
             highest: plan.highest_address,
+            // What an adapter holds back, or returns, is no sign of what is on the wire.
+            always_looks: plan.echo || plan.bits.latency_ns > 0,
+            watchful: 0,
             began_at: Time(0),
             grid: Time(0),
             line: Line::new(plan),
@@ -159,7 +168,9 @@ impl ProfibusBus {
     /// Takes over a port that was opened.
     #[cold]
     fn opened(&mut self, now: Time) {
-        self.line.opened(now);
+        let is_timed = self.net.is_timed();
+        self.line.opened(now, is_timed);
+        self.always_looks |= !is_timed;
         if self.net.discard().is_err() {
             self.unmatched.errors += 1;
         }
@@ -180,6 +191,14 @@ impl ProfibusBus {
         (self.queued, self.starting, self.operates) = (0, 0, false);
         for (station, slot) in self.stations.iter_mut().zip(slots) {
             station.cut_off(slot);
+        }
+    }
+
+    /// Takes in what has arrived before something is sent, unless nothing is likely to have.
+    #[inline]
+    fn look(&mut self, slots: &mut [Slot]) {
+        if self.always_looks || self.watchful > 0 || !self.line.is_free() {
+            self.take_in(slots);
         }
     }
 
@@ -248,6 +267,7 @@ impl ProfibusBus {
     /// Something arrived that answers nothing. It counts for its sender, or for the drive whose turn was last.
     #[cold]
     fn unusual(&mut self, what: Unusual, slots: &mut [Slot]) {
+        self.watchful = WATCHFUL;
         let sender = |address: u8| self.stations.iter().position(|station| station.address() == address);
         let place = match what {
             Unusual::Telegram(_, Some(address)) => sender(address),
@@ -360,6 +380,7 @@ impl ProfibusBus {
             return false;
         }
         let Job::Drive(index) = job else { return true };
+        self.watchful = WATCHFUL;
         let place = usize::from(index);
         let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place)) else {
             return true;
@@ -539,7 +560,8 @@ impl Bus for ProfibusBus {
         if self.net.opened().is_some() {
             self.opened(cycle.grid);
         }
-        self.take_in(slots);
+        self.look(slots);
+        self.watchful = self.watchful.saturating_sub(1);
         let up = self.line.is_up();
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             // One that is queued stays so: here it is made sure of, after a panic in its turn for example.
@@ -572,7 +594,13 @@ impl Bus for ProfibusBus {
         self.line.look_at(self.queued != 0 || self.round_over)
     }
 
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
+        usize::from(waits.is_some_and(|slot| slot.exchange.is_waited_for(cycle)))
+    }
+
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
+        self.look(slots);
         self.go_on(cycle, now, slots);
     }
 

@@ -7,6 +7,10 @@
 //! Nothing is sent while something may still be on the wire: own bytes, those of an answer that is late or broken,
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
 //! counts until the wire was idle: what follows them may be the rest of the same one.
+//!
+//! What has arrived before the last byte of a request can have left is no answer to it: it was there before, or came
+//! into the request. After an answer to a request that was sent more than once, the slot time of the last one is waited
+//! out: a second answer is dropped, and is not taken for that to the next request.
 
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
@@ -148,7 +152,7 @@ struct Timing {
     state: State,
     /// Nothing counts until the wire was idle.
     garbled: bool,
-    /// The wire is free from then on.
+    /// The wire is free from then on; while an answer is waited for: the request has left by then.
     free_at: Time,
     /// The answer is overdue, or the rest of the telegram is to be sent.
     overdue_at: Time,
@@ -168,6 +172,10 @@ pub(super) struct Line {
     /// Its own address.
     address: u8,
     echo: bool,
+    /// Bytes come when they were on the wire, or later.
+    is_timed: bool,
+    /// What has arrived was there before the request had left.
+    early: bool,
     /// Bytes of the own telegram that the adapter still returns.
     echo_left: u16,
     /// Of the telegram: how long it is, and how much of it the driver has.
@@ -204,6 +212,8 @@ impl Line {
             retries: plan.retries,
             address: plan.address,
             echo: plan.echo,
+            is_timed: false,
+            early: false,
             echo_left: 0,
             length: 0,
             taken: 0,
@@ -223,8 +233,10 @@ impl Line {
         self.address
     }
 
-    /// The port was opened: nothing is sent before the wire was silent for long enough.
-    pub(super) fn opened(&mut self, now: Time) {
+    /// The port was opened: nothing is sent before the wire was silent for long enough. `is_timed`: its bytes take the
+    /// time of their bits.
+    pub(super) fn opened(&mut self, now: Time, is_timed: bool) {
+        self.is_timed = is_timed;
         (self.timing.state, self.filled, self.used) = (State::Listening(now), 0, 0);
         (self.timing.garbled, self.echo_left) = (false, 0);
     }
@@ -242,6 +254,21 @@ impl Line {
     /// Requests can be sent, or will be when the wire is free.
     pub(super) fn is_up(&self) -> bool {
         !matches!(self.timing.state, State::Closed | State::Listening(_) | State::Claiming(_))
+    }
+
+    /// Nothing is under way.
+    #[inline]
+    pub(super) fn is_free(&self) -> bool {
+        self.timing.state == State::Free
+    }
+
+    /// Whose answer is waited for.
+    #[inline]
+    pub(super) fn waits_for(&self) -> Option<u8> {
+        match self.job {
+            Job::Drive(index) if self.timing.state != State::Free => Some(index),
+            _ => None,
+        }
     }
 
     /// When it wants to be looked at again; `waits`: a telegram waits to be sent.
@@ -443,11 +470,17 @@ impl Line {
         if self.echo_left > 0 && self.is_echo() {
             return;
         }
-        if self.timing.state != State::Waiting && at > self.timing.free_at {
-            // The wire was idle before.
-            self.timing.garbled = false;
+        let Timing { state, free_at, garbled, idle_ns, .. } = &mut self.timing;
+        let waits = *state == State::Waiting;
+        self.early = waits && self.is_timed && at < *free_at;
+        if waits {
+            return;
         }
-        self.timing.free_at = self.timing.free_at.max(at + self.timing.idle_ns);
+        if at > *free_at {
+            // The wire was idle before.
+            *garbled = false;
+        }
+        *free_at = (*free_at).max(at + *idle_ns);
         if let State::Listening(since) = &mut self.timing.state {
             *since = at;
         }
@@ -473,8 +506,8 @@ impl Line {
     /// The next thing that has arrived by `at`; `None`: no more.
     #[inline]
     pub(super) fn heard(&mut self, at: Time) -> Option<Heard<'_>> {
-        let Line { timing, expected, inbox, used, filled, job, address, .. } = self;
-        let waits = timing.state == State::Waiting;
+        let Line { timing, expected, inbox, used, filled, job, address, early, .. } = self;
+        let waits = timing.state == State::Waiting && !*early;
         let bytes = inbox.get(usize::from(*used)..usize::from(*filled)).filter(|bytes| !bytes.is_empty())?;
         if timing.garbled {
             *used = *filled;
@@ -482,14 +515,20 @@ impl Line {
             return None;
         }
         let telegram = match Next::parse(bytes) {
+            Next::Incomplete { .. } if *early => {
+                *used = *filled;
+                return None;
+            }
             Next::Incomplete { at_least } => {
                 timing.put_off(at, self.line.span_ns(at_least));
                 return None;
             }
             Next::Malformed { why, .. } => {
                 *used = *filled;
-                timing.garbled = true;
-                timing.put_off(at, 0);
+                if !*early {
+                    timing.garbled = true;
+                    timing.put_off(at, 0);
+                }
                 return Some(Heard::Malformed { why, expected: waits });
             }
             Next::Telegram { telegram, size } => {
@@ -515,6 +554,10 @@ impl Line {
             Ok(_) if !waits => Heard::Unrelated(Unrelated::Late, Some(expected.da)),
             Ok(answer) => {
                 timing.state = State::Free;
+                timing.free_at = timing.free_at.max(at + timing.idle_ns);
+                if self.left < self.retries {
+                    timing.free_at = timing.free_at.max(timing.overdue_at);
+                }
                 Heard::Answer(*job, answer)
             }
         })

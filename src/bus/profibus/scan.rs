@@ -134,7 +134,7 @@ impl Scan {
             }
         }
         port.discard().map_err(|_| ScanError::Broken)?;
-        self.line.opened(self.now);
+        self.line.opened(self.now, port.is_timed());
         let begun = self.now;
         loop {
             self.take_in(port, wait)?;

@@ -23,7 +23,7 @@ impl Rig {
         let mut plan = ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![LenzeDrive::new("x", SLAVE)]);
         change(&mut plan);
         let mut rig = Rig { line: Line::new(&plan), now: Time(MS) };
-        rig.line.opened(rig.now);
+        rig.line.opened(rig.now, true);
         rig
     }
 
@@ -152,6 +152,52 @@ fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
 }
 
 #[test]
+fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    let leaves = rig.now + 154 * US;
+    for (after_us, bytes) in [(0, &REPLY[..]), (100, &REPLY[..9]), (153, &[0xFF, 0x33])] {
+        rig.now = leaves - 154 * US + after_us * US;
+        rig.arrive(bytes);
+        match after_us {
+            0 => assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE)))),
+            100 => {}
+            _ => assert!(matches!(rig.heard(), Some(Heard::Malformed { expected: false, .. }))),
+        }
+        assert_eq!(rig.heard(), None);
+    }
+    rig.now = leaves + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer(), "it is waited for all the same");
+    // Where the other end has all bytes at once, an answer may be there sooner.
+    rig.line.is_timed = false;
+    rig.idle();
+    rig.request();
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+}
+
+#[test]
+fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_next_one() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.idle();
+    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: false, .. }));
+    assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+    rig.send();
+    // The first answer, which is late, and the second, late by the same.
+    rig.now = rig.now + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+    rig.now = rig.now + 154 * US;
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE))));
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
+}
+
+#[test]
 fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle() {
     for (at, why) in
         [(0, "begins no telegram"), (1, "differ"), (3, "second"), (10, "check"), (20, "ends with")]
@@ -225,6 +271,7 @@ fn a_refusal_may_leave_out_the_access_points() {
     ] {
         assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))));
         rig.send();
+        rig.now = rig.now + 200 * US;
         rig.arrive(reply);
         assert_eq!(rig.heard(), Some(Heard::Answer(Job::Drive(3), answer)));
         rig.idle();
