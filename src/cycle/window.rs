@@ -155,9 +155,6 @@ impl Window {
         }
         let (mut left, mut poll_at) = self.all::<POLLS>();
         let owed = left;
-        if (left > 0 || poll_at < cycle.deadline) && self.wait == Wait::Poll {
-            self.poll_set.fill(buses.iter().map(|open| open.bus.fd()));
-        }
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
         while left > 0 || poll_at < cycle.deadline {
@@ -171,7 +168,7 @@ impl Window {
                 for (place, open) in buses.iter_mut().enumerate() {
                     if self.waits[place].poll_at <= now {
                         open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
-                        self.look::<POLLS>(place, open, cycle, slots);
+                        self.note::<POLLS>(place, open, cycle, slots);
                     }
                 }
                 (left, poll_at) = self.all::<POLLS>();
@@ -188,7 +185,10 @@ impl Window {
                     napped = true;
                     clock.sleep_until((now + self.nap_ns).min(cycle.deadline));
                 }
-                Wait::Poll => drop(clock.wait(&mut self.poll_set, poll_at.min(cycle.deadline))),
+                Wait::Poll => {
+                    self.poll_set.fill(buses.iter().map(|open| open.bus.fd()));
+                    clock.wait(&mut self.poll_set, poll_at.min(cycle.deadline));
+                }
             }
             // Replies that are in the sockets at the deadline still count. No bus is read that has nothing: the wait
             // says which have, and after a nap and at the deadline only missing replies are looked for.
@@ -201,7 +201,7 @@ impl Window {
                 };
                 if reads {
                     open.work(slots, |bus, slots| bus.receive(cycle, slots));
-                    self.look::<POLLS>(place, open, cycle, slots);
+                    self.note::<POLLS>(place, open, cycle, slots);
                 }
             }
             (left, poll_at) = self.all::<POLLS>();
@@ -212,13 +212,6 @@ impl Window {
                 return;
             }
         }
-    }
-
-    /// A call of the bus is over: notes what it waits for now, and on which descriptor.
-    #[inline]
-    fn look<const POLLS: bool>(&mut self, place: usize, open: &OpenBus, cycle: &Cycle, slots: &[Slot]) {
-        self.poll_set.replace(place, open.bus.fd());
-        self.note::<POLLS>(place, open, cycle, slots);
     }
 
     /// Notes what the bus waits for.

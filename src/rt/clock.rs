@@ -32,13 +32,6 @@ impl PollSet {
         self.fds.extend(descriptors.into_iter().map(poll));
     }
 
-    /// The descriptor at this place is another one, or is not there.
-    pub fn replace(&mut self, place: usize, descriptor: Option<RawFd>) {
-        if let Some(poll) = self.fds.get_mut(place) {
-            poll.fd = descriptor.unwrap_or(-1);
-        }
-    }
-
     /// Whether the last wait found the descriptor at this place readable, or broken; true without a descriptor, of
     /// which it says nothing.
     pub fn is_readable(&self, place: usize) -> bool {
