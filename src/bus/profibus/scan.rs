@@ -7,7 +7,7 @@ use std::os::fd::RawFd;
 
 use thiserror::Error;
 
-use super::line::{Answer, Expected, Heard, Instead, Job, Line, Ready};
+use super::line::{Answer, Expected, Heard, Instead, Job, Line, Other, Ready};
 use super::plan::ProfibusPlan;
 use super::wire::dp::{Diagnosis, DiagnosisStatus};
 use super::wire::sap::Service;
@@ -207,7 +207,9 @@ impl Scan {
             self.line.received(at, count);
             while let Some(heard) = self.line.heard(at) {
                 match heard {
-                    Heard::OtherMaster { address, .. } => return Err(ScanError::OtherMaster(address)),
+                    Heard::Other(Other::Master { address, .. }) => {
+                        return Err(ScanError::OtherMaster(address));
+                    }
                     Heard::Answer(Job::Drive(address), answer) => {
                         answered = true;
                         let seen = seen(answer);
@@ -216,7 +218,7 @@ impl Scan {
                         }
                     }
                     Heard::Answer(..) => answered = true,
-                    Heard::Malformed { .. } | Heard::Unrelated(..) => {}
+                    Heard::Other(_) => {}
                 }
             }
         }

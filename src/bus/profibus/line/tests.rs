@@ -86,7 +86,7 @@ fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
         rig.now = rig.now + silent - US;
         assert_eq!(rig.line.ready(rig.now), Ready::Wait);
         rig.arrive(&[0xDC, 9, 9]);
-        assert_eq!(rig.heard(), Some(Heard::OtherMaster { address: 9, is_token: true }));
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, is_token: true })));
         assert_eq!(rig.heard(), None);
     }
     rig.now = rig.now + silent;
@@ -146,7 +146,7 @@ fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
     assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: true, .. }));
     rig.now = rig.now + US;
     rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE))));
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
     assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
     assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
 }
@@ -160,9 +160,9 @@ fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
         rig.now = leaves - 154 * US + after_us * US;
         rig.arrive(bytes);
         match after_us {
-            0 => assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE)))),
+            0 => assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE))))),
             100 => {}
-            _ => assert!(matches!(rig.heard(), Some(Heard::Malformed { expected: false, .. }))),
+            _ => assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. })))),
         }
         assert_eq!(rig.heard(), None);
     }
@@ -192,7 +192,7 @@ fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_n
     rig.now = rig.now + 154 * US;
     assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
     rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE))));
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
     rig.idle();
     assert_eq!(rig.line.ready(rig.now), Ready::Free);
 }
@@ -208,7 +208,9 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
         broken[at] ^= 1;
         rig.now = rig.now + 350 * US;
         rig.arrive(&broken);
-        let Some(Heard::Malformed { why: found, expected: true }) = rig.heard() else { panic!("{at}") };
+        let Some(Heard::Other(Other::Malformed { why: found, expected: true })) = rig.heard() else {
+            panic!("{at}")
+        };
         assert!(found.to_string().contains(why), "{found}");
         // A rest that looks like an answer.
         rig.now = rig.now + 5 * US;
@@ -234,14 +236,14 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         bytes[19] = bytes[4..19].iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
         bytes
     };
-    let unrelated = |why, from| Some(Heard::Unrelated(why, from));
+    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
     for (bytes, heard) in [
         (frame(2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
         (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
         (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
-        (frame(7, 4, 0x7D), Some(Heard::OtherMaster { address: 4, is_token: false })),
-        (frame(2, 7, 0x38), Some(Heard::OtherMaster { address: 7, is_token: false })),
+        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, is_token: false }))),
+        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, is_token: false }))),
     ] {
         let mut rig = Rig::up(|_| ());
         rig.request();
@@ -293,7 +295,7 @@ fn the_own_telegram_is_skipped_where_the_adapter_returns_it() {
     let mut rig = Rig::up(|plan| plan.echo = true);
     rig.request();
     rig.arrive(&[0, 0, 0]);
-    assert!(matches!(rig.heard(), Some(Heard::Malformed { .. })));
+    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { .. }))));
 }
 
 #[test]
