@@ -1,7 +1,9 @@
 //! Wake-up latency of the loop, without a guard and with the automatic one, against `cyclictest` (rt-tests): same core,
 //! policy, priority and period, in turns.
 //!
-//! Ours is the real loop on a thread made by the real code, without a drive. Both read CLOCK_MONOTONIC right after an
+//! Ours is the real loop on a thread made by the real code, without a drive, and plain once more with a Lenze drive on a
+//! PROFIBUS wire of this host: the only bus that sends in the middle of a cycle, which must not move the next wake-up.
+//! Both read CLOCK_MONOTONIC right after an
 //! absolute `clock_nanosleep`; cyclictest tells every single latency in ns (`-v -N`), so that nothing is rounded or cut
 //! off. A slot that was passed over counts as a late wake-up, as in the loop's own telemetry. cyclictest passes over
 //! slots too but does not tell of them: they follow from the latency before them, and are added here.
@@ -17,6 +19,7 @@ use fieldbeat::internals::net::Os;
 use fieldbeat::time::{MS, Ns, S, US};
 use fieldbeat::{CyclePlan, Granted, Guard};
 use serde_json::json;
+use support::fleet::{Fleet, Side};
 use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Sample};
 use support::{Args, Report, Steal, in_turns, shown};
@@ -55,11 +58,16 @@ fn period(
     report: &mut Report,
 ) {
     let steal = Steal::begin();
-    let (mut plain, mut guarded, mut rival) = (Sample::default(), Sample::default(), Sample::default());
+    let [mut plain, mut guarded, mut with_wire, mut rival] = [const { Sample::new() }; 4];
     let mut slots = Slots::default();
-    in_turns(rounds, 3, |who| match who {
-        0 => plain.push(ours(period_ns, Guard::Off, slots_a_slice, &mut slots)),
-        1 => guarded.push(ours(period_ns, Guard::Auto, slots_a_slice, &mut slots)),
+    in_turns(rounds, 4, |who| match who {
+        0 => plain.push(ours(period_ns, Guard::Off, Fleet::NONE, slots_a_slice, &mut slots)),
+        1 => guarded.push(ours(period_ns, Guard::Auto, Fleet::NONE, slots_a_slice, &mut slots)),
+        2 => {
+            let fleet = Fleet::lenzes(1);
+            let _server = rig::serve(fleet.simulate(Side::Ours), granted);
+            with_wire.push(ours(period_ns, Guard::Off, fleet, slots_a_slice, &mut slots));
+        }
         _ if with_rival => match cyclictest(granted, period_ns, slots_a_slice) {
             Ok(slice) => rival.push(slice),
             Err(why) => println!("a slice without cyclictest: {why}"),
@@ -74,17 +82,23 @@ fn period(
         Ns(period_ns),
         shown(steal_ms)
     );
-    println!("  wake-up latency, ns   {:>24} {:>24} {:>24}", "plain", "guarded", "cyclictest");
+    println!(
+        "  wake-up latency, ns   {:>24} {:>24} {:>24} {:>24}",
+        "plain", "guarded", "plain with a wire", "cyclictest"
+    );
     for (name, q) in [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p99.9", 0.999)] {
-        let [a, b, c] = [&plain, &guarded, &rival].map(|sample| shown(sample.quantile(q)));
-        println!("  {name:20}  {a:>24} {b:>24} {c:>24}");
+        let [a, b, c, d] = [&plain, &guarded, &with_wire, &rival].map(|sample| shown(sample.quantile(q)));
+        println!("  {name:20}  {a:>24} {b:>24} {c:>24} {d:>24}");
     }
     let plain_p50 = plain.ratio(&rival, 0.5);
     let plain_p99 = plain.ratio(&rival, 0.99);
+    let wire_p50 = with_wire.ratio(&plain, 0.5);
+    let wire_p99 = with_wire.ratio(&plain, 0.99);
     let guarded_p50 = guarded.quantile(0.5);
     let guarded_p99 = guarded.ratio(&rival, 0.99);
     println!("  plain / cyclictest     p50 {}   p99 {}", shown(plain_p50), shown(plain_p99));
     println!("  guarded / cyclictest   p99 {}", shown(guarded_p99));
+    println!("  with a wire / plain    p50 {}   p99 {}", shown(wire_p50), shown(wire_p99));
 
     let name = Ns(period_ns);
     report.check(format!("{name}: planned = executed + skipped"), planned == executed + skipped);
@@ -101,6 +115,10 @@ fn period(
             "guarded_p50_ns_interval": ends(guarded_p50),
             "guarded_p99_ratio": value(guarded_p99),
             "guarded_p99_ratio_interval": ends(guarded_p99),
+            "with_wire_p50_ratio": value(wire_p50),
+            "with_wire_p50_ratio_interval": ends(wire_p50),
+            "with_wire_p99_ratio": value(wire_p99),
+            "with_wire_p99_ratio_interval": ends(wire_p99),
             "planned": planned,
             "executed": executed,
             "skipped": skipped,
@@ -110,14 +128,19 @@ fn period(
 }
 
 /// A slice of our loop: every slot's latency.
-fn ours(period_ns: u64, guard: Guard, slots: u64, counted: &mut Slots) -> Vec<u64> {
+fn ours(period_ns: u64, guard: Guard, fleet: Fleet, slots: u64, counted: &mut Slots) -> Vec<u64> {
     let slice = rig::on_loop_thread(|_| {
-        // The loop gives a slot up that begins later than half of the receive window, for the sake of its drives. There
-        // are none, and cyclictest gives up a slot only a whole period late; so does this one.
-        let cycle = CyclePlan { guard, receive_deadline: 1.99, ..rig::cycle(period_ns) };
+        // The loop gives a slot up that begins later than half of the receive window, for the sake of its drives. If
+        // there are none, this one gives up a slot only a whole period late, as cyclictest does.
+        let receive_deadline = if fleet == Fleet::NONE { 1.99 } else { 0.9 };
+        let cycle = CyclePlan { guard, receive_deadline, ..rig::cycle(period_ns) };
         let mut latencies = Vec::with_capacity(slots as usize + 64);
-        let mut rig = Rig::new(cycle, Vec::new(), Pace::Grid, &Os::default(), Calls::default());
-        while rig.status().executed + rig.status().skipped < slots {
+        let buses = fleet.buses(Side::Ours);
+        let mut rig = Rig::new(cycle, buses, Pace::Grid, &Os::default(), Calls::default());
+        rig.enable();
+        let passed = |rig: &Rig| rig.status().executed + rig.status().skipped;
+        let end = passed(&rig) + slots;
+        while passed(&rig) < end {
             rig.turn(|record| match record {
                 Record::Cycle(CycleRecord { wake_ns, .. }) => latencies.push(u64::from(wake_ns)),
                 Record::Skipped(SkippedRecord { count, late_ns, .. }) => {

@@ -6,8 +6,12 @@
 //! operation, in the same wait mode: every millisecond one of them has its exchange. Both stamp before the call that
 //! sends and after the one that receives, and the same bytes go both ways.
 //!
-//! A Kollmorgen drive stands on a line of its own on this host, `local:`: the bare loop sends the frame of ours again
-//! and again, with the index and the time of its own.
+//! A Kollmorgen drive stands on a segment of its own on this host, `local:`: the bare loop sends the frame of ours
+//! again and again, with the index and the time of its own.
+//!
+//! A Lenze drive stands on a PROFIBUS wire of its own on this host, at 12 Mbit/s: the bare loop writes the telegram of
+//! ours again and again, each time as a new one, and reads until the answer is whole. The wire takes the time of its
+//! bits.
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has
 //! its turns with ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a
@@ -24,7 +28,7 @@ mod support;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::internals::bus::{ethercat, modbus};
+use fieldbeat::internals::bus::{ethercat, modbus, profibus};
 use fieldbeat::internals::net::Os;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{MS, S, Time};
@@ -81,7 +85,8 @@ fn main() -> ExitCode {
     for (wait, _) in MODES {
         matches.push(Match::new("linudp-v2", Fleet::linmots(1), wait, Rival::Bare));
         matches.push(Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, Rival::Bare));
-        matches.push(Match::new(ethercat::PROTOCOL, Fleet::line(1), wait, Rival::Bare));
+        matches.push(Match::new(ethercat::PROTOCOL, Fleet::segment(1), wait, Rival::Bare));
+        matches.push(Match::new(profibus::PROTOCOL, Fleet::lenzes(1), wait, Rival::Bare));
         let with = libmodbus.as_ref().map(Rival::Libmodbus);
         matches.extend(with.map(|rival| Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, rival)));
     }
@@ -97,7 +102,7 @@ fn main() -> ExitCode {
 
     let steal_ms = steal.ms();
     let mut report = Report::default();
-    for protocol in ["linudp-v2", modbus::PROTOCOL, ethercat::PROTOCOL] {
+    for protocol in ["linudp-v2", modbus::PROTOCOL, ethercat::PROTOCOL, profibus::PROTOCOL] {
         println!(
             "\n{protocol}, 1 drive, an exchange a millisecond, {rounds} rounds, steal {} ms",
             shown(steal_ms)

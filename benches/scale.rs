@@ -4,8 +4,8 @@
 //!   cycle is everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare,
 //!   records and feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep
 //!   in between, where caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken
-//!   off. A line of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from memory
-//!   from then on.
+//!   off; so is what a PROFIBUS wire is waited for. A segment of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from
+//!   memory from then on.
 //! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with
 //!   the loop without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns:
@@ -13,19 +13,21 @@
 //! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as
 //!   in the next, in one cycle at 1 kHz: nothing planned is left out, each exchange is closed; and the same against a
 //!   bare loop.
-//! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in every
-//!   fourth, in one cycle at 1 kHz.
+//! - **All kinds together**: 32 LinMots and 8 Kollmorgens in every cycle, 32 MOONS' drives, 8 Unidrives and 4 Lenze
+//!   drives in every fourth, in one cycle at 1 kHz.
 //! - **MOONS' drives on sockets**: the send phase against a bare loop over the same bytes, and the age of feedback.
 //! - **Segments on a socket of this host**: what one of 16 drives and one of 8 drives, couplers and terminals take at
 //!   1 kHz, and one of drives against a bare loop over the same bytes.
+//! - **A wire on a port of this host**: what 4 Lenze drives at 12 Mbit/s take at 1 kHz, and against a bare loop over the
+//!   same bytes: the send phase, the time until done, processor time.
 //! - **The whole process**: processor time a cycle of all threads of a master at 1 kHz, by thread, against the bare
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
 //!   same.
 //! - With `--count`, in place of all that: **instructions a drive and cycle** of the loop without a socket, and its
-//!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a line
-//!   of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
+//!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a
+//!   segment of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -43,10 +45,12 @@ use fieldbeat::axis::{Acyclic, CallTicket};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
+use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
 use fieldbeat::internals::bus::linudp::upid;
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
+use fieldbeat::internals::bus::profibus::wire::telegram;
 use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::cycle::record::{DriveRecord, Record};
 use fieldbeat::internals::net::{
@@ -62,25 +66,26 @@ use support::budgets::{self, Budgets};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
-use support::lenze::{self, NullWires};
-use support::line::{self, NullLine, NullLines, Settled};
+use support::lenze::{self, NullSerial, NullWires};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
 use support::packets;
 use support::rig::{self, Calls, Pace, Rig};
+use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
 use support::{Args, Report, Steal, in_turns, shown, unidrive};
 
-/// Drives of the lines on sockets: alone, and against the bare loop.
-const LINE_ALONE: usize = 16;
-const LINE_DUEL: usize = 4;
+/// Drives of the segments on sockets: alone, and against the bare loop.
+const SEGMENT_ALONE: usize = 16;
+const SEGMENT_DUEL: usize = 4;
 
 /// Both kinds in one cycle.
 const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, ..Fleet::NONE };
 
-/// All kinds in one cycle: 32 LinMots and a line of 8 Kollmorgens in every cycle, 32 MOONS' drives and 8 Unidrives in
-/// every fourth.
-const ALL_KINDS: Fleet = Fleet { linmots: 32, unidrives: 8, every: 4, line: 8, moons: 32, ..Fleet::NONE };
+/// All kinds in one cycle: 32 LinMots and a segment of 8 Kollmorgens in every cycle, 32 MOONS' drives, 8 Unidrives and
+/// a wire of 4 Lenze drives in every fourth.
+const ALL_KINDS: Fleet =
+    Fleet { linmots: 32, unidrives: 8, every: 4, segment: 8, terminals: 0, moons: 32, lenzes: 4 };
 
 /// The drives of a machine among the couplers and terminals of one: 64 slaves, one frame.
 const DRIVES_OF_64: usize = 8;
@@ -115,18 +120,20 @@ fn main() -> ExitCode {
     let without = without_socket("LinMots", args.quick, drives, of(Fleet::linmots));
     let unidrives = without_socket("Unidrives", args.quick, drives, of(Fleet::unidrives));
     let moons = without_socket("MOONS' drives", args.quick, drives, of(Fleet::moons));
-    let lines: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
-    let mut standing = StandingLines::new(lines);
-    let in_lines = without_socket("drives of one line", args.quick, lines, |count, what, cycles| {
+    let segments: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
+    let mut standing = StandingSegments::new(segments);
+    let in_segments = without_socket("drives of one segment", args.quick, segments, |count, what, cycles| {
         standing.slice(count, what, cycles)
     });
     drop(standing);
+    let on_wires = without_socket("Lenze drives", args.quick, drives, slice_of_wires);
     let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &budgets, &mut report);
     let together = together(&granted, args.quick, &budgets, &mut report);
     let all_kinds = all_kinds(&granted, args.quick, &budgets, &mut report);
     let packets = packets_on_sockets(&granted, args.quick, &budgets, &mut report);
-    let lines_on_sockets = lines_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let segments_on_sockets = segments_on_sockets(&granted, args.quick, &budgets, &mut report);
+    let wire_on_port = wire_on_port(&granted, args.quick, &budgets, &mut report);
     let whole = whole_process(&granted, args.quick);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
@@ -153,9 +160,9 @@ fn main() -> ExitCode {
             "steal_ms": on.steal_ms,
         }));
     }
-    for (drives, without) in lines.iter().zip(in_lines) {
+    for (drives, without) in segments.iter().zip(in_segments) {
         report.append(json!({
-            "line_drives": drives,
+            "segment_drives": drives,
             "loop_ns": without.back_to_back.value,
             "loop_ns_interval": without.back_to_back.ends(),
             "loop_paced_ns": without.paced.value,
@@ -174,10 +181,21 @@ fn main() -> ExitCode {
             "carrier_ns": without.carrier,
         }));
     }
+    for (drives, without) in drives.iter().zip(on_wires) {
+        report.append(json!({
+            "lenze_drives": drives,
+            "loop_ns": without.back_to_back.value,
+            "loop_ns_interval": without.back_to_back.ends(),
+            "loop_paced_ns": without.paced.value,
+            "loop_paced_ns_interval": without.paced.ends(),
+            "carrier_ns": without.carrier,
+        }));
+    }
     report.append(together);
     report.append(all_kinds);
     report.append(packets);
-    lines_on_sockets.into_iter().for_each(|line| report.append(line));
+    segments_on_sockets.into_iter().for_each(|segment| report.append(segment));
+    wire_on_port.into_iter().for_each(|wire| report.append(wire));
     whole.into_iter().for_each(|whole| report.append(whole));
     report.finish(&args)
 }
@@ -186,8 +204,8 @@ fn main() -> ExitCode {
 const COMPARED: [usize; 4] = [1, 8, 64, 256];
 /// Cycles that are counted: each drive publishes its numbers in one of 64 of them.
 const COUNTED_CYCLES: u64 = 128;
-/// Drives that fit into the frame of one line.
-const LINE_MOST: usize = 64;
+/// Drives that fit into the frame of one segment.
+const SEGMENT_MOST: usize = 64;
 
 /// What is counted in place of being measured. At 64 drives the first-level misses are of interest, at 256 the
 /// second-level ones.
@@ -199,24 +217,21 @@ fn scenarios() -> Vec<Scenario> {
         caches: true,
         ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
     };
-    // 64 drives are 16 wires already.
-    let on_wires = [1, 8, lenze::SEGMENT, 64].map(|drives| Scenario::of(profibus::PROTOCOL, drives));
-    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL]
+    [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL, profibus::PROTOCOL]
         .into_iter()
         .flat_map(of)
-        .chain(on_wires)
-        .chain([with_terminals])
+        .chain([Scenario::of(profibus::PROTOCOL, lenze::SEGMENT), with_terminals])
         .collect()
 }
 
 /// The child: the loop over drives in memory, all in operation.
 fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     rig::be_virtual();
-    let line = |first| line_of(first, (drives - first).min(LINE_MOST), terminals);
-    let lines = if protocol == ethercat::PROTOCOL { drives } else { 0 };
+    let segment = |first| segment_of(first, (drives - first).min(SEGMENT_MOST), terminals);
+    let segments = if protocol == ethercat::PROTOCOL { drives } else { 0 };
     let wires = if protocol == profibus::PROTOCOL { drives } else { 0 };
     let memory = InMemory(
-        (0..lines).step_by(LINE_MOST).map(line).collect(),
+        (0..segments).step_by(SEGMENT_MOST).map(segment).collect(),
         NullWires(lenze::wires("local:count", wires), rig::now),
     );
     let buses = match protocol {
@@ -226,14 +241,14 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
         profibus::PROTOCOL => {
             memory.1.0.iter().map(|wire| Box::new(wire.clone()) as Box<dyn BusPlan>).collect()
         }
-        _ => memory.0.iter().map(|line| Box::new(line.0.clone()) as Box<dyn BusPlan>).collect(),
+        _ => memory.0.iter().map(|segment| Box::new(segment.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();
     let carriers = CountedNet::over(&memory, &calls);
     let cycle = rig::exchange_cycle(MS, Wait::Poll);
     let mut rig = Rig::new(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls));
     rig.enable();
-    while !memory.0.iter().all(|line| line.2.get().is_some()) {
+    while !memory.0.iter().all(|segment| segment.2.get().is_some()) {
         rig.turn(|_| {});
     }
     rig.jog();
@@ -249,19 +264,19 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     Ran { calls: Some(calls.load(Ordering::Relaxed) - before), ..ran }
 }
 
-/// So many drives, from `first` on, and terminals on a line of their own.
-fn line_of(first: usize, drives: usize, terminals: usize) -> NullLines {
+/// So many drives, from `first` on, and terminals on a segment of their own.
+fn segment_of(first: usize, drives: usize, terminals: usize) -> NullSegments {
     let name = format!("local:count-{first}");
-    let mut plan = line::plan(&name, drives, terminals);
+    let mut plan = segment::plan(&name, drives, terminals);
     plan.name = name;
     for (place, drive) in plan.drives.iter_mut().enumerate() {
         drive.axis.name = format!("k{}", first + place);
     }
-    NullLines(plan, rig::now, Settled::default())
+    NullSegments(plan, rig::now, Settled::default())
 }
 
-/// Every drive in memory, lines by their interfaces, and wires by their ports.
-struct InMemory(Vec<NullLines>, NullWires);
+/// Every drive in memory, segments by their interfaces, and wires by their ports.
+struct InMemory(Vec<NullSegments>, NullWires);
 
 impl Carriers for &InMemory {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
@@ -273,12 +288,12 @@ impl Carriers for &InMemory {
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
-        let line = self.0.iter().find(|line| line.0.interface == interface);
-        line.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
+        let segment = self.0.iter().find(|segment| segment.0.interface == interface);
+        segment.ok_or(io::ErrorKind::NotFound)?.frames(interface, ethertype)
     }
 
-    fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        self.1.open(port)
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        self.1.serial(port, line)
     }
 }
 
@@ -299,18 +314,59 @@ fn slice_of(fleet: Fleet, what: usize, cycles: usize) -> Vec<f64> {
     slice.unwrap_or_else(|error| rig::give_up(error))
 }
 
+/// The same of Lenze drives on wires. The loop waits by poll: spinning would be counted as its time.
+fn slice_of_wires(count: usize, what: usize, cycles: usize) -> Vec<f64> {
+    let wires = NullWires(lenze::wires("local:slice", count), rig::now);
+    let run = |pace, cycles| {
+        let buses = wires.0.iter().map(|wire| Box::new(wire.clone()) as Box<dyn BusPlan>);
+        let cycle = rig::exchange_cycle(MS, Wait::Poll);
+        let mut rig = Rig::new(cycle, buses.collect(), Pace::BackToBack, &wires, Calls::default());
+        rig.enable();
+        rig.set_pace(pace);
+        (0..cycles).map(|_| rig.turn(|_| {}).busy_ns as f64).collect()
+    };
+    let slice = rig::on_loop_thread(|_| match what {
+        0 => run(Pace::BackToBack, cycles),
+        1 => run(Pace::Grid, PACED),
+        _ => wires_alone(&wires.0, cycles),
+    });
+    slice.unwrap_or_else(|error| rig::give_up(error))
+}
+
+/// What the wires in memory take by themselves, ns a cycle: what is on each before it is used, an exchange of each
+/// drive, and a token.
+fn wires_alone(plans: &[ProfibusPlan], cycles: usize) -> Vec<f64> {
+    let wire = |plan: &ProfibusPlan| (NullSerial::new(plan, rig::now), lenze::requests(plan));
+    let mut wires: Vec<_> = plans.iter().map(wire).collect();
+    let token = telegram::token(2, 2);
+    let mut room = [0; 64];
+    let mut cycle = || {
+        let begin = MonotonicClock::read();
+        for (wire, requests) in &mut wires {
+            let _ = std::hint::black_box(wire.receive(0, &mut room));
+            for request in requests {
+                let _ = std::hint::black_box(wire.send(0, std::hint::black_box(request)));
+                let _ = std::hint::black_box(wire.receive(0, &mut room));
+            }
+            let _ = std::hint::black_box(wire.send(0, &token));
+        }
+        MonotonicClock::read().since(begin) as f64
+    };
+    (0..cycles).map(|_| cycle()).collect()
+}
+
 /// Cycles of a slice at 1 kHz.
 const PACED: usize = 100;
 
-/// A line of each length in memory, in operation.
-struct StandingLines(Vec<(usize, Rig, Settled)>);
+/// A segment of each length in memory, in operation.
+struct StandingSegments(Vec<(usize, Rig, Settled)>);
 
-impl StandingLines {
-    fn new(lengths: &[usize]) -> StandingLines {
-        let line = |count: usize| {
+impl StandingSegments {
+    fn new(lengths: &[usize]) -> StandingSegments {
+        let segment = |count: usize| {
             let settled = Settled::default();
-            let plan = Fleet::line(count).ethercat(Side::Ours);
-            let carriers = NullLines(plan.clone(), rig::now, Settled::clone(&settled));
+            let plan = Fleet::segment(count).ethercat(Side::Ours);
+            let carriers = NullSegments(plan.clone(), rig::now, Settled::clone(&settled));
             let up = rig::on_loop_thread(|_| {
                 let cycle = rig::exchange_cycle(MS, Wait::Spin);
                 let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan)];
@@ -324,15 +380,15 @@ impl StandingLines {
             });
             (count, up.unwrap_or_else(|error| rig::give_up(error)), settled)
         };
-        StandingLines(lengths.iter().copied().map(line).collect())
+        StandingSegments(lengths.iter().copied().map(segment).collect())
     }
 
     fn slice(&mut self, count: usize, what: usize, cycles: usize) -> Vec<f64> {
-        let line = self.0.iter_mut().find(|(length, ..)| *length == count);
-        let (_, rig, settled) = line.expect("it stands");
+        let segment = self.0.iter_mut().find(|(length, ..)| *length == count);
+        let (_, rig, settled) = segment.expect("it stands");
         let slice = rig::on_loop_thread(|_| {
             if what > 1 {
-                return line_alone(settled, cycles);
+                return segment_alone(settled, cycles);
             }
             // To its time again, which the other ones have left.
             rig.set_pace(Pace::BackToBack);
@@ -345,15 +401,15 @@ impl StandingLines {
     }
 }
 
-/// What the line in memory takes by itself, ns a cycle.
-fn line_alone(settled: &Settled, cycles: usize) -> Vec<f64> {
-    let mut line = NullLine::settled(settled, rig::now);
+/// What the segment in memory takes by itself, ns a cycle.
+fn segment_alone(settled: &Settled, cycles: usize) -> Vec<f64> {
+    let mut segment = NullSegment::settled(settled, rig::now);
     let mut room = [0; FRAME_MAX];
     let frame = settled.get().map_or(&[][..], |(frame, _)| frame);
     let mut cycle = || {
         let begin = MonotonicClock::read();
-        let _ = std::hint::black_box(line.send(std::hint::black_box(frame)));
-        let _ = std::hint::black_box(line.receive(&mut room));
+        let _ = std::hint::black_box(segment.send(std::hint::black_box(frame)));
+        let _ = std::hint::black_box(segment.receive(&mut room));
         MonotonicClock::read().since(begin) as f64
     };
     (0..cycles).map(|_| cycle()).collect()
@@ -723,6 +779,62 @@ fn duel(granted: &Granted, fleet: Fleet, period_ns: u64, cycles: usize) -> Optio
     outcome.inspect_err(|why| println!("a slice without the bare loop: {why}")).ok()
 }
 
+/// Ours against the bare loop: ratios of the medians.
+struct Against {
+    /// From the end of the sleep until done.
+    busy: Option<Interval>,
+    /// Processor time of a cycle.
+    cpu: Option<Interval>,
+    /// The send phase, on a wire.
+    sending: Option<Interval>,
+    period_ns: u64,
+    steal_ms: Option<u64>,
+}
+
+impl Against {
+    fn bare(granted: &Granted, fleet: Fleet, period_ns: u64, rounds: usize, cycles: usize) -> Against {
+        let steal = Steal::begin();
+        let [mut ours, mut bare] = [const { [const { Sample::new() }; 3] }; 2];
+        for _ in 0..rounds {
+            let Some(Outcome { ours: of_ours, theirs, .. }) = duel(granted, fleet, period_ns, cycles) else {
+                continue;
+            };
+            for (samples, measured) in [(&mut ours, of_ours), (&mut bare, theirs)] {
+                let [busy, cpu, sending] = samples;
+                busy.push(measured.busy);
+                cpu.push(measured.cpu);
+                sending.push(measured.sending);
+            }
+        }
+        let [busy, cpu, sending] = std::array::from_fn(|what| ours[what].ratio(&bare[what], 0.5));
+        Against { busy, cpu, sending, period_ns, steal_ms: steal.ms() }
+    }
+
+    /// Prints it; its numbers.
+    fn report(&self, what: &str, drives: usize) -> Value {
+        let Against { busy, cpu, sending, period_ns, steal_ms } = self;
+        print!("  {drives} drives against the bare loop, every {} each: ours / bare ", Ns(*period_ns));
+        println!(
+            "{}, CPU {}, send phase {}; steal {} ms",
+            shown(*busy),
+            shown(*cpu),
+            shown(*sending),
+            shown(*steal_ms)
+        );
+        json!({
+            "duel": what,
+            "duel_drives": drives,
+            "sockets_ratio": busy.map(|ratio| ratio.value),
+            "sockets_ratio_interval": busy.map(|ratio| ratio.ends()),
+            "sockets_cpu_ratio": cpu.map(|ratio| ratio.value),
+            "sockets_cpu_ratio_interval": cpu.map(|ratio| ratio.ends()),
+            "send_ratio": sending.map(|ratio| ratio.value),
+            "send_ratio_interval": sending.map(|ratio| ratio.ends()),
+            "steal_ms": steal_ms,
+        })
+    }
+}
+
 /// Each side has half of it, so both fit in twice: a drive takes some 15 us of the two cores together.
 fn period(drives: usize) -> u64 {
     (drives as u64 * 80 * US).next_multiple_of(MS).max(2 * MS)
@@ -733,16 +845,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let steal = Steal::begin();
     let Alone { end, calls, on_connections, page_faults, .. } = alone_at_1_khz(granted, TOGETHER, alone);
-    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     let period_ns = period(TOGETHER.linmots + TOGETHER.due_unidrives());
-    for _ in 0..rounds {
-        let Some(duel) = duel(granted, TOGETHER, period_ns, cycles) else { continue };
-        ours.push(duel.ours.busy);
-        bare.push(duel.theirs.busy);
-        ours_cpu.push(duel.ours.cpu);
-        bare_cpu.push(duel.theirs.cpu);
-    }
-    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
+    let against = Against::bare(granted, TOGETHER, period_ns, rounds, cycles);
     let (linmots, unidrives) = end.drives.split_at(TOGETHER.linmots);
     let [linmots, unidrives] = [linmots, unidrives].map(Kind::sum);
     let status = end.status;
@@ -764,8 +868,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     println!(
         "  against the bare loop, every {} each: ours / bare {}, CPU {}",
         Ns(period_ns),
-        shown(ratio),
-        shown(cpu_ratio)
+        shown(against.busy),
+        shown(against.cpu)
     );
     report.check(
         format!("together: planned {} = executed + skipped", status.planned),
@@ -788,9 +892,9 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
         "unidrives_answered": unidrives.answered,
         "syscalls_per_cycle": p50(&calls),
         "syscalls_on_connections": p50(&on_connections),
-        "sockets_ratio": ratio.map(|ratio| ratio.value),
-        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "sockets_ratio": against.busy.map(|ratio| ratio.value),
+        "sockets_ratio_interval": against.busy.map(|ratio| ratio.ends()),
+        "sockets_cpu_ratio": against.cpu.map(|ratio| ratio.value),
         "steal_ms": steal.ms(),
     })
 }
@@ -802,9 +906,16 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
         alone_at_1_khz(granted, ALL_KINDS, if quick { 2_000 } else { 20_000 });
     let (linmots, rest) = end.drives.split_at(ALL_KINDS.linmots);
     let (unidrives, rest) = rest.split_at(ALL_KINDS.unidrives);
-    let (line, moons) = rest.split_at(ALL_KINDS.line);
-    let kinds = [("LinMots", linmots), ("Unidrives", unidrives), ("Kollmorgens", line), ("MOONS", moons)]
-        .map(|(name, drives)| (name, Kind::sum(drives)));
+    let (segment, rest) = rest.split_at(ALL_KINDS.segment);
+    let (moons, lenzes) = rest.split_at(ALL_KINDS.moons);
+    let kinds = [
+        ("LinMots", linmots),
+        ("Unidrives", unidrives),
+        ("Kollmorgens", segment),
+        ("MOONS", moons),
+        ("Lenze drives", lenzes),
+    ]
+    .map(|(name, drives)| (name, Kind::sum(drives)));
     let (status, p50) = (end.status, |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value));
     println!("\nall kinds in one cycle at 1 kHz ({ALL_KINDS}); steal {} ms", shown(steal.ms()));
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
@@ -892,43 +1003,40 @@ fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report:
     })
 }
 
-/// A line alone at 1 kHz, and the same with couplers and terminals; then a line against the bare loop.
-fn lines_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 3] {
+/// A segment alone at 1 kHz, and the same with couplers and terminals; then a segment against the bare loop.
+fn segments_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 3] {
     let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let fleets = [
-        ("a line", Fleet::line(LINE_ALONE)),
+        ("a segment", Fleet::segment(SEGMENT_ALONE)),
         ("terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
     ];
-    let [line, terminals] =
-        fleets.map(|(what, fleet)| line_alone_on_sockets(granted, what, fleet, alone, budgets, report));
-    let steal = Steal::begin();
-    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
-    for _ in 0..rounds {
-        let Some(duel) = duel(granted, Fleet::line(LINE_DUEL), 2 * MS, cycles) else { continue };
-        ours.push(duel.ours.busy);
-        bare.push(duel.theirs.busy);
-        ours_cpu.push(duel.ours.cpu);
-        bare_cpu.push(duel.theirs.cpu);
-    }
-    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
-    println!(
-        "  {LINE_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
-        Ns(2 * MS),
-        shown(ratio),
-        shown(cpu_ratio)
-    );
-    let duel = json!({
-        "duel_drives": LINE_DUEL,
-        "sockets_ratio": ratio.map(|ratio| ratio.value),
-        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
-        "steal_ms": steal.ms(),
+    let [segment, terminals] = fleets.map(|(what, fleet)| {
+        println!(
+            "\n{} drives and {} couplers and terminals on one segment of this host at 1 kHz",
+            fleet.segment, fleet.terminals
+        );
+        alone_on_sockets(granted, what, fleet, alone, budgets, report)
     });
-    [line, terminals, duel]
+    let duel = Against::bare(granted, Fleet::segment(SEGMENT_DUEL), 2 * MS, rounds, cycles);
+    [segment, terminals, duel.report("a segment", SEGMENT_DUEL)]
 }
 
-/// A line at 1 kHz: nothing is left out or lost, and its system calls, which are those of one frame.
-fn line_alone_on_sockets(
+/// A wire of Lenze drives alone at 1 kHz, all of them in every cycle; then against the bare loop.
+fn wire_on_port(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> [Value; 2] {
+    let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
+    let fleet = Fleet::lenzes(lenze::A_WIRE);
+    println!("\n{} drives on one PROFIBUS wire of this host at 1 kHz", fleet.lenzes);
+    let mut wire = alone_on_sockets(granted, "a wire", fleet, alone, budgets, report);
+    let calls = wire["syscalls_per_cycle"].as_f64();
+    let each = calls.map(|calls| (calls - 1.0) / fleet.lenzes as f64);
+    println!("  system calls an exchange in addition to the sleep: {}", shown(each));
+    wire["syscalls_per_exchange"] = json!(each);
+    let duel = Against::bare(granted, fleet, 2 * MS, rounds, cycles);
+    [wire, duel.report("a wire", fleet.lenzes)]
+}
+
+/// Drives of one kind at 1 kHz: nothing is left out or lost, and their system calls.
+fn alone_on_sockets(
     granted: &Granted,
     what: &str,
     fleet: Fleet,
@@ -940,15 +1048,9 @@ fn line_alone_on_sockets(
     let Alone { end, calls, page_faults, .. } = alone_at_1_khz(granted, fleet, cycles);
     let (status, drives) = (end.status, Kind::sum(&end.drives));
     let p50 = calls.quantile(0.5).map(|p50| p50.value);
-    println!(
-        "\n{} drives and {} couplers and terminals on one line of this host at 1 kHz; steal {} ms",
-        fleet.line,
-        fleet.terminals,
-        shown(steal.ms())
-    );
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
     println!("  {drives}");
-    println!("  system calls a cycle, p50: {}", shown(p50));
+    println!("  system calls a cycle, p50: {}; steal {} ms", shown(p50), shown(steal.ms()));
     report.check(
         format!("{what}: planned {} = executed + skipped", status.planned),
         status.planned == status.executed + status.skipped,
@@ -957,8 +1059,9 @@ fn line_alone_on_sockets(
     within(report, budgets, what, &calls);
     check_page_faults(what, page_faults, budgets, report);
     json!({
-        "line_on_sockets": fleet.line,
-        "line_terminals": fleet.terminals,
+        "alone": what,
+        "drives": fleet.drives(),
+        "terminals": fleet.terminals,
         "planned": status.planned,
         "executed": status.executed,
         "skipped": status.skipped,
@@ -977,7 +1080,8 @@ fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
         "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} rounds"
     );
     let fleets = [
-        ("3 drives on one line", Fleet::line(3)),
+        ("3 drives on one segment", Fleet::segment(3)),
+        ("4 drives on one wire, each in every fourth cycle", Fleet { every: 4, ..Fleet::lenzes(4) }),
         ("8 LinMots", Fleet::linmots(8)),
         ("16 LinMots", Fleet::linmots(16)),
     ];
@@ -1033,13 +1137,13 @@ fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> Alone {
         rig.enable();
         let (mut calls, mut on_them) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
         let mut of_moons = Vec::with_capacity(cycles * fleet.moons);
-        let others = fleet.drives() - fleet.moons;
+        let first = fleet.drives() - fleet.lenzes - fleet.moons;
         let usage = Usage::of_thread();
         for _ in 0..cycles {
             let (executed, before) = (rig.status().executed, carriers.on_connections());
             let turn = rig.turn(|record| match record {
                 Record::Drive(DriveRecord { axis, age_ns: Some(age_ns), .. })
-                    if usize::from(axis) >= others =>
+                    if (first..first + fleet.moons).contains(&axis.into()) =>
                 {
                     of_moons.push(u64::from(age_ns.get()));
                 }
@@ -1113,9 +1217,10 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
     let others = [
         ("one Unidrive", Fleet::unidrives(1)),
         ("LinMots and Unidrives together", TOGETHER),
-        ("a line of one", Fleet::line(1)),
-        ("a line with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
+        ("a segment of one", Fleet::segment(1)),
+        ("a segment with terminals", Fleet::with_terminals(DRIVES_OF_64, TERMINALS_OF_64)),
         ("32 MOONS' drives", Fleet::moons(MOONS_DUEL)),
+        ("a wire", Fleet::lenzes(lenze::A_WIRE)),
     ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
         match strace_of(granted, fleet) {
@@ -1174,9 +1279,8 @@ fn traced(fleet: Fleet) {
     let counted = Calls::default();
     let carriers = CountedNet::new(&counted);
     let calls = rig::on_loop_thread(|_| {
-        // Under strace a call takes some 50 us.
-        // A line has to be brought up.
-        let period_ns = if fleet.line > 0 { 4 * MS } else { 20 * MS };
+        // Under strace a call takes some 50 us. A segment and a wire have to be brought up.
+        let period_ns = if fleet.segment + fleet.lenzes > 0 { 4 * MS } else { 20 * MS };
         let cycle = rig::exchange_cycle(period_ns, Wait::Poll);
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();

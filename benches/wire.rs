@@ -9,11 +9,12 @@
 //!
 //! A MOONS' drive answers nothing: its exchange is a packet to it and one from it, as its own clock sends them.
 //!
-//! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
-//! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
+//! A Kollmorgen drive has no telegram of its own: one frame serves the segment. Its exchange is a whole cycle of the
+//! bus (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the segment.
 //!
-//! A Lenze drive's exchange is its turn on a wire: a cycle of a wire whose four drives are due in each (12 Mbit/s),
-//! with the master's own telegrams, shared by its drives.
+//! A Lenze drive's exchange is what a LinMot's is: its telegram is written in place and its answer taken in, without the
+//! wire. Its `turn` on the wire comes with the queue, the link layer, Global_Control and the token: a cycle of a wire
+//! whose four drives are due in each (12 Mbit/s), shared by them.
 //!
 //! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed
 //! beforehand.
@@ -22,7 +23,6 @@
 mod support;
 
 use std::hint::black_box;
-use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::path::Path;
 use std::process::ExitCode;
@@ -38,6 +38,8 @@ use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Inputs, Outputs};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, StateVar, StatusWord, WarnWord};
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
+use fieldbeat::bus::profibus::DATA_MAX;
+use fieldbeat::internals::axis::acyclic::AcyclicEnds;
 use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::internals::bus::ethernet_ip::exchange::{self, Connection, News, SessionEnd};
 use fieldbeat::internals::bus::ethernet_ip::wire::io::{OUTGOING_MAX, Outgoing, Packet};
@@ -49,24 +51,27 @@ use fieldbeat::internals::bus::modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
 };
 use fieldbeat::internals::bus::modbus::{Finding, Found};
+use fieldbeat::internals::bus::profibus::line::Answer;
+use fieldbeat::internals::bus::profibus::wire::sap::Service;
+use fieldbeat::internals::bus::profibus::wire::telegram::{self, Next, Telegram};
 use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::drive::machine::Machine;
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Serial, SerialLine, UdpOptions};
+use fieldbeat::internals::net::Frames;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
 use support::callgrind::{counted as collected, paused};
 use support::count::{self, Ran, Scenario};
 use support::counted::CountedNet;
-use support::lenze::{self, NullWires};
-use support::line::{self, NullLine, NullLines, Settled};
+use support::lenze::{self, NullSerial, NullWires};
 use support::rig::Calls;
+use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
 use support::{Args, Report, fleet, moons, rig, shown};
 
-/// Drives of the line; the frame of a single one is measured too.
-const LINE: usize = 16;
+/// Drives of the segment; the frame of a single one is measured too.
+const SEGMENT: usize = 16;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 12;
@@ -76,6 +81,7 @@ const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
 const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
 const ETHERCAT: [&str; 4] = ["exchange", "drive", "exchange of one", "drive of one"];
 const ETHERNET_IP: [&str; 4] = ["exchange", "drive", "encode", "decode"];
+const PROFIBUS: [&str; 6] = ["exchange", "drive", "turn", "drive of a turn", "encode", "decode"];
 
 /// The next cycle, and when its request goes out.
 fn advance(cycle: &mut Cycle) -> Time {
@@ -374,7 +380,7 @@ impl Clocked {
     }
 }
 
-/// A line whose drives all follow a velocity, answered from memory.
+/// A segment whose drives all follow a velocity, answered from memory.
 struct Linked {
     bus: Box<dyn Bus>,
     machines: Vec<Machine>,
@@ -383,21 +389,21 @@ struct Linked {
     settled: Settled,
 }
 
-/// The time of the lines.
-static LINE_NOW: AtomicU64 = AtomicU64::new(0);
+/// The time of the buses in memory.
+static BUS_NOW: AtomicU64 = AtomicU64::new(0);
 
-fn line_now() -> Time {
-    Time(LINE_NOW.load(Ordering::Relaxed))
+fn bus_now() -> Time {
+    Time(BUS_NOW.load(Ordering::Relaxed))
 }
 
 impl Linked {
     /// All axes in operation and turning.
     fn operational(drives: usize) -> Linked {
-        let plan = line::plan("local:wire", drives, 0);
+        let plan = segment::plan("local:wire", drives, 0);
         let settled = Settled::default();
-        let lines = NullLines(plan.clone(), line_now, Settled::clone(&settled));
-        let lines = CountedNet::over(lines, &Calls::default());
-        let bus = BusPlan::open(&plan, PERIOD_NS, &lines).expect("a line in memory");
+        let segments = NullSegments(plan.clone(), bus_now, Settled::clone(&settled));
+        let segments = CountedNet::over(segments, &Calls::default());
+        let bus = BusPlan::open(&plan, PERIOD_NS, &segments).expect("a segment in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machines = (0..drives).map(|index| machine(&plan, index)).collect();
         let mut linked = Linked { bus, machines, slots: vec![slot; drives], cycle: BEGIN, settled };
@@ -435,12 +441,12 @@ impl Linked {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
         for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
             commit(machine, slot);
         }
-        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
         self.bus.receive(&self.cycle, &mut self.slots);
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         let mut next = self.cycle;
@@ -457,9 +463,9 @@ impl Linked {
     }
 }
 
-/// The same cycle without its bus: the line that takes a frame and gives it back, and the application.
+/// The same cycle without its bus: the segment that takes a frame and gives it back, and the application.
 struct Unlinked {
-    line: NullLine,
+    segment: NullSegment,
     frame: Vec<u8>,
     room: Box<[u8; FRAME_MAX]>,
     slots: Vec<Slot>,
@@ -470,7 +476,7 @@ impl Unlinked {
     fn new(linked: &Linked) -> Unlinked {
         let (frame, _) = linked.settled.get().expect("it is in operation");
         Unlinked {
-            line: NullLine::settled(&linked.settled, line_now),
+            segment: NullSegment::settled(&linked.settled, bus_now),
             frame: frame.clone(),
             room: Box::new([0; FRAME_MAX]),
             slots: linked.slots.clone(),
@@ -481,10 +487,10 @@ impl Unlinked {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
-        let _ = black_box(self.line.send(black_box(&self.frame)));
-        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
-        let _ = black_box(self.line.receive(black_box(&mut self.room[..])));
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
+        let _ = black_box(self.segment.send(black_box(&self.frame)));
+        BUS_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        let _ = black_box(self.segment.receive(black_box(&mut self.room[..])));
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         for slot in &mut self.slots {
             slot.exchange = Exchange::Idle;
@@ -494,16 +500,71 @@ impl Unlinked {
     }
 }
 
-/// Carriers of serial wires in memory only.
-struct SerialOnly(NullWires);
+/// The station of a Lenze drive, and a drive that answers it from memory.
+struct Addressed {
+    machine: Machine,
+    station: profibus::station::Station,
+    /// Kept, as an application would.
+    _ends: (profibus::Native, AcyclicEnds),
+    slot: Slot,
+    drive: NullSerial,
+    request: telegram::Buffer,
+    answer: telegram::Buffer,
+    cycle: Cycle,
+}
 
-impl Carriers for SerialOnly {
-    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        Err(io::ErrorKind::Unsupported.into())
+impl Addressed {
+    /// An axis in operation and jogging; its actual value is another one in each answer.
+    fn operational() -> Addressed {
+        let plan = lenze::plan("local:station", 0, 1);
+        let (station, native, acyclic) =
+            profibus::station::Station::new(&plan.drives[0], plan.address).expect("a plan without faults");
+        let mut addressed = Addressed {
+            machine: machine(&plan, 0),
+            station,
+            _ends: (native, acyclic),
+            slot: Slot { due: true, link: Link::Online, ..Slot::default() },
+            drive: NullSerial::new(&plan, bus_now),
+            request: [0; telegram::MAX],
+            answer: [0; telegram::MAX],
+            cycle: BEGIN,
+        };
+        while addressed.slot.status.at == Time(0) {
+            addressed.turn();
+        }
+        addressed.machine.start(addressed.cycle.grid, Some(Command::Enable));
+        (0..20).for_each(|_| addressed.turn());
+        assert_eq!(addressed.slot.status.state, State::OperationEnabled);
+        assert_eq!(addressed.machine.end(), Some(Ok(())));
+        let jog = Command::Jog(Jog { velocity: 1.0, acceleration: 100.0 });
+        addressed.machine.start(addressed.cycle.grid, Some(jog));
+        (0..20).for_each(|_| addressed.turn());
+        assert!(addressed.slot.status.moving && addressed.slot.evidence.refused.is_none());
+        addressed.slot.counters = Counters::default();
+        addressed
     }
 
-    fn serial(&self, port: &str, _: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        self.0.open(port)
+    /// One exchange.
+    #[inline]
+    fn turn(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        self.machine.propose(self.cycle.grid, &mut self.slot);
+        self.station.prepare(&self.cycle, &mut self.slot);
+        let (length, expected) = self.station.request(&self.slot, true, &mut self.request).expect("a turn");
+        let request = black_box(&self.request[..length]);
+        self.station.sent(sent_at, self.cycle.deadline, &mut self.slot);
+        commit(&mut self.machine, &mut self.slot);
+        let count = paused(|| self.drive.answer(request, &mut self.answer));
+        let answer = match Next::parse(black_box(&self.answer[..count])) {
+            Next::Telegram { telegram: Telegram::Data(frame), .. } if frame.head.sa == expected.da => {
+                Answer::Data { high: false, data: frame.data }
+            }
+            Next::Telegram { telegram: Telegram::Acknowledge, .. } => Answer::Acknowledged,
+            other => panic!("{other:?} answers nothing"),
+        };
+        self.station.answered(sent_at + 40 * US, answer, &mut self.slot);
+        observe(&mut self.machine, self.cycle.grid, &mut self.slot);
+        black_box(&self.slot);
     }
 }
 
@@ -519,7 +580,7 @@ impl Wired {
     /// All axes in operation and turning.
     fn operational(drives: usize) -> Wired {
         let plan = lenze::plan("local:wire", 0, drives);
-        let wires = CountedNet::over(SerialOnly(NullWires(vec![plan.clone()], line_now)), &Calls::default());
+        let wires = CountedNet::over(NullWires(vec![plan.clone()], bus_now), &Calls::default());
         let bus = BusPlan::open(&plan, PERIOD_NS, &wires).expect("a wire in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machines = (0..drives).map(|index| machine(&plan, index)).collect();
@@ -559,11 +620,11 @@ impl Wired {
     #[inline]
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
         loop {
             if rig::is_reply_waiting() {
-                LINE_NOW.fetch_add(40 * US, Ordering::Relaxed);
+                BUS_NOW.fetch_add(40 * US, Ordering::Relaxed);
                 self.bus.receive(&self.cycle, &mut self.slots);
             }
             match self.bus.poll_at() {
@@ -571,7 +632,7 @@ impl Wired {
                     if rig::is_reply_waiting() {
                         continue;
                     }
-                    LINE_NOW.store(at.0, Ordering::Relaxed);
+                    BUS_NOW.store(at.0, Ordering::Relaxed);
                     self.bus.poll(&self.cycle, at, &mut self.slots);
                 }
                 _ => break,
@@ -594,12 +655,13 @@ impl Wired {
 }
 
 /// What is counted in place of being measured.
-const SCENARIOS: [Scenario; 5] = [
+const SCENARIOS: [Scenario; 6] = [
     Scenario::of(linudp::PROTOCOL, 1),
     Scenario::of(modbus::PROTOCOL, 1),
-    Scenario::of(ethercat::PROTOCOL, LINE),
+    Scenario::of(ethercat::PROTOCOL, SEGMENT),
     Scenario::of(ethernet_ip::PROTOCOL, 1),
-    Scenario::of(profibus::PROTOCOL, lenze::A_WIRE),
+    Scenario::of(profibus::PROTOCOL, 1),
+    Scenario { part: Some("turns"), ..Scenario::of(profibus::PROTOCOL, lenze::A_WIRE) },
 ];
 /// Exchanges that are counted.
 const COUNTED: u64 = 128;
@@ -622,6 +684,10 @@ fn counted(scenario: Scenario) -> Ran {
         ethernet_ip::PROTOCOL => {
             let mut clocked = Clocked::operational();
             count(&mut || clocked.turn())
+        }
+        profibus::PROTOCOL if scenario.part.is_none() => {
+            let mut addressed = Addressed::operational();
+            count(&mut || addressed.turn())
         }
         profibus::PROTOCOL => {
             let mut wired = Wired::operational(scenario.drives);
@@ -650,11 +716,13 @@ fn main() -> ExitCode {
         (modbus::PROTOCOL, &MODBUS[..]),
         (ethercat::PROTOCOL, &ETHERCAT[..]),
         (ethernet_ip::PROTOCOL, &ETHERNET_IP[..]),
+        (profibus::PROTOCOL, &PROFIBUS[..]),
     ];
-    let mut lines = [LINE, 1].map(Linked::operational);
+    let mut wired = Wired::operational(lenze::A_WIRE);
+    let mut segments = [SEGMENT, 1].map(Linked::operational);
     let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
-    let mut quickest = [const { Vec::new() }; 4];
-    let mut counted = [(0, 0); 4];
+    let mut quickest = [const { Vec::new() }; 5];
+    let mut counted = [(0, 0); 5];
     for round in 0..rounds {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
         // A new one each time: one that measures a part again gives it another name, and the first would be read for
@@ -668,8 +736,9 @@ fn main() -> ExitCode {
         let counters = [
             linudp(&mut criterion),
             modbus(&mut criterion),
-            ethercat(&mut criterion, &mut lines),
+            ethercat(&mut criterion, &mut segments),
             ethernet_ip(&mut criterion),
+            profibus(&mut criterion, &mut wired),
         ];
         for (place, (protocol, names)) in protocols.iter().enumerate() {
             let found: Vec<_> = names.iter().map(|name| estimate_of(&output, protocol, name)).collect();
@@ -698,9 +767,13 @@ fn main() -> ExitCode {
             );
         }
         let own = of("exchange").map(|whole| without(whole, of("drive")));
-        // All drives of the line share it.
-        let own = if protocol == ethercat::PROTOCOL { own.map(a_drive) } else { own };
+        // All drives of the segment share it.
+        let own = if protocol == ethercat::PROTOCOL { own.map(|all| share(all, SEGMENT)) } else { own };
         println!("  {protocol:12} {}", shown(own));
+        if let Some(turns) = of("turn") {
+            let turn = share(without(turns, of("drive of a turn")), lenze::A_WIRE);
+            println!("  {protocol:12} {turn} for a turn with its wire");
+        }
         let (sent, answered) = counted[place];
         report.check(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
     }
@@ -760,11 +833,11 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     requested.slot.counters
 }
 
-fn ethercat(criterion: &mut Criterion, lines: &mut [Linked; 2]) -> Counters {
+fn ethercat(criterion: &mut Criterion, segments: &mut [Linked; 2]) -> Counters {
     let mut group = criterion.benchmark_group(ethercat::PROTOCOL);
     let names = [["exchange", "drive"], ["exchange of one", "drive of one"]];
     let mut counters = Counters::default();
-    for (linked, [exchange, drive]) in lines.iter_mut().zip(names) {
+    for (linked, [exchange, drive]) in segments.iter_mut().zip(names) {
         group.throughput(Throughput::Elements(linked.slots.len() as u64));
         group.bench_function(exchange, |bencher| bencher.iter(|| linked.turn()));
         // What of it is no master's.
@@ -812,10 +885,48 @@ fn ethernet_ip(criterion: &mut Criterion) -> Counters {
     clocked.slot.counters
 }
 
-/// The share of one drive of the line.
-fn a_drive(line: Interval) -> Interval {
-    let share = |ns: f64| ns / LINE as f64;
-    Interval { value: share(line.value), low: share(line.low), high: share(line.high) }
+fn profibus(criterion: &mut Criterion, wired: &mut Wired) -> Counters {
+    let mut group = criterion.benchmark_group(profibus::PROTOCOL);
+    group.throughput(Throughput::Elements(1));
+    let mut addressed = Addressed::operational();
+    group.bench_function("exchange", |bencher| bencher.iter(|| addressed.turn()));
+    let plan = lenze::plan("local:alone", 0, lenze::A_WIRE);
+    let (mut drives, requests) = (NullSerial::new(&plan, bus_now), lenze::requests(&plan));
+    let mut room = [0; telegram::MAX];
+    // What of it is no master's: the drive that answers.
+    group.bench_function("drive", |bencher| {
+        bencher.iter(|| drives.answer(black_box(&requests[0]), black_box(&mut room)))
+    });
+    let length = drives.answer(&requests[0], &mut room);
+    let head = Service::DataExchange.head(plan.drives[0].address, plan.address, true, true);
+    let outputs = plan.drives[0].lengths().map_or(0, |(outputs, _)| outputs);
+    let mut request = [0; telegram::MAX];
+    group.bench_function("encode", |bencher| {
+        bencher.iter(|| head.emit(black_box(&[0x7F; DATA_MAX][..outputs]), black_box(&mut request)))
+    });
+    group.bench_function("decode", |bencher| bencher.iter(|| Next::parse(black_box(&room[..length]))));
+    group.throughput(Throughput::Elements(wired.slots.len() as u64));
+    group.bench_function("turn", |bencher| bencher.iter(|| wired.turn()));
+    group.bench_function("drive of a turn", |bencher| {
+        bencher.iter(|| {
+            for request in &requests {
+                black_box(drives.answer(black_box(request), black_box(&mut room)));
+            }
+        })
+    });
+    group.finish();
+    let mut counters = addressed.slot.counters;
+    for slot in &mut wired.slots {
+        let Counters { sent, answered, .. } = std::mem::take(&mut slot.counters);
+        (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
+    }
+    counters
+}
+
+/// The share of one of so many drives.
+fn share(all: Interval, drives: usize) -> Interval {
+    let of = |ns: f64| ns / drives as f64;
+    Interval { value: of(all.value), low: of(all.low), high: of(all.high) }
 }
 
 /// What criterion found of this part of a protocol, if it is measured.

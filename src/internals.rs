@@ -164,6 +164,12 @@ pub mod bus {
         pub mod counters {
             pub use crate::bus::profibus::counters::*;
         }
+        pub mod line {
+            pub use crate::bus::profibus::line::*;
+        }
+        pub mod station {
+            pub use crate::bus::profibus::station::*;
+        }
         pub mod wire {
             pub use crate::bus::profibus::wire::*;
         }

@@ -9,15 +9,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link};
+use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
+use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::internals::axis::acyclic::Notation;
 use fieldbeat::internals::bus::ethercat::object::Objects;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, WorldOptions};
-use fieldbeat::time::{MS, Time};
+use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings, ProfibusSegment};
+use fieldbeat::sim::{
+    Carrier, FaultPlan, SerialWire, SimDrive, SimSegment, SimSerial, Simulated, WorldOptions,
+};
+use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
 use support::counting::{Counting, allocations, watch};
@@ -465,5 +469,161 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
     for drive in &end.drives {
         let c = drive.counters;
         assert!(c.late > 0 && c.duplicate > 0 && c.missed > 0 && c.answered > 1_000, "{drive:?}");
+    }
+}
+
+/// A device on a wire that may allocate: it runs on the loop's thread in virtual time only.
+struct UnwatchedDevice(Box<dyn SimSerial>);
+
+impl SimSerial for UnwatchedDevice {
+    fn receive(&mut self, now: Time, bytes: &[u8]) {
+        unwatched(|| self.0.receive(now, bytes));
+    }
+    fn next_due(&self) -> Option<Time> {
+        self.0.next_due()
+    }
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) {
+        unwatched(|| self.0.run(now, out));
+    }
+    fn mislabel(&self, telegram: &mut [u8]) {
+        self.0.mislabel(telegram);
+    }
+    fn restart(&mut self, now: Time) {
+        unwatched(|| self.0.restart(now));
+    }
+    fn inhibit(&mut self, until: Time) {
+        self.0.inhibit(until);
+    }
+}
+
+const PORT: &str = "/dev/ttyS1";
+const MSAC1: ParameterPath = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
+
+/// A wire of Lenze drives from its claim to its end: parameters by each path, lost, broken and repeated telegrams,
+/// noise, a drive that is switched off and on, a port that vanishes, another master.
+#[test]
+fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
+    let _alone = alone();
+    let drive = |(index, parameters): (usize, ParameterPath)| {
+        let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index as u8);
+        drive.parameters = parameters;
+        drive.axis.jog_deadman = None;
+        drive.axis.stop.deceleration = 100.0;
+        drive.axis.limits.velocity = Some(20.0);
+        drive.axis.enable_timeout = Duration::from_secs(3);
+        drive
+    };
+    let paths = [ParameterPath::Drivecom, ParameterPath::Pkw { pause: true }, MSAC1];
+    let bus = ProfibusPlan::new(PORT, 12_000_000, paths.into_iter().enumerate().map(drive).collect());
+    let mut segment = ProfibusSegment::of(&bus);
+    segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
+    segment.noise = Some(NoiseSettings { every_ns: 200 * MS, ..NoiseSettings::default() });
+    let foreign = ForeignSettings { after_ns: 10 * S, count: Some(50), ..ForeignSettings::listening(1) };
+    segment.foreign = Some(foreign);
+    let wire = segment.wire();
+    let devices = wire.drives.into_iter().map(|drive| Box::new(UnwatchedDevice(drive)) as Box<dyn SimSerial>);
+    let wire = SerialWire { drives: devices.collect(), ..wire };
+    let cycle = CyclePlan {
+        receive_deadline: 0.8,
+        overrun: Overrun::Skip { max_skip: 1_000 },
+        max_skip_rate: 1.0,
+        ..CyclePlan::default()
+    };
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let simulated = Simulated { wires: vec![wire], ..Simulated::default() };
+    let others = Arc::new(AtomicU64::new(0));
+    let seen = Arc::clone(&others);
+    let setup = Master::from_plan(plan).with_task(move |_, axes| {
+        let stopped = axes.feedback(0).and_then(|feedback| feedback.stopped);
+        seen.fetch_add(u64::from(stopped == Some(StopCause::OtherMaster)), Ordering::Relaxed);
+    });
+    let mut sim = setup.simulate_with(simulated, WorldOptions::default()).unwrap();
+    let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
+    // Buffers that the simulated wire keeps for reuse, more than the faults will ever need at once.
+    let late = FaultPlan { delay: 1.0, delay_ns: 20 * MS, duplicate: 1.0, ..FaultPlan::default() };
+    assert!(sim.world().set_wire_faults(PORT, late));
+    sim.run(1_000);
+    assert!(sim.world().set_wire_faults(PORT, FaultPlan::default()));
+    sim.run(100);
+
+    let calls = [0, 1, 2].map(|index| {
+        let notation = sim.axis(index).acyclic().notation().clone();
+        ["C0061", "C1999"].map(|code| notation.read(code).unwrap())
+    });
+    let (mut answered, mut refused) = (0_u32, 0_u32);
+    let (mut rounds, mut up) = (0_u32, false);
+    let count = allocations(|| {
+        up = sim.run_until(20_000, is_up);
+        while up && sim.status().executed < 30_000 {
+            for index in 0..3 {
+                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+                    end_of(&mut sim, index, command);
+                }
+                let _ = sim.axis(index).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+            }
+            // The application may allocate.
+            let mut tickets: Vec<CallTicket> = Vec::new();
+            for turn in 0..1_000 {
+                sim.step();
+                unwatched(|| {
+                    let index = turn % 3;
+                    for call in calls[index] {
+                        tickets.extend(sim.axis(index).acyclic().post(call, LONG).ok());
+                    }
+                    tickets.retain_mut(|ticket| match ticket.poll() {
+                        None => true,
+                        Some(end) => {
+                            *(if end.is_ok() { &mut answered } else { &mut refused }) += 1;
+                            false
+                        }
+                    });
+                });
+            }
+            let faults = FaultPlan {
+                seed: rounds.into(),
+                drop: 0.02,
+                duplicate: 0.02,
+                corrupt: 0.02,
+                lost_byte: 0.02,
+                delay: 0.02,
+                delay_ns: MS,
+                reorder: 0.02,
+                wrong_id: 0.02,
+                ..FaultPlan::default()
+            };
+            unwatched(|| assert!(sim.world().set_wire_faults(PORT, faults)));
+            sim.run(2_000);
+            unwatched(|| assert!(sim.world().set_wire_faults(PORT, FaultPlan::default())));
+            sim.world().delay_next_wake(3_700_000);
+            assert!(sim.world().restart_on(PORT, RESTARTED));
+            sim.run(1_000);
+            // The link thread opens a port, and notes why it was lost: in virtual time on the loop's thread.
+            unwatched(|| {
+                assert!(sim.world().unplug_port(PORT));
+                sim.run(100);
+                assert!(sim.world().plug_port(PORT));
+                up = sim.run_until(20_000, is_up);
+            });
+            unwatched(|| drop(tickets));
+            rounds += 1;
+        }
+        end_of(&mut sim, 0, Command::Enable);
+        let _ = sim.axis(0).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+        sim.run(1_000);
+        sim.stop();
+        while sim.step() == Flow::Continue {}
+    });
+    let executed = sim.status().executed;
+    let end = sim.finish();
+    assert!(up, "round {rounds}: {:?}", end.drives);
+    assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
+    // All of it really happened.
+    assert!(rounds >= 3 && others.load(Ordering::Relaxed) > 0, "{rounds}: {others:?}");
+    assert!(answered > 10 * rounds && refused > 10 * rounds, "{rounds}: {answered}, {refused}");
+    for drive in &end.drives {
+        assert!(drive.losses >= u64::from(rounds), "{drive:?}");
+        let c = drive.counters;
+        assert!(c.missed > 0 && c.late > 0 && c.malformed > 0 && c.foreign > 0, "{c:?}");
+        assert!(!drive.feedback.status.state.is_powered(), "{drive:?}");
     }
 }

@@ -13,7 +13,7 @@ use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, StatusWord, Unidriv
 use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
 use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
 use fieldbeat::internals::bus::modbus::wire::{ADU_MAX, HEADER, Response};
-use fieldbeat::internals::cycle::record::{DriveRecord, Record};
+use fieldbeat::internals::cycle::record::{DriveRecord, Record, Stage};
 use fieldbeat::internals::net::frames::Unsent;
 use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, UdpOptions};
 use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
@@ -23,6 +23,7 @@ use fieldbeat::{Granted, Wait};
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 
+use super::bare_wire::BareWire;
 use super::fleet::{self, Fleet, Side};
 use super::handshake;
 use super::libmodbus::{Client, Libmodbus};
@@ -36,6 +37,9 @@ pub struct Measured {
     pub round_trips: Vec<u64>,
     /// From the end of the sleep on, ns: ours until it sleeps again, the bare loop's until the last reply.
     pub busy: Vec<u64>,
+    /// On a PROFIBUS wire, ns: our send phase, and from the end of the sleep until the bare loop has sent its first
+    /// request.
+    pub sending: Vec<u64>,
     /// Processor time from one sleep's begin to the next one's, ns.
     pub cpu: Vec<u64>,
     /// System calls, the sleep included; ours only.
@@ -106,6 +110,7 @@ impl Duel<'_> {
         let (mut simulated, theirs) = (self.fleet.simulate(Side::Ours), fleet.simulate(side));
         simulated.drives.extend(theirs.drives);
         simulated.segments.extend(theirs.segments);
+        simulated.wires.extend(theirs.wires);
         let server = rig::serve(simulated, self.granted);
         let outcome = match self.rival {
             Rival::Bare => rig::on_loop_thread(|_| self.against_bare()),
@@ -131,14 +136,14 @@ impl Duel<'_> {
         let mut rig = self.rig();
         let mut bare = BareLoop::open(self.fleet, self.wait, self.period_ns)?;
         bare.enable()?;
-        // A line that gets no frames for two cycles is in operation no more.
-        let mut beside = Ok(None);
-        rig.enable_beside(|grid| {
-            if beside.is_ok() && self.fleet.line > 0 {
-                beside = bare.cycle(grid + self.period_ns / 2, true, |_| {});
+        // A segment that gets no frames for two cycles is in operation no more.
+        let mut bare_ran = Ok(None);
+        rig.enable_with(|grid| {
+            if bare_ran.is_ok() && self.fleet.segment > 0 {
+                bare_ran = bare.cycle(grid + self.period_ns / 2, true, |_| {});
             }
         });
-        beside?;
+        bare_ran?;
         let (ours, theirs) = self.turns(&mut rig, &mut bare)?;
         rig.settle();
         Ok(Outcome { ours, theirs, end: rig.end() })
@@ -161,7 +166,13 @@ impl Duel<'_> {
         let (mut ours, mut theirs) = (Measured::default(), Measured::default());
         for _ in 0..self.cycles {
             let (before, executed) = (thread_cpu_ns(), rig.status().executed);
-            let turn = rig.turn(|record| ours.note(&record));
+            let mut sending = None;
+            let turn = rig.turn(|record| {
+                ours.note(&record);
+                if let Record::Cycle(cycle) = record {
+                    sending = Some(u64::from(cycle.stages_ns[Stage::Send as usize]));
+                }
+            });
             let between = thread_cpu_ns();
             let grid = rig.grid() + self.period_ns / 2;
             let busy = bare.cycle(grid, true, |reply| theirs.round_trips.push(reply.rtt_ns))?;
@@ -175,6 +186,10 @@ impl Duel<'_> {
                 ours.cpu.push(between - before);
                 theirs.busy.push(busy);
                 theirs.cpu.push(after - between);
+                if let Some((ours_ns, bare_ns)) = sending.zip(bare.sending_ns) {
+                    ours.sending.push(ours_ns);
+                    theirs.sending.push(bare_ns);
+                }
             }
         }
         Ok((ours, theirs))
@@ -183,7 +198,8 @@ impl Duel<'_> {
 
 /// The least that any master has to do: sleep until the grid point, drop what came too late, `send` to each drive that
 /// is due, then `ppoll` and `recv` until all have answered or nine tenths of the period are over. It sends the bytes
-/// that the loop sends to a drive in operation, looks at none of the replies', and judges nothing.
+/// that the loop sends to a drive in operation, looks at none of the replies', and judges nothing. On a PROFIBUS wire
+/// the next request follows an answer after the idle time.
 struct BareLoop {
     wait: Wait,
     period_ns: u64,
@@ -193,7 +209,10 @@ struct BareLoop {
     linmots: Vec<(SocketAddrV4, Time)>,
     streams: Vec<TcpStream>,
     unidrives: Vec<Requested>,
-    line: Option<BareLine>,
+    segment: Option<BareSegment>,
+    wire: Option<BareWire>,
+    /// From the end of the last sleep until the first request was on the wire, if there is one.
+    sending_ns: Option<u64>,
 }
 
 /// A Unidrive and its exchange.
@@ -226,7 +245,8 @@ struct Reply<'a> {
 enum Of {
     Linmot,
     Unidrive,
-    Line,
+    Segment,
+    Wire,
 }
 
 /// Processor time of the bare loop alone, ns a cycle, on the calling thread.
@@ -273,7 +293,13 @@ impl BareLoop {
             linmots: (0..fleet.linmots).map(|index| (fleet::address(Side::Bare, index), Time(0))).collect(),
             streams,
             unidrives: plan.drives.iter().map(Requested::new).collect(),
-            line: (fleet.line > 0).then(|| BareLine::open(fleet, wait, period_ns)).transpose()?,
+            segment: (fleet.segment > 0).then(|| BareSegment::open(fleet, wait, period_ns)).transpose()?,
+            wire: match &fleet.profibus(Side::Bare)[..] {
+                [] => None,
+                [plan] => Some(BareWire::open(plan, wait, period_ns)?),
+                _ => return Err(io::Error::other("the bare loop has one wire at most")),
+            },
+            sending_ns: None,
         })
     }
 
@@ -285,13 +311,18 @@ impl BareLoop {
         let length = blocks.emit(&mut request);
         let phase = self.turn % self.fleet.every;
         self.turn = self.turn.wrapping_add(1);
-        // What a reply may come on; the LinMots' socket first, if there is one, and the line's last.
-        let mut set: Vec<PollFd<'_>> = Vec::with_capacity(2 + self.streams.len());
+        // What a reply may come on; the LinMots' socket first, if there is one, and the segment's and the
+        // wire's last.
+        let port = self.wire.as_ref().map(BareWire::port);
+        let mut set: Vec<PollFd<'_>> = Vec::with_capacity(3 + self.streams.len());
         set.extend(self.socket.as_ref().map(|socket| PollFd::new(socket.as_fd(), PollFlags::POLLIN)));
         let streams_at = set.len();
         set.extend(self.streams.iter().map(|stream| PollFd::new(stream.as_fd(), PollFlags::empty())));
-        let line_at = set.len();
-        set.extend(self.line.as_ref().and_then(|line| line.fd).map(|fd| PollFd::new(fd, PollFlags::POLLIN)));
+        let segment_at = set.len();
+        let segment_fd = self.segment.as_ref().and_then(|segment| segment.fd);
+        set.extend(segment_fd.map(|fd| PollFd::new(fd, PollFlags::POLLIN)));
+        let wire_at = set.len();
+        set.extend(port.as_ref().map(|port| PollFd::new(port.as_fd(), PollFlags::POLLIN)));
 
         MonotonicClock.sleep_until(grid);
         let woke = MonotonicClock::read();
@@ -317,13 +348,18 @@ impl BareLoop {
                 unidrives_left += 1;
             }
         }
-        let mut lines_left = 0;
-        if let Some(line) = &mut self.line {
-            line.send()?;
-            lines_left = 1;
+        let mut segments_left = 0;
+        if let Some(segment) = &mut self.segment {
+            segment.send()?;
+            segments_left = 1;
+        }
+        let mut turns_left = 0;
+        if let Some(wire) = &mut self.wire {
+            turns_left = wire.begin(phase)?;
+            self.sending_ns = Some(MonotonicClock::read().since(woke));
         }
         let (mut now, mut last) = (woke, woke);
-        while linmots_left + unidrives_left + lines_left > 0 && now < deadline {
+        while linmots_left + unidrives_left + segments_left + turns_left > 0 && now < deadline {
             if self.wait == Wait::Poll {
                 let rest = deadline.since(MonotonicClock::read());
                 let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
@@ -348,12 +384,20 @@ impl BareLoop {
                     take(Reply { rtt_ns: last.since(requested.sent), bytes, of: Of::Unidrive });
                 }
             }
-            if let Some(line) = self.line.as_mut().filter(|_| lines_left > 0 && is_ready(line_at))
-                && let Some((at, rtt_ns, bytes)) = line.receive()
+            if let Some(segment) = self.segment.as_mut().filter(|_| segments_left > 0 && is_ready(segment_at))
+                && let Some((at, rtt_ns, bytes)) = segment.receive()
             {
                 last = at;
-                lines_left = 0;
-                take(Reply { rtt_ns, bytes, of: Of::Line });
+                segments_left = 0;
+                take(Reply { rtt_ns, bytes, of: Of::Segment });
+            }
+            if let Some(wire) = self.wire.as_mut().filter(|_| turns_left > 0 && is_ready(wire_at))
+                && let Some((at, rtt_ns)) = wire.receive()?
+            {
+                last = at;
+                turns_left -= 1;
+                take(Reply { rtt_ns, bytes: wire.answer(), of: Of::Wire });
+                wire.send()?;
             }
             for (poll, requested) in set[streams_at..].iter_mut().zip(&self.unidrives) {
                 if requested.owed == 0 {
@@ -362,7 +406,7 @@ impl BareLoop {
             }
             now = MonotonicClock::read();
         }
-        Ok((linmots_left + unidrives_left + lines_left == 0).then(|| last.since(woke)))
+        Ok((linmots_left + unidrives_left + segments_left + turns_left == 0).then(|| last.since(woke)))
     }
 
     /// Cycles until all drives are in operation: each switches on from a low control word only.
@@ -377,8 +421,8 @@ impl BareLoop {
             self.cycle(grid, cycle >= 20 * self.fleet.every, |reply| match reply.of {
                 Of::Linmot => linmots += usize::from(is_operational(reply.bytes)),
                 Of::Unidrive => unidrives += usize::from(is_active(reply.bytes)),
-                // It is already.
-                Of::Line => {}
+                // They are already.
+                Of::Segment | Of::Wire => {}
             })?;
             let ended = (cycle + 1) % self.fleet.every == 0;
             let all = self.linmots.len() * self.fleet.every as usize;
@@ -390,9 +434,9 @@ impl BareLoop {
     }
 }
 
-/// A line: its last frame of the time when it came into operation, sent again with another index and the time of its
+/// A segment: its last frame of the time when it came into operation, sent again with another index and the time of its
 /// slot.
-struct BareLine {
+struct BareSegment {
     tap: Arc<Mutex<Tap>>,
     fd: Option<BorrowedFd<'static>>,
     /// The loop that brought it up.
@@ -466,15 +510,15 @@ impl Frames for Tapped {
     }
 }
 
-impl BareLine {
-    /// A line with all drives in operation: our loop brings it up, and is left standing.
-    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareLine> {
+impl BareSegment {
+    /// A segment with all drives in operation: our loop brings it up, and is left standing.
+    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareSegment> {
         let taps = Taps::default();
         let cycle = rig::exchange_cycle(period_ns, wait);
         let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(fleet.ethercat(Side::Bare))];
         let mut rig = Rig::new(cycle, buses, Pace::Grid, &taps, Calls::default());
         rig.enable();
-        // Until it asks for nothing besides, as in almost all cycles.
+        // Until it requests nothing else, as in almost all cycles.
         let tap = taps.0.into_inner().ok_or(ErrorKind::NotFound)?;
         let plain = |frame: &[u8]| {
             let last = datagrams(frame).ok()?.map_while(Result::ok).last()?;
@@ -496,7 +540,7 @@ impl BareLine {
         // SAFETY: the carrier keeps its descriptor open, and lives as long as the tap.
         let fd = guard.net.fd().map(|fd| unsafe { BorrowedFd::borrow_raw(fd) });
         drop(guard);
-        Ok(BareLine {
+        Ok(BareSegment {
             tap,
             fd,
             indices,
@@ -580,7 +624,8 @@ impl Message {
     }
 }
 
-fn unless_blocked<T>(result: io::Result<T>) -> io::Result<Option<T>> {
+/// `None`: there is nothing yet.
+pub fn unless_blocked<T>(result: io::Result<T>) -> io::Result<Option<T>> {
     match result {
         Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
         other => other.map(Some),

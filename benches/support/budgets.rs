@@ -91,6 +91,14 @@ impl Budgets {
         }
     }
 
+    /// Drops the rows of `bench` that are counted no more. Those of sockets are written by hand.
+    pub fn retain(&mut self, bench: &str, is_counted: impl Fn(&String) -> bool) {
+        let (all, by_hand) = (format!("{bench}/"), format!("{bench}/sockets/"));
+        self.rows.retain(|Row { scenario, .. }| {
+            !scenario.starts_with(&all) || scenario.starts_with(&by_hand) || is_counted(scenario)
+        });
+    }
+
     /// Writes the file, with this compiler.
     ///
     /// # Errors

@@ -46,6 +46,8 @@ const CACHES: [&str; 3] = ["--cache-sim=yes", "--D1=32768,8,64", "--LL=524288,8,
 pub struct Scenario {
     /// What it is about.
     pub protocol: &'static str,
+    /// What of it, unless that is the usual.
+    pub part: Option<&'static str>,
     /// Drives that share one cycle.
     pub drives: usize,
     /// Couplers and terminals in it.
@@ -154,6 +156,11 @@ fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Re
         );
     }
     if args.write_budgets {
+        budgets.retain(bench, |row| {
+            scenarios
+                .iter()
+                .any(|scenario| [INSTRUCTIONS, CALLS].map(|what| scenario.row(bench, what)).contains(row))
+        });
         for (scenario, counts) in scenarios.iter().zip(all) {
             budgets.enter(&scenario.row(bench, INSTRUCTIONS), counts.instructions);
             if let Some(calls) = counts.calls {
@@ -267,15 +274,16 @@ fn valgrind() -> Result<(), String> {
 impl Scenario {
     /// Drives only; the caches are not simulated.
     pub const fn of(protocol: &'static str, drives: usize) -> Scenario {
-        Scenario { protocol, drives, terminals: 0, caches: false }
+        Scenario { protocol, part: None, drives, terminals: 0, caches: false }
     }
 
     /// As the environment of the child and the table have it.
     pub fn name(&self) -> String {
-        let Scenario { protocol, drives, terminals, .. } = self;
-        match terminals {
-            0 => format!("{protocol}/{drives}"),
-            terminals => format!("{protocol}/{drives}+{terminals}"),
+        let Scenario { protocol, part, drives, terminals, .. } = self;
+        match (part, terminals) {
+            (Some(part), _) => format!("{protocol}/{drives} {part}"),
+            (None, 0) => format!("{protocol}/{drives}"),
+            (None, terminals) => format!("{protocol}/{drives}+{terminals}"),
         }
     }
 

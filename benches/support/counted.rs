@@ -65,9 +65,9 @@ impl<N: Carriers> Carriers for CountedNet<N> {
     }
 
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
-        let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
-        let net = self.net.serial(port, line)?;
-        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections }))
+        let (net, calls) = (self.net.serial(port, line)?, Calls::clone(&self.calls));
+        // A port is none.
+        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections: Calls::default() }))
     }
 }
 
@@ -110,7 +110,7 @@ struct CountedFrames {
     calls: Calls,
 }
 
-/// One call each; on a line of this host, a frame that is not taken costs none more.
+/// One call each; on a segment of this host, a frame that is not taken costs none more.
 impl Frames for CountedFrames {
     fn fd(&self) -> Option<RawFd> {
         self.net.fd()

@@ -1,5 +1,5 @@
-//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and lines
-//! `local:bench-...`.
+//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and segments
+//! and wires `local:bench-...`.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -12,15 +12,21 @@ use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
+use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::sim::ethernet_ip::MoonsDrives;
 use fieldbeat::sim::linudp::LinMots;
 use fieldbeat::sim::modbus::Unidrives;
+use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{SimBus, Simulated};
+use fieldbeat::time::US;
 
-use super::{line, moons, unidrive};
+use super::{lenze, moons, segment, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
+
+/// The slot time of a wire on this host is longer by this, ns: the thread that answers has to be woken.
+const WOKEN_NS: u64 = 200 * US;
 
 /// Whose drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,17 +76,20 @@ pub struct Fleet {
     pub unidrives: usize,
     /// ... each in every cycle of so many, as many of them in one as in the next.
     pub every: u32,
-    /// Kollmorgen drives, on one line.
-    pub line: usize,
+    /// Kollmorgen drives, on one segment.
+    pub segment: usize,
     /// Couplers and terminals, behind these drives.
     pub terminals: usize,
     /// MOONS' drives, each in every cycle of so many as well: their interval.
     pub moons: usize,
+    /// Lenze drives, four on each PROFIBUS wire, due like Unidrives.
+    pub lenzes: usize,
 }
 
 impl Fleet {
     /// No drive.
-    pub const NONE: Fleet = Fleet { linmots: 0, unidrives: 0, every: 1, line: 0, terminals: 0, moons: 0 };
+    pub const NONE: Fleet =
+        Fleet { linmots: 0, unidrives: 0, every: 1, segment: 0, terminals: 0, moons: 0, lenzes: 0 };
 
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
@@ -92,14 +101,14 @@ impl Fleet {
         Fleet { unidrives: count, ..Fleet::NONE }
     }
 
-    /// A line of Kollmorgen drives only.
-    pub const fn line(count: usize) -> Fleet {
-        Fleet { line: count, ..Fleet::NONE }
+    /// A segment of Kollmorgen drives only.
+    pub const fn segment(count: usize) -> Fleet {
+        Fleet { segment: count, ..Fleet::NONE }
     }
 
-    /// A line of so many Kollmorgen drives, and of so many couplers and terminals behind them.
+    /// A segment of so many Kollmorgen drives, and of so many couplers and terminals behind them.
     pub const fn with_terminals(drives: usize, terminals: usize) -> Fleet {
-        Fleet { terminals, ..Fleet::line(drives) }
+        Fleet { terminals, ..Fleet::segment(drives) }
     }
 
     /// MOONS' drives only, in every cycle.
@@ -107,9 +116,14 @@ impl Fleet {
         Fleet { moons: count, ..Fleet::NONE }
     }
 
+    /// Lenze drives only, in every cycle.
+    pub const fn lenzes(count: usize) -> Fleet {
+        Fleet { lenzes: count, ..Fleet::NONE }
+    }
+
     /// All of them.
     pub fn drives(self) -> usize {
-        self.linmots + self.unidrives + self.line + self.moons
+        self.linmots + self.unidrives + self.segment + self.moons + self.lenzes
     }
 
     /// How many Unidrives are due in a cycle.
@@ -145,9 +159,19 @@ impl Fleet {
         EthernetIpPlan::new(*master(side).ip(), (0..self.moons).map(drive).collect())
     }
 
-    /// Its line on `side`.
+    /// Its segment on `side`.
     pub fn ethercat(self, side: Side) -> EthercatPlan {
-        line::plan(&format!("local:bench-{}", side as u8), self.line, self.terminals)
+        segment::plan(&format!("local:bench-{}", side as u8), self.segment, self.terminals)
+    }
+
+    /// Its wires on `side`. What simulates them is woken by the kernel.
+    pub fn profibus(self, side: Side) -> Vec<ProfibusPlan> {
+        let wires = lenze::wires(&format!("local:bench-wire-{}", side as u8), self.lenzes);
+        let on_this_host = |mut plan: ProfibusPlan| {
+            plan.bits.latency_ns = WOKEN_NS;
+            plan.in_turn(self.every)
+        };
+        wires.into_iter().map(on_this_host).collect()
     }
 
     /// Its buses on `side`: LinMots first.
@@ -159,12 +183,13 @@ impl Fleet {
         if self.unidrives > 0 {
             buses.push(Box::new(self.modbus(side)));
         }
-        if self.line > 0 {
+        if self.segment > 0 {
             buses.push(Box::new(self.ethercat(side)));
         }
         if self.moons > 0 {
             buses.push(Box::new(self.ethernet_ip(side)));
         }
+        buses.extend(self.profibus(side).into_iter().map(|wire| Box::new(wire) as Box<dyn BusPlan>));
         buses
     }
 
@@ -173,19 +198,22 @@ impl Fleet {
         let mut simulated = Simulated::default();
         LinMots::of(&self.linudp(side)).build(&mut simulated);
         Unidrives(self.modbus(side).drives.iter().map(unidrive::simulated).collect()).build(&mut simulated);
-        if self.line > 0 {
-            line::simulated(&self.ethercat(side)).build(&mut simulated);
+        if self.segment > 0 {
+            segment::simulated(&self.ethercat(side)).build(&mut simulated);
         }
         MoonsDrives::of(&self.ethernet_ip(side)).build(&mut simulated);
+        for wire in self.profibus(side) {
+            ProfibusSegment::of(&wire).build(&mut simulated);
+        }
         simulated
     }
 }
 
-/// As [`FromStr`] takes it: `32+32/8+16+56+0`.
+/// As [`FromStr`] takes it: `32+32/8+16+56+0+4`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Fleet { linmots, unidrives, every, line, terminals, moons } = self;
-        write!(f, "{linmots}+{unidrives}/{every}+{line}+{terminals}+{moons}")
+        let Fleet { linmots, unidrives, every, segment, terminals, moons, lenzes } = self;
+        write!(f, "{linmots}+{unidrives}/{every}+{segment}+{terminals}+{moons}+{lenzes}")
     }
 }
 
@@ -196,16 +224,18 @@ impl FromStr for Fleet {
         let (linmots, rest) = text.split_once('+').ok_or(())?;
         let (unidrives, rest) = rest.split_once('/').ok_or(())?;
         let (every, rest) = rest.split_once('+').ok_or(())?;
-        let (line, rest) = rest.split_once('+').ok_or(())?;
-        let (terminals, moons) = rest.split_once('+').ok_or(())?;
+        let (segment, rest) = rest.split_once('+').ok_or(())?;
+        let (terminals, rest) = rest.split_once('+').ok_or(())?;
+        let (moons, lenzes) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
             unidrives: number(unidrives)?,
             every: every.parse().map_err(|_| ())?,
-            line: number(line)?,
+            segment: number(segment)?,
             terminals: number(terminals)?,
             moons: number(moons)?,
+            lenzes: number(lenzes)?,
         })
     }
 }

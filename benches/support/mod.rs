@@ -8,8 +8,10 @@
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
 //! | `fleet` | the drives it runs |
-//! | `unidrive`, `line`, `moons`, `lenze` | a Unidrive, a line of Kollmorgens, a MOONS' drive, a wire of Lenze drives in memory |
+//! | `unidrive`, `moons` | a Unidrive, a MOONS' drive in memory |
+//! | `segment`, `lenze` | a segment of Kollmorgens, a wire of Lenze drives in memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
+//! | `bare_wire` | the bare loop's PROFIBUS wire |
 //! | `packets` | the same for class 1 packets, which answer nothing |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
@@ -19,6 +21,7 @@
 //! never fail a bench. Counts and errors do.
 
 pub mod bare;
+pub mod bare_wire;
 pub mod budgets;
 pub mod callgrind;
 pub mod count;
@@ -27,11 +30,11 @@ pub mod fleet;
 pub mod handshake;
 pub mod lenze;
 pub mod libmodbus;
-pub mod line;
 pub mod moons;
 pub mod null;
 pub mod packets;
 pub mod rig;
+pub mod segment;
 pub mod stats;
 pub mod unidrive;
 pub mod whole;

@@ -49,7 +49,7 @@ pub fn duel(
     let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, carriers, Arc::clone(calls));
     // A drive that gets no packets for two seconds closes its connection.
     let mut bare_sent = Ok(0);
-    rig.enable_beside(|grid| {
+    rig.enable_with(|grid| {
         if bare_sent.is_ok() {
             bare_sent = bare.cycle(grid + period_ns / 2);
         }

@@ -132,14 +132,23 @@ const ANSWERED_NS: u64 = 40_000;
 /// Only leaps and readings move the clock, so that each run is the same.
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
 
-/// There are serial wires in memory: a wait lasts until there is a reply, or until its end.
-static SERIAL: AtomicBool = AtomicBool::new(false);
+/// So many serial wires are in memory: as long as there is one, a wait lasts until there is a reply, or until its end,
+/// to which the clock jumps.
+static SERIAL: AtomicU64 = AtomicU64::new(0);
 /// So many of them have a reply that waits to be taken.
 static REPLIES: AtomicU64 = AtomicU64::new(0);
 
 /// A serial wire in memory was opened.
-pub fn serial_is_there() {
-    SERIAL.store(true, Ordering::Relaxed);
+pub fn serial_opened() {
+    SERIAL.fetch_add(1, Ordering::Relaxed);
+}
+
+/// A serial wire in memory was closed, on which a reply waited or not.
+pub fn serial_closed(waits: bool) {
+    SERIAL.fetch_sub(1, Ordering::Relaxed);
+    if waits {
+        reply_waits(false);
+    }
 }
 
 /// A reply waits on a serial wire in memory, or was taken.
@@ -158,9 +167,14 @@ pub fn be_virtual() {
     VIRTUAL.store(true, Ordering::Relaxed);
 }
 
+/// Time is virtual.
+pub fn is_virtual() -> bool {
+    VIRTUAL.load(Ordering::Relaxed)
+}
+
 /// Now, by the clock of the loop that runs.
 pub fn now() -> Time {
-    if VIRTUAL.load(Ordering::Relaxed) {
+    if is_virtual() {
         return Time(VIRTUAL_BEGIN_NS + AHEAD_NS.fetch_add(VIRTUAL_READ_NS, Ordering::Relaxed));
     }
     MonotonicClock::read() + AHEAD_NS.load(Ordering::Relaxed)
@@ -174,7 +188,7 @@ pub fn leap(ns: u64) {
 /// So much time has passed for nobody: what a simulation in memory takes is not the loop's. It must have leapt ahead
 /// before. In virtual time it has taken none.
 pub fn forget(ns: u64) {
-    if VIRTUAL.load(Ordering::Relaxed) {
+    if is_virtual() {
         return;
     }
     AHEAD_NS.store(AHEAD_NS.load(Ordering::Relaxed).saturating_sub(ns), Ordering::Relaxed);
@@ -187,6 +201,8 @@ pub struct Meter {
     /// Where the last sleep was to end, and when the loop first looked after it.
     grid: Time,
     woke: Option<Time>,
+    /// In this turn it has jumped over waits of this length, ns.
+    waited_ns: u64,
     calls: Calls,
 }
 
@@ -218,16 +234,19 @@ impl Clock for Meter {
 
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
         add(&self.calls, 1);
-        if !VIRTUAL.load(Ordering::Relaxed) {
+        let on_wires = SERIAL.load(Ordering::Relaxed) > 0;
+        if !on_wires && !is_virtual() {
             return MonotonicClock.wait(set, until);
         }
-        // In virtual time all replies are there; on a serial wire one comes later, and the next one is asked for then.
-        let is_serial = SERIAL.load(Ordering::Relaxed);
-        let is_idle = is_serial && !is_reply_waiting();
-        match is_idle {
-            true => leap(until.since(now())),
-            false if is_serial => leap(ANSWERED_NS),
-            false => {}
+        // What answers from memory has answered; on a serial wire a while later, and the next one is requested then.
+        let is_idle = on_wires && !is_reply_waiting();
+        if is_idle {
+            let left = until.since(now());
+            leap(left);
+            self.waited_ns += left;
+        } else if on_wires {
+            leap(ANSWERED_NS);
+            self.waited_ns += ANSWERED_NS;
         }
         !is_idle
     }
@@ -237,8 +256,10 @@ impl Clock for Meter {
     }
 
     fn spin_until(&mut self, at: Time) -> Time {
-        if VIRTUAL.load(Ordering::Relaxed) {
-            leap(at.since(now()));
+        if SERIAL.load(Ordering::Relaxed) > 0 || is_virtual() {
+            let left = at.since(now());
+            leap(left);
+            self.waited_ns += left;
         }
         while now() < at {
             MonotonicClock.spin();
@@ -250,7 +271,7 @@ impl Clock for Meter {
 /// One turn of the loop.
 #[derive(Clone, Copy, Debug)]
 pub struct Turn {
-    /// From the end of the sleep to the next one's begin, ns.
+    /// From the end of the sleep to the next one's begin, without what the clock jumped over in the window, ns.
     pub busy_ns: u64,
     /// System calls, the sleep included.
     pub calls: u64,
@@ -277,7 +298,7 @@ impl Rig {
     ) -> Rig {
         let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
         AHEAD_NS.store(0, Ordering::Relaxed);
-        let clock = Meter { pace, grid: Time(0), woke: None, calls: Arc::clone(&calls) };
+        let clock = Meter { pace, grid: Time(0), woke: None, waited_ns: 0, calls: Arc::clone(&calls) };
         let assembly = match assemble(&plan, clock, carriers, None, Control::default()) {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
@@ -317,12 +338,12 @@ impl Rig {
     pub fn turn(&mut self, mut record: impl FnMut(Record)) -> Turn {
         self.write_outputs();
         let engine = &mut self.assembly.engine;
-        engine.clock().woke = None;
+        (engine.clock().woke, engine.clock().waited_ns) = (None, 0);
         let before = self.calls.load(Ordering::Relaxed);
         engine.step();
         let clock = engine.clock();
         let end = clock.now();
-        let busy_ns = end.since(clock.woke.unwrap_or(end));
+        let busy_ns = end.since(clock.woke.unwrap_or(end)).saturating_sub(clock.waited_ns);
         self.grid = clock.grid;
         let calls = self.calls.load(Ordering::Relaxed) - before;
         while let Ok(entry) = self.assembly.records.pop() {
@@ -360,23 +381,23 @@ impl Rig {
 
     /// Turns until all drives are online, enables them, and turns until all are in operation.
     pub fn enable(&mut self) {
-        self.enable_beside(|_| {});
+        self.enable_with(|_| {});
     }
 
-    /// The same, with somebody who does his own after each turn, and gets its grid point.
-    pub fn enable_beside(&mut self, mut beside: impl FnMut(Time)) {
+    /// The same; `after_turn` runs after each turn, with its grid point.
+    pub fn enable_with(&mut self, mut after_turn: impl FnMut(Time)) {
         let drives = self.assembly.axes.len() as u32;
         self.turn_until(
             "online",
             |rig| rig.status().online == drives && rig.are_devices_in_operation(),
-            &mut beside,
+            &mut after_turn,
         );
         for axis in &mut self.assembly.axes {
             if let Err(error) = axis.post(Command::Enable) {
                 give_up(error)
             }
         }
-        self.turn_until("in operation", |rig| rig.status().operational == drives, &mut beside);
+        self.turn_until("in operation", |rig| rig.status().operational == drives, &mut after_turn);
     }
 
     /// Devices that are no drives take part.
@@ -417,7 +438,7 @@ impl Rig {
         }
     }
 
-    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, beside: &mut dyn FnMut(Time)) {
+    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, after_turn: &mut dyn FnMut(Time)) {
         // The grid is that of the last turn: there has to be one.
         self.turn(|_| {});
         let begin = self.grid;
@@ -426,7 +447,7 @@ impl Rig {
                 return;
             }
             self.turn(|_| {});
-            beside(self.grid);
+            after_turn(self.grid);
         }
         give_up(format!("the simulated drives are not {what}: {:?}", self.status()))
     }

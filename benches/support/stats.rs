@@ -1,4 +1,4 @@
-//! The doctor's statistics, and what only a bench needs besides.
+//! The doctor's statistics, and what only a bench needs.
 
 pub use fieldbeat::internals::doctor::stats::*;
 

@@ -38,6 +38,7 @@ impl Whole {
         let (mut simulated, theirs) = (fleet.simulate(Side::Ours), fleet.simulate(Side::Bare));
         simulated.drives.extend(theirs.drives);
         simulated.segments.extend(theirs.segments);
+        simulated.wires.extend(theirs.wires);
         let server = rig::serve(simulated, granted);
         let mut whole = Whole::default();
         super::in_turns(rounds, 2, |who| match who {

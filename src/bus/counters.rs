@@ -39,6 +39,30 @@ pub struct OwnCounter {
     pub what: &'static str,
 }
 
+/// Defines the counters that only one protocol has: their indices in [`Counters::own`], and the list of their keys and
+/// meanings in the same order.
+macro_rules! own_counters {
+    ($vis:vis enum $Own:ident, $LIST:ident { $($Counter:ident = $key:literal: $what:literal,)+ }) => {
+        /// The indices of the counters in [`Counters::own`](crate::bus::Counters::own).
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(usize)]
+        $vis enum $Own { $(#[doc = concat!("Counts ", $what, ".")] $Counter,)+ }
+
+        /// Their keys and meanings, in order.
+        $vis const $LIST: [crate::bus::OwnCounter; [$($key),+].len()] =
+            [$(crate::bus::OwnCounter { key: $key, what: $what }),+];
+
+        impl $Own {
+            /// Counts one more.
+            #[inline]
+            $vis fn count(self, counters: &mut crate::bus::Counters) {
+                counters.own[self as usize] += 1;
+            }
+        }
+    };
+}
+pub(crate) use own_counters;
+
 /// What only one protocol counts of a drive or device, exactly.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ProtocolCounters(pub Vec<(OwnCounter, u64)>);

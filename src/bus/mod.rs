@@ -7,6 +7,7 @@
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `drives` | what the buses of all protocols do with their drives |
+//! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
 //! | `variant` | a bus in a machine that is otherwise like its own |
 //! | `tools` | the commands that a protocol adds to the program |
 //!
@@ -22,6 +23,7 @@
 //!
 //! `tests/conformance` tests the contract clause by clause, for every protocol.
 
+mod cia402;
 pub(crate) mod contract;
 pub(crate) mod counters;
 pub(crate) mod desired;
@@ -33,6 +35,7 @@ pub mod linudp;
 pub mod modbus;
 mod plan;
 pub mod profibus;
+mod reader;
 #[cfg(feature = "cli")]
 pub(crate) mod tools;
 pub(crate) mod variant;

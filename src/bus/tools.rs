@@ -37,6 +37,18 @@ pub fn arguments<T: FromArgMatches>(matches: &ArgMatches) -> Result<T, Stop> {
     T::from_arg_matches(matches).map_err(Stop::usage)
 }
 
+/// A table for people: a column is as wide as its widest cell.
+pub fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
+    let rows: Vec<[String; N]> = std::iter::once(head.map(str::to_owned)).chain(rows).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; N] = std::array::from_fn(width);
+    let line = |row: &[String; N]| {
+        let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:<width$}"));
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
 /// Why a command ended otherwise than well: what to print, and the exit code.
 #[derive(Debug)]
 pub struct Stop {

@@ -351,6 +351,13 @@ fn unknown(key: &str, valid: Vec<&str>) -> String {
     format!("no such key; {meant}valid here: {}", valid.join(", "))
 }
 
+/// Puts what was read in the place of a default.
+pub fn set<T>(place: &mut T, read: Option<T>) {
+    if let Some(value) = read {
+        *place = value;
+    }
+}
+
 /// A time in ns within `range`.
 pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
     let ns = value

@@ -20,6 +20,8 @@ const UNDER_WAY: usize = 64;
 const DRIVER: usize = 4_096;
 /// The most bytes that wait for the master; more are lost, as in the kernel's buffer.
 const INBOX: usize = 4_096;
+/// The initial capacity of every buffer, bytes: any telegram, so that none grows in use.
+const LEAST_ROOM: usize = 512;
 /// The sender that is the master; the drives follow.
 const MASTER: usize = 0;
 
@@ -93,6 +95,8 @@ pub(super) struct Medium {
     rests: Vec<Time>,
     inbox: VecDeque<u8>,
     out: Vec<u8>,
+    /// Buffers of what has ended, for reuse: a wire does not allocate.
+    spare: Vec<Vec<u8>>,
     /// The master has other settings.
     garbled: bool,
     /// Its first moment: no drive runs before it.
@@ -103,11 +107,12 @@ impl Medium {
     pub(super) fn new(wire: SerialWire) -> Medium {
         Medium {
             injector: Injector::of_bytes(wire.faults.clone()),
-            sending: Vec::new(),
+            sending: Vec::with_capacity(UNDER_WAY),
             under_way: [Queue::new(UNDER_WAY), Queue::new(UNDER_WAY)],
             rests: vec![Time::default(); wire.drives.len()],
-            inbox: VecDeque::new(),
-            out: Vec::new(),
+            inbox: VecDeque::with_capacity(INBOX),
+            out: Vec::with_capacity(LEAST_ROOM),
+            spare: (0..UNDER_WAY).map(|_| Vec::with_capacity(LEAST_ROOM)).collect(),
             garbled: false,
             begun: None,
             wire,
@@ -149,14 +154,29 @@ impl Medium {
     pub(super) fn write(&mut self, now: Time, bytes: &[u8]) -> usize {
         self.begun.get_or_insert(now);
         let count = bytes.len().min(DRIVER - self.unsent(now).min(DRIVER));
-        let mut telegram = bytes[..count].to_vec();
-        if self.garbled {
-            telegram.fill(0);
-        }
         if count > 0 {
+            let mut telegram = self.buffer(&bytes[..count]);
+            if self.garbled {
+                telegram.fill(0);
+            }
             self.begin(now, MASTER, telegram);
         }
         count
+    }
+
+    /// A copy of `bytes` in a reused buffer, if there is one.
+    fn buffer(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut buffer = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(LEAST_ROOM));
+        buffer.clear();
+        buffer.extend_from_slice(bytes);
+        buffer
+    }
+
+    /// Nothing of it is on the wire any more.
+    fn recycle(&mut self, sending: Sending) {
+        if self.spare.len() < UNDER_WAY {
+            self.spare.push(sending.bytes);
+        }
     }
 
     /// How many bytes of the master have not begun.
@@ -181,7 +201,10 @@ impl Medium {
                 self.sending[k].bytes.truncate(begun);
             }
         }
-        self.sending.retain(|sending| !sending.bytes.is_empty());
+        while let Some(k) = self.sending.iter().position(|sending| sending.bytes.is_empty()) {
+            let sending = self.sending.swap_remove(k);
+            self.recycle(sending);
+        }
     }
 
     /// `by` sends `bytes` from now on, or behind what it still sends. What overlaps with others is lost at both.
@@ -247,6 +270,7 @@ impl Medium {
             self.deliver(due);
             let sending = self.sending.swap_remove(k);
             self.ended(due, &sending);
+            self.recycle(sending);
         } else if let Some((_, parcel)) = self.under_way[Way::Request as usize].pop(due) {
             passed(due, Way::Request, &parcel);
             self.wire.drives.iter_mut().for_each(|drive| drive.receive(due, &parcel.bytes));
@@ -259,7 +283,8 @@ impl Medium {
                 drive.mislabel(&mut parcel.bytes);
             }
             passed(due, Way::Reply, &parcel);
-            self.begin(due, by, parcel.bytes.clone());
+            let telegram = self.buffer(&parcel.bytes);
+            self.begin(due, by, telegram);
             self.under_way[Way::Reply as usize].recycle(parcel);
         } else if let Some((_, k)) = self.drive_due() {
             self.run_drive(due.max(begun), k);

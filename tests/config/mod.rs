@@ -614,6 +614,20 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert!((20 * MS..=33 * MS).contains(&(u64::from(first.divisor) * period_ns)), "{period_ns}");
         assert_eq!((second.divisor, second.phase), (first.divisor, first.divisor / 2), "{period_ns}");
     }
+    // Up to the longest cycle that there is, no drive's watchdog expires between two exchanges.
+    for period_ns in [50 * MS, 333 * MS, 500 * MS, 751 * MS, S] {
+        let plan = demo_plan(1, period_ns, 0).unwrap().plan;
+        for bus in &plan.buses {
+            for (index, axis) in bus.axes().into_iter().enumerate() {
+                let every_ns = period_ns * u64::from(axis.divisor);
+                let watchdog_ns = bus.drive_watchdog_ns(index);
+                assert!(watchdog_ns.is_none_or(|ns| ns > every_ns), "{period_ns}: {}", axis.name);
+            }
+        }
+        // A segment that does not take the period is left out, and no other bus.
+        let left_out = usize::from(plan.buses.iter().all(|bus| bus.name() != "ethercat"));
+        assert_eq!(plan.buses.len(), 5 - left_out, "{period_ns}");
+    }
     // What a busy computer is allowed is stated in time.
     for period_ns in [MS, 4 * MS, 8 * MS] {
         let plan = demo_plan(1, period_ns, 0).unwrap().plan;

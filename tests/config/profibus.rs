@@ -120,6 +120,15 @@ fn values_arrive_where_they_belong() {
         plan(&wire("", "watchdog = \"off\"\nenable_bit = \"off\"\nfault_at = \"off\"\nmonitor = false"));
     let drive = &other.drives[0];
     assert_eq!((drive.watchdog_ns(), drive.enable_bit, drive.fault_at), (None, None, None));
+    for (text, pause) in [("", true), (", pause = false", false)] {
+        let other = plan(&wire("", &format!("parameters = {{ path = \"pkw\"{text} }}")));
+        assert_eq!(other.drives[0].parameters, ParameterPath::Pkw { pause });
+    }
+    let of_another = mistakes(&wire("", "parameters = { slot = 1, pause = true }"));
+    let of = |key: &str, path: &str| format!("bus.drive.parameters.{key}: concerns path = \"{path}\" only");
+    assert_eq!(of_another.len(), 2);
+    assert!(of_another.iter().any(|said| said.replace(" = true", "").contains(&of("pause", "pkw"))));
+    assert!(of_another.iter().any(|said| said.replace(" = 1", "").contains(&of("slot", "msac1"))));
     assert_eq!(plan(&wire("", "enable_bit = 9")).drives[0].enable_bit, Some(StatusBit { bit: 9, set: true }));
     assert_eq!(plan(&wire("", "words = \"profidrive\"")).drives[0].enable_bit, None);
 }

@@ -240,7 +240,8 @@ subjects! {
     },
     ethernet_ip: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: false },
     ethernet_ip_multicast: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: true },
-    profibus: crate::conformance::subjects::profibus::Profibus,
+    profibus_drivecom: crate::conformance::subjects::profibus::Profibus { profidrive: false },
+    profibus_profidrive: crate::conformance::subjects::profibus::Profibus { profidrive: true },
     toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
     toy_with_its_own_clock:
         crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),

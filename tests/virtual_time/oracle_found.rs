@@ -182,3 +182,12 @@ fn a_move_is_not_done_where_its_motor_turns_round() {
     // It is enabled while it still turns.
     holds(shape(Kind::Kollmorgen, true), &[&coasts, &[(0, 0, Post(vec![By(-5)]))]]);
 }
+
+#[test]
+fn a_record_is_not_requested_by_a_telegram_whose_repetition_would_be_a_second_request() {
+    let shape = Shape { other: true, ..shape(Kind::Lenze, false) };
+    let write = (3, 2, Write(vec![2, 1, 0]));
+    for back in [1, 5] {
+        holds(shape, &[&[write.clone(), (33, 2, RepeatReply { back, us: 640 })]]);
+    }
+}

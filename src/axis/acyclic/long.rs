@@ -129,12 +129,20 @@ pub fn text(bytes: &[u8]) -> String {
     shown.flat_map(|byte| byte.escape_ascii()).map(char::from).collect()
 }
 
-/// Bytes from two digits each, with blanks between them or without; `None`: these are none.
+/// Bytes from two digits each, with blanks between them or without; `None`: these are none, or more than [`MOST`].
 pub fn parse_octets(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> =
         text.chars().filter(|c| *c != ' ').map(|c| c.to_digit(16).map(|d| d as u8)).collect::<Option<_>>()?;
     let (pairs, rest) = digits.as_chunks::<2>();
-    rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
+    let fits = rest.is_empty() && (1..=MOST).contains(&pairs.len());
+    fits.then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
+}
+
+/// The characters of a text; `None`: some of them cannot be printed, or there is none, or more than [`MOST`].
+pub fn parse_text(text: &str) -> Option<Vec<u8>> {
+    let is_printable = |byte: u8| byte.is_ascii_graphic() || byte == b' ';
+    let fits = text.bytes().all(is_printable) && (1..=MOST).contains(&text.len());
+    fits.then(|| text.as_bytes().to_vec())
 }
 
 /// Bytes as two digits each.
@@ -175,7 +183,11 @@ mod tests {
         assert_eq!(octets(&[1, 0, 4, 0x17]), "01 00 04 17");
         assert_eq!((octets(&[]), text(&[])), (String::new(), String::new()));
         assert_eq!(parse_octets("01 A0fF"), Some(vec![1, 0xA0, 0xFF]));
-        assert_eq!((parse_octets("01 A"), parse_octets("0g")), (None, None));
+        assert_eq!((parse_octets("01 A"), parse_octets("0g"), parse_octets("")), (None, None, None));
+        assert_eq!(parse_text("S7 x"), Some(b"S7 x".to_vec()));
+        assert_eq!((parse_text("\u{b5}"), parse_text("a\n"), parse_text("")), (None, None, None));
+        let long = "0".repeat(2 * MOST + 2);
+        assert_eq!((parse_octets(&long), parse_text(&long[..=MOST])), (None, None));
         assert_eq!((raw(&[0x37, 6]), raw(&[0xFF; 9])), (0x637, u64::MAX));
     }
 }

@@ -7,10 +7,12 @@
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
 //! | `notation` | what a protocol adds: how its drives write addresses and values, and lists of their parameters |
 //! | `parameter` | typed values at addresses in the drive's own notation |
+//! | `integer` | whole numbers of so many bits |
 //! | `long` | values that are longer than the value of a call |
 //!
 //! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
+mod integer;
 pub(crate) mod long;
 mod notation;
 mod parameter;
@@ -22,11 +24,11 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+pub use integer::Integer;
 pub use notation::{
     Access, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList, Request,
-    Wanted, Watcher,
+    Wanted, Watcher, bits, count, go_on, read_listed, within,
 };
-pub(crate) use notation::{bits, count, go_on, read_listed};
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
 #[cfg(test)]

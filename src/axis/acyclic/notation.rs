@@ -328,7 +328,7 @@ pub enum ListError {
 crate::errors::debug_as_display!(ListError);
 
 /// Reports that `done` of `of` parameters are read; an error if that cancels the list.
-pub(crate) fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usize) -> Result<(), ListError> {
+pub fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usize) -> Result<(), ListError> {
     match watch(Progress { what: "read", done, of }) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(ListError::BrokenOff { drive: access.drive.to_owned() }),
@@ -336,7 +336,7 @@ pub(crate) fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usi
 }
 
 /// Those of `rows` that the drive has, with their values.
-pub(crate) fn read_listed(
+pub fn read_listed(
     access: Access<'_>,
     watch: Watcher<'_>,
     rows: Vec<Listed>,
@@ -356,12 +356,27 @@ pub(crate) fn read_listed(
 }
 
 /// Hexadecimal digits and nothing else.
-pub(crate) fn bits(digits: &str) -> Option<u64> {
+pub fn bits(digits: &str) -> Option<u64> {
     u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
 }
 
+/// The number that `text` means if it lies within `range`; `form` says how one is written.
+pub fn within(
+    number: Option<i64>,
+    range: (i64, i64),
+    text: &str,
+    form: impl FnOnce() -> String,
+) -> Result<i64, NotationError> {
+    let (low, high) = range;
+    match number {
+        Some(number) if (low..=high).contains(&number) => Ok(number),
+        Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
+        None => Err(NotationError::Value { value: text.to_owned(), form: form() }),
+    }
+}
+
 /// The count that `text` means for a parameter with so many decimals.
-pub(crate) fn count(text: &str, decimals: u32) -> Option<i64> {
+pub fn count(text: &str, decimals: u32) -> Option<i64> {
     match text {
         "true" => return Some(1),
         "false" => return Some(0),

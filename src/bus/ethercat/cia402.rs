@@ -5,6 +5,7 @@
 //! theirs.
 
 use crate::axis::State;
+use crate::bus::cia402;
 
 /// The control word, 6040h.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -198,19 +199,6 @@ impl StatusWord {
     /// Bit 13, of the mode: following error, homing error.
     pub const MODE_13: u16 = 1 << 13;
 
-    /// The relevant bits of each state, and their values. The CAN manual of the S300 prints bit 6 of the first as
-    /// 1; the standard and the AKD have 0.
-    const STATES: [(State, u16, u16); 8] = [
-        (State::NotReadyToSwitchOn, 0x4F, 0x00),
-        (State::SwitchOnDisabled, 0x4F, 0x40),
-        (State::ReadyToSwitchOn, 0x6F, 0x21),
-        (State::SwitchedOn, 0x6F, 0x23),
-        (State::OperationEnabled, 0x6F, 0x27),
-        (State::QuickStopActive, 0x6F, 0x07),
-        (State::FaultReactionActive, 0x4F, 0x0F),
-        (State::Fault, 0x4F, 0x08),
-    ];
-
     /// All of `bits` are 1.
     pub const fn has(self, bits: u16) -> bool {
         self.0 & bits == bits
@@ -223,13 +211,12 @@ impl StatusWord {
 
     /// Its state; [`State::Unknown`]: no valid one.
     pub fn state(self) -> State {
-        let known = Self::STATES.iter().find(|(_, mask, value)| self.0 & mask == *value);
-        known.map_or(State::Unknown, |(state, ..)| *state)
+        cia402::state(self.0)
     }
 
     /// The bits of a state, and no others.
     pub fn of(state: State) -> StatusWord {
-        let known = Self::STATES.iter().find(|(known, ..)| *known == state);
+        let known = cia402::STATES.iter().find(|(known, ..)| *known == state);
         StatusWord(known.map_or(0, |(.., value)| *value))
     }
 }

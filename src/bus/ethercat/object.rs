@@ -27,7 +27,7 @@ mod notation;
 pub(crate) mod number;
 pub mod pdo;
 
-use crate::axis::acyclic::{Call, CallError, Commanding};
+use crate::axis::acyclic::{Call, CallError, Commanding, Integer};
 
 pub(crate) use crate::axis::acyclic::long;
 pub use crate::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, WRITE};
@@ -152,29 +152,23 @@ impl Type {
         matches!(self, Type::I8 | Type::I16 | Type::I32)
     }
 
+    const fn integer(self) -> Integer {
+        Integer { bits: 8 * self.bytes() as u32, signed: self.is_signed() }
+    }
+
     /// The lowest and the highest value; meaningless for a string.
     pub const fn range(self) -> (i64, i64) {
-        let bits = 8 * self.bytes();
-        match self {
-            Type::Text | Type::Octets => (0, 0),
-            _ if self.is_signed() => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
-            _ => (0, (1 << bits) - 1),
-        }
+        self.integer().range()
     }
 
     /// The value of raw bits. Higher bits are ignored.
     pub const fn number(self, raw: u64) -> i64 {
-        let above = 64 - 8 * self.bytes() as u32;
-        match self.is_signed() {
-            true => (raw << above) as i64 >> above,
-            false => (raw << above >> above) as i64,
-        }
+        self.integer().number(raw)
     }
 
     /// The raw bits of a value, 0 above them.
     pub const fn raw(self, number: i64) -> u64 {
-        let above = 64 - 8 * self.bytes() as u32;
-        (number as u64) << above >> above
+        self.integer().raw(number)
     }
 
     /// As a byte; 0 is no type.

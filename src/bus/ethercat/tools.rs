@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::scan::{Errors, Information, Options, ScanError, Slave, Unread, scan};
 use super::wire::frame::ETHERTYPE;
 use super::wire::sii::Protocols;
-use crate::bus::tools::{Program, Stop, Tool, arguments};
+use crate::bus::tools::{Program, Stop, Tool, arguments, table};
 use crate::net::frames::Unsent;
 use crate::net::{Carriers, Frames, Os, Place};
 
@@ -115,25 +115,12 @@ fn text(slaves: &[Slave]) -> String {
         "place", "station", "state", "name", "vendor", "product", "revision", "serial", "mailbox", "out",
         "in", "clock", "links", "FMMU/SM",
     ];
-    let mut rows = vec![HEAD.map(str::to_owned)];
-    rows.extend(slaves.iter().map(row));
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEAD.len()).map(width).collect();
-    let mut text = String::new();
-    for row in &rows {
-        let mut line = String::new();
-        for (cell, width) in row.iter().zip(&widths) {
-            let _ = write!(line, "{cell:<width$}  ");
-        }
-        text += line.trim_end();
-        text += "\n";
-    }
+    let mut text = table(HEAD, slaves.iter().map(row));
     for slave in slaves {
         for note in notes(slave) {
-            let _ = writeln!(text, "place {}: {note}", slave.place);
+            let _ = write!(text, "\nplace {}: {note}", slave.place);
         }
     }
-    text.truncate(text.trim_end().len());
     text
 }
 

@@ -31,7 +31,9 @@ use super::target::{Target, reason};
 use super::wire::assembly::IoCode;
 use super::wire::opcodes::{self, Opcode, Operand};
 use crate::axis::acyclic::long::{self, STORE};
-use crate::axis::acyclic::{Call, CallError, Carrier, ListError, Listing, Notation, NotationError, Wanted};
+use crate::axis::acyclic::{
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Wanted, within,
+};
 
 use self::names::Scale;
 
@@ -60,7 +62,7 @@ struct Address {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
     /// Numbers of so many bits.
-    Number { bits: u32, signed: bool, low: i64, high: i64, scale: Option<Scale> },
+    Number { of: Integer, low: i64, high: i64, scale: Option<Scale> },
     /// An input and its condition.
     Io,
     /// Two of them, the first one in the lower half.
@@ -74,18 +76,15 @@ enum Shape {
 impl Shape {
     /// All numbers of so many bits.
     const fn number(bits: u32, signed: bool) -> Shape {
-        let (low, high) = match (bits, signed) {
-            (64, _) => (i64::MIN, i64::MAX),
-            (bits, true) => (-1 << (bits - 1), (1 << (bits - 1)) - 1),
-            (bits, false) => (0, (1 << bits) - 1),
-        };
-        Shape::Number { bits, signed, low, high, scale: None }
+        let of = Integer { bits, signed };
+        let (low, high) = of.range();
+        Shape::Number { of, low, high, scale: None }
     }
 
     /// Those of this range.
     fn within(bits: u32, range: RangeInclusive<i64>) -> Shape {
         let (low, high) = (*range.start(), *range.end());
-        Shape::Number { bits, signed: low < 0, low, high, scale: None }
+        Shape::Number { of: Integer { bits, signed: low < 0 }, low, high, scale: None }
     }
 
     /// From the suffix of an attribute.
@@ -111,41 +110,31 @@ impl Shape {
         })
     }
 
-    /// The bits of a number.
-    fn bits(self) -> u32 {
-        match self {
-            Shape::Number { bits, .. } => bits,
+    /// The type of a number; of what is longer, that of a value of a call.
+    fn integer(self) -> Integer {
+        let bits = match self {
+            Shape::Number { of, .. } => return of,
             Shape::Io => 16,
             Shape::TwoIos => 32,
             Shape::Text | Shape::Octets => 64,
-        }
+        };
+        Integer { bits, signed: false }
     }
 
     fn raw(self, number: i64) -> u64 {
-        number as u64 & mask(self.bits())
+        self.integer().raw(number)
     }
 
     fn value(self, raw: u64) -> i64 {
-        let raw = raw & mask(self.bits());
-        match self {
-            Shape::Number { bits, signed: true, .. } => {
-                let above = u64::BITS - bits;
-                (raw << above) as i64 >> above
-            }
-            _ => raw as i64,
-        }
+        self.integer().number(raw)
     }
 
     fn range(self) -> (i64, i64) {
         match self {
             Shape::Number { low, high, .. } => (low, high),
-            _ => (0, mask(self.bits()) as i64),
+            _ => self.integer().range(),
         }
     }
-}
-
-fn mask(bits: u32) -> u64 {
-    u64::MAX >> (u64::BITS - bits)
 }
 
 impl Address {
@@ -251,28 +240,16 @@ impl Address {
 
     /// The number that is meant by a raw value that may have its sign above its bits.
     fn number_of(&self, raw: u64) -> Option<i64> {
-        let (low, high) = self.shape.range();
-        let fits = |number: &i64| (low..=high).contains(number);
-        let own = (raw & mask(self.shape.bits()) == raw).then(|| self.shape.value(raw));
-        let extended = [raw as i64, i64::from(raw as u32 as i32)];
-        let small = extended.into_iter().filter(|number| {
-            *number as u64 == raw || *number as u32 == raw as u32 && raw <= u64::from(u32::MAX)
-        });
-        own.into_iter().chain(small).find(fits)
+        self.shape.integer().number_within(raw, self.shape.range())
     }
 
     /// What `text` says as a number.
     fn number(&self, text: &str) -> Result<i64, NotationError> {
-        let (low, high) = self.shape.range();
         let number = match text.strip_prefix("0x") {
             Some(bits) => digits(bits, 16).map(|raw| self.number_of(raw).unwrap_or(i64::MAX)),
             None => self.count(text),
         };
-        match number {
-            Some(number) if (low..=high).contains(&number) => Ok(number),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(NotationError::Value { value: text.to_owned(), form: self.form() }),
-        }
+        within(number, self.shape.range(), text, || self.form())
     }
 
     /// A decimal number, scaled or not, or a word.
@@ -329,10 +306,10 @@ impl Address {
                 let length = u8::try_from(text.len()).ok().filter(|_| is_text && text.len() <= TEXT_MAX)?;
                 [&[length], text.as_bytes()].concat()
             }
-            Shape::Octets => long::parse_octets(text).filter(|bytes| !bytes.is_empty())?,
+            Shape::Octets => long::parse_octets(text)?,
             _ => {
                 let number = self.number(text).ok()?;
-                let size = self.shape.bits() as usize / 8;
+                let size = self.shape.integer().bits as usize / 8;
                 self.shape.raw(number).to_le_bytes().get(..size)?.to_vec()
             }
         };
@@ -398,7 +375,9 @@ impl Notation for Addresses {
 
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
         let address = Addresses::writable(address)?;
-        if address.is_attribute() && !matches!(address.shape, Shape::Number { bits: 64, .. }) {
+        if address.is_attribute()
+            && !matches!(address.shape, Shape::Number { of: Integer { bits: 64, .. }, .. })
+        {
             // A call has eight bytes, and an attribute its own size: it goes in parts, and never by this one alone.
             return Ok(Call { service: STORE, address: address.target.pack(), value: 0 });
         }
@@ -425,7 +404,7 @@ impl Notation for Addresses {
         let Some(Address { shape, .. }) = Address::parse(address) else {
             return format!("{raw} (0x{raw:X})");
         };
-        let (number, bits) = (shape.value(raw), raw & mask(shape.bits()));
+        let (number, bits) = (shape.value(raw), shape.raw(raw as i64));
         let plain = format!("{number} (0x{bits:X})");
         let io = |code: i64| IoCode::from_code(code as u16).map(|io| io.to_string());
         let means = match shape {

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::plan::PORT;
 use super::scan::{Device, ScanError, Targets, scan};
-use crate::bus::tools::{Program, Stop, Tool, arguments};
+use crate::bus::tools::{Program, Stop, Tool, arguments, table};
 use crate::keys::value::station;
 
 /// The commands that this protocol adds.
@@ -97,23 +97,10 @@ fn is_broadcast(target: &SocketAddrV4) -> bool {
 /// The table, and below it what stands in no column.
 fn text(devices: &[Device]) -> String {
     const HEAD: [&str; 8] = ["address", "name", "vendor", "type", "product", "revision", "serial", "state"];
-    let mut rows = vec![HEAD.map(str::to_owned)];
-    rows.extend(devices.iter().map(row));
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEAD.len()).map(width).collect();
-    let mut text = String::new();
-    for row in &rows {
-        let mut line = String::new();
-        for (cell, width) in row.iter().zip(&widths) {
-            let _ = write!(line, "{cell:<width$}  ");
-        }
-        text += line.trim_end();
-        text += "\n";
-    }
+    let mut text = table(HEAD, devices.iter().map(row));
     for device in devices.iter().filter(|device| device.claims.ip() != device.from.ip()) {
-        let _ = writeln!(text, "{} says that it is at {}", device.from.ip(), device.claims);
+        let _ = write!(text, "\n{} says that it is at {}", device.from.ip(), device.claims);
     }
-    text.truncate(text.trim_end().len());
     text
 }
 

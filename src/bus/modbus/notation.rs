@@ -20,7 +20,7 @@ mod list;
 
 use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::ExceptionCode;
-use crate::axis::acyclic::{Call, ListError, Listing, Notation, NotationError, Wanted, bits, count};
+use crate::axis::acyclic::{Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within};
 
 /// The service of a call that reads.
 pub const READ: u32 = 1;
@@ -167,11 +167,8 @@ impl Notation for Parameters {
             // Of whatever sign: the bits are the same.
             None => (target.width.range(true).0, target.width.range(false).1),
         };
-        match number {
-            Some(number) if (low..=high).contains(&number) => Ok(target.width.raw(number).into()),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(NotationError::Value { value: text.to_owned(), form: form(decimals, low, high) }),
-        }
+        let number = within(number, (low, high), text, || form(decimals, low, high))?;
+        Ok(target.width.raw(number).into())
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {

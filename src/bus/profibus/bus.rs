@@ -15,10 +15,10 @@ use std::sync::Arc;
 
 use self::end::End;
 use self::queue::Queue;
-use self::receive::OtherMaster;
 use self::upkeep::Upkeep;
 use super::line::Line;
 use super::notes::{Known, WireNotes};
+use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
@@ -50,7 +50,7 @@ pub(super) struct ProfibusBus {
     net: Box<dyn Serial>,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    other: Option<OtherMaster>,
+    others: Others,
     end: End,
     /// Cycles that the end has waited for.
     waits: u32,
@@ -110,7 +110,7 @@ impl ProfibusBus {
             line: Line::new(plan),
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
-            other: None,
+            others: Others::new(),
             end: End::default(),
             waits: 0,
             notes: WireNotes::new(&plan.device, known, net.notes()),
@@ -195,7 +195,9 @@ impl Bus for ProfibusBus {
         if self.starting != 0 {
             self.let_start(cycle, slots);
         }
-        self.watch_other();
+        if self.others.has_gone(cycle.grid) {
+            self.notes.set_other(None);
+        }
     }
 
     fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {

@@ -51,17 +51,16 @@ impl Parameter {
 
     /// What its value is on the wire.
     pub fn kind(self) -> Kind {
-        match (self.kind, self.known()) {
-            (Kind::Own, Some(known)) => known.kind,
-            (kind, _) => kind,
+        match self.kind {
+            Kind::Own => self.known().map_or(Kind::I32, |known| known.kind),
+            kind => kind,
         }
     }
 
     /// Its decimals: those of a kind that is named are not known.
     pub fn decimals(self) -> u32 {
-        match (self.kind, self.known()) {
-            (Kind::Own, Some(known)) => known.decimals,
-            (Kind::Own, None) => DECIMALS,
+        match self.kind {
+            Kind::Own => self.known().map_or(DECIMALS, |known| known.decimals),
             _ => 0,
         }
     }

@@ -219,7 +219,7 @@ impl LenzeDrive {
 
     fn parameter_fault(&self) -> Option<PlanFault> {
         let why = match self.parameters {
-            ParameterPath::Pkw | ParameterPath::Drivecom if !self.channel => {
+            path if path.is_channel() && !self.channel => {
                 "needs channel = true, and a configuration with a parameter channel; or \"msac1\", or \"none\""
             }
             ParameterPath::Msac1 { .. } if !self.has_dpv1() => {

@@ -1,5 +1,7 @@
 //! `protocol = "profibus-dp"`.
 
+use std::ops::RangeInclusive;
+
 use toml::de::DeValue;
 
 use super::PROTOCOL;
@@ -8,16 +10,16 @@ use super::check::{
 };
 use super::plan::{
     ADDRESS_MAX, Bits, DATA_MAX, DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, RATES,
-    RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, Watchdog,
+    RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit,
 };
 use super::wire::telegram::STATION_MAX;
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{Unit, is_plain_name};
+use crate::axis::{PlanFault, Unit, is_plain_name};
 use crate::bus::{BusPlan, Grid};
 use crate::keys::bus::drive_tables;
 use crate::keys::drive::{Counts, axis};
 use crate::keys::machine::Machine;
-use crate::keys::table::{Table, integer, number, time};
+use crate::keys::table::{Table, integer, number, set, time};
 use crate::keys::value::alternatives;
 use crate::time::MS;
 
@@ -34,34 +36,24 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
         let rate = integer(value).and_then(|rate| u32::try_from(rate).ok());
         rate.filter(|rate| RATES.contains(rate)).ok_or_else(|| format!("must be {} bit/s", rates()))
     });
-    let rate = rate.unwrap_or(ProfibusPlan::RATE);
+    let mut plan = ProfibusPlan::new("", rate.unwrap_or(ProfibusPlan::RATE), Vec::new());
+    let addresses = 0..=ADDRESS_MAX.into();
+    set(&mut plan.address, table.integer("address", addresses, "the address of this master, 2 unless given"));
+    bits(table, &mut plan.bits);
+    let retries = "how often a request without an answer is repeated";
+    set(&mut plan.retries, table.integer("retries", 1..=RETRIES_MAX.into(), retries));
+    set(&mut plan.token, table.flag("token"));
+    let gap = format!("1 ... {GAP_MAX} rounds between two searches for another master");
+    set(&mut plan.gap, integer_or_off(table, "gap", 1..=GAP_MAX.into(), &gap));
+    let highest = "up to it another master is looked for";
+    set(&mut plan.highest_address, table.integer("highest_address", 1..=STATION_MAX.into(), highest));
+    let control = "how often Global_Control is sent";
+    set(&mut plan.global_control_ns, table.time("global_control", CONTROL_RANGE_NS, control));
+    set(&mut plan.echo, table.flag("echo"));
+    set(&mut plan.rs485, table.word("rs485", &[("adapter", Rs485::Adapter), ("driver", Rs485::Driver)]));
     let mut drives = drive_tables(table, &["name", "address"]);
-    let default = ProfibusPlan::new("", rate, Vec::new());
-    let plan = ProfibusPlan {
-        name,
-        rate,
-        address: table
-            .integer("address", 0..=ADDRESS_MAX.into(), "the address of this master, 2 unless given")
-            .unwrap_or(default.address),
-        bits: bits(table, default.bits),
-        retries: table
-            .integer("retries", 1..=RETRIES_MAX.into(), "how often a request without an answer is repeated")
-            .unwrap_or(default.retries),
-        token: table.flag("token").unwrap_or(default.token),
-        gap: gap(table).unwrap_or(default.gap),
-        highest_address: table
-            .integer("highest_address", 1..=STATION_MAX.into(), "up to it another master is looked for")
-            .unwrap_or(default.highest_address),
-        global_control_ns: table
-            .time("global_control", CONTROL_RANGE_NS, "how often Global_Control is sent")
-            .unwrap_or(default.global_control_ns),
-        echo: table.flag("echo").unwrap_or(default.echo),
-        rs485: table
-            .word("rs485", &[("adapter", Rs485::Adapter), ("driver", Rs485::Driver)])
-            .unwrap_or(default.rs485),
-        drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
-        device: device.clone().unwrap_or_default(),
-    };
+    let of_drives = drives.iter_mut().map(|table| drive(table, machine)).collect();
+    let plan = ProfibusPlan { name, device: device.clone().unwrap_or_default(), drives: of_drives, ..plan };
     table.later("simulate");
     for fault in plan.own_faults() {
         // Missing, or already reported.
@@ -72,13 +64,11 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let mut is_wrong = false;
     for (index, (table, drive)) in drives.iter().zip(&plan.drives).enumerate() {
         let same = plan.drives[..index].iter().any(|other| other.address == drive.address);
-        for fault in plan.drive_faults(drive) {
+        let taken = same && table.gives("address");
+        let taken = taken.then(|| PlanFault::new("address", super::ADDRESS_TAKEN));
+        for fault in plan.drive_faults(drive).into_iter().chain(taken) {
             is_wrong = true;
             table.fault(fault.key, fault.message);
-        }
-        if same && table.gives("address") {
-            is_wrong = true;
-            table.fault("address", super::ADDRESS_TAKEN);
         }
     }
     if !is_wrong {
@@ -99,46 +89,39 @@ fn device(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
     Some(device)
 }
 
-fn bits(table: &mut Table<'_>, default: Bits) -> Bits {
-    let latency_ns = table.time("latency", ..=LATENCY_MAX_NS, "what the driver adds before a byte is read");
+fn bits(table: &mut Table<'_>, bits: &mut Bits) {
+    let latency = "what the driver adds before a byte is read";
+    set(&mut bits.latency_ns, table.time("latency", ..=LATENCY_MAX_NS, latency));
     table.table("bits", |table| {
-        let mut bits = |key, least: u32, hint, default| {
-            table.integer(key, i128::from(least)..=BITS_MAX.into(), hint).unwrap_or(default)
+        let mut read = |place: &mut u32, key, least: u32, hint| {
+            set(place, table.integer(key, i128::from(least)..=BITS_MAX.into(), hint));
         };
-        let max_tsdr = bits(
-            "max_tsdr",
-            TSDR_MIN.into(),
-            "the slowest drive answers within so many bits",
-            default.max_tsdr,
-        );
-        Bits {
-            slot: bits(
-                "slot",
-                1,
-                "an answer has begun after so many bits",
-                default.slot.max(max_tsdr + SLOT_MARGIN_BITS + 1),
-            ),
-            max_tsdr,
-            sync: bits("sync", SYNC_BITS, "the silence before a request, bits", default.sync),
-            idle: bits("idle", SYNC_BITS, "the silence after an answer, bits", default.idle),
-            idle_unanswered: bits(
-                "idle_unanswered",
-                SYNC_BITS,
-                "the silence after a request that nobody answers, bits",
-                max_tsdr.max(SYNC_BITS),
-            ),
-            latency_ns: latency_ns.unwrap_or(default.latency_ns),
-        }
-    })
+        let tsdr = "the slowest drive answers within so many bits";
+        read(&mut bits.max_tsdr, "max_tsdr", TSDR_MIN.into(), tsdr);
+        // The others follow it.
+        bits.slot = bits.slot.max(bits.max_tsdr + SLOT_MARGIN_BITS + 1);
+        bits.idle_unanswered = bits.max_tsdr.max(SYNC_BITS);
+        read(&mut bits.slot, "slot", 1, "an answer has begun after so many bits");
+        read(&mut bits.sync, "sync", SYNC_BITS, "the silence before a request, bits");
+        read(&mut bits.idle, "idle", SYNC_BITS, "the silence after an answer, bits");
+        let unanswered = "the silence after a request that nobody answers, bits";
+        read(&mut bits.idle_unanswered, "idle_unanswered", SYNC_BITS, unanswered);
+    });
 }
 
-fn gap(table: &mut Table<'_>) -> Option<Option<u32>> {
-    table.read("gap", |value| match (value.as_str(), integer(value)) {
+/// A whole number that is `hint`, or `"off"`.
+fn integer_or_off<T: TryFrom<i128>>(
+    table: &mut Table<'_>,
+    key: &'static str,
+    range: RangeInclusive<i128>,
+    hint: &str,
+) -> Option<Option<T>> {
+    let number =
+        |value: &DeValue<'_>| integer(value).filter(|number| range.contains(number))?.try_into().ok();
+    table.read(key, |value| match (value.as_str(), number(value)) {
         (Some("off"), _) => Ok(None),
-        (_, Some(rounds)) if (1..=i128::from(GAP_MAX)).contains(&rounds) => Ok(Some(rounds as u32)),
-        _ => {
-            Err(format!("must be 1 ... {GAP_MAX} rounds between two searches for another master, or \"off\""))
-        }
+        (_, Some(number)) => Ok(Some(number)),
+        _ => Err(format!("must be {hint}, or \"off\"")),
     })
 }
 
@@ -146,62 +129,42 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
     let axis = axis(table, machine, COUNTS);
     table.require("address", "the address that is set at the module, 0 ... 125");
     let address = table.integer("address", 0..=ADDRESS_MAX.into(), "the address that is set at the module");
-    let default = LenzeDrive::new("", address.unwrap_or(ADDRESS_MAX));
-    let profile = table
-        .word("words", &[("drivecom", DriveProfile::Drivecom), ("profidrive", DriveProfile::Profidrive)])
-        .unwrap_or_default();
-    let channel = table.flag("channel").unwrap_or(default.channel);
+    let mut drive = LenzeDrive { axis, ..LenzeDrive::new("", address.unwrap_or(ADDRESS_MAX)) };
+    let ident = "the ident number of the module, as its GSD has it";
+    set(&mut drive.ident, table.integer("ident", 0..=0xFFFF, ident));
+    set(&mut drive.user_prm, bytes(table, "user_prm", USER_PRM_MAX));
+    set(&mut drive.configuration, bytes(table, "configuration", DATA_MAX));
+    let watchdog = "the drive stops when it is not addressed for this time; or \"off\"";
+    let timeout_ns = table.read("watchdog", |value| match value.as_str() {
+        Some("off") => Ok(None),
+        _ => time(value, &(MS..), watchdog).map(Some),
+    });
+    set(&mut drive.watchdog.timeout_ns, timeout_ns);
+    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    set(&mut drive.watchdog.accept_none, accept);
+    let tsdr = "the drive answers no sooner, bits; 0: it keeps what it has";
+    set(&mut drive.min_tsdr, table.integer("min_tsdr", 0..=255, tsdr));
+    set(&mut drive.group, groups(table));
+    let words = [("drivecom", DriveProfile::Drivecom), ("profidrive", DriveProfile::Profidrive)];
+    set(&mut drive.profile, table.word("words", &words));
+    set(&mut drive.channel, table.flag("channel"));
+    drive.parameters = parameters(table, drive.channel);
+    set(&mut drive.ramp_bits, table.flag("ramp_bits"));
+    drive.enable_bit = enable_bit(table).unwrap_or(drive.profile.usual_enable_bit());
+    scale(table, &mut drive.scale);
+    drive.further = table.integers("further", DATA_MAX / 2, u16::MAX);
+    set(&mut drive.show, table.read("monitor", monitor));
+    let fault_at = "a byte of the extended diagnosis, 0 ... 242";
+    set(&mut drive.fault_at, integer_or_off(table, "fault_at", 0..=242, fault_at));
+    let most = "its most bytes, Max_Diag_Data_Len of its GSD less 6";
+    set(&mut drive.extended_diagnosis, table.integer("extended_diagnosis", 0..=238, most));
     table.later("simulate");
-    LenzeDrive {
-        axis,
-        address: default.address,
-        ident: table
-            .integer("ident", 0..=0xFFFF, "the ident number of the module, as its GSD has it")
-            .unwrap_or(default.ident),
-        user_prm: bytes(table, "user_prm", USER_PRM_MAX).unwrap_or(default.user_prm),
-        configuration: bytes(table, "configuration", DATA_MAX).unwrap_or(default.configuration),
-        watchdog: watchdog(table, default.watchdog),
-        min_tsdr: table
-            .integer("min_tsdr", 0..=255, "the drive answers no sooner, bits; 0: it keeps what it has")
-            .unwrap_or(default.min_tsdr),
-        group: groups(table).unwrap_or(default.group),
-        profile,
-        channel,
-        parameters: parameters(table, channel),
-        ramp_bits: table.flag("ramp_bits").unwrap_or(default.ramp_bits),
-        enable_bit: enable_bit(table).unwrap_or(profile.usual_enable_bit()),
-        scale: scale(table, default.scale),
-        further: table.integers("further", DATA_MAX / 2, u16::MAX),
-        show: table.read("monitor", monitor).unwrap_or(default.show),
-        fault_at: table
-            .read("fault_at", |value| match (value.as_str(), integer(value)) {
-                (Some("off"), _) => Ok(None),
-                (_, Some(at @ 0..=242)) => Ok(Some(at as u8)),
-                _ => Err("must be a byte of the extended diagnosis, 0 ... 242, or \"off\"".into()),
-            })
-            .unwrap_or(default.fault_at),
-        extended_diagnosis: table
-            .integer("extended_diagnosis", 0..=238, "its most bytes, Max_Diag_Data_Len of its GSD less 6")
-            .unwrap_or(default.extended_diagnosis),
-    }
+    drive
 }
 
 fn bytes(table: &mut Table<'_>, key: &'static str, most: usize) -> Option<Vec<u8>> {
     let bytes = table.integers(key, most, u16::from(u8::MAX));
     table.gives(key).then(|| bytes.into_iter().map(|byte| byte as u8).collect())
-}
-
-fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
-    let hint = "the drive stops when it is not addressed for this time; or \"off\"";
-    let timeout_ns = table.read("watchdog", |value| match value.as_str() {
-        Some("off") => Ok(None),
-        _ => time(value, &(MS..), hint).map(Some),
-    });
-    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    Watchdog {
-        timeout_ns: timeout_ns.unwrap_or(default.timeout_ns),
-        accept_none: accept.unwrap_or(default.accept_none),
-    }
 }
 
 /// Groups of Global_Control, a bit each.
@@ -219,28 +182,21 @@ fn groups(table: &mut Table<'_>) -> Option<u8> {
 
 fn parameters(table: &mut Table<'_>, channel: bool) -> ParameterPath {
     table.table("parameters", |table| {
-        let msac1 = |table: &mut Table<'_>| ParameterPath::Msac1 {
+        let pkw = ParameterPath::Pkw { pause: table.flag("pause").unwrap_or(true) };
+        let numbers = [("from-top", Numbers::FromTop), ("code", Numbers::Code)];
+        let msac1 = ParameterPath::Msac1 {
             slot: table.integer("slot", 0..=254, "the slot of the module").unwrap_or(0),
             index: table.integer("index", 0..=254, "the index of the data block").unwrap_or(47),
             axis: table.integer("axis", 0..=1, "the axis in a parameter request").unwrap_or(0),
-            numbers: table
-                .word("numbers", &[("from-top", Numbers::FromTop), ("code", Numbers::Code)])
-                .unwrap_or_default(),
+            numbers: table.word("numbers", &numbers).unwrap_or_default(),
         };
-        let by_msac1 = msac1(table);
-        let words = [
-            ("drivecom", ParameterPath::Drivecom),
-            ("pkw", ParameterPath::Pkw),
-            ("msac1", by_msac1),
-            ("none", ParameterPath::None),
-        ];
-        let usual = if channel { ParameterPath::Drivecom } else { ParameterPath::None };
-        let path = table.word("path", &words).unwrap_or(usual);
-        if path != by_msac1 {
-            for key in ["slot", "index", "axis", "numbers"] {
-                if table.gives(key) {
-                    table.fault(key, "concerns path = \"msac1\" only; leave it out");
-                }
+        let (drivecom, none) = (ParameterPath::Drivecom, ParameterPath::None);
+        let words = [("drivecom", drivecom), ("pkw", pkw), ("msac1", msac1), ("none", none)];
+        let path = table.word("path", &words).unwrap_or(if channel { drivecom } else { none });
+        let of_msac1 = ["slot", "index", "axis", "numbers"].map(|key| (key, msac1, "msac1"));
+        for (key, of, name) in [("pause", pkw, "pkw")].into_iter().chain(of_msac1) {
+            if path != of && table.gives(key) {
+                table.fault(key, format!("concerns path = \"{name}\" only; leave it out"));
             }
         }
         path
@@ -268,20 +224,15 @@ fn enable_bit(table: &mut Table<'_>) -> Option<Option<StatusBit>> {
     })
 }
 
-fn scale(table: &mut Table<'_>, default: Scale) -> Scale {
-    let word = |table: &mut Table<'_>, key, hint, default| {
-        table.integer(key, 1..=(DATA_MAX / 2) as i128, hint).unwrap_or(default)
-    };
-    Scale {
-        set_point: word(table, "set_point_word", "behind the control word, word 0", default.set_point),
-        actual: word(table, "actual_word", "behind the status word, word 0", default.actual),
-        full_count: table
-            .integer("full_count", 1..=i16::MAX.into(), "the count of the full speed")
-            .unwrap_or(default.full_count),
-        full_rpm: table
-            .number("full_rpm", 1e-3..=1e6, "the full speed, as C0011 has it, rpm")
-            .unwrap_or(default.full_rpm),
-    }
+fn scale(table: &mut Table<'_>, scale: &mut Scale) {
+    let words = 1..=(DATA_MAX / 2) as i128;
+    let hint = "behind the control word, word 0";
+    set(&mut scale.set_point, table.integer("set_point_word", words.clone(), hint));
+    set(&mut scale.actual, table.integer("actual_word", words, "behind the status word, word 0"));
+    let count = "the count of the full speed";
+    set(&mut scale.full_count, table.integer("full_count", 1..=i16::MAX.into(), count));
+    let rpm = "the full speed, as C0011 has it, rpm";
+    set(&mut scale.full_rpm, table.number("full_rpm", 1e-3..=1e6, rpm));
 }
 
 /// Up to four words of the inputs, or `false`.

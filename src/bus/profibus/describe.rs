@@ -85,7 +85,7 @@ impl LenzeDrive {
     fn describe_parameters(&self) -> String {
         match self.parameters {
             ParameterPath::None => "no parameters (parameters.path = \"none\")".to_owned(),
-            ParameterPath::Pkw => "parameters by the PKW channel in the process data".to_owned(),
+            ParameterPath::Pkw { .. } => "parameters by the PKW channel in the process data".to_owned(),
             ParameterPath::Drivecom => "parameters by the DRIVECOM channel in the process data".to_owned(),
             ParameterPath::Msac1 { slot, index, .. } => {
                 format!("parameters by MSAC1, slot {slot}, index {index}, in place of its own Data_Exchange")

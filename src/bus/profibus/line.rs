@@ -9,6 +9,9 @@
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
 //! counts until the wire was idle: what follows them may be the rest of the same one.
 //!
+//! The port is looked at inside the windows only, and an answer that ends outside of them is read late. It ended when a
+//! station that keeps to MaxTsdr has sent it, at the latest, and the idle time behind it runs from then.
+//!
 //! What has arrived before the last byte of a request can have left is no answer to it: it was there before, or came
 //! into the request. After an answer to a request that was sent more than once, the slot time of the last one is waited
 //! out: a second answer is dropped, and is not taken for that to the next request.
@@ -16,7 +19,8 @@
 mod answer;
 mod receive;
 
-pub(super) use self::answer::{Answer, Expected, Heard, Other, Unrelated};
+pub use self::answer::{Answer, Expected};
+pub(super) use self::answer::{Heard, Other, Unrelated};
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
 use super::wire::telegram::{self, Head, MAX};
@@ -101,6 +105,8 @@ struct Timing {
     free_at: Time,
     /// The answer is overdue, or the rest of the telegram is to be sent.
     overdue_at: Time,
+    /// The answer has begun by then, if its station keeps to MaxTsdr.
+    answer_by: Time,
     idle_ns: u64,
 }
 
@@ -131,6 +137,7 @@ pub(super) struct Line {
     used: u16,
     line: SerialLine,
     slot_ns: u64,
+    answer_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
     request: [u8; MAX],
@@ -151,6 +158,7 @@ impl Line {
                 garbled: false,
                 free_at: Time(0),
                 overdue_at: Time(0),
+                answer_by: Time(0),
                 idle_ns: bits(plan.bits.idle.max(plan.bits.sync)),
             },
             job: Job::Own,
@@ -168,6 +176,7 @@ impl Line {
             used: 0,
             line,
             slot_ns: plan.slot_ns(),
+            answer_ns: bits(plan.bits.max_tsdr).saturating_add(plan.bits.latency_ns),
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
             request: [0; MAX],
@@ -384,7 +393,7 @@ impl Line {
         self.echo_left = if self.echo { self.length } else { 0 };
         if self.job != Job::Own {
             (self.timing.state, self.timing.overdue_at) = (State::Waiting, ends + self.slot_ns);
-            self.timing.free_at = ends;
+            (self.timing.free_at, self.timing.answer_by) = (ends, ends + self.answer_ns);
             return;
         }
         let is_token = self.length == 3;
@@ -393,6 +402,12 @@ impl Line {
             State::Claiming(sent) => State::Claiming(sent + 1),
             _ => State::Free,
         };
+    }
+
+    /// What was received last had ended by then.
+    #[inline]
+    pub(super) fn quiet_since(&self) -> Time {
+        self.timing.free_at - self.timing.idle_ns
     }
 
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.

@@ -15,6 +15,7 @@
 //! | `schedule` | its turns on the grid: whether they fit, and how long one waits |
 //! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
 //! | `config` | its keys in a configuration |
+//! | `other` | whether another master is on the wire |
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
 //!
 //! What follows is the reference of docs/ for its configuration.
@@ -29,17 +30,18 @@ mod check;
 mod config;
 pub(crate) mod counters;
 mod describe;
-mod line;
+pub(crate) mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
+mod other;
 mod plan;
 mod profile;
 #[cfg(feature = "cli")]
 mod scan;
 mod schedule;
 mod start_up;
-mod station;
+pub(crate) mod station;
 pub(crate) mod target;
 #[cfg(feature = "cli")]
 mod tools;

@@ -4,32 +4,34 @@
 //! |---|---|
 //! | `C0061`, `C0039/2` | a code, and one with a subcode; zeros in front may be left out |
 //! | `C0150.u16` | the same with the kind of its value: u8, i8, u16, i16, u32, i32 |
-//! | `C0200.text` | a text, by DP-V1; only read |
+//! | `C0200.text` | a text, by DP-V1 |
 //! | `1/3` | slot and index of a record of the module, by DP-V1, as bytes |
 //!
 //! | value | means |
 //! |---|---|
 //! | `430000` | a count, as sent on the wire |
-//! | `43.0` | with a point: scaled; 430000 of C0061. A code that is not in the [`catalogue`] is taken for one of 32 bits with four decimals, one with a kind behind it has none |
+//! | `43.0` | with a point: scaled; 430000 of C0061. A code that is not in the [`catalogue`](super::catalogue) is taken for one of 32 bits with four decimals, one with a kind behind it has none |
 //! | `0x68FB0` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //! | `"01 A0"` | bytes of a record |
+//! | `"axis 1"` | the characters of a text |
 //!
 //! What a call does is in [`target`](super::target).
 
 mod list;
 
-use super::catalogue;
+use super::catalogue::Known;
 use super::target::{Kind, Parameter, Target, reason};
 use super::wire::msac1::Record;
 use crate::axis::acyclic::long::{self, READ, STORE, WRITE};
 use crate::axis::acyclic::{
-    Call, CallError, Carrier, ListError, Listing, Notation, NotationError, Wanted, bits, count,
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Wanted, bits, count,
+    within,
 };
 
 const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, i32, \
     text), or 1/3 (slot and index of a record)";
-const READ_ONLY: &str = "another one: texts, and what the drive only reports, cannot be written";
+const READ_ONLY: &str = "another one: the drive only reports this";
 
 /// Addresses and values of these drives.
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,14 +62,10 @@ impl Target {
         Some(Target::Parameter(Parameter { code: digits(code)?, sub, kind }))
     }
 
-    fn is_long(self) -> bool {
-        self.number_kind().is_none()
-    }
-
-    /// The kind of a value that is a number.
-    fn number_kind(self) -> Option<Kind> {
+    /// The type of a value that is a number.
+    fn integer(self) -> Option<Integer> {
         match self {
-            Target::Parameter(parameter) => Some(parameter.kind()).filter(|kind| kind.size().is_some()),
+            Target::Parameter(parameter) => parameter.kind().integer(),
             Target::Record(_) => None,
         }
     }
@@ -79,50 +77,39 @@ impl Target {
         }
     }
 
-    fn can_be_written(self) -> bool {
+    fn known(self) -> Option<&'static Known> {
         match self {
-            Target::Parameter(parameter) => {
-                parameter.kind() != Kind::Text && !parameter.known().is_some_and(|known| known.read_only)
-            }
-            Target::Record(_) => true,
-        }
-    }
-}
-
-impl Kind {
-    fn mask(self) -> u64 {
-        u64::MAX >> (u64::BITS - self.bits())
-    }
-
-    fn range(self) -> (i64, i64) {
-        match (self.bits(), self.is_signed()) {
-            (u64::BITS.., _) => (i64::MIN, i64::MAX),
-            (bits, true) => (-1 << (bits - 1), (1 << (bits - 1)) - 1),
-            (bits, false) => (0, (1 << bits) - 1),
+            Target::Parameter(parameter) => parameter.known(),
+            Target::Record(_) => None,
         }
     }
 
-    fn number(self, raw: u64) -> i64 {
-        let above = u64::BITS - self.bits();
-        let raw = (raw & self.mask()) << above;
-        if self.is_signed() { raw as i64 >> above } else { (raw >> above) as i64 }
+    /// What is no number, from text.
+    fn bytes(self, text: &str) -> Option<Vec<u8>> {
+        match self {
+            Target::Parameter(_) => long::parse_text(text),
+            Target::Record(_) => long::parse_octets(text),
+        }
     }
 
-    /// The number that a raw value means, which may have its sign above its bits.
-    fn number_of(self, raw: u64) -> Option<i64> {
-        let (low, high) = self.range();
-        let own = (raw & self.mask() == raw).then(|| self.number(raw));
-        let extended = [Some(raw as i64), u32::try_from(raw).ok().map(|raw| i64::from(raw as i32))];
-        own.into_iter().chain(extended.into_iter().flatten()).find(|number| (low..=high).contains(number))
+    /// What is no number, as text.
+    fn text(self, bytes: &[u8]) -> String {
+        match self {
+            Target::Parameter(_) => long::text(bytes),
+            Target::Record(_) => long::octets(bytes),
+        }
     }
 }
 
 /// The correct form of a value.
 fn form(target: Target) -> String {
-    let Some(kind) = target.number_kind() else {
-        return format!("1 to {} bytes of two digits each, like \"01 A0\"", long::MOST);
+    let Some(integer) = target.integer() else {
+        return match target {
+            Target::Parameter(_) => format!("1 to {} characters of ASCII", long::MOST),
+            Target::Record(_) => format!("1 to {} bytes of two digits each, like \"01 A0\"", long::MOST),
+        };
     };
-    let (low, high) = kind.range();
+    let (low, high) = integer.range();
     let whole = format!("a whole number, {low} ... {high}, or its bits as 0x...");
     match target.decimals() {
         0 => whole,
@@ -136,12 +123,10 @@ fn find(text: &str) -> Result<Target, NotationError> {
 
 fn writable(text: &str) -> Result<Target, NotationError> {
     let target = find(text)?;
-    if target.can_be_written() { Ok(target) } else { Err(NotationError::ReadOnly { instead: READ_ONLY }) }
-}
-
-/// The bytes of a record.
-fn octets(text: &str) -> Option<Vec<u8>> {
-    long::parse_octets(text).filter(|bytes| (1..=long::MOST).contains(&bytes.len()))
+    match target.known() {
+        Some(known) if known.read_only => Err(NotationError::ReadOnly { instead: READ_ONLY }),
+        _ => Ok(target),
+    }
 }
 
 impl Notation for Codes {
@@ -155,62 +140,48 @@ impl Notation for Codes {
 
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
         let target = writable(address)?;
-        let Some(kind) = target.number_kind() else {
-            // A record has its own size: it goes in parts, and never by this call alone.
+        let Some(integer) = target.integer() else {
+            // It has its own size: it goes in parts, and never by this call alone.
             return Ok(Call { service: STORE, address: target.pack(), value: 0 });
         };
-        match kind.number_of(value) {
-            Some(number) => {
-                Ok(Call { service: WRITE, address: target.pack(), value: number as u64 & kind.mask() })
-            }
+        match integer.number_within(value, integer.range()) {
+            Some(number) => Ok(Call { service: WRITE, address: target.pack(), value: integer.raw(number) }),
             None => Err(NotationError::Value { value: value.to_string(), form: form(target) }),
         }
     }
 
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
         let target = writable(address)?;
-        let wrong = || NotationError::Value { value: text.to_owned(), form: form(target) };
-        let Some(kind) = target.number_kind() else {
-            return octets(text).map(|bytes| long::raw(&bytes)).ok_or_else(wrong);
+        let Some(integer) = target.integer() else {
+            let wrong = || NotationError::Value { value: text.to_owned(), form: form(target) };
+            return target.bytes(text).map(|bytes| long::raw(&bytes)).ok_or_else(wrong);
         };
+        let range = integer.range();
         let number = match text.strip_prefix("0x") {
-            Some(digits) => bits(digits).map(|raw| kind.number_of(raw).unwrap_or(i64::MAX)),
+            Some(digits) => bits(digits).map(|raw| integer.number_within(raw, range).unwrap_or(i64::MAX)),
             None => count(text, target.decimals()),
         };
-        let (low, high) = kind.range();
-        match number {
-            Some(number) if (low..=high).contains(&number) => Ok(number as u64 & kind.mask()),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(wrong()),
-        }
+        within(number, range, text, || form(target)).map(|number| integer.raw(number))
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {
-        let kind = Target::parse(address).and_then(Target::number_kind);
-        kind.map_or(raw as i64, |kind| kind.number(raw))
+        let integer = Target::parse(address).and_then(Target::integer);
+        integer.map_or(raw as i64, |integer| integer.number(raw))
     }
 
     fn show(&self, address: &str, raw: u64) -> String {
         let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
-        let Some(kind) = target.number_kind() else {
-            let bytes = raw.to_le_bytes();
-            return if matches!(target, Target::Record(_)) {
-                long::octets(&bytes)
-            } else {
-                long::text(&bytes)
-            };
-        };
-        let (number, decimals) = (kind.number(raw), target.decimals());
-        let plain = format!("{number} (0x{:X})", raw & kind.mask());
-        if decimals == 0 {
-            return plain;
+        let Some(integer) = target.integer() else { return target.text(&raw.to_le_bytes()) };
+        let number = integer.number(raw);
+        let plain = format!("{number} (0x{:X})", integer.raw(number));
+        match target.decimals() as usize {
+            0 => plain,
+            decimals => {
+                let unit = target.known().map_or("", |known| known.unit);
+                let value = number as f64 / 10_f64.powi(decimals as i32);
+                format!("{plain} = {value:.decimals$} {unit}").trim_end().to_owned()
+            }
         }
-        let unit = match target {
-            Target::Parameter(parameter) => parameter.known().map_or("", |known| known.unit),
-            Target::Record(_) => "",
-        };
-        let value = number as f64 / 10_f64.powi(decimals as i32);
-        format!("{plain} = {value:.*} {unit}", decimals as usize).trim_end().to_owned()
     }
 
     fn reason(&self, status: u32) -> String {
@@ -218,17 +189,15 @@ impl Notation for Codes {
     }
 
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
-        let target = Target::parse(address).filter(|target| target.is_long())?;
+        let target = Target::parse(address).filter(|target| target.integer().is_none())?;
         let call = Call { service: READ, address: target.pack(), value: 0 };
-        Some(long::read(carrier, call.address, self.limit(&call)).map(|bytes| {
-            let is_record = matches!(target, Target::Record(_));
-            (long::raw(&bytes), if is_record { long::octets(&bytes) } else { long::text(&bytes) })
-        }))
+        let read = long::read(carrier, call.address, self.limit(&call));
+        Some(read.map(|bytes| (long::raw(&bytes), target.text(&bytes))))
     }
 
     fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
-        let target = Target::parse(address).filter(|target| target.is_long() && target.can_be_written())?;
-        Some(long::write(target.pack(), &octets(text)?))
+        let target = writable(address).ok().filter(|target| target.integer().is_none())?;
+        Some(long::write(target.pack(), &target.bytes(text)?))
     }
 
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {

@@ -2,14 +2,17 @@
 //! reader.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
+use crossbeam::atomic::AtomicCell;
+
+use super::wire::fc;
 use crate::bus;
 use crate::net::LinkNotes;
 use crate::rt::Regions;
 
 /// Why a drive is not in Data_Exchange.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(align(4))] // A word is written without a lock.
 pub(super) enum Note {
     /// It is, or nothing is known yet.
     #[default]
@@ -37,36 +40,7 @@ pub(super) enum Note {
     Unwatched,
 }
 
-impl Note {
-    fn pack(self) -> u64 {
-        let (number, value) = match self {
-            Note::None => (0, 0),
-            Note::Absent => (1, 0),
-            Note::Ident(ident) => (2, ident.into()),
-            Note::Locked(master) => (3, master.into()),
-            Note::Parameters => (4, 0),
-            Note::Configuration => (5, 0),
-            Note::Refused { sap, function } => (6, u64::from(sap) << 8 | u64::from(function)),
-            Note::NotReady => (7, 0),
-            Note::Unwatched => (8, 0),
-        };
-        number << 32 | value
-    }
-
-    fn unpack(packed: u64) -> Note {
-        match packed >> 32 {
-            1 => Note::Absent,
-            2 => Note::Ident(packed as u16),
-            3 => Note::Locked(packed as u8),
-            4 => Note::Parameters,
-            5 => Note::Configuration,
-            6 => Note::Refused { sap: (packed >> 8) as u8, function: packed as u8 },
-            7 => Note::NotReady,
-            8 => Note::Unwatched,
-            _ => Note::None,
-        }
-    }
-}
+const _: () = assert!(AtomicCell::<Note>::is_lock_free());
 
 /// What the reader knows of a drive by itself.
 #[derive(Debug)]
@@ -86,18 +60,16 @@ pub(super) struct WireNotes {
 #[derive(Debug)]
 struct Shared {
     device: String,
-    drives: Vec<(Known, AtomicU64)>,
-    /// The address of another master + 1; 0: there is none.
-    other: AtomicU64,
+    drives: Vec<(Known, AtomicCell<Note>)>,
+    /// That of the wire: another master has it, or none.
+    other: AtomicCell<Note>,
 }
 
 impl WireNotes {
     pub(super) fn new(device: &str, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
-        let drives = drives.into_iter().map(|known| (known, AtomicU64::new(0))).collect();
-        WireNotes {
-            shared: Arc::new(Shared { device: device.to_owned(), drives, other: AtomicU64::new(0) }),
-            port,
-        }
+        let drives = drives.into_iter().map(|known| (known, AtomicCell::default())).collect();
+        let shared = Shared { device: device.to_owned(), drives, other: AtomicCell::default() };
+        WireNotes { shared: Arc::new(shared), port }
     }
 
     /// Adds what the cycle writes, to be locked.
@@ -108,13 +80,13 @@ impl WireNotes {
 
     pub(super) fn set(&self, index: usize, note: Note) {
         if let Some((_, place)) = self.shared.drives.get(index) {
-            place.store(note.pack(), Ordering::Relaxed);
+            place.store(note);
         }
     }
 
     /// Another master is on the wire, or not any more.
     pub(super) fn set_other(&self, master: Option<u8>) {
-        self.shared.other.store(master.map_or(0, |address| u64::from(address) + 1), Ordering::Relaxed);
+        self.shared.other.store(master.map_or(Note::None, Note::Locked));
     }
 }
 
@@ -124,13 +96,13 @@ impl bus::Notes for WireNotes {
             return Some(note);
         }
         let device = &self.shared.device;
-        if let Some(master) = self.shared.other.load(Ordering::Relaxed).checked_sub(1) {
+        if let Note::Locked(master) = self.shared.other.load() {
             return Some(format!(
                 "another master, address {master}, sends on {device}: end it, or look where the cable leads"
             ));
         }
         let (Known { address, ident, configuration }, place) = self.shared.drives.get(index)?;
-        Some(match Note::unpack(place.load(Ordering::Relaxed)) {
+        Some(match place.load() {
             Note::None | Note::Unwatched => return None,
             Note::Absent => format!(
                 "nobody answers at address {address} on {device}: look at its power, its cable and terminators, its \
@@ -140,42 +112,31 @@ impl bus::Notes for WireNotes {
                 "the slave at address {address} has ident number {found:#06x}, not {ident:#06x}: look whether it is \
                  the drive that is meant, and set ident"
             ),
-            Note::Locked(master) => {
-                format!(
-                    "it is locked by another master, address {master}: end that one, or let it unlock the drive"
-                )
-            }
+            Note::Locked(master) => format!(
+                "it is locked by another master, address {master}: end that one, or let it unlock the drive"
+            ),
             Note::Parameters => {
-                "it refuses its parametrisation (Prm_Fault): look at ident and user_prm, its GSD file \
-                has them"
-                    .to_owned()
+                "it refuses its parametrisation (Prm_Fault): look at ident and user_prm, its GSD \
+                 file has them"
+                    .into()
             }
             Note::Configuration => format!(
                 "it refuses its configuration {configuration:02X?} (Cfg_Fault): look at configuration, and at the \
                  process data that the drive is set to"
             ),
-            Note::Refused { sap, function } => {
-                let why = match function {
-                    1 => "UE, user error",
-                    2 => "RR, no resource",
-                    _ => "RS, service not active",
-                };
-                format!(
-                    "it refuses service access point {sap} ({why}): look whether it is a DP slave, and restart it"
-                )
-            }
-            Note::NotReady => {
-                "it is parametrised and configured, and does not become ready: look at its diagnosis"
-                    .to_owned()
-            }
+            Note::Refused { sap, function } => format!(
+                "it refuses service access point {sap} ({}): look whether it is a DP slave, and restart it",
+                fc::refusal(function)
+            ),
+            Note::NotReady => "it is parametrised and configured, and does not become ready: look at its \
+                 diagnosis"
+                .into(),
         })
     }
 
     fn remark(&self, index: usize) -> Option<String> {
         let (_, place) = self.shared.drives.get(index)?;
-        (Note::unpack(place.load(Ordering::Relaxed)) == Note::Unwatched).then(|| {
-            "its diagnosis does not report its watchdog as on, although it was set: it is not enabled"
-                .to_owned()
-        })
+        let why = "its diagnosis does not report its watchdog as on, although it was set: it is not enabled";
+        (place.load() == Note::Unwatched).then(|| why.to_owned())
     }
 }

@@ -139,7 +139,10 @@ pub enum ParameterPath {
     #[default]
     None,
     /// A: the PKW channel in the process data.
-    Pkw,
+    Pkw {
+        /// Between any two jobs there is none, until the drive shows that; else between two of the same code only.
+        pause: bool,
+    },
     /// B: the DRIVECOM channel in the process data.
     Drivecom,
     /// C: DB47 by MSAC1 of DP-V1.
@@ -153,6 +156,13 @@ pub enum ParameterPath {
         /// How a code becomes an index.
         numbers: Numbers,
     },
+}
+
+impl ParameterPath {
+    /// It is in the process data.
+    pub fn is_channel(self) -> bool {
+        matches!(self, ParameterPath::Pkw { .. } | ParameterPath::Drivecom)
+    }
 }
 
 /// How the code of a Lenze parameter becomes the index of a parameter request.

@@ -10,7 +10,7 @@
 
 use super::native::{NativeOutput, NativePort};
 use super::plan::{DriveProfile, LenzeDrive, StatusBit};
-use super::wire::words::{DrivecomControl as Control, DrivecomStatus, ProfidriveControl, ProfidriveStatus};
+use super::wire::words::{DrivecomControl as Control, DrivecomStatus, ProfidriveStatus};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Lacks, State};
 use crate::bus::desired::{
@@ -193,7 +193,7 @@ impl Profile {
             Power::FaultReset => Control(Control::FAULT_RESET),
         };
         self.control = match self.profile {
-            DriveProfile::Profidrive if power.value != Power::Untouched => word.0 | ProfidriveControl::BY_PLC,
+            DriveProfile::Profidrive if power.value != Power::Untouched => word.0 | Control::BY_PLC,
             _ => word.0,
         };
     }

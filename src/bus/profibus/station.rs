@@ -14,7 +14,7 @@ mod telegram;
 
 use self::report::Shown;
 use self::telegram::Telegram;
-use super::acyclic::{Acyclic, Turn, commanding};
+use super::acyclic::{Acyclic, Turn};
 use super::counters::Own;
 use super::line::Expected;
 use super::native::{Native, NativePort, native};
@@ -22,6 +22,7 @@ use super::notes::Note;
 use super::plan::LenzeDrive;
 use super::profile::{Inputs, Profile};
 use super::start_up::StartUp;
+use super::target::commanding;
 use super::wire::dp::station_status;
 use super::wire::sap::Service;
 use super::wire::telegram::MAX;
@@ -54,9 +55,10 @@ enum Sending {
 /// One drive.
 #[derive(Debug)]
 #[repr(C, align(64))] // What each exchange touches comes first.
-pub(super) struct Station {
-    /// The slot of the grid that the outputs are built for.
+pub struct Station {
+    /// The slot of the grid that the outputs are built for, and the end of its window.
     grid: Time,
+    window_end: Time,
     sending: Sending,
     /// The count bits of the next new telegram.
     count: u8,
@@ -79,9 +81,8 @@ pub(super) struct Station {
     moves_from: u16,
     /// Its last telegram was answered.
     was_answered: bool,
-    /// So many answers in a row came behind the window of their request, which ends then.
+    /// So many answers in a row came behind the window of their request.
     slow: u8,
-    window_end: Time,
     fault_at: Option<u8>,
     start_up: StartUp,
     velocity_per_count: f64,
@@ -98,9 +99,9 @@ pub(super) struct Station {
 impl Station {
     /// The station of `drive` of the master at address `own`, and the application's ends of its native process data and
     /// of its acyclic access. `None`: its plan is not free of faults.
-    pub(super) fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
+    pub fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
         let (application, native) = native();
-        let (ends, port) = queue(drive.axis.parameter_queue, commanding(drive));
+        let (ends, port) = queue(drive.axis.parameter_queue, commanding());
         let (outputs, inputs) = drive.lengths()?;
         let process_at = drive.process_at();
         let word = |word: u8, length: usize| {
@@ -189,8 +190,8 @@ impl Station {
     /// Builds the outputs of the next send in place. Built again for the same send, they are the same: state that
     /// changes with every telegram changes in [`sent`](Self::sent).
     #[inline]
-    pub(super) fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
-        self.grid = cycle.grid;
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        (self.grid, self.window_end) = (cycle.grid, cycle.deadline);
         if let Some((control, setpoint)) = self.profile.encode(&slot.desired, &mut self.native) {
             self.telegram.put(self.process_at, control);
             self.telegram.put(self.set_point_at, setpoint as u16);
@@ -227,7 +228,7 @@ impl Station {
 
     /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
     #[inline]
-    pub(super) fn request(
+    pub fn request(
         &mut self,
         slot: &Slot,
         may_be_acyclic: bool,
@@ -256,7 +257,10 @@ impl Station {
             _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
             _ if self.diagnosis_due => Sending::Diagnosis,
             Link::Unseen | Link::Lost => Sending::Diagnosis,
-            _ if may_be_acyclic && self.acyclic.data_unit().is_some() => Sending::Msac1,
+            // Without a count its repetition would be a second request.
+            _ if may_be_acyclic && self.count != FIRST && self.acyclic.data_unit().is_some() => {
+                Sending::Msac1
+            }
             _ => Sending::DataExchange,
         }
     }
@@ -282,16 +286,15 @@ impl Station {
         self.sending == Sending::Msac1
     }
 
-    /// The telegram of its turn left at `at`, the first time, if it is repeated. The window, which ends at `window_end`,
-    /// is kept open for its answer if that usually comes inside it; of many that do not, now and then.
+    /// The telegram of its turn left at `at`; the first time, if it is repeated. The window is kept open for its answer if
+    /// that usually comes inside it; of many that do not, now and then.
     #[inline]
-    pub(super) fn sent(&mut self, at: Time, window_end: Time, reply_by: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
         if self.sending == Sending::StartUp {
             Own::StartUps.count(&mut slot.counters);
             return self.unsent(slot);
         }
         slot.counters.sent += 1;
-        self.window_end = window_end;
         slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.slow & SLOW < AWAITED };
         if self.sending != Sending::DataExchange {
             return self.sent_other(at);

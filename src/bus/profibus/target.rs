@@ -9,57 +9,12 @@
 use std::borrow::Cow;
 
 use super::plan::Numbers;
-use super::wire::drivecom::{ErrorCode, Size, index_of};
+use super::wire::drivecom::{ErrorCode, index_of};
 use super::wire::errors::ErrorNumber;
-use super::wire::fc::ReplyFunction;
+use super::wire::fc;
+pub use super::wire::job::Kind;
 use super::wire::msac1::{Record, Refusal};
 use crate::axis::acyclic::{Call, CallError, Commanding, long};
-use crate::named::named;
-
-named! {
-    /// What the value of a code is on the wire. The name is how people write it behind the code.
-    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-    pub enum Kind {
-        /// As the [`catalogue`](super::catalogue) says; 32 bits with a sign if it says nothing.
-        Own = 0: "",
-        /// 8 bits with a sign.
-        I8 = 1: "i8",
-        /// 8 bits.
-        U8 = 2: "u8",
-        /// 16 bits with a sign.
-        I16 = 3: "i16",
-        /// 16 bits.
-        U16 = 4: "u16",
-        /// 32 bits with a sign.
-        I32 = 5: "i32",
-        /// 32 bits.
-        U32 = 6: "u32",
-        /// Characters.
-        Text = 7: "text",
-    }
-}
-
-impl Kind {
-    /// Bytes of a number; `None`: it is none.
-    pub const fn size(self) -> Option<Size> {
-        Some(match self {
-            Kind::I8 | Kind::U8 => Size::One,
-            Kind::I16 | Kind::U16 => Size::Two,
-            Kind::Own | Kind::I32 | Kind::U32 => Size::Four,
-            Kind::Text => return None,
-        })
-    }
-
-    /// Bits of a number; of a text, all of a value.
-    pub fn bits(self) -> u32 {
-        self.size().map_or(u64::BITS, |size| 8 * size as u32)
-    }
-
-    /// It has a sign.
-    pub const fn is_signed(self) -> bool {
-        matches!(self, Kind::Own | Kind::I8 | Kind::I16 | Kind::I32)
-    }
-}
 
 /// A code of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -112,7 +67,7 @@ impl Target {
         match address.to_be_bytes() {
             [RECORD, 0, slot, index] => Some(Target::Record(Record { slot, index })),
             [kind, high, low, sub] => {
-                let kind = *Kind::ALL.get(usize::from(kind))?;
+                let kind = Kind::ALL.into_iter().find(|of| *of as u8 == kind)?;
                 Some(Target::Parameter(Parameter { code: u16::from_be_bytes([high, low]), sub, kind }))
             }
         }
@@ -156,21 +111,33 @@ const LINK: u32 = 0x3000_0000;
 const OTHER: u32 = 0x4000_0000;
 
 /// There is no such call for this address.
-pub(crate) const NO_CALL: u32 = OWN + 1;
+pub(crate) const NO_CALL: u32 = OWN;
 /// The code is beyond those of the path to the drive's parameters.
-pub(crate) const UNREACHABLE: u32 = OWN + 2;
+pub(crate) const UNREACHABLE: u32 = OWN + 1;
 /// There is no path.
-pub(crate) const NO_PATH: u32 = OWN + 3;
+pub(crate) const NO_PATH: u32 = OWN + 2;
 /// DP-V1 is not enabled in its parametrisation.
-pub(crate) const NO_DPV1: u32 = OWN + 4;
+pub(crate) const NO_DPV1: u32 = OWN + 3;
 /// Texts are not in a channel of the process data.
-pub(crate) const NO_TEXT: u32 = OWN + 5;
+pub(crate) const NO_TEXT: u32 = OWN + 4;
 /// Its answer is none.
-pub(crate) const BROKEN: u32 = OWN + 6;
+pub(crate) const BROKEN: u32 = OWN + 5;
 /// There is no such part of what was read before.
-pub(crate) const NOT_READ: u32 = OWN + 7;
+pub(crate) const NOT_READ: u32 = OWN + 6;
 /// What was handed over to be written is not whole.
-pub(crate) const NOT_LOADED: u32 = OWN + 8;
+pub(crate) const NOT_LOADED: u32 = OWN + 7;
+
+/// The meanings of this side's own statuses, in their order.
+const OWN_REASONS: [&str; 8] = [
+    "it cannot be read or written so: texts and records are written whole, and have parts",
+    "there is no such code on the drive's path of parameters: look at `parameters.path`",
+    "the drive has no path of parameters: set `parameters.path`",
+    "DP-V1 is not enabled: set bit 7 of the first byte of `user_prm`",
+    "the channel in the process data has no texts: they need `parameters.path = \"msac1\"`",
+    "the drive's answer cannot be understood; what was to be written may have been written",
+    "there is no such part of the data read before",
+    "the value to be written was not handed over as a whole",
+];
 
 /// The status of an error number.
 pub(super) fn number(error: ErrorNumber) -> u32 {
@@ -195,34 +162,18 @@ pub(super) fn link(function: u8) -> u32 {
 /// The meaning of a status.
 pub(super) fn reason(status: u32) -> Cow<'static, str> {
     let [_, decode, code_1, code_2] = status.to_be_bytes();
-    match status {
-        0..=0xFFFF => ErrorNumber(status as u16).to_string().into(),
+    let rest = status & !MARK;
+    match status & MARK {
+        _ if status <= 0xFFFF => ErrorNumber(status as u16).to_string().into(),
         _ if CLASSES.contains(&status) => ErrorCode(status).to_string().into(),
-        NO_CALL => {
-            "it cannot be read or written so: records and texts have parts, and texts are only read".into()
-        }
-        UNREACHABLE => {
-            "there is no such code on the drive's path of parameters: look at `parameters.path`".into()
-        }
-        NO_PATH => "the drive has no path of parameters: set `parameters.path`".into(),
-        NO_DPV1 => "DP-V1 is not enabled: set bit 7 of the first byte of `user_prm`".into(),
-        NO_TEXT => {
-            "the channel in the process data has no texts: they need `parameters.path = \"msac1\"`".into()
-        }
-        BROKEN => {
-            "the drive's answer cannot be understood; what was to be written may have been written".into()
-        }
-        NOT_READ => "there is no such part of the data read before".into(),
-        NOT_LOADED => "the value to be written was not handed over as a whole".into(),
-        _ => match status & MARK {
-            MSAC1 => Refusal { decode, code_1, code_2 }.to_string().into(),
-            LINK => match ReplyFunction::ALL.into_iter().find(|function| *function as u8 == code_2) {
-                Some(function) => format!("the module refused it with {function}").into(),
-                None => format!("the module refused it with function {code_2}").into(),
-            },
-            OTHER => format!("unknown error {:#010x}", status & !MARK).into(),
-            _ => format!("status {status:#x}").into(),
+        OWN => match OWN_REASONS.get(rest as usize) {
+            Some(reason) => (*reason).into(),
+            None => format!("status {status:#x}").into(),
         },
+        MSAC1 => Refusal { decode, code_1, code_2 }.to_string().into(),
+        LINK => format!("the module refused it with {}", fc::refusal(code_2)).into(),
+        OTHER => format!("unknown error {rest:#010x}").into(),
+        _ => format!("status {status:#x}").into(),
     }
 }
 
@@ -233,13 +184,13 @@ mod tests {
     #[test]
     fn a_status_says_which_of_the_ways_refused() {
         for (status, expected) in [
-            (number(ErrorNumber::READ_ONLY), "error 01h: the parameter is read-only"),
+            (number(ErrorNumber(1)), "error 01h: the parameter is read-only"),
             (drivecom(ErrorCode(0x0607_0000)), "error 6/7/0000: the object does not exist"),
             (drivecom(ErrorCode(0)), "unknown error 0x00000000"),
             (drivecom(ErrorCode(0xF607_0001)), "unknown error 0x06070001"),
             (msac1(Refusal { decode: 0x80, code_1: 0xB0, code_2: 7 }), "no such index (80 B0 07)"),
             (link(3), "the module refused it with RS: service not active"),
-            (link(5), "the module refused it with function 5"),
+            (link(5), "the module refused it with a function that is no refusal"),
             (0xA000_0000, "status 0xa0000000"),
         ] {
             assert_eq!(reason(status), expected);

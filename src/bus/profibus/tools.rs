@@ -1,6 +1,5 @@
 //! `fieldbeat profibus`: the stations of a PROFIBUS wire.
 
-use std::fmt::Write;
 use std::os::fd::{BorrowedFd, RawFd};
 use std::thread::sleep;
 use std::time::Duration;
@@ -13,7 +12,7 @@ use super::check::{LATENCY_MAX_NS, rates};
 use super::plan::{ADDRESS_MAX, Bits, ProfibusPlan, RATES, Rs485};
 use super::scan::{Found, ScanError, Seen, scan};
 use super::wire::dp::DiagnosisStatus;
-use crate::bus::tools::{Program, Stop, Tool, arguments};
+use crate::bus::tools::{Program, Stop, Tool, arguments, table};
 use crate::net::{Carriers, Os, Place};
 use crate::rt::MonotonicClock;
 use crate::time::MS;
@@ -120,24 +119,8 @@ fn pause(fd: Option<RawFd>, most_ns: u64) {
     let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], most);
 }
 
-/// The table.
 fn text(found: &[Found]) -> String {
-    const HEAD: [&str; 5] = ["address", "ident", "master", "watchdog", "state"];
-    let mut rows = vec![HEAD.map(str::to_owned)];
-    rows.extend(found.iter().map(row));
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEAD.len()).map(width).collect();
-    let mut text = String::new();
-    for row in &rows {
-        let mut line = String::new();
-        for (cell, width) in row.iter().zip(&widths) {
-            let _ = write!(line, "{cell:<width$}  ");
-        }
-        text += line.trim_end();
-        text += "\n";
-    }
-    text.truncate(text.trim_end().len());
-    text
+    table(["address", "ident", "master", "watchdog", "state"], found.iter().map(row))
 }
 
 fn row(found: &Found) -> [String; 5] {

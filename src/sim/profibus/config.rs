@@ -46,7 +46,12 @@ fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
     let every = "how often the other master sends its token";
     let every_ns = table.time("second_master_every", MS..=600 * S, every);
     let after_ns = table.time("second_master_after", ..=600 * S, "when the other master appears");
-    let default = ForeignSettings::new(address?);
+    let listens = table.flag("second_master_listens").unwrap_or(false);
+    let address = address?;
+    let default = match listens {
+        true => ForeignSettings::listening(address),
+        false => ForeignSettings::new(address),
+    };
     Some(ForeignSettings {
         every_ns: every_ns.unwrap_or(default.every_ns),
         after_ns: after_ns.unwrap_or(default.after_ns),

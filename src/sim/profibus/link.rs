@@ -13,7 +13,7 @@ const FCB: u8 = 0x20;
 const FCV: u8 = 0x10;
 
 /// Function codes of requests.
-mod request {
+pub(super) mod request {
     pub const SDA: [u8; 2] = [3, 5];
     pub const SDN: [u8; 2] = [4, 6];
     pub const MULTICAST: u8 = 7;

@@ -74,7 +74,8 @@ impl ProfibusSegment {
         let line = self.line();
         let drives =
             self.drives.iter().map(|drive| Box::new(LenzeSim::new(drive, line)) as Box<dyn SimSerial>);
-        let foreign = self.foreign.clone().map(|of| Box::new(ForeignMaster::new(of)) as Box<dyn SimSerial>);
+        let foreign = |of| Box::new(ForeignMaster::new(of, line)) as Box<dyn SimSerial>;
+        let foreign = self.foreign.clone().map(foreign);
         let noise = self.noise.map(|of| Box::new(Noise::new(of)) as Box<dyn SimSerial>);
         SerialWire {
             port: self.port.clone(),
@@ -122,7 +123,7 @@ impl LenzeSettings {
         settings.configuration = drive.configuration.clone();
         settings.channel = match (drive.channel, drive.parameters) {
             (false, _) => Channel::None,
-            (true, ParameterPath::Pkw) => Channel::Pkw,
+            (true, ParameterPath::Pkw { .. }) => Channel::Pkw,
             (true, _) => Channel::Drivecom,
         };
         if let ParameterPath::Msac1 { slot, index, numbers, .. } = drive.parameters {

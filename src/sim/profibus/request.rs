@@ -175,6 +175,8 @@ fn write(
                 (Type::Fixed, [a, b, c, d]) if format::DOUBLE_WORD.contains(&format) => {
                     i32::from_be_bytes([*a, *b, *c, *d])
                 }
+                // Each of them is read-only.
+                (Type::Text(_), _) if format == format::TEXT => 0,
                 _ => return Err(Refusal::WrongType),
             };
             drive.write(code, place.subindex, value)?;

@@ -321,6 +321,10 @@ impl Default for LenzeMotorSettings {
 pub struct ForeignSettings {
     /// Its address.
     pub address: u8,
+    /// It keeps to the rules of the link layer: it listens, answers a search, claims a wire that is silent, and gives
+    /// way to another master. Behind each of `telegrams` it waits a slot time then, whatever `every_ns` is. False: it
+    /// sends at its own times, whatever is on the wire. Default false.
+    pub listens: bool,
     /// When it begins, ns after the wire's first moment. Default 0.
     pub after_ns: u64,
     /// The time from one telegram to the next, ns. Default 10 ms.
@@ -335,7 +339,23 @@ impl ForeignSettings {
     /// One that circles its token.
     pub fn new(address: u8) -> ForeignSettings {
         let token = vec![0xDC, address, address];
-        ForeignSettings { address, after_ns: 0, every_ns: 10 * MS, telegrams: vec![token], count: None }
+        ForeignSettings {
+            address,
+            listens: false,
+            after_ns: 0,
+            every_ns: 10 * MS,
+            telegrams: vec![token],
+            count: None,
+        }
+    }
+
+    /// One that keeps to the rules: it searches for a master at the next address, and passes the token to itself.
+    pub fn listening(address: u8) -> ForeignSettings {
+        let next = (address + 1) % 126;
+        let sum = next.wrapping_add(address).wrapping_add(0x49);
+        let search = vec![0x10, next, address, 0x49, sum, 0x16];
+        let token = vec![0xDC, address, address];
+        ForeignSettings { listens: true, telegrams: vec![search, token], ..ForeignSettings::new(address) }
     }
 }
 

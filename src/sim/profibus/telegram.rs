@@ -146,6 +146,11 @@ pub(super) fn append_ack(out: &mut Vec<u8>) {
     out.push(mark::SC);
 }
 
+/// Appends a token.
+pub(super) fn append_token(to: u8, from: u8, out: &mut Vec<u8>) {
+    out.extend([mark::SD4, to, from]);
+}
+
 /// Makes another station the source of a frame.
 pub(super) fn change_source(bytes: &mut [u8]) {
     let head = if bytes.first() == Some(&mark::SD2) { 4 } else { 1 };

@@ -4,10 +4,10 @@ use std::any::Any;
 
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan, Watchdog};
+use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, Watchdog};
 use fieldbeat::internals::bus::profibus::wire::sap;
 use fieldbeat::internals::bus::profibus::wire::telegram::{Frame, Head, Next, Telegram};
-use fieldbeat::internals::bus::profibus::wire::words::DrivecomStatus;
+use fieldbeat::internals::bus::profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
 use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, SimSerial, Simulated};
 use fieldbeat::time::MS;
@@ -16,7 +16,11 @@ use crate::conformance::line::LATENCY;
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 
 /// Lenze drives on one wire.
-pub struct Profibus;
+pub struct Profibus {
+    /// Control word, status word and states of PROFIdrive, parameters by DB47 of MSAC1. Else those of DRIVECOM, and its
+    /// channel.
+    pub profidrive: bool,
+}
 
 /// Three of the exchanges here fit into a window, and four do not.
 const RATE: u32 = 3_000_000;
@@ -54,6 +58,12 @@ impl Profibus {
         let drive = |(index, drive): (usize, &Drive)| {
             let mut plan = LenzeDrive::new(&drive.axis.name, FIRST + index as u8);
             plan.axis = drive.axis.clone();
+            if self.profidrive {
+                plan.profile = DriveProfile::Profidrive;
+                plan.enable_bit = plan.profile.usual_enable_bit();
+                plan.parameters =
+                    ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
+            }
             plan.scale.full_rpm = 6_000.0;
             // What befalls a clause's drive is the clause's; its watchdog has its own tests.
             plan.watchdog = Watchdog { timeout_ns: None, accept_none: true };
@@ -69,7 +79,7 @@ impl Profibus {
 
 impl Subject for Profibus {
     fn name(&self) -> &'static str {
-        "profibus-dp"
+        if self.profidrive { "profibus-dp with PROFIdrive" } else { "profibus-dp with DRIVECOM" }
     }
 
     fn can(&self) -> Can {
@@ -124,7 +134,11 @@ impl Subject for Profibus {
     fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {
         let reply = frame(reply).filter(|frame| frame.head.dsap.is_none())?;
         let (status, actual) = (word(reply.data, WORD)?, word(reply.data, VALUE)? as i16);
-        let powered = DrivecomStatus(status).state().is_powered();
+        let state = match self.profidrive {
+            true => ProfidriveStatus(status).state(),
+            false => DrivecomStatus(status).state(),
+        };
+        let powered = state.is_powered();
         let turned = frame(request).and_then(|frame| word(frame.data, VALUE)).is_some_and(|count| count != 0);
         Some(Said {
             powered,
@@ -154,7 +168,7 @@ impl Subject for Profibus {
         Calls {
             read: call(notation.read("C0012")),
             write: call(notation.write("C0012", 5_000)),
-            refused: (call(notation.read("C1999")), 0x0607_0000),
+            refused: (call(notation.read("C1999")), if self.profidrive { 0 } else { 0x0607_0000 }),
             soon: SOON,
         }
     }

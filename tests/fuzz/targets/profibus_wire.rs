@@ -5,6 +5,7 @@ use fieldbeat::axis::State;
 use fieldbeat::internals::bus::profibus::wire::base_mode::{Outcome, Response};
 use fieldbeat::internals::bus::profibus::wire::dp::{Configuration, Diagnosis};
 use fieldbeat::internals::bus::profibus::wire::fc::FunctionCode;
+use fieldbeat::internals::bus::profibus::wire::job::Job;
 use fieldbeat::internals::bus::profibus::wire::msac1::Answer;
 use fieldbeat::internals::bus::profibus::wire::telegram::{
     Frame, Head, MAX, Malformed, Next, Telegram, token,
@@ -38,19 +39,12 @@ fn found(bytes: &[u8], cut: usize) -> (Found, usize) {
                     same(telegram, &rest[..size]);
                     (None, size)
                 }
-                Next::Malformed { why: Malformed::Start { .. }, drop } => {
-                    (Some(Malformed::Start { byte: 0 }), drop)
-                }
                 Next::Malformed { why, drop } => (Some(why), drop),
             };
             assert!((1..=rest.len()).contains(&size));
             start += size;
             match all.last_mut() {
-                Some((Some(Malformed::Start { .. }), sum))
-                    if matches!(why, Some(Malformed::Start { .. })) =>
-                {
-                    *sum += size;
-                }
+                Some((Some(Malformed::Start), sum)) if why == Some(Malformed::Start) => *sum += size,
                 _ => all.push((why, size)),
             }
         }
@@ -83,28 +77,32 @@ fn same(telegram: Telegram<'_>, bytes: &[u8]) {
 /// The data of a telegram, as every service's.
 fn service(data: &[u8]) {
     if let Some(diagnosis) = Diagnosis::parse(data) {
-        let _ = (diagnosis.fault(), format!("{:?}", diagnosis.status));
-        assert!(diagnosis.blocks().count() <= diagnosis.extended.len());
+        assert!(diagnosis.status.names().count() <= 24);
+        assert!(diagnosis.fault().is_none() || diagnosis.extended.len() >= 3);
     }
-    assert!(Configuration(data).modules().count() <= data.len());
+    if let Some((inputs, outputs)) = Configuration(data).sizes() {
+        assert!(inputs.max(outputs) <= 128 * data.len());
+    }
     match Answer::parse(data) {
-        Ok(Answer::Read { data: record, .. }) => {
+        Some(Answer { result: Ok((_, record)), .. }) => {
             assert_eq!(record.len() + 4, data.len());
             parameters(record);
         }
-        Ok(Answer::Refused { why, .. }) => assert!(!why.to_string().is_empty()),
-        Ok(Answer::Written { .. }) | Err(_) => (),
+        Some(Answer { result: Err(why), .. }) => assert!(!why.to_string().is_empty()),
+        None => (),
     }
     parameters(data);
     if let Some(channel) = data.first_chunk() {
-        let reply = pkw::Reply::parse(channel);
-        let job = pkw::Request { job: pkw::Job::Read, code: reply.code, subcode: reply.subcode };
-        assert_eq!(reply.answers(&job), reply.response != pkw::Response::None);
-        let reply = drivecom::Reply::parse(channel);
-        let drivecom::Reply { handshake, index, subindex, result } = reply;
-        let job = drivecom::Request { job: drivecom::Job::None, handshake, index, subindex };
-        assert!(reply.answers(&job) && !reply.answers(&drivecom::Request { handshake: !handshake, ..job }));
-        assert!(result.is_ok_and(|data| data.0 == channel[4..]) || channel[0] & 0x80 != 0);
+        let code = u16::from_be_bytes([channel[0] & 0x0F, channel[1]]);
+        let job = Job { code, sub: channel[2], bits: 16, write: None };
+        assert_eq!(pkw::reply(&job, channel).is_some(), !pkw::is_none(channel));
+        let index = u16::from_be_bytes([channel[2], channel[3]]);
+        let job = Job { code: 24_575_u16.wrapping_sub(index), sub: channel[1], bits: 32, write: None };
+        let handshake = drivecom::shows(channel);
+        assert_eq!(drivecom::reply(&job, !handshake, channel), None);
+        let reply = drivecom::reply(&job, handshake, channel).expect("its own");
+        let data = u32::from_be_bytes(channel[4..].try_into().expect("four bytes"));
+        assert_eq!(reply, if channel[0] & 0x80 == 0 { Ok(data) } else { Err(drivecom::ErrorCode(data)) });
     }
     if let Some(word) = data.first_chunk().map(|bytes| u16::from_be_bytes(*bytes)) {
         for state in [DrivecomStatus(word).state(), ProfidriveStatus(word).state()] {
@@ -115,15 +113,12 @@ fn service(data: &[u8]) {
 
 /// A record of parameters.
 fn parameters(record: &[u8]) {
-    let Ok(response) = Response::parse(record) else { return };
-    assert_eq!(response.outcomes().count(), usize::from(response.count));
+    let Some(response) = Response::parse(record) else { return };
+    assert_eq!(response.outcomes().count(), usize::from(response.head.count));
     for outcome in response.outcomes() {
         match outcome {
-            Outcome::Read(values) => {
-                let count = values.count().map(usize::from).expect("it was counted");
-                assert_eq!(values.get(count), None);
-            }
-            Outcome::Failed { error, .. } => assert!(!error.to_string().is_empty()),
+            Outcome::Read(values) => assert!(values.first().is_none_or(|_| !values.bytes.is_empty())),
+            Outcome::Failed(error) => assert!(!error.to_string().is_empty()),
             Outcome::Written => assert!(response.head.write),
         }
     }

@@ -8,8 +8,9 @@ use crate::capture;
 /// A frame, as the dissector has it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Frame {
-    /// Its number in the capture.
+    /// Its number in the capture, and when it was captured, ns.
     pub number: u64,
+    pub at_ns: u64,
     /// It comes from the master; else the first slave has marked its source.
     pub is_sent: bool,
     /// Bytes.
@@ -90,7 +91,7 @@ const COE: u64 = 3;
 /// The bit of the source that the first slave sets.
 const PASSED: u8 = 1 << 1;
 
-const FIELDS: [&str; 26] = [
+const FIELDS: [&str; 27] = [
     "frame.number",
     "frame.len",
     "eth.src",
@@ -117,6 +118,7 @@ const FIELDS: [&str; 26] = [
     "ecat_mailbox.coe.sdodata",
     "ecat.data",
     "ecat.reg.alctrl.ctrl",
+    "frame.time_epoch",
 ];
 
 /// What tshark says of what it cannot read.
@@ -140,6 +142,14 @@ fn number(text: &str) -> u64 {
     parsed.unwrap_or_else(|error| panic!("{text}: {error}"))
 }
 
+/// Seconds as tshark writes them, with nine places.
+fn nanoseconds(text: &str) -> u64 {
+    let (seconds, places) = text.split_once('.').unwrap_or_else(|| panic!("{text}"));
+    assert_eq!(places.len(), 9, "{text}");
+    let [seconds, places] = [seconds, places].map(|part| part.parse::<u64>().unwrap());
+    seconds * 1_000_000_000 + places
+}
+
 fn frame(line: &str) -> Frame {
     let fields: Vec<&str> = line.split('|').collect();
     let all = |at: usize| -> Vec<u64> {
@@ -158,6 +168,7 @@ fn frame(line: &str) -> Frame {
     let messages = messages([16, 17, 18, 19, 20, 21, 22, 23].map(all), line);
     Frame {
         number: one(0),
+        at_ns: nanoseconds(fields[26]),
         is_sent: source & PASSED == 0,
         length: one(1),
         datagrams,

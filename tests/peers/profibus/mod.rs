@@ -58,7 +58,7 @@ fn plan(port: &str) -> ProfibusPlan {
         drive
     };
     let mut drives = vec![drive(DRIVECOM), drive(PKW), drive(PLAIN)];
-    drives[1].parameters = ParameterPath::Pkw;
+    drives[1].parameters = ParameterPath::Pkw { pause: true };
     // 8 bytes each way: with SD2, or in the form that is always so long, SD3.
     (drives[2].channel, drives[2].configuration) = (false, vec![0xF3]);
     drives[2].parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };

@@ -7,7 +7,7 @@ use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
 
-use super::{LINE, Machine, drive, jog};
+use super::{LINE, Machine, drive, jog, plan};
 
 const DRIVES: usize = 4;
 const AXES: usize = 3;
@@ -98,6 +98,32 @@ fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
         for (axis, place) in own.into_iter().enumerate() {
             machine.recover(axis);
             assert_eq!(turning(&mut machine, axis), [place], "seed {seed}: {:?}", machine.feedback(axis));
+        }
+    }
+}
+
+/// Until a drive that was switched off and on has its station address again.
+const ADDRESSED: u64 = 170;
+
+#[test]
+fn a_drive_that_is_absent_for_one_frame_while_it_is_set_up_gives_its_axis_no_other_drive() {
+    let mut machine = Machine::new(plan(AXES as u16));
+    machine.online();
+    for turns in 0..ADDRESSED {
+        machine.sim.world().restart_slave(LINE, 0);
+        machine.run(turns);
+        machine.look(|line| line.deafen(0, true));
+        machine.run(1);
+        machine.look(|line| line.deafen(0, false));
+        // It may have been lost, or not yet.
+        machine.run(200);
+        machine.online();
+        for axis in 0..AXES {
+            machine.recover(axis);
+            let powered = |place: &usize| machine.drive(*place, |drive| drive.axis_state()).is_powered();
+            let powered: Vec<_> = (0..AXES).filter(powered).collect();
+            assert_eq!(powered, [axis], "absent after {turns} turns");
+            machine.done(axis, Command::Disable);
         }
     }
 }

@@ -1,11 +1,13 @@
 //! Drives, telegrams and ports that are lost; noise and other masters.
 
+use fieldbeat::Simulation;
 use fieldbeat::axis::{Command, Link, State, StopCause};
 use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings};
-use fieldbeat::time::{MS, S};
+use fieldbeat::sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings, ProfibusSegment};
+use fieldbeat::time::{MS, S, Time, US};
 
+use super::tap::TapWire;
 use super::turns::{STOP, jog};
 use super::{Lenze, PORT, cycle, own, wire};
 
@@ -129,6 +131,88 @@ fn another_master_that_comes_later_stops_the_axes() {
     assert!(m.speed(0).abs() < 0.05);
     let [counters] = m.finish()[..] else { panic!("one drive") };
     assert!(own(&counters, Own::SecondMaster) >= 2, "{counters:?}");
+}
+
+/// Turns until the axis of the only drive is stopped by another master at `address`, which is named.
+fn named(m: &mut Lenze, address: u8, within: u64) {
+    m.until("its stop", within, |sim| sim.feedback(0).stopped.is_some());
+    assert_eq!(m.feedback(0).stopped, Some(StopCause::OtherMaster));
+    let note = m.note(0).expect("it is named");
+    assert!(note.contains(&format!("another master, address {address},")), "{note}");
+    m.sim.run(500);
+    assert!(m.speed(0).abs() < 0.05, "{} {:?} {:?}", m.speed(0), m.feedback(0), m.misuse(0));
+}
+
+#[test]
+fn a_master_that_claims_the_silence_between_two_cycles_is_named_by_its_first_telegrams() {
+    // At this rate the wire is silent for longer than Tto of address 1 in each cycle.
+    let mut m = Lenze::with(wire(12_000_000, 1), cycle(), |wire| {
+        // It does not go on for so long that the drive is lost.
+        let foreign = ForeignSettings { after_ns: 2 * S, count: Some(30), ..ForeignSettings::listening(1) };
+        wire.foreign = Some(foreign);
+    });
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    let sent = |sim: &Simulation| {
+        sim.world().look_on(PORT, 1, |master: &mut ForeignMaster, _| master.sent).expect("it is on the wire")
+    };
+    m.until("it is there", 6_000, |sim| sent(sim) > 0);
+    // What it sends behind the window of a cycle is received in the next one.
+    named(&mut m, 1, 2);
+}
+
+#[test]
+fn a_master_that_finds_no_silence_is_found_by_a_search() {
+    let mut bus = wire(1_500_000, 1);
+    (bus.gap, bus.highest_address) = (Some(10), 12);
+    let mut m = Lenze::with(bus, cycle(), |wire| {
+        wire.foreign = Some(ForeignSettings { after_ns: 2 * S, ..ForeignSettings::listening(9) });
+    });
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    m.until("it is there", 5_000, |sim| sim.status().executed > 2_000);
+    assert_eq!(m.feedback(0).stopped, None);
+    // A search in each ten rounds, of thirteen addresses but two.
+    named(&mut m, 9, 10 * 11);
+}
+
+#[test]
+fn a_master_that_only_listens_stops_nobody() {
+    let mut bus = wire(1_500_000, 1);
+    bus.gap = None;
+    let mut m = Lenze::with(bus, cycle(), |wire| {
+        wire.foreign = Some(ForeignSettings { after_ns: S, ..ForeignSettings::listening(9) });
+    });
+    m.ready();
+    m.post(0, jog(8.0));
+    m.turns(0, 8.0);
+    m.sim.run(5_000);
+    assert_eq!((m.feedback(0).link, m.feedback(0).stopped), (Link::Online, None));
+    assert_eq!(m.misuse(0).total(), 0, "{:?}", m.misuse(0));
+}
+
+#[test]
+fn tokens_of_noise_are_counted_and_stop_nobody() {
+    let mut bus = wire(1_500_000, 1);
+    bus.drives[0].axis.health.bucket = 200;
+    let taps = TapWire::new(ProfibusSegment::of(&bus));
+    let mut m = Lenze::on(bus, cycle(), taps.wire());
+    m.ready();
+    m.post(0, jog(8.0));
+    let mut random = fastrand::Rng::with_seed(7);
+    m.until("its velocity", 1_000, |sim| sim.feedback(0).status.velocity > 7.95);
+    for _ in 0..5_000 {
+        // Three bytes that begin like a token, in the part of a cycle in which nobody sends.
+        let at = Time((m.sim.world().now().0 / MS + 1) * MS) + 600 * US;
+        taps.voice.say(at, &[0xDC, random.u8(..), random.u8(..)]);
+        m.sim.run(1);
+        assert_eq!(m.feedback(0).stopped, None);
+    }
+    assert!((m.feedback(0).status.velocity - 8.0).abs() < 0.05, "{:?}", m.feedback(0));
+    let [counters] = m.finish()[..] else { panic!("one drive") };
+    assert!(own(&counters, Own::SecondMaster) > 500, "{counters:?}");
 }
 
 #[test]

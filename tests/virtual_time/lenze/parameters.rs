@@ -16,6 +16,9 @@ use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet
 
 const MSAC1: ParameterPath = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
 
+/// The status of a drive that refuses to change a parameter.
+const READ_ONLY: u32 = 1;
+
 /// A path, and what a drive at its other end does.
 #[derive(Clone, Copy, Debug)]
 struct Way {
@@ -25,12 +28,13 @@ struct Way {
     delay: u16,
 }
 
-const WAYS: [Way; 5] = [
-    Way { path: ParameterPath::Pkw, bare: false, delay: 0 },
+const WAYS: [Way; 6] = [
+    Way { path: ParameterPath::Pkw { pause: true }, bare: false, delay: 0 },
     Way { path: ParameterPath::Drivecom, bare: false, delay: 0 },
     Way { path: ParameterPath::Drivecom, bare: true, delay: 0 },
     Way { path: MSAC1, bare: false, delay: 0 },
     Way { path: MSAC1, bare: false, delay: 3 },
+    Way { path: ParameterPath::Pkw { pause: false }, bare: false, delay: 0 },
 ];
 
 fn machine_on(way: Way, mut bus: ProfibusPlan) -> Lenze {
@@ -254,6 +258,11 @@ fn a_text_comes_in_parts_and_a_record_as_bytes() {
         ends.into_iter().enumerate().filter(|(place, _)| *place != 1).map(|(_, end)| end.unwrap()).collect();
     let bytes: Vec<u8> = values.into_iter().flat_map(u64::to_le_bytes).collect();
     assert_eq!(bytes[..whole.len()], *whole.as_bytes());
+    // It cannot be changed.
+    let calls = acyclic.notation().write_long("C0200.text", "axis 1").unwrap();
+    let mut tickets = acyclic.post_series(&calls, limit).unwrap();
+    let ends: Vec<_> = tickets.iter_mut().map(|ticket| m.call_ended(ticket)).collect();
+    assert_eq!(ends[ends.len() - 1], Err(CallError::Refused(READ_ONLY)));
     // The record 47 itself has no response now: that is "again later", and never comes.
     let Call { address, .. } = acyclic.notation().read("0/47").unwrap();
     let mut ticket = acyclic.post(Call { service: 1, address, value: 0 }, Duration::from_millis(50)).unwrap();
@@ -298,7 +307,7 @@ impl Subject for Guarded {
 
 #[test]
 fn a_lenze_drive_is_not_commanded_by_parameters_while_its_power_is_on() {
-    for way in [WAYS[0], WAYS[1], WAYS[4]] {
+    for way in [WAYS[0], WAYS[1], WAYS[4], WAYS[5]] {
         refuses_while_on(guarded(way));
         never_meet(guarded(way));
         never_in_any_sequence(guarded(way), 1, 60);

@@ -4,10 +4,11 @@
 use fieldbeat::CyclePlan;
 use fieldbeat::bus::Grid;
 use fieldbeat::bus::profibus::ProfibusPlan;
+use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, S, US};
 
-use super::{Lenze, cycle, wire};
+use super::{Lenze, cycle, own, wire};
 
 /// A time in which the pattern of turns and windows repeats itself.
 const WHOLE: u64 = 6 * S;
@@ -24,8 +25,10 @@ fn full(rate: u32, drives: usize, cycle: &CyclePlan) -> (Lenze, ProfibusPlan) {
     (lenze, bus)
 }
 
-fn answered(counters: &[Counters]) -> u64 {
-    counters.iter().map(|counters| counters.answered).sum()
+/// Exchanges, and the time that they took on the wire, µs.
+fn answered(counters: &[Counters]) -> [u64; 2] {
+    let sum = |of: fn(&Counters) -> u64| counters.iter().map(of).sum();
+    [sum(|counters| counters.answered), sum(|counters| own(counters, Own::WireUs))]
 }
 
 #[test]
@@ -33,7 +36,11 @@ fn a_wire_carries_the_exchanges_that_the_formula_allows() {
     let wide = cycle();
     let usual = CyclePlan::default();
     // 12 bytes each way.
-    let table = [(1_500_000, 3, &usual, 500 * US, 2_000), (12_000_000, 9, &wide, 800 * US, 8_000)];
+    let table = [
+        (500_000, 3, &wide, 800 * US, 834),
+        (1_500_000, 3, &usual, 500 * US, 2_000),
+        (12_000_000, 9, &wide, 800 * US, 8_000),
+    ];
     for (rate, drives, cycle, deadline_ns, a_second) in table {
         let grid = Grid { period_ns: MS, deadline_ns };
         let run = |cycles: u64| {
@@ -50,7 +57,10 @@ fn a_wire_carries_the_exchanges_that_the_formula_allows() {
         let (_, bus) = full(rate, drives, cycle);
         assert_eq!(bus.exchanges_within(S, grid), a_second, "{rate}");
         // The same run, so much longer.
-        let measured = run(WHOLE / MS) - run(0);
+        let (until, from) = (run(WHOLE / MS), run(0));
+        let [measured, wire_us] = [until[0] - from[0], until[1] - from[1]];
         assert_eq!(measured, bus.exchanges_within(WHOLE, grid), "{rate}: {} a second", measured / 6);
+        let idle_ns = bus.line().bits_ns(bus.bits.idle.into());
+        assert_eq!(wire_us / measured, (bus.usual_turn_ns(0) - idle_ns) / US, "{rate}: us of an exchange");
     }
 }

@@ -32,6 +32,8 @@ pub struct Shared {
     due: Option<Time>,
     /// Its last answer to Data_Exchange.
     pub answer: Vec<u8>,
+    /// Answers that the test sent in its name.
+    pub forged: u64,
     odd: bool,
     line: SerialLine,
     /// Requests to it that left the master, and when the last byte did, if they are recorded.
@@ -170,6 +172,7 @@ impl TapWire {
                 frozen: false,
                 due: None,
                 answer: Vec::new(),
+                forged: 0,
                 odd: false,
                 line,
                 requests: None,

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use fieldbeat::axis::{AxisError, Command, Outcome, Row};
-use fieldbeat::bus::ethercat::{Native, Object};
+use fieldbeat::bus::{ethercat, profibus};
 use fieldbeat::time::MS;
 
 use super::judge::{Breach, GRACE, Slots, Watch};
@@ -68,8 +68,27 @@ struct Around {
     deaf: u64,
     /// Its wire is bad until then.
     bad: u64,
-    native: Option<Box<Native>>,
+    native: Native,
     stopped: bool,
+}
+
+/// The native process data of an axis, as far as they are written here.
+#[derive(Default)]
+enum Native {
+    #[default]
+    None,
+    Kollmorgen(Box<ethercat::Native>),
+    Lenze(Box<profibus::Native>),
+}
+
+impl Native {
+    fn of(machine: &mut Machine, axis: usize) -> Native {
+        let axis = machine.sim.axis(axis);
+        match axis.native().map(Native::Kollmorgen) {
+            Some(native) => native,
+            None => axis.native().map_or(Native::None, Native::Lenze),
+        }
+    }
 }
 
 pub struct Run {
@@ -79,6 +98,8 @@ pub struct Run {
     slots: Slots,
     /// So many slots are passed over before each turn until that one.
     overload: (u32, u64),
+    /// The adapter of the wire is unplugged until then.
+    cut: Option<u64>,
     turn: u64,
     begun: u64,
     round: usize,
@@ -100,6 +121,7 @@ impl Run {
             around: (0..AXES).map(|_| Around::default()).collect(),
             slots: Slots::default(),
             overload: (0, 0),
+            cut: None,
             turn: 0,
             begun: 0,
             round: 0,
@@ -107,7 +129,7 @@ impl Run {
             story: None,
         };
         for axis in 0..AXES {
-            run.around[axis].native = run.machine.sim.axis(axis).native::<Native>();
+            run.around[axis].native = Native::of(&mut run.machine, axis);
         }
         assert!(run.recover()?, "a machine that nothing has happened to comes up");
         run.story = story.then(String::new);
@@ -180,6 +202,9 @@ impl Run {
         if self.turn < self.overload.1 && self.slots.is_executed() {
             self.machine.skip(self.overload.0);
             self.excuse();
+        }
+        if self.cut.take_if(|until| self.turn >= *until).is_some() {
+            self.machine.cut(false);
         }
         for axis in 0..AXES {
             self.go_on(axis)?;
@@ -344,6 +369,13 @@ impl Run {
                 self.around[axis].unplugged = Some(turn + u64::from(*turns));
                 bad(self, (*turns).into());
             }
+            Op::Cut(turns) => {
+                self.machine.cut(true);
+                self.cut = Some(turn + u64::from(*turns));
+                self.around.iter_mut().for_each(|around| {
+                    around.bad = around.bad.max(turn + u64::from(*turns) + GRACE);
+                });
+            }
             Op::Lose { requests, replies } => {
                 self.machine.lose(axis, (*requests).into(), (*replies).into());
                 let turns = u64::from(requests + replies);
@@ -380,29 +412,44 @@ impl Run {
     /// The process dies, and with it all that its application knew.
     fn replace_master(&mut self, ms: u64) {
         self.machine.replace_master(ms);
+        self.cut = None;
         for axis in 0..AXES {
             let around = &mut self.around[axis];
             (around.level, around.deaf, around.stopped) = (None, 0, false);
             around.bad = around.bad.max(self.turn + ms + GRACE);
-            around.native = self.machine.sim.axis(axis).native::<Native>();
+            around.native = Native::of(&mut self.machine, axis);
             self.watches[axis].master_died();
         }
     }
 
-    /// Native outputs, where there are some: a velocity, a torque, or the place where it is.
+    /// Native outputs, where there are some: a velocity, a torque, a set point, or the place where it is.
     fn outputs(&mut self, axis: usize, percent: i8) {
-        let Some(native) = &mut self.around[axis].native else { return };
-        let velocity = i64::from(percent) * 4_000;
-        let values = [(Object::new(0x606B, 0), velocity), (Object::new(0x6074, 0), i64::from(percent) * 5)];
-        let output = values.iter().find_map(|value| native.output(&[*value, (Object::new(0x6040, 0), 0x0F)]));
-        if let Some(output) = output {
-            let _ = native.write(output);
+        match &mut self.around[axis].native {
+            Native::None => {}
+            Native::Kollmorgen(native) => {
+                let velocity = i64::from(percent) * 4_000;
+                let torque = i64::from(percent) * 5;
+                let object = |index: u16| ethercat::Object::new(index, 0);
+                let values = [(object(0x606B), velocity), (object(0x6074), torque)];
+                let control = (object(0x6040), 0x0F);
+                if let Some(output) = values.iter().find_map(|value| native.output(&[*value, control])) {
+                    let _ = native.write(output);
+                }
+            }
+            Native::Lenze(native) => {
+                // Up to twice its limit; run, by the words of DRIVECOM and of PROFIdrive.
+                let mut output = profibus::NativeOutput { mask: 0b11, ..Default::default() };
+                output.words[0] = if self.machine.shape.other { 0x047F } else { 0x007F };
+                output.words[1] = (i16::from(percent) * 100) as u16;
+                let _ = native.write(output);
+            }
         }
     }
 
     /// The wire is good, all is stopped, and every command has ended.
     fn settle(&mut self) -> Judged {
         self.overload = (0, 0);
+        self.cut = self.cut.map(|_| 0);
         for axis in 0..AXES {
             let around = &mut self.around[axis];
             (around.deaf, around.level) = (0, None);

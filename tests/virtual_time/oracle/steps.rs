@@ -62,6 +62,8 @@ pub enum Op {
     },
     /// The drive is disconnected for so many turns.
     Unplug(u8),
+    /// The adapter of a serial wire is unplugged for so many turns. It concerns all axes.
+    Cut(u16),
     /// The next requests and replies are lost.
     Lose {
         requests: u8,
@@ -94,7 +96,7 @@ pub enum Op {
 impl Op {
     /// It happens to all axes.
     pub fn is_of_all(&self) -> bool {
-        matches!(self, Op::Late(_) | Op::Overload { .. } | Op::Suspend(_) | Op::Die(_))
+        matches!(self, Op::Late(_) | Op::Overload { .. } | Op::Cut(_) | Op::Suspend(_) | Op::Die(_))
     }
 }
 
@@ -306,6 +308,7 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
         23 => Op::Outputs(percent(random)),
         24 => Op::Late(random.u8(1..14)),
         25 if !rare => Op::Overload { slots: random.u8(1..10), turns: random.u8(5..60) },
+        26 if shape.kind == Kind::Lenze && random.bool() => Op::Cut(random.u16(20..1_000)),
         26 if !rare => Op::Unplug(random.u8(1..60)),
         27 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
         28 if !rare && random.u8(..4) == 0 => Op::Restart,

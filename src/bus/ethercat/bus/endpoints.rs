@@ -194,12 +194,13 @@ impl Handler for Endpoints<'_> {
     fn take_all<'a>(&mut self, at: Time, in_window: bool, all: impl Iterator<Item = (Owner, &'a [u8])>) {
         let al = AlState::Op;
         // Decided once for all of them.
-        match in_window {
-            true => {
-                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: true }))
+        if in_window {
+            for (owner, inputs) in all {
+                self.take(owner, Taken { at, al, inputs, in_window: true });
             }
-            false => {
-                all.for_each(|(owner, inputs)| self.take(owner, Taken { at, al, inputs, in_window: false }))
+        } else {
+            for (owner, inputs) in all {
+                self.take(owner, Taken { at, al, inputs, in_window: false });
             }
         }
     }

@@ -5,7 +5,7 @@ use super::long::MOST;
 use super::{MAILBOX, Object, Target, Type, long, own_reason};
 use crate::axis::acyclic::{
     Access, Call, CallError, Carrier, ListError, Listed, Listing, Notation, NotationError, ParameterError,
-    Wanted, Watcher, go_on,
+    Wanted, Watcher, bits, go_on, within,
 };
 use crate::bus::ethercat::wire::mailbox::MailboxError;
 use crate::bus::ethercat::wire::sdo::AbortCode;
@@ -89,11 +89,8 @@ impl Notation for Objects {
             }),
             None => text.parse().ok(),
         };
-        match number {
-            Some(number) if (low..=high).contains(&number) => Ok(kind.raw(number)),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(wrong(format!("a whole number, {low} ... {high}, or its bits as 0x..."))),
-        }
+        let form = || format!("a whole number, {low} ... {high}, or its bits as 0x...");
+        within(number, (low, high), text, form).map(|number| kind.raw(number))
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {
@@ -166,19 +163,9 @@ impl Notation for Objects {
     }
 }
 
-/// Hexadecimal digits and nothing else.
-fn bits(digits: &str) -> Option<u64> {
-    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
-}
-
 /// The bytes of a string: printable characters, or octets; `None`: it is none, or too long.
 pub(in crate::bus::ethercat) fn string(kind: Type, text: &str) -> Option<Vec<u8>> {
-    let bytes = match kind {
-        Type::Octets => long::parse_octets(text)?,
-        _ => text.as_bytes().to_vec(),
-    };
-    let is_fine = |byte: &u8| kind == Type::Octets || byte.is_ascii_graphic() || *byte == b' ';
-    ((1..=MOST).contains(&bytes.len()) && bytes.iter().all(is_fine)).then_some(bytes)
+    if kind == Type::Octets { long::parse_octets(text) } else { long::parse_text(text) }
 }
 
 /// Those that the drive has, with their values.

@@ -6,6 +6,7 @@ use crate::bus::Cycle;
 use crate::bus::ethercat::counters::Own;
 use crate::bus::ethercat::slot::Answers;
 use crate::bus::ethercat::wire::frame::Command;
+use crate::time::Time;
 
 /// The slaves that are checked for a request for the slot of one frame; and while all of them are in operation,
 /// and only their mailboxes may have one.
@@ -186,10 +187,24 @@ impl Segment {
         match happened {
             Happened::Nothing => {}
             Happened::Restarted => handler.restarted(owner),
+            Happened::Misplaced => self.doubt_behind(index, back.sent.cycle.grid, handler),
             Happened::Operational => handler.count(owner, Own::BroughtUp),
             Happened::Error => handler.count(owner, Own::AlErrors),
         }
         self.report(index, handler);
+    }
+
+    /// Slaves behind this one may have received what was written for it.
+    #[cold]
+    fn doubt_behind(&mut self, index: usize, now: Time, handler: &mut impl Handler) {
+        let place = self.slaves[index].plan.place;
+        for behind in 0..self.slaves.len() {
+            let slave = &self.slaves[behind];
+            if slave.plan.place > place && slave.is_addressed() {
+                self.slaves[behind].doubted(now);
+                self.report(behind, handler);
+            }
+        }
     }
 
     /// The first datagram of the slot that nobody has carried out.

@@ -46,7 +46,9 @@ fn usage(address: &Address) -> String {
         _ => "write",
     };
     match address.target {
-        Target::Parameter { .. } | Target::Register(_) => format!("{} {access}", address.shape.bits()),
+        Target::Parameter { .. } | Target::Register(_) => {
+            format!("{} {access}", address.shape.integer().bits)
+        }
         _ => access.to_owned(),
     }
 }

@@ -40,7 +40,7 @@ const MOST: i64 = MOST_PER_REV as i64;
 
 /// The values of a parameter or command with this name.
 pub(super) fn scaled(name: &str, shape: Shape) -> Shape {
-    let Shape::Number { bits, signed, low, high, .. } = shape else { return shape };
+    let Shape::Number { of, low, high, .. } = shape else { return shape };
     let (scale, (low, high)) = match name {
         "AC" | "AM" | "DE" | "JA" | "JL" => (ACCELERATION, (1, MOST)),
         "VE" | "VC" => (VELOCITY, (1, MOST)),
@@ -50,12 +50,12 @@ pub(super) fn scaled(name: &str, shape: Shape) -> Shape {
         "EG" => (STEPS, (low, high)),
         _ => return shape,
     };
-    Shape::Number { bits, signed, low, high, scale: Some(scale) }
+    Shape::Number { of, low, high, scale: Some(scale) }
 }
 
 /// The values of a register.
 pub(super) fn scaled_register(register: u8, shape: Shape) -> Shape {
-    let Shape::Number { bits, signed, low, high, .. } = shape else { return shape };
+    let Shape::Number { of, low, high, .. } = shape else { return shape };
     let scale = match register {
         b'A' | b'B' => ACCELERATION,
         b'V' | b'M' | b'J' | b'v' | b'w' => VELOCITY,
@@ -63,7 +63,7 @@ pub(super) fn scaled_register(register: u8, shape: Shape) -> Shape {
         b'u' => VOLTAGE,
         _ => return shape,
     };
-    Shape::Number { bits, signed, low, high, scale: Some(scale) }
+    Shape::Number { of, low, high, scale: Some(scale) }
 }
 
 /// A name of the manual as it is written in an address.

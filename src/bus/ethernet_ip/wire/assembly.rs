@@ -114,20 +114,20 @@ impl Inputs {
 
     fn first_version(mut reader: Reader<'_>) -> Option<Inputs> {
         // The address of the drive.
-        reader.long()?;
+        reader.long_le()?;
         Some(Inputs {
-            status: reader.word()?,
-            alarm: reader.word()?.into(),
-            voltage: reader.word()?.into(),
-            current: (reader.word()? as i16).into(),
-            temperature: (reader.word()? as i16).into(),
-            encoder: reader.long()? as i32,
-            absolute: reader.long()? as i32,
+            status: reader.word_le()?,
+            alarm: reader.word_le()?.into(),
+            voltage: reader.word_le()?.into(),
+            current: (reader.word_le()? as i16).into(),
+            temperature: (reader.word_le()? as i16).into(),
+            encoder: reader.long_le()? as i32,
+            absolute: reader.long_le()? as i32,
             position_error: None,
-            velocity: (reader.word()? as i16).into(),
-            extended_inputs: reader.word()?.into(),
-            main_inputs: reader.word()?.into(),
-            outputs: Some(reader.word()?.into()),
+            velocity: (reader.word_le()? as i16).into(),
+            extended_inputs: reader.word_le()?.into(),
+            main_inputs: reader.word_le()?.into(),
+            outputs: Some(reader.word_le()?.into()),
             analog: None,
         })
     }

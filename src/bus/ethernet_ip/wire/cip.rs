@@ -165,7 +165,7 @@ impl<'a> Reply<'a> {
             return None;
         }
         let mut additional = Reader(reader.bytes(2 * usize::from(words))?);
-        let status = Status { general, extended: additional.word(), size: additional.word() };
+        let status = Status { general, extended: additional.word_le(), size: additional.word_le() };
         Some(Reply { service: service & !service::REPLY, status, data: reader.0 })
     }
 }

@@ -110,7 +110,7 @@ impl Triad {
     }
 
     fn read(reader: &mut Reader<'_>) -> Option<Triad> {
-        Some(Triad { serial: reader.word()?, vendor: reader.word()?, originator: reader.long()? })
+        Some(Triad { serial: reader.word_le()?, vendor: reader.word_le()?, originator: reader.long_le()? })
     }
 }
 
@@ -295,9 +295,9 @@ impl Opened {
     }
 
     fn read(reader: &mut Reader<'_>) -> Option<(Opened, Triad)> {
-        let (outgoing_id, incoming_id) = (reader.long()?, reader.long()?);
+        let (outgoing_id, incoming_id) = (reader.long_le()?, reader.long_le()?);
         let triad = Triad::read(reader)?;
-        let (outgoing_api_us, incoming_api_us) = (reader.long()?, reader.long()?);
+        let (outgoing_api_us, incoming_api_us) = (reader.long_le()?, reader.long_le()?);
         Some((Opened { outgoing_id, incoming_id, outgoing_api_us, incoming_api_us }, triad))
     }
 }

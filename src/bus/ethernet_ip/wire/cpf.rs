@@ -54,7 +54,7 @@ impl<'a> Items<'a> {
     /// The items at the front of `data`; `None` if an item passes its end. What follows them does not count.
     pub fn parse(data: &'a [u8]) -> Option<Items<'a>> {
         let mut rest = Reader(data);
-        let left = rest.word()?;
+        let left = rest.word_le()?;
         let items = Items { left, rest };
         // Each item has four bytes at least, so that a lying count ends with the data.
         (items.clone().count() == usize::from(left)).then_some(items)
@@ -66,8 +66,8 @@ impl<'a> Iterator for Items<'a> {
 
     fn next(&mut self) -> Option<Item<'a>> {
         self.left = self.left.checked_sub(1)?;
-        let kind = self.rest.word()?;
-        let length = self.rest.word()?;
+        let kind = self.rest.word_le()?;
+        let length = self.rest.word_le()?;
         Some(Item { kind, data: self.rest.bytes(length.into())? })
     }
 }

@@ -125,11 +125,11 @@ impl<'a> Frame<'a> {
     /// as its field has arrived.
     pub fn next(stream: &'a [u8]) -> Result<Option<(Frame<'a>, usize)>, Malformed> {
         let mut reader = Reader(stream);
-        let Some(command) = reader.word() else { return Ok(None) };
+        let Some(command) = reader.word_le() else { return Ok(None) };
         if !is_known(command) {
             return Err(Malformed::Command(command));
         }
-        let Some(length) = reader.word() else { return Ok(None) };
+        let Some(length) = reader.word_le() else { return Ok(None) };
         if usize::from(length) > DATA_MAX {
             return Err(Malformed::Length(length));
         }
@@ -143,10 +143,10 @@ impl<'a> Frame<'a> {
     }
 
     fn body(mut reader: Reader<'a>, command: u16, length: u16) -> Option<Frame<'a>> {
-        let session = reader.long()?;
-        let status = Status(reader.long()?);
+        let session = reader.long_le()?;
+        let status = Status(reader.long_le()?);
         let context = u64::from_le_bytes(reader.array()?);
-        reader.long()?;
+        reader.long_le()?;
         let data = reader.bytes(length.into())?;
         Some(Frame { header: Header { command, session, status, context }, data })
     }
@@ -230,8 +230,8 @@ fn interface(out: &mut Vec<u8>) {
 /// The items of [`command::SEND_RR_DATA`] and [`command::SEND_UNIT_DATA`].
 fn items(data: &[u8]) -> Option<Items<'_>> {
     let mut reader = Reader(data);
-    let interface = reader.long()?;
-    reader.word()?;
+    let interface = reader.long_le()?;
+    reader.word_le()?;
     if interface != 0 { None } else { Items::parse(reader.0) }
 }
 
@@ -279,7 +279,7 @@ impl<'a> Connected<'a> {
         let message = items.next().filter(|item| item.kind == item::CONNECTED_DATA)?;
         let connection = u32::from_le_bytes(address.data.try_into().ok()?);
         let mut reader = Reader(message.data);
-        Some(Connected { connection, sequence: reader.word()?, message: reader.0 })
+        Some(Connected { connection, sequence: reader.word_le()?, message: reader.0 })
     }
 }
 
@@ -310,12 +310,12 @@ impl<'a> Identity<'a> {
 
     fn read(reader: &mut Reader<'a>) -> Option<Identity<'a>> {
         Some(Identity {
-            vendor: reader.word()?,
-            device_type: reader.word()?,
-            product_code: reader.word()?,
+            vendor: reader.word_le()?,
+            device_type: reader.word_le()?,
+            product_code: reader.word_le()?,
             revision: (reader.byte()?, reader.byte()?),
-            status: reader.word()?,
-            serial: reader.long()?,
+            status: reader.word_le()?,
+            serial: reader.long_le()?,
             name: {
                 let length = reader.byte()?;
                 reader.bytes(length.into())?
@@ -340,7 +340,7 @@ impl<'a> Listed<'a> {
     pub fn parse(data: &'a [u8]) -> Option<Listed<'a>> {
         let item = Items::parse(data)?.find(|item| item.kind == item::IDENTITY)?;
         let mut reader = Reader(item.data);
-        reader.word()?;
+        reader.word_le()?;
         let address = cpf::parse_socket_address(&reader.array()?)?;
         Some(Listed { address, identity: Identity::read(&mut reader)?, state: reader.byte()? })
     }

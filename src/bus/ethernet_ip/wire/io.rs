@@ -166,17 +166,17 @@ impl<'a> Packet<'a> {
         if address != item::SEQUENCED_ADDRESS || address_length != 8 {
             return Err(PacketError::Item(address));
         }
-        let connection = reader.long().ok_or_else(no_packet)?;
-        let sequence = reader.long().ok_or_else(no_packet)?;
-        let kind = reader.word().ok_or_else(no_packet)?;
-        let length = usize::from(reader.word().ok_or_else(no_packet)?);
+        let connection = reader.long_le().ok_or_else(no_packet)?;
+        let sequence = reader.long_le().ok_or_else(no_packet)?;
+        let kind = reader.word_le().ok_or_else(no_packet)?;
+        let length = usize::from(reader.word_le().ok_or_else(no_packet)?);
         if kind != item::CONNECTED_DATA {
             return Err(PacketError::Item(kind));
         }
         if length != reader.0.len() {
             return Err(PacketError::Length { expected: length, actual: reader.0.len() });
         }
-        let count = reader.word().ok_or(PacketError::Length { expected: COUNT, actual: length })?;
+        let count = reader.word_le().ok_or(PacketError::Length { expected: COUNT, actual: length })?;
         Ok(Packet { connection, sequence, count, data: reader.0 })
     }
 }

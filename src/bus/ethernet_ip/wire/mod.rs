@@ -24,40 +24,7 @@ pub mod io;
 pub mod message;
 pub mod opcodes;
 
-/// Takes values from the front of a message.
-#[derive(Clone, Copy, Debug)]
-struct Reader<'a>(&'a [u8]);
-
-impl<'a> Reader<'a> {
-    #[inline]
-    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (head, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*head)
-    }
-
-    #[inline]
-    fn byte(&mut self) -> Option<u8> {
-        self.array().map(|[byte]| byte)
-    }
-
-    #[inline]
-    fn word(&mut self) -> Option<u16> {
-        self.array().map(u16::from_le_bytes)
-    }
-
-    #[inline]
-    fn long(&mut self) -> Option<u32> {
-        self.array().map(u32::from_le_bytes)
-    }
-
-    #[inline]
-    fn bytes(&mut self, size: usize) -> Option<&'a [u8]> {
-        let (head, rest) = self.0.split_at_checked(size)?;
-        self.0 = rest;
-        Some(head)
-    }
-}
+use crate::bus::reader::Reader;
 
 #[cfg(test)]
 mod tests;

@@ -21,6 +21,8 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
+use crate::axis::acyclic::Integer;
+
 pub use catalogue::{Access, Known};
 
 /// The unit identifier of the drive itself: masters use this one; 0 is the drive as well (SI-Ethernet guide).
@@ -90,28 +92,23 @@ impl Width {
         16 * self.registers() as u32
     }
 
+    const fn integer(self, signed: bool) -> Integer {
+        Integer { bits: self.bits(), signed }
+    }
+
     /// The lowest and the highest value.
     pub const fn range(self, signed: bool) -> (i64, i64) {
-        let bits = self.bits();
-        match signed {
-            true => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
-            false => (0, (1 << bits) - 1),
-        }
+        self.integer(signed).range()
     }
 
     /// The value of raw bits. Higher bits are ignored.
     pub const fn number(self, raw: u32, signed: bool) -> i64 {
-        let above = 32 - self.bits();
-        match signed {
-            true => ((raw << above) as i32 >> above) as i64,
-            false => (raw << above >> above) as i64,
-        }
+        self.integer(signed).number(raw as u64)
     }
 
     /// The raw bits of a value, 0 above them.
     pub const fn raw(self, number: i64) -> u32 {
-        let above = 32 - self.bits();
-        (number as u32) << above >> above
+        self.integer(false).raw(number) as u32
     }
 }
 

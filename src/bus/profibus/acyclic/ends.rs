@@ -15,55 +15,49 @@ impl Acyclic {
     pub(in super::super) fn answered(&mut self, at: Time, answer: Answer<'_>) {
         let Work { active, transfer, requests, read, .. } = &mut *self.work;
         let Some(of) = active else { return };
-        let event = transfer.answered(at, answer);
-        match (of.way, event) {
+        let perhaps_done = |_: &Work, _| Err(CallError::TimedOut);
+        match (of.way, transfer.answered(at, answer)) {
             (Way::Channel(_), _) | (_, Event::None) => {}
             // The drive has the request, and only its response was refused.
             (Way::Request { response: true }, Event::Refused(status)) if of.writes && status != BROKEN => {
-                self.finish(|_, _| Err(CallError::TimedOut));
+                self.finish(perhaps_done);
             }
             (_, Event::Refused(status)) => self.finish_all(Err(status)),
-            (Way::Record(_), Event::Written) => self.finish_all(Ok(0)),
-            (Way::Record(_), Event::Read(data)) => {
-                if let [Some(posted), ..] = &of.calls {
+            (Way::Record(_), Event::Done(data)) => {
+                if let ([Some(posted), ..], false) = (&of.calls, of.writes) {
                     *read = Kept::of_read(posted, data.len(), data);
                 }
                 self.finish_all(Ok(raw(data)));
             }
-            (Way::Record(_), Event::Unknown) if of.writes => self.finish(|_, _| Err(CallError::TimedOut)),
+            (Way::Record(_), Event::Unknown) if of.writes => self.finish(perhaps_done),
             (Way::Record(record), Event::Unknown) => transfer.read(record),
-            (Way::Request { response: false }, Event::Written) => {
+            (Way::Request { .. }, Event::Unknown) if !of.writes => self.request_anew(),
+            // What may have become of a write is in a response with its number.
+            (Way::Request { .. }, Event::Unknown) | (Way::Request { response: false }, Event::Done(_)) => {
                 of.way = Way::Request { response: true };
                 requests.read_response(transfer);
             }
-            (Way::Request { .. }, Event::Unknown) if of.writes => {
-                // A response with its number shows what became of it.
-                of.way = Way::Request { response: true };
-                requests.read_response(transfer);
-            }
-            (Way::Request { .. }, Event::Unknown) => self.request_anew(),
-            (Way::Request { .. }, Event::Read(data)) => self.respond(at, data),
-            (Way::Request { response: true }, Event::Written) => {}
+            (Way::Request { response: true }, Event::Done(data)) => self.respond(at, data),
         }
     }
 
     /// Reads what is still wanted by a request of its own.
     fn request_anew(&mut self) {
-        let Work { active, transfer, requests, .. } = &mut *self.work;
+        let Work { active, transfer, requests, loaded, .. } = &mut *self.work;
         let Some(of) = active else { return };
-        if of.calls().iter().all(Option::is_none) {
+        if of.calls.iter().all(Option::is_none) {
             *active = None;
             return;
         }
         of.way = Way::Request { response: false };
-        requests.build(&of.calls, of.writes, transfer);
+        requests.build(&of.calls, of.writes, loaded, transfer);
     }
 
     /// The record with the response was read.
     fn respond(&mut self, at: Time, data: &[u8]) {
         let Work { active, transfer, requests, read, .. } = &mut *self.work;
         let Some(of) = active else { return };
-        match requests.respond(data, of.calls(), of.writes, read) {
+        match requests.respond(data, &of.calls, of.writes, read) {
             Next::Again => transfer.again(at),
             Next::Further => self.request_anew(),
             Next::Over(result) => self.finish_all(result),
@@ -80,7 +74,7 @@ impl Acyclic {
     pub(super) fn finish(&mut self, result: impl Fn(&Work, usize) -> Result<u64, CallError>) {
         let Some(of) = self.work.active.take() else { return };
         let mut failed = 0;
-        for (place, posted) in of.calls().iter().enumerate() {
+        for (place, posted) in of.calls.iter().enumerate() {
             let Some(posted) = posted else { continue };
             let mut result = result(&self.work, place);
             if posted.series != 0 && posted.series == failed {

@@ -38,18 +38,20 @@ mod request;
 mod tests;
 mod transfer;
 
-use self::channel::{Channel, Job};
+use self::channel::Channel;
 use self::request::{BATCH, Requests};
 use self::transfer::Transfer;
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
-    NO_CALL, NO_DPV1, NO_PATH, NOT_LOADED, NOT_READ, Target, commanding as codes_that_command,
+    NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Target, UNREACHABLE,
 };
+use super::wire::job::Job;
 use super::wire::msac1::Record;
+use super::wire::{drivecom, pkw};
 use crate::axis::Link;
 use crate::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE};
-use crate::axis::acyclic::{CallError, Commanding, Port, Posted};
+use crate::axis::acyclic::{CallError, Integer, Port, Posted};
 use crate::rt::Regions;
 use crate::time::{S, Time};
 
@@ -133,7 +135,6 @@ struct Active {
     left: Option<Time>,
     /// Its calls, in their order; the place of one that has ended is empty.
     calls: [Option<Posted>; BATCH],
-    count: usize,
 }
 
 impl Active {
@@ -145,25 +146,14 @@ impl Active {
             Way::Record(_) | Way::Request { response: false } => transfer.is_sent,
         }
     }
-
-    fn calls(&self) -> &[Option<Posted>] {
-        self.calls.get(..self.count).unwrap_or_default()
-    }
-}
-
-/// The calls that command a drive.
-pub(super) fn commanding(_drive: &LenzeDrive) -> Commanding {
-    codes_that_command()
 }
 
 impl Acyclic {
     /// That of `drive`.
     pub(super) fn new(drive: &LenzeDrive, port: Port) -> Acyclic {
         // Without a channel in the process data there is no path in it.
-        let path = match drive.parameters {
-            ParameterPath::Pkw | ParameterPath::Drivecom if !drive.channel => ParameterPath::None,
-            path => path,
-        };
+        let is_missing = drive.parameters.is_channel() && !drive.channel;
+        let path = if is_missing { ParameterPath::None } else { drive.parameters };
         let work = Work {
             path,
             has_dpv1: drive.has_dpv1(),
@@ -208,9 +198,7 @@ impl Acyclic {
             self.take_up(now, posted);
         }
         let Work { active, transfer, since, is_open, .. } = &mut *self.work;
-        if let Some(Active { way: Way::Channel(job), .. }) = active
-            && self.channel.is_free()
-        {
+        if let Some(Active { way: Way::Channel(job), .. }) = active {
             self.channel.begin(*job);
         }
         let every = if guarded { EVERY_ON } else { EVERY_OFF };
@@ -220,7 +208,7 @@ impl Acyclic {
 
     /// Ends the calls under way that are over.
     fn look(&mut self, now: Time, online: bool) {
-        let Work { active, transfer, requests, .. } = &mut *self.work;
+        let Work { active, transfer, requests, loaded, .. } = &mut *self.work;
         let Some(of) = active else { return };
         let is_sent = of.is_sent(transfer);
         let mut changed = false;
@@ -239,19 +227,19 @@ impl Acyclic {
                 (*place, changed) = (None, true);
             }
         }
-        let nobody_waits = of.calls().iter().all(Option::is_none);
+        let nobody_waits = of.calls.iter().all(Option::is_none);
         if nobody_waits {
             let left = *of.left.get_or_insert(now);
             if !is_sent || now.since(left) > LEFT_NS {
                 if matches!(of.way, Way::Channel(_)) {
-                    self.channel.clear();
+                    self.channel.clear(None);
                 }
                 *active = None;
             }
         } else if changed && !is_sent && matches!(of.way, Way::Request { .. }) {
             // Nothing of those that have ended is sent.
-            requests.build(&of.calls, of.writes, transfer);
-            of.commands = of.calls().iter().flatten().any(|posted| self.port.commands(posted));
+            requests.build(&of.calls, of.writes, loaded, transfer);
+            of.commands = of.calls.iter().flatten().any(|posted| self.port.commands(posted));
         }
     }
 
@@ -284,18 +272,30 @@ impl Acyclic {
                 let fits = transfer.write(record, |out| out.bytes(bytes));
                 if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) }
             }
-            (READ | WRITE, Target::Parameter(parameter)) => match *path {
-                ParameterPath::None => Err(NO_PATH),
-                ParameterPath::Pkw | ParameterPath::Drivecom => {
-                    let write = (call.service == WRITE).then_some(call.value);
-                    Job::of(parameter, write, *path).map(Way::Channel)
+            (service @ (READ | WRITE | STORE), Target::Parameter(parameter)) => {
+                let Parameter { code, sub, .. } = parameter;
+                match (*path, parameter.kind().integer()) {
+                    (ParameterPath::None, _) => Err(NO_PATH),
+                    // Numbers are written by a call, texts by a series.
+                    (_, Some(_)) if service == STORE => Err(NO_CALL),
+                    (_, None) if service == WRITE => Err(NO_CALL),
+                    (ParameterPath::Msac1 { .. }, _) => {
+                        msac1()?;
+                        match requests.reaches(parameter) {
+                            false => Err(UNREACHABLE),
+                            true if service == STORE && loaded.whole(posted).is_none() => Err(NOT_LOADED),
+                            true => Ok(Way::Request { response: false }),
+                        }
+                    }
+                    (_, None) => Err(NO_TEXT),
+                    (ParameterPath::Pkw { .. }, _) if code > pkw::CODE_MAX => Err(UNREACHABLE),
+                    (ParameterPath::Drivecom, _) if drivecom::index_of(code).is_none() => Err(UNREACHABLE),
+                    (_, Some(Integer { bits, .. })) => {
+                        let write = (service == WRITE).then_some(call.value as u32);
+                        Ok(Way::Channel(Job { code, sub, bits, write }))
+                    }
                 }
-                ParameterPath::Msac1 { .. } => {
-                    msac1()?;
-                    requests.admit(parameter, call.service == WRITE)?;
-                    Ok(Way::Request { response: false })
-                }
-            },
+            }
             _ => Err(NO_CALL),
         }
     }
@@ -309,40 +309,20 @@ impl Acyclic {
             begun: now,
             left: None,
             calls: [None; BATCH],
-            count: 1,
         };
         of.calls[0] = Some(posted);
         if matches!(way, Way::Request { .. }) {
-            self.gather(&mut of, &posted);
-            let Work { transfer, requests, .. } = &mut *self.work;
+            let Acyclic { port, work, .. } = self;
+            let Work { transfer, requests, loaded, .. } = &mut **work;
+            for place in of.calls.iter_mut().skip(1) {
+                *place = port.take_if(|other| requests.joins(&posted, other));
+                let Some(posted) = place else { break };
+                of.commands |= port.commands(posted);
+            }
             requests.begin(&posted);
-            requests.build(&of.calls, of.writes, transfer);
+            requests.build(&of.calls, of.writes, loaded, transfer);
         }
         self.work.active = Some(of);
-    }
-
-    /// Takes the calls that can go in the same request. Writes of a series have to end one by one, since the first that
-    /// fails ends it.
-    fn gather(&mut self, of: &mut Active, first: &Posted) {
-        let Acyclic { port, work, .. } = self;
-        let joins = |posted: &Posted| match Target::unpack(posted.call.address) {
-            Some(Target::Parameter(parameter)) => {
-                posted.call.service == first.call.service
-                    && (!of.writes || posted.series == 0)
-                    && parameter.kind().size().is_some()
-                    && work.requests.admit(parameter, of.writes).is_ok()
-            }
-            _ => false,
-        };
-        if !joins(first) {
-            return;
-        }
-        for place in of.calls.iter_mut().skip(1) {
-            let Some(posted) = port.take_if(joins) else { return };
-            of.commands |= port.commands(&posted);
-            *place = Some(posted);
-            of.count += 1;
-        }
     }
 
     /// A call of the application that commands the drive is under way.

@@ -3,16 +3,13 @@
 //! Several codes go in one request. A text that is too long for a response is read in parts.
 
 use super::super::plan::{Numbers, ParameterPath};
-use super::super::target::{BROKEN, Kind, NO_CALL, Parameter, Target, UNREACHABLE, number};
-use super::super::wire::Writer;
-use super::super::wire::base_mode::{
-    Address, Attribute, Format, Outcome, RECORD, Response, Values, put_read, put_write,
-};
+use super::super::target::{BROKEN, Parameter, Target, number};
+use super::super::wire::base_mode::{Address, Head, Outcome, RECORD, Response, Values};
 use super::super::wire::errors::ErrorNumber;
 use super::super::wire::msac1::Record;
 use super::transfer::Transfer;
 use crate::axis::acyclic::Posted;
-use crate::axis::acyclic::long::{Kept, MOST, raw};
+use crate::axis::acyclic::long::{Kept, MOST, READ, raw};
 
 /// The most parameters of a request. 39 would fit into a response (sheet, 3); a turn has bounded work.
 pub(super) const BATCH: usize = 16;
@@ -32,7 +29,7 @@ pub(super) enum Next {
     Each,
 }
 
-/// A text so far.
+/// A text that is read, so far.
 #[derive(Debug)]
 struct Text {
     bytes: [u8; MOST],
@@ -55,6 +52,14 @@ pub(super) struct Requests {
     results: [Result<u32, u32>; BATCH],
 }
 
+/// The code that a call is for.
+fn parameter(posted: &Posted) -> Option<Parameter> {
+    match Target::unpack(posted.call.address)? {
+        Target::Parameter(parameter) => Some(parameter),
+        Target::Record(_) => None,
+    }
+}
+
 impl Requests {
     pub(super) fn new(path: ParameterPath) -> Requests {
         let (record, axis, numbers) = match path {
@@ -65,60 +70,63 @@ impl Requests {
         Requests { record, axis, numbers, reference: 0, asked: 0, text: None, results }
     }
 
-    /// Whether a code can be in a request; an error is a status.
-    pub(super) fn admit(&self, parameter: Parameter, write: bool) -> Result<(), u32> {
-        match self.numbers.index(parameter.code) {
-            None => Err(UNREACHABLE),
-            Some(_) if write && parameter.kind() == Kind::Text => Err(NO_CALL),
-            Some(_) => Ok(()),
-        }
+    /// A code can be in a request.
+    pub(super) fn reaches(&self, parameter: Parameter) -> bool {
+        self.numbers.index(parameter.code).is_some()
+    }
+
+    /// Another call may be in the request of the first one. Writes of a series have to end one by one, since the first
+    /// that fails ends it.
+    pub(super) fn joins(&self, first: &Posted, other: &Posted) -> bool {
+        let is_number = |posted: &Posted| {
+            parameter(posted).is_some_and(|code| code.kind().integer().is_some() && self.reaches(code))
+        };
+        first.call.service == other.call.service
+            && (first.call.service == READ || first.series == 0 && other.series == 0)
+            && is_number(first)
+            && is_number(other)
     }
 
     /// For this call, and others behind it.
     pub(super) fn begin(&mut self, first: &Posted) {
-        let is_text = matches!(
-            Target::unpack(first.call.address),
-            Some(Target::Parameter(parameter)) if parameter.kind() == Kind::Text
-        );
-        self.text = is_text.then_some(Text { bytes: [0; MOST], size: 0, parts: false });
+        let is_text = parameter(first).is_some_and(|code| code.kind().integer().is_none());
+        let reads = is_text && first.call.service == READ;
+        self.text = reads.then_some(Text { bytes: [0; MOST], size: 0, parts: false });
     }
 
-    /// Makes the request of those calls that have not ended, with a number of its own.
-    pub(super) fn build(&mut self, calls: &[Option<Posted>], writes: bool, transfer: &mut Transfer) {
+    /// Makes the request of those calls that have not ended, with a number of its own. A text is written as it was
+    /// `loaded`.
+    pub(super) fn build(
+        &mut self,
+        calls: &[Option<Posted>; BATCH],
+        write: bool,
+        loaded: &Kept,
+        transfer: &mut Transfer,
+    ) {
         self.reference = self.reference.checked_add(1).unwrap_or(1);
-        self.asked = 0;
-        let scalar = Address { attribute: Attribute::Value, count: 0, index: 0, subindex: 0 };
-        let mut addresses = [scalar; BATCH];
-        let mut values = [(Format::U32, [0; 4]); BATCH];
-        let mut count = 0;
-        for (place, posted) in calls.iter().enumerate().take(BATCH) {
-            let Some(posted) = posted else { continue };
-            let Some(Target::Parameter(parameter)) = Target::unpack(posted.call.address) else { continue };
-            let index = self.numbers.index(parameter.code).unwrap_or_default();
-            let subindex = parameter.sub.into();
-            let (Some(address), Some(value)) = (addresses.get_mut(count), values.get_mut(count)) else {
-                break;
-            };
-            *address = Address { index, subindex, count: u8::from(subindex > 0), ..scalar };
-            *value = (format(parameter.kind()), (posted.call.value as u32).to_be_bytes());
-            self.asked |= 1 << place;
-            count += 1;
-        }
-        if let (Some(text), [first, ..]) = (self.text.as_ref().filter(|text| text.parts), &mut addresses) {
-            (first.count, first.subindex) = (PART as u8, text.size as u16);
-        }
-        let (reference, axis) = (self.reference, self.axis);
-        let addresses = addresses.get(..count).unwrap_or_default();
-        transfer.write(self.record, |out: &mut Writer<'_>| {
-            if !writes {
-                return put_read(reference, axis, addresses, out);
+        self.asked = (0..BATCH).filter(|place| calls[*place].is_some()).fold(0, |asked, n| asked | 1 << n);
+        let Requests { reference, axis, numbers, .. } = *self;
+        let part = self.text.as_ref().filter(|text| text.parts).map(|text| text.size as u16);
+        let parameters = calls.iter().flatten().filter_map(|posted| Some((parameter(posted)?, posted)));
+        let head = Head { reference, write, axis, count: self.asked.count_ones() as u8 };
+        transfer.write(self.record, |out| {
+            head.put(out);
+            for (parameter, _) in parameters.clone() {
+                let index = numbers.index(parameter.code).unwrap_or_default();
+                let (count, subindex) = match part {
+                    Some(from) => (PART as u8, from),
+                    None => (u8::from(parameter.sub > 0), parameter.sub.into()),
+                };
+                Address { count, index, subindex }.put(out);
             }
-            let mut parameters = [(scalar, Values { format: Format::U32, bytes: &[] }); BATCH];
-            for ((parameter, address), (format, raw)) in parameters.iter_mut().zip(addresses).zip(&values) {
-                let bytes = raw.get(4 - format.size().unwrap_or(4)..).unwrap_or_default();
-                *parameter = (*address, Values { format: *format, bytes });
+            for (parameter, posted) in parameters.filter(|_| write) {
+                let (kind, value) = (parameter.kind(), (posted.call.value as u32).to_be_bytes());
+                let bytes = match kind.integer() {
+                    Some(integer) => value.get(4 - integer.bits as usize / 8..),
+                    None => loaded.whole(posted),
+                };
+                Values { format: kind.into(), bytes: bytes.unwrap_or_default() }.put(out);
             }
-            put_write(reference, axis, parameters.get(..count).unwrap_or_default(), out);
         });
     }
 
@@ -137,19 +145,17 @@ impl Requests {
         &mut self,
         bytes: &[u8],
         calls: &[Option<Posted>],
-        writes: bool,
+        write: bool,
         read: &mut Kept,
     ) -> Next {
         if bytes.first().is_some_and(|reference| *reference != self.reference) {
             return Next::Again;
         }
-        let Ok(response) = Response::parse(bytes) else { return Next::Over(Err(BROKEN)) };
-        let is_its = response.head.write == writes
-            && response.head.axis == self.axis
-            && u32::from(response.count) == self.asked.count_ones();
-        if !is_its {
+        let count = self.asked.count_ones() as u8;
+        let own = Head { reference: self.reference, write, axis: self.axis, count };
+        let Some(response) = Response::parse(bytes).filter(|response| response.head == own) else {
             return Next::Over(Err(BROKEN));
-        }
+        };
         let mut outcomes = response.outcomes();
         if self.text.is_some() {
             let outcome = outcomes.next();
@@ -159,9 +165,9 @@ impl Requests {
         let places = self.results.iter_mut().enumerate().filter(|(place, _)| asked >> place & 1 != 0);
         for ((_, result), outcome) in places.zip(outcomes) {
             *result = match outcome {
-                Outcome::Failed { error, .. } => Err(number(error)),
-                Outcome::Written if writes => Ok(0),
-                Outcome::Read(values) if !writes => values.get(0).map(|value| value as u32).ok_or(BROKEN),
+                Outcome::Failed(error) => Err(number(error)),
+                Outcome::Written if write => Ok(0),
+                Outcome::Read(values) if !write => values.first().map(|value| value as u32).ok_or(BROKEN),
                 Outcome::Written | Outcome::Read(_) => Err(BROKEN),
             };
         }
@@ -182,32 +188,20 @@ impl Requests {
                 }
                 (text.size, text.bytes.get(..text.size).unwrap_or_default())
             }
-            Outcome::Failed { error: ErrorNumber::TOO_LONG, .. } if !text.parts => {
+            Outcome::Failed(ErrorNumber::TOO_LONG) if !text.parts => {
                 text.parts = true;
                 return Next::Further;
             }
             // It ended with the part before.
-            Outcome::Failed { error: ErrorNumber::SUBINDEX, .. } if text.size > 0 => {
+            Outcome::Failed(ErrorNumber::SUBINDEX) if text.size > 0 => {
                 (text.size, text.bytes.get(..text.size).unwrap_or_default())
             }
-            Outcome::Failed { error, .. } => return Next::Over(Err(number(error))),
+            Outcome::Failed(error) => return Next::Over(Err(number(error))),
             Outcome::Written => return Next::Over(Err(BROKEN)),
         };
         if let Some(posted) = calls.first().and_then(Option::as_ref) {
             *read = Kept::of_read(posted, whole, bytes);
         }
         Next::Over(Ok(raw(bytes)))
-    }
-}
-
-/// How a number is written.
-fn format(kind: Kind) -> Format {
-    match kind {
-        Kind::I8 => Format::I8,
-        Kind::U8 => Format::U8,
-        Kind::I16 => Format::I16,
-        Kind::U16 => Format::U16,
-        Kind::Own | Kind::I32 | Kind::Text => Format::I32,
-        Kind::U32 => Format::U32,
     }
 }

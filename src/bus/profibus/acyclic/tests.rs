@@ -6,7 +6,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::super::plan::Numbers;
-use super::super::target::{BROKEN, Kind, Parameter};
+use super::super::target::{BROKEN, Kind, commanding};
 use super::*;
 use crate::axis::acyclic::{Acyclic as Application, Call, CallTicket, both_of};
 use crate::time::MS;
@@ -15,6 +15,7 @@ mod channels;
 mod records;
 
 const LIMIT: Duration = Duration::from_secs(5);
+pub(super) const PKW: ParameterPath = ParameterPath::Pkw { pause: true };
 pub(super) const MSAC1: ParameterPath =
     ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
 
@@ -50,7 +51,7 @@ impl Side {
     }
 
     pub fn of(drive: &LenzeDrive) -> Side {
-        let (application, port) = both_of(64, commanding(drive));
+        let (application, port) = both_of(64, commanding());
         let access = Acyclic::new(drive, port);
         Side { access, application, now: Time(0), guarded: false, last: Turn::DataExchange }
     }
@@ -172,7 +173,7 @@ fn without_a_path_a_call_is_refused_and_says_why() {
         assert_eq!(side.by_channel(&mut ticket, Some), Err(CallError::Refused(NO_DPV1)));
     }
     // And what is no call at all.
-    let mut side = Side::new(ParameterPath::Pkw);
+    let mut side = Side::new(PKW);
     for (service, address) in [(9, C0061), (READ, 0x0800_0000), (STORE, C0061), (PART, C0061)] {
         let mut ticket = side.post(service, address, 0);
         assert!(matches!(side.by_channel(&mut ticket, Some), Err(CallError::Refused(_))));
@@ -183,7 +184,7 @@ fn without_a_path_a_call_is_refused_and_says_why() {
 
 #[test]
 fn a_drive_that_is_not_there_gets_no_call() {
-    for path in [ParameterPath::Pkw, ParameterPath::Drivecom, MSAC1] {
+    for path in [PKW, ParameterPath::Drivecom, MSAC1] {
         let mut side = Side::new(path);
         for (link, exchanges) in [(Link::Lost, true), (Link::Unseen, true), (Link::Online, false)] {
             let mut tickets = [side.read(C0061), side.write(C0039_2, 1)];
@@ -199,7 +200,7 @@ proptest! {
     /// Whatever a drive answers, the calls end, each once, and its access is idle afterwards.
     #[test]
     fn calls_end_whatever_is_answered(
-        path in prop_oneof![Just(ParameterPath::Pkw), Just(ParameterPath::Drivecom), Just(MSAC1)],
+        path in prop_oneof![Just(PKW), Just(ParameterPath::Drivecom), Just(MSAC1)],
         calls in vec((1..=6_u32, prop_oneof![
             Just(C0061), Just(C0039_2), Just(code(200, 0, Kind::Text)), Just(0xFF00_0003)], 0..20_u64), 1..6),
         answers in vec((0..6_u8, any::<[u8; CHANNEL]>(), vec(any::<u8>(), 0..40)), 1..40),

@@ -5,7 +5,7 @@
 
 use super::super::target::{self, BROKEN};
 use super::super::wire::Writer;
-use super::super::wire::fc::ReplyFunction;
+use super::super::wire::fc::NO_RESOURCE;
 use super::super::wire::msac1::{self, Function, RECORD_MAX, Record};
 use super::Answer;
 use crate::time::{MS, Time};
@@ -20,10 +20,8 @@ const POLLS: u8 = 16;
 pub(super) enum Event<'a> {
     /// Nothing yet.
     None,
-    /// The record was read.
-    Read(&'a [u8]),
-    /// It was written.
-    Written,
+    /// The record was read, and these are its bytes; or it was written.
+    Done(&'a [u8]),
     /// It was refused, with this status.
     Refused(u32),
     /// Telegrams were lost: it may have been carried out, or not.
@@ -119,27 +117,21 @@ impl Transfer {
             (self.polls, self.acknowledged) = (false, None);
             return Event::None;
         }
-        let (record, function) = (self.record, self.function);
-        match msac1::Answer::parse(data) {
-            Ok(msac1::Answer::Read { record: of, data }) if (of, function) == (record, Function::Read) => {
-                Event::Read(data)
+        let Some(answer) = msac1::Answer::parse(data) else { return Event::Refused(BROKEN) };
+        match answer.result {
+            Ok((record, data)) if (record, answer.function) == (self.record, self.function) => {
+                Event::Done(data)
             }
-            Ok(msac1::Answer::Written { record: of, .. }) if (of, function) == (record, Function::Write) => {
-                Event::Written
-            }
-            Ok(msac1::Answer::Refused { function: of, why }) if of == function => {
-                if !why.is_temporary() {
-                    return Event::Refused(target::msac1(why));
-                }
+            Err(why) if answer.function == self.function && why.is_temporary() => {
                 self.again(at);
                 Event::None
             }
-            Ok(_) => {
+            Err(why) if answer.function == self.function => Event::Refused(target::msac1(why)),
+            _ => {
                 // That of an older request: its own follows, or is lost.
                 self.lost();
                 Event::None
             }
-            Err(_) => Event::Refused(BROKEN),
         }
     }
 
@@ -155,7 +147,7 @@ impl Transfer {
     }
 
     fn refused(&mut self, function: u8) -> Event<'static> {
-        if function != ReplyFunction::NoResource as u8 {
+        if function != NO_RESOURCE {
             // Of a poll: the request before it was taken.
             let was_taken = self.polls && self.is_sent;
             (self.polls, self.acknowledged) = (false, None);

@@ -4,27 +4,16 @@ use super::ProfibusBus;
 use crate::bus::Slot;
 use crate::bus::profibus::counters::Own;
 use crate::bus::profibus::line::{Heard, Job, Other, Unrelated};
+use crate::bus::profibus::other::Sign;
 use crate::bus::profibus::station::Station;
-use crate::time::{S, Time};
+use crate::time::Time;
 
 /// Readings of the port in one call, and telegrams in one reading: what does not fit waits for the next one.
 const MOST_READS: usize = 4;
 const MOST_TELEGRAMS: usize = 32;
-/// So many tokens of another master in a row are one: of all telegrams they alone have no check byte.
-const TOKENS: u8 = 2;
-/// A master that was not received for so long is gone, ns.
-const OTHER_GONE_NS: u64 = S;
 /// After something that answers nothing, or a silent slot time, the wire is looked at before anything is sent, for so
 /// many cycles. Otherwise what arrives is seen with the next answer, which it cannot be taken for.
 pub(super) const WATCHFUL: u16 = 1_000;
-
-/// Telegrams of another master: its address, how many in a row, and the slot of the newest.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct OtherMaster {
-    address: u8,
-    telegrams: u8,
-    at: Time,
-}
 
 impl ProfibusBus {
     /// Takes in what has arrived before something is sent, unless nothing is likely to have.
@@ -65,9 +54,10 @@ impl ProfibusBus {
                     let place = usize::from(index);
                     if let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place))
                     {
-                        slot.counters.own[Own::WireUs as usize] += at.since(self.began_at) / 1_000;
                         let usual = station.exchanges() && !station.starts();
                         station.answered(at, answer, slot);
+                        let took_ns = self.line.quiet_since().since(self.began_at);
+                        slot.counters.own[Own::WireUs as usize] += took_ns / 1_000;
                         // The answer to its first exchange ends the start-up.
                         if !usual || station.starts() {
                             self.changed(index);
@@ -130,35 +120,23 @@ impl ProfibusBus {
                 // It has answered already.
                 *(if again { &mut counters.duplicate } else { &mut counters.late }) += 1;
             }
-            Other::Master { address, is_token } => {
+            Other::Master { address, sign } => {
                 Own::SecondMaster.count(counters);
                 self.unmatched.datagrams += 1;
-                self.other_master(address, is_token, slots);
+                self.other_master(address, sign, slots);
             }
         }
     }
 
     /// A telegram of another master. Before the first own one the wire is its; afterwards it is this master's, and the
     /// axes stop.
-    fn other_master(&mut self, address: u8, is_token: bool, slots: &mut [Slot]) {
-        let before = self.other.filter(|before| before.address == address);
-        let telegrams = before.map_or(1, |before| before.telegrams.saturating_add(1));
-        self.other = Some(OtherMaster { address, telegrams, at: self.grid });
-        if is_token && telegrams < TOKENS {
+    fn other_master(&mut self, address: u8, sign: Sign, slots: &mut [Slot]) {
+        if !self.others.received(self.grid, address, sign) {
             return;
         }
         self.notes.set_other(Some(address));
         if self.line.is_up() {
             slots.iter_mut().for_each(|slot| slot.notices.other_master = true);
-        }
-    }
-
-    /// Whether the other master is still there.
-    #[inline]
-    pub(super) fn watch_other(&mut self) {
-        if self.other.is_some_and(|other| self.grid.since(other.at) > OTHER_GONE_NS) {
-            self.other = None;
-            self.notes.set_other(None);
         }
     }
 }

@@ -119,7 +119,7 @@ impl ProfibusBus {
                     true => within.since(cycle.deadline).div_ceil(cycle.period_ns.max(1)) * cycle.period_ns,
                     false => 0,
                 };
-                station.sent(at, cycle.deadline, cycle.deadline + more, slot);
+                station.sent(at, cycle.deadline + more, slot);
                 false
             }
             Ok(_) => {

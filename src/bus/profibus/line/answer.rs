@@ -1,6 +1,7 @@
 //! What has arrived, and whether it answers a request.
 
 use super::Job;
+use crate::bus::profibus::other::Sign;
 use crate::bus::profibus::wire::telegram::{self, Frame, Head, Malformed, Telegram};
 
 /// Bit 6 of a function code: a request.
@@ -18,7 +19,7 @@ pub(super) const HEAD: usize = 7;
 
 /// A request, as far as its answer is recognised by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) struct Expected {
+pub struct Expected {
     /// The station.
     pub da: u8,
     /// Its service access point, and ours.
@@ -40,11 +41,16 @@ pub(in super::super) enum Heard<'a> {
 
 /// An answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) enum Answer<'a> {
+pub enum Answer<'a> {
     /// The bare acknowledgement, or OK or NR without data: the request was taken.
     Acknowledged,
-    /// Data; `high`: of high priority.
-    Data { high: bool, data: &'a [u8] },
+    /// Data.
+    Data {
+        /// Of high priority.
+        high: bool,
+        /// The data.
+        data: &'a [u8],
+    },
     /// Refused, with this function (UE, RR, RS).
     Refused(u8),
 }
@@ -56,8 +62,8 @@ pub(in super::super) enum Other {
     Unrelated(Unrelated, Option<u8>),
     /// No telegram, while an answer was expected or not.
     Malformed { why: Malformed, expected: bool },
-    /// A telegram of the master at this address; a token has no check byte.
-    Master { address: u8, is_token: bool },
+    /// A telegram of the master at this address.
+    Master { address: u8, sign: Sign },
 }
 
 /// Why a telegram answers nothing.
@@ -94,20 +100,23 @@ impl Expected {
         let unrelated = |why, from| Err(Other::Unrelated(why, from));
         match telegram {
             Telegram::Acknowledge if self.acknowledge => Ok(Answer::Acknowledged),
-            Telegram::Token { sa, .. } if sa != own => Err(Other::Master { address: sa, is_token: true }),
+            Telegram::Token { da, sa } if sa != own => {
+                let sign = if da == sa { Sign::Token } else { Sign::Passed };
+                Err(Other::Master { address: sa, sign })
+            }
             // Its own token comes from an adapter that returns it.
             Telegram::Acknowledge | Telegram::Token { .. } => unrelated(Unrelated::Kind, None),
             Telegram::Data(Frame { head, .. }) if head.fc.0 & REQUEST != 0 && head.sa == own => {
                 unrelated(Unrelated::Kind, None)
             }
             Telegram::Data(Frame { head, .. }) if head.fc.0 & REQUEST != 0 => {
-                Err(Other::Master { address: head.sa, is_token: false })
+                Err(Other::Master { address: head.sa, sign: Sign::Request })
             }
             Telegram::Data(Frame { head, .. }) if (head.da, head.sa) != (own, self.da) => {
                 unrelated(Unrelated::Station, Some(head.sa))
             }
             Telegram::Data(Frame { head, .. }) if head.fc.0 & STATION != 0 => {
-                Err(Other::Master { address: head.sa, is_token: false })
+                Err(Other::Master { address: head.sa, sign: Sign::Answer })
             }
             Telegram::Data(frame) => {
                 self.answer(&frame).ok_or(Other::Unrelated(Unrelated::Kind, Some(frame.head.sa)))

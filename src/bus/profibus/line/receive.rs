@@ -1,7 +1,8 @@
 //! What arrives: its room, the own telegram that comes back, and the telegrams in it.
 
 use super::answer::{Answer, HEAD, Heard, Other, Unrelated};
-use super::{INBOX, Line, State, Timing};
+use super::{INBOX, Job, Line, State, Timing};
+use crate::bus::profibus::other::Sign;
 use crate::bus::profibus::wire::telegram::Next;
 use crate::time::Time;
 
@@ -69,7 +70,7 @@ impl Line {
         if waits && let Some(high) = self.expected.is_usual(bytes, self.address) {
             let length = bytes.len();
             self.used = self.filled;
-            self.timing.end(at, self.left < self.retries);
+            (self.timing.state, self.timing.free_at) = (State::Free, self.free_behind(at, length));
             let data = self.inbox.get(begin + HEAD..begin + length - 2).unwrap_or_default();
             return Some(Heard::Answer(self.job, Answer::Data { high, data }));
         }
@@ -86,7 +87,7 @@ impl Line {
             self.timing.put_off(at, 0);
             return None;
         }
-        let telegram = match Next::parse(bytes) {
+        let (telegram, size) = match Next::parse(bytes) {
             Next::Incomplete { at_least } => {
                 match self.early {
                     true => self.used = self.filled,
@@ -104,32 +105,39 @@ impl Line {
             }
             Next::Telegram { telegram, size } => {
                 self.used += size as u16;
-                telegram
+                (telegram, size)
             }
         };
+        let free_at = self.free_behind(at, size);
         Some(match self.expected.judge(telegram, self.address) {
             Ok(answer) if waits => {
-                self.timing.end(at, self.left < self.retries);
+                (self.timing.state, self.timing.free_at) = (State::Free, free_at);
                 Heard::Answer(self.job, answer)
             }
             Ok(_) => Heard::Other(Other::Unrelated(Unrelated::Late, Some(self.expected.da))),
             Err(Other::Unrelated(_, from)) if !waits => Heard::Other(Other::Unrelated(Unrelated::Late, from)),
+            // A station that is no slave answers a search only.
+            Err(Other::Master { address, sign: Sign::Answer })
+                if !waits || !matches!(self.job, Job::Gap(_)) =>
+            {
+                Heard::Other(Other::Master { address, sign: Sign::Request })
+            }
             Err(other) => Heard::Other(other),
         })
+    }
+
+    /// When the wire is free behind an answer of so many bytes, which were read at `at`. One that was in the port before
+    /// it was looked for has ended sooner.
+    #[inline]
+    fn free_behind(&self, at: Time, size: usize) -> Time {
+        let Timing { free_at, overdue_at, answer_by, idle_ns, .. } = self.timing;
+        let ended = if self.used == self.filled { at.min(answer_by + self.span_ns(size)) } else { at };
+        let free_at = free_at.max(ended + idle_ns);
+        if self.left < self.retries { free_at.max(overdue_at) } else { free_at }
     }
 }
 
 impl Timing {
-    /// The request was answered at `at`.
-    #[inline]
-    fn end(&mut self, at: Time, was_repeated: bool) {
-        self.state = State::Free;
-        self.free_at = self.free_at.max(at + self.idle_ns);
-        if was_repeated {
-            self.free_at = self.free_at.max(self.overdue_at);
-        }
-    }
-
     /// More bytes may follow, for so long.
     #[cold]
     fn put_off(&mut self, at: Time, more_ns: u64) {

@@ -1,5 +1,7 @@
 use super::*;
 use crate::bus::profibus::LenzeDrive;
+use crate::bus::profibus::other::Sign;
+use crate::bus::profibus::wire::telegram::Malformed;
 use crate::time::{MS, US};
 
 const SLAVE: u8 = 7;
@@ -86,7 +88,7 @@ fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
         rig.now = rig.now + silent - US;
         assert_eq!(rig.line.ready(rig.now), Ready::Wait);
         rig.arrive(&[0xDC, 9, 9]);
-        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, is_token: true })));
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, sign: Sign::Token })));
         assert_eq!(rig.heard(), None);
     }
     rig.now = rig.now + silent;
@@ -109,6 +111,34 @@ fn the_answer_of_the_sheet_answers_at_any_split() {
         rig.arrive(&REPLY[split..]);
         assert_eq!(rig.heard(), answer(), "{split}");
         // An idle time follows.
+        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+    }
+}
+
+#[test]
+fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
+    let byte = 22_000 / 3;
+    // Request, MaxTsdr, answer.
+    let ended = 21 * byte + 100 * US + 21 * byte;
+    for late in [0, 5 * US, 22 * US, 500 * US] {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        let begin = rig.now;
+        rig.now = begin + ended + late;
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), answer());
+        let free = begin + ended + 22 * US;
+        assert_eq!(rig.line.ready(free - US), Ready::Wait, "{late}");
+        assert_eq!(rig.line.ready(free + US), Ready::Free, "{late}");
+    }
+    // With a slow driver, or with something behind it, the wire may have been in use until now.
+    for (latency_ns, behind) in [(400 * US, &[][..]), (0, &TOKEN[..])] {
+        let mut rig = Rig::up(|plan| plan.bits.latency_ns = latency_ns);
+        rig.request();
+        rig.now = rig.now + ended + 300 * US;
+        rig.arrive(&[&REPLY, behind].concat());
+        assert_eq!(rig.heard(), answer());
         assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
         assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
     }
@@ -199,19 +229,20 @@ fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_n
 
 #[test]
 fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle() {
-    for (at, why) in
-        [(0, "begins no telegram"), (1, "differ"), (3, "second"), (10, "check"), (20, "ends with")]
-    {
+    for (at, why) in [
+        (0, Malformed::Start),
+        (1, Malformed::Length),
+        (3, Malformed::Length),
+        (10, Malformed::Check),
+        (20, Malformed::End),
+    ] {
         let mut rig = Rig::up(|_| ());
         rig.request();
         let mut broken = REPLY;
         broken[at] ^= 1;
         rig.now = rig.now + 350 * US;
         rig.arrive(&broken);
-        let Some(Heard::Other(Other::Malformed { why: found, expected: true })) = rig.heard() else {
-            panic!("{at}")
-        };
-        assert!(found.to_string().contains(why), "{found}");
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Malformed { why, expected: true })), "{at}");
         // A rest that looks like an answer.
         rig.now = rig.now + 5 * US;
         rig.arrive(&REPLY);
@@ -242,8 +273,8 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
         (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
-        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, is_token: false }))),
-        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, is_token: false }))),
+        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
+        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
     ] {
         let mut rig = Rig::up(|_| ());
         rig.request();

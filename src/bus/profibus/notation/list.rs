@@ -1,6 +1,6 @@
 //! The list of the known codes.
 
-use super::catalogue::{CODES, Known};
+use super::super::catalogue::{CODES, Known};
 use crate::axis::acyclic::{ListError, Listed, Listing, Wanted, read_listed};
 
 /// How what is `wanted` is listed.

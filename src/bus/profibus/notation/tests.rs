@@ -51,6 +51,7 @@ fn values_are_counts_or_scaled_by_their_code() {
         ("C0150.i16", "-2", 0xFFFE),
         ("C0150.u8", "0xFF", 0xFF),
         ("1/3", "01 A0", 0xA001),
+        ("C0200.text", "S7 x", 0x7820_3753),
     ] {
         assert_eq!(Codes.value(address, text), Ok(raw), "{address} {text}");
     }
@@ -64,13 +65,13 @@ fn values_are_counts_or_scaled_by_their_code() {
         ("C0039", "fast"),
         ("1/3", ""),
         ("1/3", "0"),
+        ("C0200.text", ""),
+        ("C0200.text", "\u{b5}"),
     ] {
         assert!(Codes.value(address, text).is_err(), "{address} {text}");
     }
-    for address in ["C0061", "C0200.text"] {
-        assert!(matches!(Codes.value(address, "1"), Err(NotationError::ReadOnly { .. })), "{address}");
-        assert!(Codes.write(address, 1).is_err(), "{address}");
-    }
+    assert!(matches!(Codes.value("C0061", "1"), Err(NotationError::ReadOnly { .. })));
+    assert!(Codes.write("C0061", 1).is_err() && Codes.write_long("C0061.text", "a").is_none());
     assert_eq!(Codes.show("C0061", 430_000), "430000 (0x68FB0) = 43.0000 °C");
     assert_eq!(Codes.show("C0039/2", 0xFFFF_FFFF), "-1 (0xFFFFFFFF) = -0.0001 Hz");
     assert_eq!(Codes.show("C0999", 25_000), "25000 (0x61A8) = 2.5000");
@@ -96,7 +97,10 @@ fn a_call_has_the_bits_of_its_kind() {
     let long = Codes.write_long("1/3", "01 02 03 04 05 06 07 08 09").unwrap();
     let calls: Vec<_> = long.iter().map(|call| (call.service, call.value)).collect();
     assert_eq!(calls, [(LOAD, 0x0807_0605_0403_0201), (LOAD, 9), (STORE, 9)]);
-    assert!(Codes.write_long("C0039", "1").is_none() && Codes.write_long("C0200.text", "41").is_none());
+    let text = Codes.write_long("C0200.text", "left axis").unwrap();
+    let calls: Vec<_> = text.iter().map(|call| (call.service, call.value)).collect();
+    assert_eq!(calls, [(LOAD, u64::from_le_bytes(*b"left axi")), (LOAD, u64::from(b's')), (STORE, 9)]);
+    assert!(Codes.write_long("C0039", "1").is_none() && Codes.write_long("C0200.text", "\n").is_none());
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::time::Time;
 impl Station {
     /// The telegram of its turn was answered at `at`.
     #[inline]
-    pub(in super::super) fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
+    pub fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
         self.count = if self.count == FIRST { SECOND } else { self.count ^ FCB };
         self.was_answered = true;
         let Answer::Data { high, data } = answer else { return self.answered_without(at, answer, slot) };

@@ -1,14 +1,11 @@
 //! Path C: parameters in the record 47 of DP-V1, several in one request (sheet, 3; EMF2133IB manual, pages 98 to 105,
 //! FPBA-01 manual).
 //!
-//! A request is written to the record. The response is read from it, and is refused as
-//! [`STATE`](super::msac1::Refusal::STATE) until it is ready.
-
-use std::fmt;
-
-use thiserror::Error;
+//! A request is written to the record: its head, the address of each parameter, and to write, the values of each. The
+//! response is read from it, and is refused as [`STATE`](super::msac1::Refusal::STATE) until it is ready.
 
 use super::errors::ErrorNumber;
+use super::job::Kind;
 use super::{Reader, Writer};
 
 /// The index of the record.
@@ -18,6 +15,8 @@ const READ: u8 = 1;
 const WRITE: u8 = 2;
 /// Set in the id of a response in which a parameter has failed.
 const FAILED: u8 = 0x80;
+/// The attribute of a parameter that is its value.
+const VALUE: u8 = 0x10;
 
 /// What is common to all parameters of a request; mirrored in the response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -28,24 +27,20 @@ pub struct Head {
     pub write: bool,
     /// The axis, 0 or 1.
     pub axis: u8,
+    /// How many parameters there are, 1 at least.
+    pub count: u8,
 }
 
-/// Which part of a parameter is meant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Attribute {
-    /// Its value.
-    Value = 0x10,
-    /// Its description (FPBA-01 manual).
-    Description = 0x20,
-    /// Its text (FPBA-01 manual).
-    Text = 0x30,
+impl Head {
+    /// Writes it.
+    pub fn put(&self, out: &mut Writer<'_>) {
+        out.bytes(&[self.reference, if self.write { WRITE } else { READ }, self.axis, self.count]);
+    }
 }
 
-/// A parameter, or a part of it.
+/// The value of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Address {
-    /// Which part.
-    pub attribute: Attribute,
     /// How many elements; of a scalar 0 or 1.
     pub count: u8,
     /// The index: 24575 - code on the 8400 and 9400; assumed on the EMF2133IB.
@@ -55,65 +50,47 @@ pub struct Address {
 }
 
 impl Address {
-    fn put(&self, out: &mut Writer<'_>) {
-        out.bytes(&[self.attribute as u8, self.count]);
+    /// Writes it.
+    pub fn put(&self, out: &mut Writer<'_>) {
+        out.bytes(&[VALUE, self.count]);
         out.word(self.index);
         out.word(self.subindex);
     }
 }
 
-/// How a value stands in a request or response.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+/// How a value stands in a request or response: the number of a [`Kind`], or another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Format(pub u8);
 
 impl Format {
-    /// 8 bits with a sign.
-    pub const I8: Format = Format(0x02);
-    /// 16 bits with a sign.
-    pub const I16: Format = Format(0x03);
-    /// 32 bits with a sign.
-    pub const I32: Format = Format(0x04);
-    /// 8 bits.
-    pub const U8: Format = Format(0x05);
-    /// 16 bits.
-    pub const U16: Format = Format(0x06);
-    /// 32 bits.
-    pub const U32: Format = Format(0x07);
-    /// Characters.
-    pub const VISIBLE_STRING: Format = Format(0x09);
-    /// Bytes.
-    pub const OCTET_STRING: Format = Format(0x0A);
     /// Nothing: of a parameter that was written without an error.
     pub const ZERO: Format = Format(0x40);
-    /// 8 bits of any meaning.
-    pub const BYTE: Format = Format(0x41);
-    /// 16 bits of any meaning.
-    pub const WORD: Format = Format(0x42);
-    /// 32 bits of any meaning.
-    pub const DOUBLE: Format = Format(0x43);
     /// The parameter has failed.
     pub const ERROR: Format = Format(0x44);
 
     /// Bytes of one value; `None` if the format is unknown.
     pub const fn size(self) -> Option<usize> {
-        Some(match self {
-            Format::ZERO => 0,
-            Format::I8 | Format::U8 | Format::BYTE | Format::VISIBLE_STRING | Format::OCTET_STRING => 1,
-            Format::I16 | Format::U16 | Format::WORD | Format::ERROR => 2,
-            Format::I32 | Format::U32 | Format::DOUBLE => 4,
+        Some(match self.0 {
+            0x40 => 0,
+            // 8 bits, characters, octets, 8 bits of any meaning.
+            0x02 | 0x05 | 0x09 | 0x0A | 0x41 => 1,
+            // 16 bits, the same of any meaning, the number of an error.
+            0x03 | 0x06 | 0x42 | 0x44 => 2,
+            // 32 bits, the same of any meaning.
+            0x04 | 0x07 | 0x43 => 4,
             _ => return None,
         })
     }
 
     /// The values have a sign.
-    pub const fn is_signed(self) -> bool {
-        matches!(self, Format::I8 | Format::I16 | Format::I32)
+    const fn is_signed(self) -> bool {
+        matches!(self.0, 0x02..=0x04)
     }
 }
 
-impl fmt::Debug for Format {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Format({:#04x})", self.0)
+impl From<Kind> for Format {
+    fn from(kind: Kind) -> Format {
+        Format(kind as u8)
     }
 }
 
@@ -126,64 +103,25 @@ pub struct Values<'a> {
     pub bytes: &'a [u8],
 }
 
-impl<'a> Values<'a> {
-    /// How many there are; `None` if the bytes are not that of whole values of a format, or over 255.
-    pub fn count(&self) -> Option<u8> {
-        let size = self.format.size()?;
-        let count = self.bytes.len().checked_div(size).unwrap_or(0);
-        if count * size == self.bytes.len() { u8::try_from(count).ok() } else { None }
-    }
-
-    /// Value `index`, extended by the sign that its format has.
-    pub fn get(&self, index: usize) -> Option<i64> {
-        let size = self.format.size()?;
-        let bytes = self.bytes.get(index.checked_mul(size)?..)?.get(..size)?;
+impl Values<'_> {
+    /// The first one, extended by the sign that its format has; `None`: there is none.
+    pub fn first(&self) -> Option<i64> {
+        let bytes = self.bytes.get(..self.format.size()?)?;
         let (first, _) = bytes.split_first()?;
         let sign = if self.format.is_signed() && first & 0x80 != 0 { -1 } else { 0 };
         Some(bytes.iter().fold(sign, |value, byte| value << 8 | i64::from(*byte)))
     }
 
-    fn put(&self, out: &mut Writer<'_>) {
-        match self.count() {
-            Some(count) => out.bytes(&[self.format.0, count]),
-            None => out.fail(),
+    /// Writes them. Bytes that are not those of whole values of a format, or of more than 255, are no request.
+    pub fn put(&self, out: &mut Writer<'_>) {
+        let whole = self.format.size().filter(|size| self.bytes.len().checked_rem(*size) == Some(0));
+        match whole.map(|size| u8::try_from(self.bytes.len() / size)) {
+            Some(Ok(count)) => out.bytes(&[self.format.0, count]),
+            _ => out.fail(),
         }
         out.bytes(self.bytes);
         out.bytes(if self.bytes.len().is_multiple_of(2) { &[] } else { &[0] });
     }
-}
-
-/// Writes the request to read parameters. None, or more than a byte counts, are no request.
-pub fn put_read(reference: u8, axis: u8, addresses: &[Address], out: &mut Writer<'_>) {
-    put_head(Head { reference, write: false, axis }, addresses.len(), out);
-    addresses.iter().for_each(|address| address.put(out));
-}
-
-/// Writes the request to write parameters. None, or values that are none, are no request.
-pub fn put_write(reference: u8, axis: u8, parameters: &[(Address, Values<'_>)], out: &mut Writer<'_>) {
-    put_head(Head { reference, write: true, axis }, parameters.len(), out);
-    parameters.iter().for_each(|(address, _)| address.put(out));
-    parameters.iter().for_each(|(_, values)| values.put(out));
-}
-
-fn put_head(head: Head, count: usize, out: &mut Writer<'_>) {
-    let Head { reference, write, axis } = head;
-    match u8::try_from(count) {
-        Ok(count @ 1..) => out.bytes(&[reference, if write { WRITE } else { READ }, axis, count]),
-        _ => out.fail(),
-    }
-}
-
-/// The response to a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Response<'a> {
-    /// As in the request.
-    pub head: Head,
-    /// A parameter has failed, at least.
-    pub failed: bool,
-    /// How many parameters it is of: as many as the request has.
-    pub count: u8,
-    body: Reader<'a>,
 }
 
 /// What became of a parameter.
@@ -194,60 +132,59 @@ pub enum Outcome<'a> {
     /// What was read.
     Read(Values<'a>),
     /// It failed.
-    Failed {
-        /// Why.
-        error: ErrorNumber,
-        /// More of it.
-        info: Option<u16>,
-    },
+    Failed(ErrorNumber),
+}
+
+/// The response to a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Response<'a> {
+    /// As in the request.
+    pub head: Head,
+    /// A parameter has failed, at least.
+    pub failed: bool,
+    body: Reader<'a>,
 }
 
 impl<'a> Response<'a> {
-    /// Reads the record. Every length in it was checked; whether it belongs to the request was not.
-    pub fn parse(record: &'a [u8]) -> Result<Response<'a>, ResponseError> {
+    /// Reads the record; `None`: it is none to reading or writing, a parameter is cut off or has an unknown format, or
+    /// there is more than the parameters. Whether it belongs to the request is not checked.
+    pub fn parse(record: &'a [u8]) -> Option<Response<'a>> {
         let mut body = Reader(record);
-        let [reference, id, axis, count] =
-            body.array().ok_or(ResponseError::Cut { bytes: record.len(), parameter: 0 })?;
+        let [reference, id, axis, count] = body.array()?;
         let write = match id & !FAILED {
             READ => false,
             WRITE => true,
-            _ => return Err(ResponseError::Id { id }),
+            _ => return None,
         };
-        let head = Head { reference, write, axis };
-        let response = Response { head, failed: id & FAILED != 0, count, body };
-        let mut outcomes = response.scan();
-        for (parameter, outcome) in (0..count).zip(&mut outcomes) {
-            outcome.ok_or(ResponseError::Cut { bytes: record.len(), parameter })?;
-        }
-        match outcomes.body.0.len() {
-            0 => Ok(response),
-            bytes => Err(ResponseError::Rest { bytes }),
-        }
+        let head = Head { reference, write, axis, count };
+        let response = Response { head, failed: id & FAILED != 0, body };
+        let mut outcomes = response.outcomes();
+        let whole = outcomes.by_ref().count() == usize::from(count);
+        (whole && outcomes.body.0.is_empty()).then_some(response)
     }
 
     /// What became of each parameter, in the order of the request.
-    pub fn outcomes(&self) -> impl Iterator<Item = Outcome<'a>> {
-        self.scan().map_while(|outcome| outcome)
-    }
-
-    fn scan(&self) -> Scan<'a> {
+    pub fn outcomes(&self) -> Outcomes<'a> {
         // A write without an error has nothing behind its head.
         let brief = self.head.write && !self.failed && self.body.0.is_empty();
-        Scan { write: self.head.write, brief, left: self.count, body: self.body }
+        Outcomes { write: self.head.write, brief, left: self.head.count, body: self.body }
     }
 }
 
-/// The parameters of a response; a `None` among them is one that passes the end.
+/// The parameters of a response. One that passes the end ends them.
 #[derive(Debug)]
-struct Scan<'a> {
+pub struct Outcomes<'a> {
     write: bool,
     brief: bool,
     left: u8,
     body: Reader<'a>,
 }
 
-impl<'a> Scan<'a> {
-    fn one(&mut self) -> Option<Outcome<'a>> {
+impl<'a> Iterator for Outcomes<'a> {
+    type Item = Outcome<'a>;
+
+    fn next(&mut self) -> Option<Outcome<'a>> {
+        self.left = self.left.checked_sub(1)?;
         if self.brief {
             return Some(Outcome::Written);
         }
@@ -255,8 +192,7 @@ impl<'a> Scan<'a> {
         let format = Format(format);
         let bytes = self.body.bytes(usize::from(count) * format.size()?)?;
         if format == Format::ERROR {
-            let mut words = Reader(bytes);
-            return Some(Outcome::Failed { error: ErrorNumber(words.word()?), info: words.word() });
+            return Some(Outcome::Failed(ErrorNumber(Reader(bytes).word_be()?)));
         }
         // A byte completes the last word. No format is 0: a drive that leaves the byte out is understood.
         if bytes.len() % 2 == 1 && self.body.0.first() == Some(&0) {
@@ -268,38 +204,3 @@ impl<'a> Scan<'a> {
         }
     }
 }
-
-impl<'a> Iterator for Scan<'a> {
-    type Item = Option<Outcome<'a>>;
-
-    fn next(&mut self) -> Option<Option<Outcome<'a>>> {
-        self.left = self.left.checked_sub(1)?;
-        Some(self.one())
-    }
-}
-
-/// Why a record is no response.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
-pub enum ResponseError {
-    /// A parameter is not complete, or its format is unknown.
-    #[error("parameter {parameter} of a response of {bytes} bytes is cut off, or has an unknown format")]
-    Cut {
-        /// The bytes of the record.
-        bytes: usize,
-        /// Which one, from 0.
-        parameter: u8,
-    },
-    /// It is no response to reading or writing.
-    #[error("{id:#04x} is no id of a response")]
-    Id {
-        /// Its id.
-        id: u8,
-    },
-    /// More than the parameters.
-    #[error("{bytes} bytes follow the last parameter of a response")]
-    Rest {
-        /// How many.
-        bytes: usize,
-    },
-}
-crate::errors::debug_as_display!(ResponseError);

@@ -1,6 +1,5 @@
 //! The services of DP-V0: what is in their data (sheet, 6). Data_Exchange has process data, and nothing of its own.
 
-use super::words::bits;
 use super::{Reader, Writer};
 
 /// The answer to Slave_Diag.
@@ -27,79 +26,84 @@ impl<'a> Diagnosis<'a> {
         Some(Diagnosis {
             status: DiagnosisStatus(u32::from_le_bytes([first, second, third, 0])),
             master: (master != Diagnosis::NO_MASTER).then_some(master),
-            ident: reader.word()?,
+            ident: reader.word_be()?,
             extended: reader.0,
         })
     }
 
-    /// The blocks of the extended diagnosis.
-    pub fn blocks(&self) -> Blocks<'a> {
-        Blocks(Reader(self.extended))
+    /// The DRIVECOM fault code (603Fh) in the extended diagnosis of a Lenze drive: a device-related block of three
+    /// bytes (2130IB manual). 0 is no fault. Blocks of DP-V1, an alarm or a status, are longer. A block that passes the
+    /// end is none, and ends them (IEC 61158-6-3).
+    pub fn fault(&self) -> Option<u16> {
+        let mut blocks = Reader(self.extended);
+        loop {
+            let header = blocks.byte()?;
+            // The size includes the header: of the device, its modules, one channel, the revision of its description.
+            let size = [header & 0x3F, header & 0x3F, 3, 1][usize::from(header >> 6)];
+            let block = blocks.bytes(usize::from(size).checked_sub(1)?)?;
+            if let (0, &[high, low]) = (header >> 6, block) {
+                return Some(u16::from_be_bytes([high, low]));
+            }
+        }
+    }
+}
+
+/// Defines the bits of a diagnosis, each with its number and its name.
+macro_rules! bits {
+    ($($BIT:ident = $bit:literal: $name:literal $(, $more:literal)?;)+) => {
+        impl DiagnosisStatus {
+            $(
+                #[doc = concat!("Bit ", $bit, ": ", $name, ".", $(" ", $more)?)]
+                pub const $BIT: u32 = 1 << $bit;
+            )+
+
+            /// The names of the bits that are 1. Reserved ones have none.
+            pub fn names(self) -> impl Iterator<Item = &'static str> {
+                let names = [$((DiagnosisStatus::$BIT, $name)),+];
+                names.into_iter().filter(move |(bit, _)| self.has(*bit)).map(|(_, name)| name)
+            }
+        }
+    };
+}
+
+/// The first three bytes of a diagnosis; bit 8 is bit 0 of the second byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct DiagnosisStatus(pub u32);
+
+impl DiagnosisStatus {
+    /// All of `bits` are 1.
+    pub const fn has(self, bits: u32) -> bool {
+        self.0 & bits == bits
     }
 
-    /// The DRIVECOM fault code (603Fh) in the extended diagnosis of a Lenze drive: a device-related block of three
-    /// bytes (2130IB manual). 0 is no fault. Blocks of DP-V1, an alarm or a status, are longer.
-    pub fn fault(&self) -> Option<u16> {
-        self.blocks().find_map(|block| match block {
-            Block::Device(&[high, low]) => Some(u16::from_be_bytes([high, low])),
-            _ => None,
-        })
+    /// One of `bits` is 1.
+    pub const fn has_any(self, bits: u32) -> bool {
+        self.0 & bits != 0
+    }
+
+    /// With `bits` as 0.
+    pub const fn without(self, bits: u32) -> DiagnosisStatus {
+        DiagnosisStatus(self.0 & !bits)
     }
 }
 
 bits! {
-    /// The first three bytes of a diagnosis; bit 8 is bit 0 of the second byte.
-    pub struct DiagnosisStatus(u32) {
-        NON_EXISTENT = 0: "non-existent", "Set by a master.";
-        NOT_READY = 1: "not ready", "For Data_Exchange.";
-        CFG_FAULT = 2: "configuration fault", "That of Chk_Cfg is not its own.";
-        EXT_DIAG = 3: "extended diagnosis", "It is one of a fault.";
-        NOT_SUPPORTED = 4: "not supported";
-        INVALID_REPLY = 5: "invalid reply", "Set by a master.";
-        PRM_FAULT = 6: "parametrisation fault", "Ident number, length or values of the last Set_Prm.";
-        MASTER_LOCK = 7: "locked by another master";
-        PRM_REQ = 8: "parametrisation requested";
-        STAT_DIAG = 9: "static diagnosis", "Its inputs are not valid; the diagnosis is read until this ends.";
-        ALWAYS = 10: "slave", "Always 1.";
-        WD_ON = 11: "watchdog on";
-        FREEZE = 12: "freeze";
-        SYNC = 13: "sync";
-        DEACTIVATED = 15: "deactivated", "Set by a master.";
-        OVERFLOW = 23: "overflow", "There is more diagnosis than fits.";
-    }
-}
-
-/// A block of the extended diagnosis (IEC 61158-6-3), without its header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Block<'a> {
-    /// Of the device.
-    Device(&'a [u8]),
-    /// Of its modules: a bit each.
-    Modules(&'a [u8]),
-    /// Of one channel: module, channel, kind of fault.
-    Channel([u8; 3]),
-    /// The revision of the device's description.
-    Revision(u8),
-}
-
-/// The blocks of an extended diagnosis. A block that passes the end is none, and ends them.
-#[derive(Clone, Debug)]
-pub struct Blocks<'a>(Reader<'a>);
-
-impl<'a> Iterator for Blocks<'a> {
-    type Item = Block<'a>;
-
-    fn next(&mut self) -> Option<Block<'a>> {
-        let header = self.0.byte()?;
-        // The size in a header includes the header.
-        let size = usize::from(header & 0x3F).checked_sub(1);
-        match header >> 6 {
-            0 => Some(Block::Device(self.0.bytes(size?)?)),
-            1 => Some(Block::Modules(self.0.bytes(size?)?)),
-            2 => self.0.array().map(|[channel, kind]| Block::Channel([header & 0x3F, channel, kind])),
-            _ => Some(Block::Revision(header & 0x3F)),
-        }
-    }
+    NON_EXISTENT = 0: "non-existent", "Set by a master.";
+    NOT_READY = 1: "not ready", "For Data_Exchange.";
+    CFG_FAULT = 2: "configuration fault", "That of Chk_Cfg is not its own.";
+    EXT_DIAG = 3: "extended diagnosis", "It is one of a fault.";
+    NOT_SUPPORTED = 4: "not supported";
+    INVALID_REPLY = 5: "invalid reply", "Set by a master.";
+    PRM_FAULT = 6: "parametrisation fault", "Ident number, length or values of the last Set_Prm.";
+    MASTER_LOCK = 7: "locked by another master";
+    PRM_REQ = 8: "parametrisation requested";
+    STAT_DIAG = 9: "static diagnosis", "Its inputs are not valid; the diagnosis is read until this ends.";
+    ALWAYS = 10: "slave", "Always 1.";
+    WD_ON = 11: "watchdog on";
+    FREEZE = 12: "freeze";
+    SYNC = 13: "sync";
+    DEACTIVATED = 15: "deactivated", "Set by a master.";
+    OVERFLOW = 23: "overflow", "There is more diagnosis than fits.";
 }
 
 /// The data of Set_Prm.
@@ -125,10 +129,6 @@ pub mod station_status {
     pub const LOCK: u8 = 1 << 7;
     /// It is any master's.
     pub const UNLOCK: u8 = 1 << 6;
-    /// It is to support sync.
-    pub const SYNC: u8 = 1 << 5;
-    /// It is to support freeze.
-    pub const FREEZE: u8 = 1 << 4;
     /// Its watchdog is on.
     pub const WATCHDOG: u8 = 1 << 3;
 }
@@ -137,8 +137,6 @@ pub mod station_status {
 pub mod dpv1 {
     /// Acyclic access by MSAC1.
     pub const ENABLE: u8 = 1 << 7;
-    /// Outputs of length 0 are the fail-safe ones.
-    pub const FAIL_SAFE: u8 = 1 << 6;
     /// The watchdog counts in 1 ms instead of 10 ms.
     pub const WATCHDOG_1_MS: u8 = 1 << 2;
 }
@@ -186,65 +184,28 @@ impl Watchdog {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Configuration<'a>(pub &'a [u8]);
 
-/// The data of a module.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Module {
-    /// Bytes from the slave.
-    pub inputs: u8,
-    /// Bytes to the slave.
-    pub outputs: u8,
-    /// The whole data belong together, not each byte or word alone.
-    pub consistent: bool,
-}
-
 impl Configuration<'_> {
-    /// The modules; `None` ends them: the bytes of one pass the end.
-    pub fn modules(&self) -> impl Iterator<Item = Option<Module>> {
-        let mut reader = Reader(self.0);
-        std::iter::from_fn(move || {
-            let identifier = reader.byte()?;
-            let plain = (identifier & 0x30 != 0).then(|| plain(identifier));
-            let module = plain.or_else(|| special(identifier, &mut reader));
-            if module.is_none() {
-                reader.0 = &[];
-            }
-            Some(module)
-        })
-    }
-
     /// Bytes of inputs and outputs of all modules; `None` if the last one passes the end.
     pub fn sizes(&self) -> Option<(usize, usize)> {
-        self.modules().try_fold((0, 0), |(inputs, outputs), module| {
-            let module = module?;
-            Some((inputs + usize::from(module.inputs), outputs + usize::from(module.outputs)))
-        })
-    }
-}
-
-/// An identifier byte: bit 7 consistent, bit 6 words, bits 5 and 4 outputs and inputs, bits 3 ... 0 the length - 1.
-fn plain(identifier: u8) -> Module {
-    let bytes = ((identifier & 0x0F) + 1) << (identifier >> 6 & 1);
-    let when = |bit: u8| if identifier & bit == 0 { 0 } else { bytes };
-    Module { inputs: when(0x10), outputs: when(0x20), consistent: identifier & 0x80 != 0 }
-}
-
-/// The special format (IEC 61158-6-3): bits 7 and 6 say that a length byte of outputs, of inputs, or both follow, bits
-/// 3 ... 0 how many bytes of the manufacturer follow those; 15 is none.
-fn special(identifier: u8, reader: &mut Reader<'_>) -> Option<Module> {
-    let mut module = Module::default();
-    let mut length = |bit: u8| {
-        if identifier & bit == 0 {
-            return Some(0);
+        // Bit 7 consistent, bit 6 words, the lower ones the length - 1.
+        let size = |byte: u8, length: u8| usize::from((byte & length) + 1) << (byte >> 6 & 1);
+        let mut reader = Reader(self.0);
+        let (mut inputs, mut outputs) = (0, 0);
+        while let Some(identifier) = reader.byte() {
+            let is = |bit: u8| identifier & bit != 0;
+            if is(0x30) {
+                inputs += if is(0x10) { size(identifier, 0x0F) } else { 0 };
+                outputs += if is(0x20) { size(identifier, 0x0F) } else { 0 };
+                continue;
+            }
+            // The special format (IEC 61158-6-3): bits 7 and 6 say that a length byte of outputs, of inputs, or both
+            // follow, bits 3 ... 0 how many bytes of the manufacturer follow those; 15 is none.
+            outputs += if is(0x80) { size(reader.byte()?, 0x3F) } else { 0 };
+            inputs += if is(0x40) { size(reader.byte()?, 0x3F) } else { 0 };
+            reader.bytes(if identifier & 0x0F == 15 { 0 } else { usize::from(identifier & 0x0F) })?;
         }
-        // Bit 7 consistent, bit 6 words, bits 5 ... 0 the length - 1.
-        let length = reader.byte()?;
-        module.consistent |= length & 0x80 != 0;
-        Some(((length & 0x3F) + 1) << (length >> 6 & 1))
-    };
-    let (outputs, inputs) = (length(0x80)?, length(0x40)?);
-    let of_manufacturer = identifier & 0x0F;
-    reader.bytes(if of_manufacturer == 15 { 0 } else { of_manufacturer.into() })?;
-    Some(Module { inputs, outputs, ..module })
+        Some((inputs, outputs))
+    }
 }
 
 /// The data of Global_Control.
@@ -261,12 +222,6 @@ impl GlobalControl {
     pub const OPERATE: u8 = 0;
     /// The slaves set their outputs to 0 or to their fail-safe values.
     pub const CLEAR: u8 = 1 << 1;
-    /// Inputs change again.
-    pub const UNFREEZE: u8 = 1 << 2;
-    /// Inputs stay as they are now.
-    pub const FREEZE: u8 = 1 << 3;
-    /// Outputs change again.
-    pub const UNSYNC: u8 = 1 << 4;
     /// Outputs stay as they are, until the next sync.
     pub const SYNC: u8 = 1 << 5;
 

@@ -1,10 +1,12 @@
 //! Path B: parameters in eight bytes of the process data by DRIVECOM, with a handshake bit (sheet, 2; EMF2133IB
 //! manual, pages 87 to 90).
+//!
+//! How many bytes a value has comes from a table of codes, never from a reply: of a reply's service byte only the
+//! handshake and the error bit can be trusted (Lenze knowledge base, article 283685).
 
 use std::fmt;
 
-/// The channel, either way.
-pub type Channel = [u8; 8];
+use super::job::{Channel, Job};
 
 /// Index of the code 0.
 const INDEX_OF_CODE_0: u16 = 24575;
@@ -18,118 +20,42 @@ pub const fn index_of(code: u16) -> Option<u16> {
     INDEX_OF_CODE_0.checked_sub(code)
 }
 
-/// How many bytes a value has. It comes from a table of codes, never from a reply: of a reply's service byte only the
-/// handshake and the error bit can be trusted (Lenze knowledge base, article 283685).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Size {
-    /// 1 byte.
-    One = 1,
-    /// 2 bytes.
-    Two = 2,
-    /// 3 bytes.
-    Three = 3,
-    /// 4 bytes.
-    Four = 4,
+/// No job.
+pub const fn none(handshake: bool) -> Channel {
+    [if handshake { HANDSHAKE } else { 0 }, 0, 0, 0, 0, 0, 0, 0]
 }
 
-impl Size {
-    /// The bits of a value that are not in the data.
-    const fn unused(self) -> u32 {
-        32 - 8 * self as u32
+/// A job as on the wire. `handshake`: with each job the other one. To the drive the size of a read means nothing.
+pub const fn encode(job: &Job, handshake: bool) -> Channel {
+    let (service, value) = match job.write {
+        None => (1, 0),
+        Some(value) => (2, value << (32 - job.bits)),
+    };
+    let size = (job.bits as u8 / 8 - 1) << 4;
+    let [high, low] = INDEX_OF_CODE_0.wrapping_sub(job.code).to_be_bytes();
+    let [a, b, c, d] = value.to_be_bytes();
+    [none(handshake)[0] | size | service, job.sub, high, low, a, b, c, d]
+}
+
+/// What a reply says of a job, if the job before had the other handshake bit: its value, which means nothing of a
+/// write, or why it was not carried out. `None`: nothing.
+pub const fn reply(job: &Job, handshake: bool, channel: &Channel) -> Option<Result<u32, ErrorCode>> {
+    let &[service, sub, high, low, ref data @ ..] = channel;
+    let index = u16::from_be_bytes([high, low]);
+    if shows(channel) != handshake || index != INDEX_OF_CODE_0.wrapping_sub(job.code) || sub != job.sub {
+        return None;
     }
-
-    /// Bits 5 and 4 of the service byte.
-    const fn bits(self) -> u8 {
-        (self as u8 - 1) << 4
-    }
+    let data = u32::from_be_bytes(*data);
+    Some(if service & ERROR == 0 { Ok(data >> (32 - job.bits)) } else { Err(ErrorCode(data)) })
 }
 
-/// What is to be done.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Job {
-    /// Nothing.
-    #[default]
-    None,
-    /// Reads. The size means nothing to the drive.
-    Read(Size),
-    /// Writes the lower bytes of the value.
-    Write(Size, u32),
-}
-
-/// A job for an object of the drive.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Request {
-    /// What is to be done.
-    pub job: Job,
-    /// The handshake bit: with each job the other one.
-    pub handshake: bool,
-    /// The index, see [`index_of`].
-    pub index: u16,
-    /// The subindex.
-    pub subindex: u8,
-}
-
-impl Request {
-    /// As on the wire.
-    pub const fn encode(&self) -> Channel {
-        let (service, value) = match self.job {
-            Job::None => (0, 0),
-            Job::Read(size) => (1 | size.bits(), 0),
-            Job::Write(size, value) => (2 | size.bits(), value << size.unused()),
-        };
-        let handshake = if self.handshake { HANDSHAKE } else { 0 };
-        let [high, low] = self.index.to_be_bytes();
-        let [a, b, c, d] = value.to_be_bytes();
-        [service | handshake, self.subindex, high, low, a, b, c, d]
-    }
-}
-
-/// What the drive says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Reply {
-    /// The handshake bit of the job.
-    pub handshake: bool,
-    /// The index.
-    pub index: u16,
-    /// The subindex.
-    pub subindex: u8,
-    /// What became of the job.
-    pub result: Result<Data, ErrorCode>,
-}
-
-/// The data of a reply. To a write they mean nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Data(pub [u8; 4]);
-
-impl Data {
-    /// The value, without a sign.
-    pub const fn value(self, size: Size) -> u32 {
-        u32::from_be_bytes(self.0) >> size.unused()
-    }
-}
-
-impl Reply {
-    /// Any bytes are a reply.
-    #[inline]
-    pub const fn parse(channel: &Channel) -> Reply {
-        let &[service, subindex, high, low, ref data @ ..] = channel;
-        let result =
-            if service & ERROR == 0 { Ok(Data(*data)) } else { Err(ErrorCode(u32::from_be_bytes(*data))) };
-        let handshake = service & HANDSHAKE != 0;
-        Reply { handshake, index: u16::from_be_bytes([high, low]), subindex, result }
-    }
-
-    /// It is the reply to this job, if the job before had the other handshake bit.
-    #[inline]
-    pub const fn answers(&self, request: &Request) -> bool {
-        self.handshake == request.handshake
-            && self.index == request.index
-            && self.subindex == request.subindex
-    }
+/// The handshake bit that the drive shows.
+pub const fn shows(channel: &Channel) -> bool {
+    channel[0] & HANDSHAKE != 0
 }
 
 /// Why a drive did not carry out a job: class, code, additional code (2130IB manual).
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ErrorCode(pub u32);
 
 impl ErrorCode {
@@ -161,12 +87,6 @@ impl ErrorCode {
     }
 }
 
-impl fmt::Debug for ErrorCode {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ErrorCode({:#010x})", self.0)
-    }
-}
-
 impl fmt::Display for ErrorCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [class, code, high, low] = self.0.to_be_bytes();
@@ -180,48 +100,43 @@ mod tests {
 
     use super::*;
 
-    fn job(job: Job, handshake: bool, code: u16) -> Request {
-        Request { job, handshake, index: index_of(code).expect("a code"), subindex: 0 }
+    fn read(bits: u32, code: u16) -> Job {
+        Job { code, sub: 0, bits, write: None }
     }
 
     #[test]
     fn manual_e94aycpm_reads_c0061() {
         // The length of the job is don't-care, that of the reply the drive's own: 2 bytes.
-        let request = job(Job::Read(Size::One), false, 61);
-        assert_eq!(request.encode(), [0x01, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let reply = Reply::parse(&[0x11, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0]);
-        assert!(reply.answers(&request));
-        assert_eq!(reply.result.map(|data| data.value(Size::Two)), Ok(43));
+        assert_eq!(encode(&read(8, 61), false), [0x01, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
+        let answer = [0x11, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0];
+        assert_eq!(reply(&read(16, 61), false, &answer), Some(Ok(43)));
         // With the other handshake bit neither is the other's.
-        let toggled = Request { handshake: true, ..request };
-        assert_eq!(toggled.encode(), [0x41, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let reply_toggled = Reply::parse(&[0x51, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0]);
-        assert!(
-            reply_toggled.answers(&toggled) && !reply_toggled.answers(&request) && !reply.answers(&toggled)
-        );
+        assert_eq!(encode(&read(8, 61), true), [0x41, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
+        let toggled = [0x51, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0];
+        assert_eq!(reply(&read(16, 61), true, &toggled), Some(Ok(43)));
+        assert_eq!(reply(&read(16, 61), false, &toggled), None);
+        assert_eq!(reply(&read(16, 61), true, &answer), None);
     }
 
     #[test]
     fn manual_emf_reads_c0061_and_writes_c0039() {
-        let read = job(Job::Read(Size::Four), false, 61);
-        assert_eq!(read.encode(), [0x31, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let reply = Reply::parse(&[0x31, 0, 0x5F, 0xC2, 0, 0x06, 0x8F, 0xB0]);
-        assert!(reply.answers(&read) && reply.result.map(|data| data.value(Size::Four)) == Ok(430_000));
-        let write = job(Job::Write(Size::Four, 1_504_000), true, 39);
-        assert_eq!(write.encode(), [0x72, 0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
+        assert_eq!(encode(&read(32, 61), false), [0x31, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
+        let answer = [0x31, 0, 0x5F, 0xC2, 0, 0x06, 0x8F, 0xB0];
+        assert_eq!(reply(&read(32, 61), false, &answer), Some(Ok(430_000)));
+        let write = Job { write: Some(1_504_000), ..read(32, 39) };
+        assert_eq!(encode(&write, true), [0x72, 0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
         // Replies to a write as three modules give them: the lower bits differ.
-        for service in [0x72, 0x70, 0x40] {
-            assert!(Reply::parse(&[service, 0, 0x5F, 0xD8, 1, 2, 3, 4]).answers(&write), "{service:#04x}");
-        }
-        for service in [0x32, 0x30, 0x00] {
-            assert!(!Reply::parse(&[service, 0, 0x5F, 0xD8, 1, 2, 3, 4]).answers(&write), "{service:#04x}");
-        }
+        let of_service = |service| reply(&write, true, &[service, 0, 0x5F, 0xD8, 1, 2, 3, 4]);
+        assert!(
+            [0x72, 0x70, 0x40].into_iter().all(|service| of_service(service).is_some_and(|end| end.is_ok()))
+        );
+        assert!([0x32, 0x30, 0x00].into_iter().all(|service| of_service(service).is_none()));
     }
 
     #[test]
     fn manual_2130_errors_by_name() {
-        let reply = Reply::parse(&[0xB1, 0, 0x5F, 0xC2, 0x06, 0x07, 0, 0]);
-        let error = reply.result.expect_err("bit 7");
+        let answer = reply(&read(32, 61), false, &[0xB1, 0, 0x5F, 0xC2, 0x06, 0x07, 0, 0]);
+        let error = answer.expect("its handshake bit").expect_err("bit 7");
         assert_eq!(error.to_string(), "error 6/7/0000: the object does not exist");
         assert_eq!(ErrorCode(0x0800_0034).to_string(), "error 8/0/0034: a part of the parameter is wrong");
         assert_eq!(ErrorCode(0x0800_0040).to_string(), "error 8/0/0040: unknown");
@@ -229,33 +144,28 @@ mod tests {
 
     #[test]
     fn data_stand_on_the_left() {
-        let write = |size, value| job(Job::Write(size, value), false, 0).encode();
-        assert_eq!(write(Size::One, 0xFFFF_FF12), [0x02, 0, 0x5F, 0xFF, 0x12, 0, 0, 0]);
-        assert_eq!(write(Size::Two, 0x1234), [0x12, 0, 0x5F, 0xFF, 0x12, 0x34, 0, 0]);
-        assert_eq!(write(Size::Three, 0x0012_3456), [0x22, 0, 0x5F, 0xFF, 0x12, 0x34, 0x56, 0]);
-        assert_eq!(job(Job::None, true, 0).encode(), [0x40, 0, 0x5F, 0xFF, 0, 0, 0, 0]);
+        let write = |bits, value| encode(&Job { write: Some(value), ..read(bits, 0) }, false);
+        assert_eq!(write(8, 0xFFFF_FF12), [0x02, 0, 0x5F, 0xFF, 0x12, 0, 0, 0]);
+        assert_eq!(write(16, 0x1234), [0x12, 0, 0x5F, 0xFF, 0x12, 0x34, 0, 0]);
+        assert_eq!(write(32, 0x1234_5678), [0x32, 0, 0x5F, 0xFF, 0x12, 0x34, 0x56, 0x78]);
+        assert_eq!((none(true), none(false)), ([0x40, 0, 0, 0, 0, 0, 0, 0], [0; 8]));
         assert_eq!((index_of(24575), index_of(24576)), (Some(0), None));
     }
 
     proptest! {
         #[test]
-        fn what_is_written_is_read_back(value: u32, index: u16, subindex: u8, handshake: bool, error: bool) {
-            for size in [Size::One, Size::Two, Size::Three, Size::Four] {
-                let value = value >> size.unused();
-                let request = Request { job: Job::Write(size, value), handshake, index, subindex };
+        fn what_is_written_is_read_back(value: u32, code: u16, sub: u8, handshake: bool, error: bool) {
+            for bits in [8, 16, 32] {
+                let value = value >> (32 - bits);
+                let job = Job { code, sub, bits, write: Some(value) };
                 // A drive that mirrors the job, and sets its bit 7 or not.
-                let mut channel = request.encode();
+                let mut channel = encode(&job, handshake);
                 channel[0] |= if error { ERROR } else { 0 };
-                let reply = Reply::parse(&channel);
-                prop_assert!(reply.answers(&request));
-                prop_assert_eq!(reply.result.ok().map(|data| data.value(size)), (!error).then_some(value));
-                for other in [
-                    Request { handshake: !handshake, ..request },
-                    Request { subindex: !subindex, ..request },
-                    Request { index: !index, ..request },
-                ] {
-                    prop_assert!(!reply.answers(&other));
-                }
+                let answer = reply(&job, handshake, &channel).expect("its own");
+                prop_assert_eq!(answer.ok(), (!error).then_some(value));
+                prop_assert_eq!(reply(&job, !handshake, &channel), None);
+                prop_assert_eq!(reply(&Job { sub: !sub, ..job }, handshake, &channel), None);
+                prop_assert_eq!(reply(&Job { code: !code, ..job }, handshake, &channel), None);
             }
         }
     }

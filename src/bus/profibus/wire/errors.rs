@@ -3,22 +3,14 @@
 use std::fmt;
 
 /// Why a drive did not carry out a job.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ErrorNumber(pub u16);
 
 impl ErrorNumber {
-    /// The parameter does not exist.
-    pub const NO_PARAMETER: ErrorNumber = ErrorNumber(0x00);
-    /// It cannot be written.
-    pub const READ_ONLY: ErrorNumber = ErrorNumber(0x01);
-    /// A limit is exceeded.
-    pub const LIMIT: ErrorNumber = ErrorNumber(0x02);
     /// The subindex is wrong.
     pub const SUBINDEX: ErrorNumber = ErrorNumber(0x03);
     /// This interface has no right to change it.
     pub const NO_RIGHT: ErrorNumber = ErrorNumber(0x0B);
-    /// Not in this state.
-    pub const STATE: ErrorNumber = ErrorNumber(0x11);
     /// The response has no room for it.
     pub const TOO_LONG: ErrorNumber = ErrorNumber(0x15);
     /// The first number of the manufacturer's own.
@@ -49,12 +41,6 @@ impl ErrorNumber {
             Self::OWN.. => "the manufacturer's own",
             _ => return None,
         })
-    }
-}
-
-impl fmt::Debug for ErrorNumber {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ErrorNumber({:#06x})", self.0)
     }
 }
 

@@ -10,6 +10,7 @@
 //! | `sap` | service access points, and which service is at which |
 //! | `dp` | Slave_Diag, Set_Prm, Chk_Cfg, Get_Cfg, Global_Control |
 //! | `msac1` | acyclic reading and writing of records by DP-V1 |
+//! | `job` | a job in the parameter channel, and what values are |
 //! | `pkw` | parameters in the process data, as the vendor's page draws them (path A) |
 //! | `drivecom` | parameters in the process data, by DRIVECOM (path B) |
 //! | `base_mode` | parameters in the record 47 (path C) |
@@ -24,41 +25,14 @@ pub mod dp;
 pub mod drivecom;
 pub mod errors;
 pub mod fc;
+pub mod job;
 pub mod msac1;
 pub mod pkw;
 pub mod sap;
 pub mod telegram;
 pub mod words;
 
-/// Takes values from the front of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Reader<'a>(&'a [u8]);
-
-impl<'a> Reader<'a> {
-    #[inline]
-    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (head, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*head)
-    }
-
-    #[inline]
-    fn byte(&mut self) -> Option<u8> {
-        self.array().map(|[byte]| byte)
-    }
-
-    #[inline]
-    fn word(&mut self) -> Option<u16> {
-        self.array().map(u16::from_be_bytes)
-    }
-
-    #[inline]
-    fn bytes(&mut self, size: usize) -> Option<&'a [u8]> {
-        let (head, rest) = self.0.split_at_checked(size)?;
-        self.0 = rest;
-        Some(head)
-    }
-}
+use crate::bus::reader::Reader;
 
 /// Writes values into the data unit of a telegram, in place. What does not fit makes the whole telegram none.
 #[derive(Debug)]

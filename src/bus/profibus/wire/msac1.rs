@@ -5,12 +5,8 @@
 
 use std::fmt;
 
-use thiserror::Error;
-
 use super::{Reader, Writer};
 
-const READ: u8 = 0x5E;
-const WRITE: u8 = 0x5F;
 /// Set in the function number of a refusal.
 const NEGATIVE: u8 = 0x80;
 
@@ -21,9 +17,9 @@ pub const RECORD_MAX: usize = 240;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Function {
     /// It is read.
-    Read,
+    Read = 0x5E,
     /// It is written.
-    Write,
+    Write = 0x5F,
 }
 
 /// A record, as slave and master address it.
@@ -38,88 +34,44 @@ pub struct Record {
 impl Record {
     /// Writes the request to read at most `length` bytes of it.
     pub fn put_read(self, length: u8, out: &mut Writer<'_>) {
-        out.bytes(&[READ, self.slot, self.index, length]);
+        out.bytes(&[Function::Read as u8, self.slot, self.index, length]);
     }
 
     /// Writes the request to write it, with the data that `fill` writes. More than [`RECORD_MAX`] bytes are no request.
     pub fn put_write(self, out: &mut Writer<'_>, fill: impl FnOnce(&mut Writer<'_>)) {
-        out.bytes(&[WRITE, self.slot, self.index]);
+        out.bytes(&[Function::Write as u8, self.slot, self.index]);
         out.counted(fill);
     }
 }
 
 /// The answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer<'a> {
-    /// A record was read.
-    Read {
-        /// Which one.
-        record: Record,
-        /// Its bytes.
-        data: &'a [u8],
-    },
-    /// A record was written.
-    Written {
-        /// Which one.
-        record: Record,
-        /// How many bytes.
-        length: u8,
-    },
-    /// It was not done. The record is not in it.
-    Refused {
-        /// What was to be done.
-        function: Function,
-        /// Why not.
-        why: Refusal,
-    },
+pub struct Answer<'a> {
+    /// What was to be done.
+    pub function: Function,
+    /// The record, and its bytes if it was read; or why it was not done, without the record.
+    pub result: Result<(Record, &'a [u8]), Refusal>,
 }
 
 impl<'a> Answer<'a> {
-    /// Reads the data of a telegram. Whether they belong to the request is not checked.
-    pub fn parse(data: &'a [u8]) -> Result<Answer<'a>, AnswerError> {
+    /// Reads the data of a telegram; `None`: they are an answer to neither, or the length in them contradicts their
+    /// own. Whether they belong to the request is not checked.
+    pub fn parse(data: &'a [u8]) -> Option<Answer<'a>> {
         let mut reader = Reader(data);
-        let cut = AnswerError::Length { bytes: data.len() };
-        let [number, second, third, fourth] = reader.array().ok_or(cut)?;
-        let function = match number & !NEGATIVE {
-            READ => Function::Read,
-            WRITE => Function::Write,
-            _ => return Err(AnswerError::Function { number }),
-        };
-        let record = Record { slot: second, index: third };
+        let [number, second, third, fourth] = reader.array()?;
+        let function =
+            [Function::Read, Function::Write].into_iter().find(|of| *of as u8 == number & !NEGATIVE)?;
         let rest = reader.0;
-        match function {
-            _ if number & NEGATIVE != 0 && rest.is_empty() => Ok(Answer::Refused {
-                function,
-                why: Refusal { decode: second, code_1: third, code_2: fourth },
-            }),
-            Function::Read if number == READ && rest.len() == usize::from(fourth) => {
-                Ok(Answer::Read { record, data: rest })
-            }
-            Function::Write if number == WRITE && rest.is_empty() => {
-                Ok(Answer::Written { record, length: fourth })
-            }
-            _ => Err(cut),
-        }
+        let is_refused = number & NEGATIVE != 0;
+        let length = if is_refused || function == Function::Write { 0 } else { usize::from(fourth) };
+        let result = if is_refused {
+            Err(Refusal { decode: second, code_1: third, code_2: fourth })
+        } else {
+            Ok((Record { slot: second, index: third }, rest))
+        };
+        (rest.len() == length).then_some(Answer { function, result })
     }
 }
-
-/// Why the data of a telegram are no answer.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
-pub enum AnswerError {
-    /// The length in it contradicts its own.
-    #[error("{bytes} bytes in an acyclic answer contradict the length in it")]
-    Length {
-        /// The bytes.
-        bytes: usize,
-    },
-    /// It is no answer to reading or writing.
-    #[error("function {number:#04x} in an acyclic answer, where reading or writing was requested")]
-    Function {
-        /// Its number.
-        number: u8,
-    },
-}
-crate::errors::debug_as_display!(AnswerError);
 
 /// Why a slave did not read or write a record (FPBA-01 manual, FC310x).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,18 +1,10 @@
 //! Service access points: which service is at which (sheet, 5), and the head of its requests.
 
-use super::fc::{FunctionCode, Request, RequestFunction};
+use super::fc::{Function, FunctionCode};
 use super::telegram::{BROADCAST, Head};
 
-/// Alarms of DP-V1, both ways.
-pub const ALARM: u8 = 50;
 /// Acyclic access of a class 1 master, both ways.
 pub const MSAC1: u8 = 51;
-/// Sets the address of a slave.
-pub const SET_ADDRESS: u8 = 55;
-/// Reads inputs without exchanging data.
-pub const READ_INPUTS: u8 = 56;
-/// Reads outputs without exchanging data.
-pub const READ_OUTPUTS: u8 = 57;
 /// Global_Control.
 pub const GLOBAL_CONTROL: u8 = 58;
 /// Get_Cfg.
@@ -59,34 +51,25 @@ impl Service {
         })
     }
 
-    /// Its function. Services of DP-V0 have high priority, acyclic access has low (sheet, 3 and 6).
-    #[inline]
-    pub const fn function(self) -> RequestFunction {
-        match self {
-            Service::FdlStatus => RequestFunction::FdlStatus,
-            Service::Msac1 => RequestFunction::SrdLow,
-            _ => RequestFunction::SrdHigh,
-        }
-    }
-
-    /// The head of a request from station `sa` to station `da`. FDL status has no count.
+    /// The head of a request from station `sa` to station `da`. FDL status has no count. Services of DP-V0 have high
+    /// priority, acyclic access has low (sheet, 3 and 6).
     #[inline]
     pub const fn head(self, da: u8, sa: u8, fcb: bool, fcv: bool) -> Head {
-        let function = self.function();
         let fc = match self {
-            Service::FdlStatus => Request::uncounted(function),
-            _ => Request { function, fcb, fcv },
+            Service::FdlStatus => FunctionCode::request(Function::FdlStatus, false, false),
+            Service::Msac1 => FunctionCode::request(Function::SrdLow, fcb, fcv),
+            _ => FunctionCode::request(Function::SrdHigh, fcb, fcv),
         };
         let (dsap, ssap) = match self.saps() {
             Some((dsap, ssap)) => (Some(dsap), Some(ssap)),
             None => (None, None),
         };
-        Head { da, sa, dsap, ssap, fc: fc.code() }
+        Head { da, sa, dsap, ssap, fc }
     }
 }
 
 /// The head of Global_Control to all slaves. It is not answered.
 pub const fn global_control(sa: u8) -> Head {
-    let fc: FunctionCode = Request::uncounted(RequestFunction::SdnHigh).code();
+    let fc = FunctionCode::request(Function::SdnHigh, false, false);
     Head { da: BROADCAST, sa, dsap: Some(GLOBAL_CONTROL), ssap: Some(MASTER), fc }
 }

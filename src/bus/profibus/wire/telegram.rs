@@ -10,8 +10,6 @@
 //!
 //! SD2 is sent whatever the length of the data. An SD3 that arrives is the same as the SD2.
 
-use thiserror::Error;
-
 use super::Writer;
 use super::fc::FunctionCode;
 
@@ -43,7 +41,7 @@ pub const STATION_MAX: u8 = 126;
 /// Room for any telegram.
 pub type Buffer = [u8; MAX];
 
-/// From whom to whom, at which service, what for. A reply that has all of it in reverse answers the request.
+/// From whom to whom, at which service, what for. A reply has all of it in reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Head {
     /// The destination, 0 ... 127.
@@ -91,18 +89,6 @@ impl Head {
         out[1..3].fill(le);
         out.get_mut(end..end + 2)?.copy_from_slice(&[check, ED]);
         Some(end + 2)
-    }
-
-    /// This head is the reply to a request: the addresses and the service access points are the other way round.
-    ///
-    /// A refusal may leave the access points out: what has no such service cannot name it (assumed).
-    #[inline]
-    pub fn answers(&self, request: &Head) -> bool {
-        let Some(reply) = self.fc.reply() else { return false };
-        let stations = (self.da, self.sa) == (request.sa, request.da);
-        let saps = (self.dsap, self.ssap);
-        let same_service = saps == (request.ssap, request.dsap);
-        stations && (same_service || reply.function.is_refusal() && saps == (None, None))
     }
 }
 
@@ -209,16 +195,14 @@ impl<'a> Next<'a> {
             SD2 => match bytes.first_chunk() {
                 // The shortest SD2 has one byte of data.
                 None => return Next::Incomplete { at_least: LE.start() + 6 - bytes.len() },
-                Some(&[_, le, again, second]) => match long(le, again, second) {
-                    Ok(size) => size,
-                    Err(why) => return Next::Malformed { why, drop: 1 },
-                },
+                Some(&[_, le, again, SD2]) if le == again && LE.contains(&le.into()) => usize::from(le) + 6,
+                Some(_) => return Next::Malformed { why: Malformed::Length, drop: 1 },
             },
             SD3 => HEAD + 8 + 3,
-            byte => {
+            _ => {
                 let is_start = |byte: &u8| matches!(*byte, SC | SD1 | SD2 | SD3 | SD4);
                 let drop = bytes.iter().position(is_start).unwrap_or(bytes.len());
-                return Next::Malformed { why: Malformed::Start { byte }, drop };
+                return Next::Malformed { why: Malformed::Start, drop };
             }
         };
         let Some(telegram) = bytes.get(..size) else {
@@ -231,86 +215,34 @@ impl<'a> Next<'a> {
     }
 }
 
-/// The size of an SD2.
-#[inline]
-fn long(le: u8, again: u8, second: u8) -> Result<usize, Malformed> {
-    if le != again {
-        return Err(Malformed::Lengths { le, again });
-    }
-    if second != SD2 {
-        return Err(Malformed::SecondStart { byte: second });
-    }
-    let body = usize::from(le);
-    if !LE.contains(&body) {
-        return Err(Malformed::Length { le });
-    }
-    Ok(body + 6)
-}
-
 /// A telegram of a known size.
 #[inline]
 fn whole(telegram: &[u8]) -> Result<Telegram<'_>, Malformed> {
     let (body, check, end) = match *telegram {
         [SD4, da, sa] if (da | sa) & EXTENSION == 0 => return Ok(Telegram::Token { da, sa }),
-        [SD4, ..] => return Err(Malformed::Extension),
+        [SD4, ..] => return Err(Malformed::Length),
         [SD2, _, _, _, ref body @ .., check, end] | [_, ref body @ .., check, end] => (body, check, end),
-        _ => return Err(Malformed::Extension),
+        _ => return Err(Malformed::Length),
     };
-    let expected = sum(body);
-    if check != expected {
-        return Err(Malformed::Check { check, expected });
+    if check != sum(body) {
+        return Err(Malformed::Check);
     }
     if end != ED {
-        return Err(Malformed::End { byte: end });
+        return Err(Malformed::End);
     }
-    Frame::parse(body).map(Telegram::Data).ok_or(Malformed::Extension)
+    Frame::parse(body).map(Telegram::Data).ok_or(Malformed::Length)
 }
 
 /// Why bytes are no telegram.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Malformed {
-    /// No telegram begins with it.
-    #[error("{byte:#04x} begins no telegram: noise, another rate, or the rest of a broken telegram")]
-    Start {
-        /// The byte.
-        byte: u8,
-    },
-    /// The two lengths of an SD2 differ.
-    #[error("the two lengths of a telegram differ: {le} and {again}")]
-    Lengths {
-        /// The first.
-        le: u8,
-        /// The second.
-        again: u8,
-    },
-    /// The fourth byte of an SD2 is not 68.
-    #[error("{byte:#04x} where a telegram has its second 0x68")]
-    SecondStart {
-        /// The byte.
-        byte: u8,
-    },
-    /// The length of an SD2 is none.
-    #[error("a length of {le}, where 4 to 249 are possible")]
-    Length {
-        /// The length.
-        le: u8,
-    },
-    /// The sum is wrong.
-    #[error("the check byte of a telegram is {check:#04x} instead of {expected:#04x}: bits were changed")]
-    Check {
-        /// As it arrived.
-        check: u8,
-        /// The sum of what arrived.
-        expected: u8,
-    },
+    /// No telegram begins with the byte: noise, another rate, or the rest of a broken telegram.
+    Start,
+    /// The lengths contradict each other or what is between them, or no telegram has them; or an address announces a
+    /// service access point that the telegram has no room for.
+    Length,
+    /// The check byte is not the sum.
+    Check,
     /// The last byte is not 16.
-    #[error("{byte:#04x} where a telegram ends with 0x16")]
-    End {
-        /// The byte.
-        byte: u8,
-    },
-    /// An address announces a service access point that the telegram has no room for.
-    #[error("an address announces a service access point, and the telegram has none")]
-    Extension,
+    End,
 }
-crate::errors::debug_as_display!(Malformed);

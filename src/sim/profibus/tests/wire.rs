@@ -61,6 +61,33 @@ fn a_second_master_and_noise_are_received_by_all() {
 }
 
 #[test]
+fn a_master_that_keeps_to_the_rules_claims_a_silent_wire_gives_way_and_answers_a_search() {
+    let foreign = Some(ForeignSettings::listening(3));
+    let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
+    let mut bench = Bench::of(&ProfibusSegment { foreign, ..segment });
+    let (token, search) = (vec![0xDC, 3, 3], vec![0x10, 4, 3, 0x49, 0x50, 0x16]);
+    // Twelve slot times of 116 bits.
+    let time_out = bench.line.bits_ns(12 * 116);
+    let claim = Reply { bytes: token.clone(), after: time_out };
+    assert_eq!(bench.take(2 * time_out).as_ref(), Some(&claim));
+    let mut next = || bench.take(MS).map(|reply| reply.bytes);
+    assert_eq!(
+        [next(), next(), next(), next()],
+        [&token, &search, &token, &search].map(|one| Some(one.clone()))
+    );
+    // Another one has the token.
+    for _ in 0..3 {
+        bench.put(&[0xDC, 2, 2]);
+        assert_eq!(bench.take(time_out / 10 * 9), None);
+    }
+    let answer = bench.ask(&[0x10, 3, 2, 0x49, 0x4E, 0x16]);
+    assert_eq!(answer, Some(vec![0x10, 2, 3, 0x20, 0x25, 0x16]), "a master without a token");
+    // Silence since that, of which the bench has waited for some.
+    let again = bench.take(time_out).unwrap();
+    assert_eq!((again.bytes, again.after + bench.line.bits_ns(33)), (claim.bytes, claim.after));
+}
+
+#[test]
 fn what_is_due_before_the_first_moment_does_not_come_all_at_once() {
     let segment = ProfibusSegment::new("x", 500_000, vec![LenzeSettings::new(SLAVE)]);
     let foreign = ForeignSettings { after_ns: 35 * MS, ..ForeignSettings::new(3) };

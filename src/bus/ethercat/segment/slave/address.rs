@@ -43,6 +43,24 @@ impl Slave {
         self.enter(now, Step::There(missing));
     }
 
+    /// It is reached by its position, which is another one's as long as the segment has another number of slaves than
+    /// when it was looked at.
+    pub(super) fn is_elsewhere(&self, counted: u16) -> bool {
+        let is_looked_at =
+            matches!(self.step, Step::Look | Step::Refused(_) | Step::There(_) | Step::Misplaced);
+        !self.way.addressed && !is_looked_at && self.counted != counted
+    }
+
+    /// What is read at its position counts not, and what was written there may have reached another slave.
+    pub(super) fn elsewhere(&mut self, now: Time) {
+        match self.step {
+            Step::Unaddress | Step::Unmap(_) | Step::Clear(_) | Step::Address { .. } => {
+                self.enter(now, Step::Misplaced);
+            }
+            _ => self.start_over(now, 0, Note::Starting),
+        }
+    }
+
     /// It is there nevertheless: it does not do this, or is not the one that was addressed.
     pub(super) fn is_there(&mut self, now: Time, missing: Missing, station: &[u8]) {
         if self.way.addressed && station != self.station().to_le_bytes() {
@@ -77,7 +95,7 @@ impl Slave {
         let Some(look) = look.data.first_chunk::<LOOK>() else { return Happened::Nothing };
         self.emulated = emulation & 1 != 0;
         self.acknowledge = self.acknowledgement(status, code);
-        self.way.al = status.state();
+        (self.way.al, self.counted) = (status.state(), context.counted);
         (self.fmmus, self.managers) = (look[4], look[5]);
         self.features = Features(u16::from_le_bytes([look[8], look[9]]));
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);

@@ -128,6 +128,8 @@ pub enum Happened {
     Error,
     /// It has lost its settings: it was switched off and on.
     Restarted,
+    /// What was written at its position may have reached another slave, behind it.
+    Misplaced,
 }
 
 /// What was reached on the way to OP. It begins anew with another one.
@@ -187,6 +189,8 @@ pub struct Slave {
     pub delay_ns: Option<u32>,
     /// It was read, or does not answer.
     pub looked_at: bool,
+    /// How many slaves the broadcast counted when it was read.
+    counted: u16,
     /// It runs on a time other than the segment's, as far as is known.
     pub other_time: bool,
     /// It was given its station address, and has not been switched off since.
@@ -250,6 +254,7 @@ impl Slave {
             clock_set: false,
             delay_ns: None,
             looked_at: false,
+            counted: 0,
             other_time: false,
             known: false,
             given: false,
@@ -403,6 +408,17 @@ impl Slave {
         self.start_over(now, LOOK_EVERY_NS, note);
     }
 
+    /// It has its station address, and is reached by it.
+    pub fn is_addressed(&self) -> bool {
+        self.way.addressed
+    }
+
+    /// What was meant for another slave may have been written to it: it is looked at, and set up anew.
+    pub fn doubted(&mut self, now: Time) {
+        self.ours = false;
+        self.lost(now);
+    }
+
     /// The frames no longer reach it.
     pub fn lost(&mut self, now: Time) {
         (self.clock_set, self.looked_at, self.delay_ns) = (false, false, None);
@@ -426,6 +442,7 @@ impl Slave {
             | Step::Look
             | Step::Twin { .. }
             | Step::Unaddress
+            | Step::Misplaced
             | Step::There(_)
             | Step::Unmap(_)
             | Step::SiiForce

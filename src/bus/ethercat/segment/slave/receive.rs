@@ -31,13 +31,17 @@ impl Slave {
         let now = context.cycle.grid;
         // A lost frame: the same is requested again.
         let Some(first) = answers[0] else { return Happened::Nothing };
+        if self.is_elsewhere(context.counted) {
+            self.elsewhere(now);
+            return Happened::Nothing;
+        }
         // AL control may still be unread by the firmware, and not accept a second request; usually nobody else has
         // its station address.
         let may_be_zero = match self.step {
             Step::State(Change { said: false, looks: false, .. }) => true,
             Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
             Step::Sii(reader) => reader.writes(),
-            Step::Twin { .. } | Step::Free { .. } => true,
+            Step::Twin { .. } | Step::Free { .. } | Step::Misplaced => true,
             Step::Watchdog => !self.sets_watchdog(),
             _ => false,
         };
@@ -56,6 +60,10 @@ impl Slave {
             Step::Refused(pause) => self.looked_again(now, pause, answers),
             Step::Twin { place, .. } => self.counted(now, place, first.working_counter),
             Step::Unaddress => self.enter(now, Step::Look),
+            Step::Misplaced => {
+                self.start_over(now, 0, Note::Starting);
+                return Happened::Misplaced;
+            }
             Step::Unmap(done) => self.unmapped(now, done.saturating_add(FMMUS_AT_ONCE)),
             Step::There(missing) => {
                 self.is_there(now, missing, answers[1].map_or(&[], |station| station.data));

@@ -87,7 +87,7 @@ impl Slave {
                 ask.write(self.writes(address::ALIAS_ENABLE), &[0]);
             }
             Step::Clear(done) => self.request_clear(done, ask),
-            Step::Free { .. } => self.request_free(ask),
+            Step::Free { .. } | Step::Misplaced => self.request_free(ask),
             Step::Address { .. } => self.request_address(ask),
             Step::Mailbox => {
                 for (number, manager) in self.mailbox_managers() {

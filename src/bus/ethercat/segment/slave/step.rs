@@ -20,6 +20,8 @@ pub(super) enum Step {
         place: u16,
     },
     Unaddress,
+    /// Its position was another one's when something was written there: whoever has its station address loses it.
+    Misplaced,
     /// Whether it is there, although it did not answer.
     There(Missing),
     /// Its FMMUs are cleared: those of another master may reach into the frames of this one.

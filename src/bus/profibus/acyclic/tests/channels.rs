@@ -8,7 +8,7 @@ const IS_43: [u8; 8] = [0x20, 0x3D, 0, 0, 0, 0x06, 0x8F, 0xB0];
 
 #[test]
 fn pkw_reads_and_shows_no_job_before_the_next_one() {
-    let mut side = Side::new(ParameterPath::Pkw);
+    let mut side = Side::new(PKW);
     let mut seen = Vec::new();
     for _ in 0..2 {
         let mut ticket = side.read(C0061);
@@ -36,8 +36,37 @@ fn pkw_reads_and_shows_no_job_before_the_next_one() {
 }
 
 #[test]
+fn pkw_without_a_pause_goes_from_code_to_code_and_pauses_before_the_same_one() {
+    const READ_C0039_2: [u8; 8] = [0x60, 0x27, 2, 0, 0, 0, 0, 0];
+    for (pause, expected) in [
+        (false, vec![READ_C0061, READ_C0039_2, READ_C0061, [0; 8], READ_C0061]),
+        (true, vec![READ_C0061, [0; 8], READ_C0039_2, [0; 8], READ_C0061, [0; 8], READ_C0061]),
+    ] {
+        let mut side = Side::new(ParameterPath::Pkw { pause });
+        side.rest(2, [0; 8]);
+        let (mut seen, mut shown) = (Vec::new(), [0; 8]);
+        let mut tickets = [C0061, C0039_2, C0061, C0061].map(|address| side.read(address));
+        let [others @ .., last] = &mut tickets;
+        let end = side.by_channel(last, |out| {
+            if seen.last() != Some(&out) {
+                seen.push(out);
+            }
+            // What the drive does is shown in the next exchange; it counts the jobs that it has received.
+            let id = [0, 2, 0, 0, 0, 0, 5, 0][usize::from(out[0] >> 4)];
+            let value = [0, 0, 0, seen.len() as u8];
+            let reply = [&[id << 4 | out[0] & 0xF, out[1], out[2], 0], &value[..]].concat();
+            std::mem::replace(&mut shown, if id == 0 { [0; 8] } else { reply.try_into().unwrap() }).into()
+        });
+        assert_eq!(seen, expected, "{pause}");
+        assert_eq!(end, Ok(seen.len() as u64));
+        let ends = others.each_mut().map(|ticket| ticket.poll().unwrap().unwrap().value);
+        assert_eq!(ends, if pause { [1, 3, 5] } else { [1, 2, 3] });
+    }
+}
+
+#[test]
 fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
-    let mut side = Side::new(ParameterPath::Pkw);
+    let mut side = Side::new(PKW);
     let write = |raw: u64| (WRITE, C0039_2, raw);
     for ((service, address, value), job, answer, expected) in [
         // Element jobs of a subcode; 7 is "write word" from the master, and "error" from the drive.
@@ -221,7 +250,7 @@ fn one_wrong_answer_does_not_keep_a_channel_from_its_first_job() {
 
 #[test]
 fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
-    for path in [ParameterPath::Pkw, ParameterPath::Drivecom] {
+    for path in [PKW, ParameterPath::Drivecom] {
         // Ten exchanges are lost, and the job stands; then the drive is gone.
         let mut side = Side::new(path);
         side.rest(3, [0; 8]);
@@ -256,12 +285,9 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
 
 #[test]
 fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
-    for (path, cancels) in [
-        (ParameterPath::Pkw, false),
-        (ParameterPath::Pkw, true),
-        (ParameterPath::Drivecom, false),
-        (ParameterPath::Drivecom, true),
-    ] {
+    for (path, cancels) in
+        [(PKW, false), (PKW, true), (ParameterPath::Drivecom, false), (ParameterPath::Drivecom, true)]
+    {
         let mut side = Side::new(path);
         side.rest(3, [0; 8]);
         let mut first = side.write(C0039_2, 1);
@@ -281,7 +307,7 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
         let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
         assert_eq!(first.poll(), Some(Err(why)));
         let mut late = job;
-        late[0] = if path == ParameterPath::Pkw { 0x50 | job[0] & 0xF } else { job[0] & 0x40 };
+        late[0] = if path == PKW { 0x50 | job[0] & 0xF } else { job[0] & 0x40 };
         let end = side.by_channel(&mut second, |out| {
             Some(match out {
                 _ if out == job => late,
@@ -296,7 +322,7 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
 
 #[test]
 fn a_drive_that_never_answers_holds_up_nothing_for_ever() {
-    for path in [ParameterPath::Pkw, ParameterPath::Drivecom] {
+    for path in [PKW, ParameterPath::Drivecom] {
         let mut side = Side::new(path);
         let mut ticket = side.write(C0039_2, 1);
         assert_eq!(side.by_channel(&mut ticket, |_| Some([0; 8])), Err(CallError::TimedOut));
@@ -308,7 +334,7 @@ fn a_drive_that_never_answers_holds_up_nothing_for_ever() {
 
 #[test]
 fn what_commands_is_refused_while_power_is_on_until_it_has_left() {
-    for path in [ParameterPath::Pkw, ParameterPath::Drivecom, MSAC1] {
+    for path in [PKW, ParameterPath::Drivecom, MSAC1] {
         let mut side = Side::new(path);
         // Posted before power came on, and not sent.
         let mut ticket = side.write(C0039_2, 1);

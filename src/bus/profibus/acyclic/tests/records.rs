@@ -1,6 +1,7 @@
 //! Path C, and records.
 
 use super::*;
+use crate::axis::acyclic::long::raw;
 
 /// A drive by MSAC1: one answer is stored; so many polls before it comes. It counts what it carries out.
 struct Module {
@@ -433,8 +434,40 @@ fn a_text_is_read_whole_or_in_parts() {
 }
 
 #[test]
+fn a_text_is_written_whole_by_msac1_and_refused_by_name_elsewhere() {
+    let to = code(199, 0, Kind::Text);
+    let calls = |text: &[u8]| [(LOAD, to, raw(text)), (STORE, to, text.len() as u64)];
+    for text in [b"axis 1".as_slice(), b"axis 12"] {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module { values: vec![(0x5F38, 0)], ..Module::new() };
+        let mut tickets = side.series(&calls(text));
+        let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
+        assert_eq!(end, Ok(text.len() as u64));
+        let pad = if text.len() % 2 == 0 { &[][..] } else { &[0] };
+        let head = [1, 2, 0, 1, 0x10, 0, 0x5F, 0x38, 0, 0, 9, text.len() as u8];
+        assert_eq!(module.written, [[&head[..], text, pad].concat()]);
+    }
+    for (path, why) in [(ParameterPath::None, NO_PATH), (PKW, NO_TEXT), (ParameterPath::Drivecom, NO_TEXT)] {
+        let mut side = Side::new(path);
+        let mut tickets = side.series(&calls(b"axis 1"));
+        assert_eq!(side.by_channel(&mut tickets[1], Some), Err(CallError::Refused(why)), "{path:?}");
+    }
+    // What was not handed over, what is not written so, and a drive that refuses.
+    let mut side = Side::new(MSAC1);
+    for (service, address, why) in [(STORE, to, NOT_LOADED), (WRITE, to, NO_CALL), (STORE, C0039_2, NO_CALL)]
+    {
+        let mut ticket = side.post(service, address, 6);
+        assert_eq!(side.by_msac1(&mut ticket, |_| None), Err(CallError::Refused(why)));
+    }
+    let mut module = Module::new();
+    let mut tickets = side.series(&calls(b"axis 1"));
+    let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
+    assert_eq!((end, module.written.len()), (Err(CallError::Refused(0)), 1));
+}
+
+#[test]
 fn any_record_is_read_and_written_with_any_path() {
-    for path in [ParameterPath::None, ParameterPath::Pkw, ParameterPath::Drivecom, MSAC1] {
+    for path in [ParameterPath::None, PKW, ParameterPath::Drivecom, MSAC1] {
         let mut side = Side::new(path);
         let mut module = Module::new();
         let to = record(1, 3);

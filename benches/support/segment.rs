@@ -1,4 +1,4 @@
-//! A line of Kollmorgen drives, couplers and terminals in memory: simulated until all of them are in operation, and
+//! A segment of Kollmorgen drives, couplers and terminals in memory: simulated until all of them are in operation, and
 //! answered from memory from then on.
 
 use std::io;
@@ -32,10 +32,11 @@ const STATUS: usize = 8;
 /// So many frames in a row all slaves have to be in operation: until the last one of a long segment has read its mode
 /// and its reference by the mailbox.
 const SETTLED: u32 = 1_000;
-/// And so many more at most until one of them looks at no mailbox: on a long line there is always one to be looked at.
+/// And so many more at most until one of them looks at no mailbox: on a long segment there is always one to be looked
+/// at.
 const QUIET: u32 = 200;
 
-/// The couplers and terminals of a line, again and again: a coupler, digital inputs and outputs, analogue inputs.
+/// The couplers and terminals of a segment, again and again: a coupler, digital inputs and outputs, analogue inputs.
 const STATION: [Model; 14] = [
     Model::Ek1100,
     Model::El1008,
@@ -53,7 +54,7 @@ const STATION: [Model; 14] = [
     Model::El3102,
 ];
 
-/// A line of so many drives, as a machine might have it, and so many couplers and terminals behind them.
+/// A segment of so many drives, as a machine might have it, and so many couplers and terminals behind them.
 pub fn plan(interface: &str, drives: usize, terminals: usize) -> EthercatPlan {
     let drive = |place: usize| {
         let mut drive = KollmorgenDrive::new(format!("k{place}"), place as u16, Family::S700);
@@ -98,24 +99,24 @@ pub fn simulated(plan: &EthercatPlan) -> EthercatSegment {
     segment
 }
 
-/// A frame to such a line once all its drives are in operation, and what it answers.
+/// A frame to such a segment once all its drives are in operation, and what it answers.
 pub type Settled = Arc<OnceLock<(Vec<u8>, Canned)>>;
 
-/// Opens the line of a plan in memory, by this clock.
-pub struct NullLines(pub EthercatPlan, pub fn() -> Time, pub Settled);
+/// Opens the segment of a plan in memory, by this clock.
+pub struct NullSegments(pub EthercatPlan, pub fn() -> Time, pub Settled);
 
-impl Carriers for NullLines {
+impl Carriers for NullSegments {
     fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
     fn frames(&self, _: &str, _: u16) -> io::Result<Box<dyn Frames>> {
-        Ok(Box::new(NullLine::new(&self.0, self.1, Settled::clone(&self.2))))
+        Ok(Box::new(NullSegment::new(&self.0, self.1, Settled::clone(&self.2))))
     }
 }
 
-/// The master's end of such a line.
-pub struct NullLine {
+/// The master's end of such a segment.
+pub struct NullSegment {
     now: fn() -> Time,
     sim: Option<EthercatSim>,
     layout: Layout,
@@ -127,10 +128,10 @@ pub struct NullLine {
     length: usize,
 }
 
-impl NullLine {
-    /// The line of `plan`, by this clock. When it is settled it tells so.
-    pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullLine {
-        NullLine {
+impl NullSegment {
+    /// The segment of `plan`, by this clock. When it is settled it tells so.
+    pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullSegment {
+        NullSegment {
             now,
             sim: Some(EthercatSim::new(&simulated(plan))),
             layout: Layout::of(plan),
@@ -142,10 +143,10 @@ impl NullLine {
         }
     }
 
-    /// A line that answers like a settled one.
-    pub fn settled(settled: &Settled, now: fn() -> Time) -> NullLine {
+    /// A segment that answers like a settled one.
+    pub fn settled(settled: &Settled, now: fn() -> Time) -> NullSegment {
         let canned = settled.get().map(|(_, canned)| canned.clone());
-        NullLine {
+        NullSegment {
             now,
             sim: None,
             layout: Layout::default(),
@@ -180,7 +181,7 @@ impl NullLine {
     }
 }
 
-impl Frames for NullLine {
+impl Frames for NullSegment {
     fn fd(&self) -> Option<RawFd> {
         None
     }
@@ -216,7 +217,7 @@ impl Frames for NullLine {
     fn memory(&self, _: &mut Regions) {}
 }
 
-/// How the process data of a line come back, in one datagram, when all of it is in operation.
+/// How the process data of a segment come back, in one datagram, when all of it is in operation.
 #[derive(Debug, Default)]
 struct Layout {
     counter: u16,
@@ -247,10 +248,10 @@ impl Layout {
     }
 }
 
-/// What a line answers whose drives are all in operation and turning.
+/// What a segment answers whose drives are all in operation and turning.
 #[derive(Clone, Debug)]
 pub struct Canned {
-    /// Working counters of the datagrams of every frame, and where the time of the line stands.
+    /// Working counters of the datagrams of every frame, and where the time of the segment stands.
     counters: Vec<(usize, [u8; 2])>,
     clock: Option<(usize, u32, Time)>,
     /// Where the inputs begin, and what they are but for the positions; where these are.
