@@ -126,8 +126,8 @@ impl Line {
         })
     }
 
-    /// When the wire is free behind an answer of so many bytes, which were read at `at`. One that was in the port before
-    /// it was looked for has ended sooner.
+    /// When the wire is free behind an answer of so many bytes, which were read at `at`. One that was in the port
+    /// before it was looked for has ended sooner.
     #[inline]
     fn free_behind(&self, at: Time, size: usize) -> Time {
         let Timing { free_at, overdue_at, answer_by, idle_ns, .. } = self.timing;
