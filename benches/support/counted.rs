@@ -173,6 +173,10 @@ impl Serial for CountedStreams<dyn Serial> {
     fn discard(&mut self) -> Result<(), Broken> {
         self.net.discard()
     }
+
+    fn is_timed(&self) -> bool {
+        self.net.is_timed()
+    }
 }
 
 impl<N: Streams + ?Sized> Streams for CountedStreams<N> {

@@ -64,15 +64,22 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried only of a bus that has `BusPlan::turn_within_ns`.
+    /// shows all that has to be waited for. Queried after other calls only, of a bus that has
+    /// `BusPlan::turn_within_ns`.
     fn poll_at(&self) -> Option<Time> {
         None
     }
 
-    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in
-    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is
-    /// free the next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
+    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline. If it was near, nobody has
+    /// looked for what arrived since the last `receive`. On a half-duplex wire an exchange whose reply is overdue ends
+    /// as absent, and once the wire is free the next queued request leaves, with its own stamp. Afterwards `poll_at` is
+    /// later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
+
+    /// How many exchanges the window of `cycle` [waits for](Exchange::is_waited_for).
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
+    }
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
     /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,

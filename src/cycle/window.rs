@@ -14,6 +14,9 @@ use crate::time::{Time, US};
 
 /// The shortest nap, ns; a shorter one is not worth its system call.
 const SHORTEST_NAP_NS: u64 = 5 * US;
+/// While no reply is missing the idle time of a half-duplex wire is spun, up to so long, ns: 33 bits at 1.5 Mbit/s take
+/// 22 us, which is less than a sleep takes to end.
+const LONGEST_SPIN_NS: u64 = 30 * US;
 
 /// How this loop waits for replies.
 #[derive(Debug)]
@@ -22,12 +25,24 @@ pub struct Window {
     /// One of the buses wants to be polled.
     polls: bool,
     poll_set: PollSet,
-    /// How many replies of each bus the window still waits for.
-    missing: Box<[usize]>,
+    /// What each bus waits for.
+    waits: Box<[Waits]>,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
     nap_ns: u64,
 }
+
+/// What a bus waits for, as of the last call of it.
+#[derive(Clone, Copy, Debug)]
+struct Waits {
+    /// So many replies.
+    missing: usize,
+    /// It wants to be polled then; the end of time: not at all.
+    poll_at: Time,
+}
+
+/// No poll is wanted.
+const NEVER: Time = Time(u64::MAX);
 
 /// An open bus, its slots, and the outlets of its numbers.
 pub struct OpenBus {
@@ -68,11 +83,12 @@ impl OpenBus {
     }
 
     /// For how many replies of the bus the window still waits: one for each exchange, or one frame for all of them.
+    #[inline]
     fn missing(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        let mut slots = slots[self.first..self.end].iter();
+        let slots = &slots[self.first..self.end];
         match self.is_one_frame {
-            true => usize::from(slots.any(|slot| slot.exchange.is_waited_for(cycle))),
-            false => slots.filter(|slot| slot.exchange.is_waited_for(cycle)).count(),
+            true => usize::from(slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))),
+            false => self.bus.waited_for(cycle, slots),
         }
     }
 
@@ -96,7 +112,7 @@ impl Window {
             wait,
             polls: buses.iter().any(|open| open.is_polled),
             poll_set: PollSet::with_room(buses.len()),
-            missing: vec![0; buses.len()].into(),
+            waits: vec![Waits { missing: 0, poll_at: NEVER }; buses.len()].into(),
             nap_ns: 4 * SHORTEST_NAP_NS,
         }
     }
@@ -104,7 +120,7 @@ impl Window {
     /// Adds the memory that it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.poll_set.memory(regions);
-        regions.add(&*self.missing);
+        regions.add(&*self.waits);
     }
 
     /// Runs the window of `cycle`, which begins `now`.
@@ -134,26 +150,34 @@ impl Window {
         slots: &mut [Slot],
     ) {
         let mut begin = Some(begin);
-        let (mut left, mut poll_at) = (self.count(cycle, buses, slots), poll_at::<POLLS>(buses));
+        for (place, open) in buses.iter().enumerate() {
+            self.note::<POLLS>(place, open, cycle, slots);
+        }
+        let (mut left, mut poll_at) = self.all::<POLLS>();
         let owed = left;
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
-        while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
-            let now = begin.take().unwrap_or_else(|| clock.now());
+        while left > 0 || poll_at < cycle.deadline {
+            let mut now = begin.take().unwrap_or_else(|| clock.now());
+            let spin_ns = if left == 0 { LONGEST_SPIN_NS } else { SHORTEST_NAP_NS };
+            if POLLS && self.wait == Wait::Poll && now < poll_at && poll_at.since(now) <= spin_ns {
+                now = clock.spin_until(poll_at.min(cycle.deadline));
+            }
             let over = now >= cycle.deadline;
-            if !over && poll_at.is_some_and(|at| at <= now) {
-                let due =
-                    |open: &&mut OpenBus| open.is_polled && open.bus.poll_at().is_some_and(|at| at <= now);
-                for open in buses.iter_mut().filter(due) {
-                    open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
+            if POLLS && !over && poll_at <= now {
+                for (place, open) in buses.iter_mut().enumerate() {
+                    if self.waits[place].poll_at <= now {
+                        open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
+                        self.note::<POLLS>(place, open, cycle, slots);
+                    }
                 }
-                (left, poll_at) = (self.count(cycle, buses, slots), self::poll_at::<POLLS>(buses));
+                (left, poll_at) = self.all::<POLLS>();
                 continue;
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
             // which each reply lets the next request leave.
             let nap =
-                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at.is_none();
+                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at == NEVER;
             match self.wait {
                 _ if over => {}
                 Wait::Spin => clock.spin(),
@@ -163,8 +187,7 @@ impl Window {
                 }
                 Wait::Poll => {
                     self.poll_set.fill(buses.iter().map(|open| open.bus.fd()));
-                    let until = poll_at.map_or(cycle.deadline, |at| at.min(cycle.deadline));
-                    clock.wait(&mut self.poll_set, until);
+                    clock.wait(&mut self.poll_set, poll_at.min(cycle.deadline));
                 }
             }
             // Replies that are in the sockets at the deadline still count. No bus is read that has nothing: the wait
@@ -173,15 +196,15 @@ impl Window {
             for (place, open) in buses.iter_mut().enumerate() {
                 let reads = match self.wait {
                     Wait::Poll if waited => self.poll_set.is_readable(place),
-                    Wait::Poll => self.missing[place] > 0 || open.is_polled,
+                    Wait::Poll => self.waits[place].missing > 0 || open.is_polled,
                     Wait::Spin => true,
                 };
                 if reads {
                     open.work(slots, |bus, slots| bus.receive(cycle, slots));
-                    self.missing[place] = open.missing(cycle, slots);
+                    self.note::<POLLS>(place, open, cycle, slots);
                 }
             }
-            (left, poll_at) = (self.missing.iter().sum(), self::poll_at::<POLLS>(buses));
+            (left, poll_at) = self.all::<POLLS>();
             if nap {
                 self.learn(left == 0, cycle);
             }
@@ -191,14 +214,23 @@ impl Window {
         }
     }
 
-    /// Counts the missing replies of each bus; returns those of all.
-    fn count(&mut self, cycle: &Cycle, buses: &[OpenBus], slots: &[Slot]) -> usize {
-        let mut all = 0;
-        for (missing, open) in self.missing.iter_mut().zip(buses) {
-            *missing = open.missing(cycle, slots);
-            all += *missing;
-        }
-        all
+    /// Notes what the bus waits for.
+    #[inline]
+    fn note<const POLLS: bool>(&mut self, place: usize, open: &OpenBus, cycle: &Cycle, slots: &[Slot]) {
+        let poll_at = if POLLS && open.is_polled { open.bus.poll_at() } else { None };
+        let missing = open.missing(cycle, slots);
+        self.waits[place] = Waits { missing, poll_at: poll_at.unwrap_or(NEVER) };
+    }
+
+    /// What all of them wait for.
+    #[inline]
+    fn all<const POLLS: bool>(&self) -> (usize, Time) {
+        let left = self.waits.iter().map(|waits| waits.missing).sum();
+        let poll_at = match POLLS {
+            true => self.waits.iter().map(|waits| waits.poll_at).min().unwrap_or(NEVER),
+            false => NEVER,
+        };
+        (left, poll_at)
     }
 
     fn learn(&mut self, enough: bool, cycle: &Cycle) {
@@ -206,15 +238,6 @@ impl Window {
         let nap = if enough { self.nap_ns - self.nap_ns / 16 } else { self.nap_ns + self.nap_ns / 4 };
         self.nap_ns = nap.clamp(SHORTEST_NAP_NS, longest);
     }
-}
-
-/// When the first of the buses wants to be polled.
-#[inline]
-fn poll_at<const POLLS: bool>(buses: &[OpenBus]) -> Option<Time> {
-    if !POLLS {
-        return None;
-    }
-    buses.iter().filter(|open| open.is_polled).filter_map(|open| open.bus.poll_at()).min()
 }
 
 #[cfg(test)]
@@ -347,6 +370,13 @@ mod tests {
         assert_eq!(steps(Wait::Poll, 0, 0, Some(100)), [("wait", 100), ("wait", 300)]);
         assert_eq!(steps(Wait::Poll, 0, 0, Some(0)), [("wait", 200), ("wait", 400)]);
         assert_eq!(steps(Wait::Poll, 0, 0, Some(500)), [], "that is for the next window");
+        // A short time is spun, a shorter one also while a reply is missing.
+        assert_eq!(
+            steps(Wait::Poll, 0, 0, Some(20)),
+            [("spin", 10), ("spin", 20), ("wait", 220), ("wait", 420)]
+        );
+        assert_eq!(steps(Wait::Poll, 1, 0, Some(20))[0], ("wait", 20));
+        assert_eq!(steps(Wait::Poll, 1, 0, Some(5))[0], ("spin", 10));
         assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
     }
 

@@ -15,6 +15,11 @@ pub trait Serial: Streams {
 
     /// Drops what was received and not taken in, and what was sent and has not left.
     fn discard(&mut self) -> Result<(), Broken>;
+
+    /// Bytes take the time of their bits; false for a pseudo-terminal, whose other end has them at once.
+    fn is_timed(&self) -> bool {
+        true
+    }
 }
 
 /// How bytes are sent on a wire: 8 data bits, 1 stop bit, no flow control.

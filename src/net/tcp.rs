@@ -217,6 +217,10 @@ impl Serial for Tcp {
         }
         Ok(())
     }
+
+    fn is_timed(&self) -> bool {
+        self.socket(0).is_ok_and(|port| port.is_timed)
+    }
 }
 
 fn last_error() -> Broken {

@@ -144,18 +144,21 @@ fn release(port: &OwnedFd) {
 pub(crate) struct Descriptor {
     fd: OwnedFd,
     is_port: bool,
+    /// It is no pseudo-terminal.
+    pub is_timed: bool,
 }
 
 impl Descriptor {
     /// That of a port.
     pub fn of_port(fd: OwnedFd) -> Descriptor {
-        Descriptor { fd, is_port: true }
+        let is_timed = is_pseudo_terminal(&fd).is_ok_and(|is_pseudo| !is_pseudo);
+        Descriptor { fd, is_port: true, is_timed }
     }
 }
 
 impl From<OwnedFd> for Descriptor {
     fn from(fd: OwnedFd) -> Descriptor {
-        Descriptor { fd, is_port: false }
+        Descriptor { fd, is_port: false, is_timed: true }
     }
 }
 

@@ -53,6 +53,17 @@ pub trait Clock: Send {
     /// One turn of a spinning wait: keeps the processor, lets no other thread run.
     fn spin(&mut self);
 
+    /// Spins until `at`; returns when that was noticed.
+    fn spin_until(&mut self, at: Time) -> Time {
+        loop {
+            let now = self.now();
+            if now >= at {
+                return now;
+            }
+            self.spin();
+        }
+    }
+
     /// For how long the computer was suspended since it was started, ns: at most that, and a little less when this
     /// thread is interrupted in between.
     fn suspended_ns(&mut self) -> u64 {

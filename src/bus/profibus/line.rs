@@ -2,7 +2,8 @@
 //! with its slot time and its repetitions, and what arrives meanwhile.
 //!
 //! A machine of state and time: it takes instants and slices, and knows neither port nor drives. The bus writes what
-//! [`to_send`](Line::to_send) returns, and hands over what has arrived.
+//! [`to_send`](Line::to_send) returns, and hands over what has arrived. `answer` is what answers a request, `receive`
+//! what arrives.
 //!
 //! Nothing is sent while something may still be on the wire: own bytes, those of an answer that is late or broken,
 //! noise. Each byte that arrives puts off the next telegram by an idle time. After bytes that are no telegram nothing
@@ -10,11 +11,19 @@
 //!
 //! The port is looked at inside the windows only, and an answer that ends outside of them is read late. It ended when a
 //! station that keeps to MaxTsdr has sent it, at the latest, and the idle time behind it runs from then.
+//!
+//! What has arrived before the last byte of a request can have left is no answer to it: it was there before, or came
+//! into the request. After an answer to a request that was sent more than once, the slot time of the last one is waited
+//! out: a second answer is dropped, and is not taken for that to the next request.
 
-use super::other::Sign;
+mod answer;
+mod receive;
+
+pub use self::answer::{Answer, Expected};
+pub(super) use self::answer::{Heard, Other, Unrelated};
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
-use super::wire::telegram::{self, Frame, Head, MAX, Malformed, Next, Telegram};
+use super::wire::telegram::{self, Head, MAX};
 use crate::net::SerialLine;
 use crate::time::{S, Time};
 
@@ -23,18 +32,11 @@ const INBOX: usize = 2 * MAX;
 /// Bytes of an answer around its data, and of one with a usual diagnosis.
 const ANSWER: usize = 9;
 const DIAGNOSIS: usize = 64;
-/// Bit 6 of a function code: a request.
-const REQUEST: u8 = 1 << 6;
-/// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
-const STATION: u8 = 0x30;
 /// A telegram with the own address so soon after the wire was claimed is one that the adapter returns, ns. Some come
 /// back within this time if any do, however late they are read.
 const KNOWN_NS: u64 = S;
-/// Functions of answers: refused (UE, RR, RS), data (DL, DH), taken without data (NR), none (OK).
-const REFUSED: std::ops::RangeInclusive<u8> = 1..=3;
-const DATA_LOW: u8 = 0x8;
-const DATA_HIGH: u8 = 0xA;
-const NO_DATA: u8 = 0x9;
+/// The time of so many bytes is known beforehand: a request and its answer.
+const SPANS: usize = 2 * MAX + 1;
 
 /// Whose turn a telegram is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,59 +47,6 @@ pub(super) enum Job {
     Gap(u8),
     /// That of the drive with this index.
     Drive(u8),
-}
-
-/// A request, as far as its answer is recognised by it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Expected {
-    /// The station.
-    pub da: u8,
-    /// Its service access point, and ours.
-    pub saps: Option<(u8, u8)>,
-    /// The bare acknowledgement answers it.
-    pub acknowledge: bool,
-    /// Its data are so many bytes; `None`: any number.
-    pub data: Option<u8>,
-}
-
-/// What has arrived.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Heard<'a> {
-    /// The answer to the request that was under way, which ends with it.
-    Answer(Job, Answer<'a>),
-    /// A telegram that answers nothing: of this station, if it says one.
-    Unrelated(Unrelated, Option<u8>),
-    /// No telegram, while an answer was expected or not.
-    Malformed { why: Malformed, expected: bool },
-    /// A telegram of the master at this address.
-    OtherMaster { address: u8, sign: Sign },
-}
-
-/// An answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer<'a> {
-    /// The bare acknowledgement, or OK or NR without data: the request was taken.
-    Acknowledged,
-    /// Data.
-    Data {
-        /// Of high priority.
-        high: bool,
-        /// The data.
-        data: &'a [u8],
-    },
-    /// Refused, with this function (UE, RR, RS).
-    Refused(u8),
-}
-
-/// Why a telegram answers nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Unrelated {
-    /// From or to another station.
-    Station,
-    /// Of another service, or of a kind that does not answer it.
-    Kind,
-    /// Nothing is under way.
-    Late,
 }
 
 /// What the line can do now.
@@ -155,7 +104,7 @@ struct Timing {
     state: State,
     /// Nothing counts until the wire was idle.
     garbled: bool,
-    /// The wire is free from then on.
+    /// The wire is free from then on; while an answer is waited for: the request has left by then.
     free_at: Time,
     /// The answer is overdue, or the rest of the telegram is to be sent.
     overdue_at: Time,
@@ -177,6 +126,10 @@ pub(super) struct Line {
     /// Its own address.
     address: u8,
     echo: bool,
+    /// Bytes come when they were on the wire, or later.
+    is_timed: bool,
+    /// What has arrived was there before the request had left.
+    early: bool,
     /// Bytes of the own telegram that the adapter still returns.
     echo_left: u16,
     /// Of the telegram: how long it is, and how much of it the driver has.
@@ -195,6 +148,8 @@ pub(super) struct Line {
     known_at: Time,
     request: [u8; MAX],
     inbox: [u8; INBOX],
+    /// What so many bytes take on the wire, ns.
+    spans: [u32; SPANS],
 }
 
 impl Line {
@@ -218,6 +173,8 @@ impl Line {
             retries: plan.retries,
             address: plan.address,
             echo: plan.echo,
+            is_timed: false,
+            early: false,
             echo_left: 0,
             length: 0,
             taken: 0,
@@ -232,7 +189,14 @@ impl Line {
             known_at: Time(0),
             request: [0; MAX],
             inbox: [0; INBOX],
+            spans: std::array::from_fn(|bytes| u32::try_from(line.span_ns(bytes)).unwrap_or(u32::MAX)),
         }
+    }
+
+    /// What so many bytes take on the wire.
+    #[inline]
+    fn span_ns(&self, bytes: usize) -> u64 {
+        self.spans.get(bytes).map_or_else(|| self.line.span_ns(bytes), |ns| (*ns).into())
     }
 
     /// Its own address.
@@ -240,8 +204,10 @@ impl Line {
         self.address
     }
 
-    /// The port was opened: nothing is sent before the wire was silent for long enough.
-    pub(super) fn opened(&mut self, now: Time) {
+    /// The port was opened: nothing is sent before the wire was silent for long enough. `is_timed`: its bytes take the
+    /// time of their bits.
+    pub(super) fn opened(&mut self, now: Time, is_timed: bool) {
+        self.is_timed = is_timed;
         (self.timing.state, self.filled, self.used) = (State::Listening(now), 0, 0);
         (self.timing.garbled, self.echo_left) = (false, 0);
     }
@@ -259,6 +225,27 @@ impl Line {
     /// Requests can be sent, or will be when the wire is free.
     pub(super) fn is_up(&self) -> bool {
         !matches!(self.timing.state, State::Closed | State::Listening(_) | State::Claiming(_))
+    }
+
+    /// All that has arrived was handed out.
+    #[inline]
+    pub(super) fn is_read(&self) -> bool {
+        self.used == self.filled
+    }
+
+    /// Nothing is under way.
+    #[inline]
+    pub(super) fn is_free(&self) -> bool {
+        self.timing.state == State::Free
+    }
+
+    /// Whose answer is waited for.
+    #[inline]
+    pub(super) fn waits_for(&self) -> Option<u8> {
+        match self.job {
+            Job::Drive(index) if self.timing.state != State::Free => Some(index),
+            _ => None,
+        }
     }
 
     /// When it wants to be looked at again; `waits`: a telegram waits to be sent.
@@ -321,7 +308,7 @@ impl Line {
     pub(super) fn still_sends(&mut self, now: Time, bytes: usize, failed: bool) {
         self.left += u8::from(!failed);
         self.timing.state = State::Waiting;
-        self.timing.overdue_at = now + self.line.span_ns(bytes + 1) + self.slot_ns;
+        self.timing.overdue_at = now + self.span_ns(bytes + 1) + self.slot_ns;
     }
 
     /// The next telegram is a token to this master itself.
@@ -402,8 +389,7 @@ impl Line {
         if self.taken >= self.length {
             self.left_for_wire(at);
         } else if !claiming {
-            (self.timing.state, self.timing.overdue_at) =
-                (State::Sending, at + self.line.span_ns(count.max(1)));
+            (self.timing.state, self.timing.overdue_at) = (State::Sending, at + self.span_ns(count.max(1)));
         }
         true
     }
@@ -411,7 +397,7 @@ impl Line {
     /// All of the telegram is on its way since `at`.
     #[inline]
     fn left_for_wire(&mut self, at: Time) {
-        let ends = at + self.line.span_ns(usize::from(self.length));
+        let ends = at + self.span_ns(usize::from(self.length));
         self.echo_left = if self.echo { self.length } else { 0 };
         if self.job != Job::Own {
             (self.timing.state, self.timing.overdue_at) = (State::Waiting, ends + self.slot_ns);
@@ -444,187 +430,8 @@ impl Line {
             Expected { acknowledge: true, .. } => MAX,
             Expected { .. } => DIAGNOSIS,
         };
-        let once = self.line.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
+        let once = self.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
         once * (u64::from(self.left) + 1)
-    }
-
-    /// Room for what arrives.
-    #[inline]
-    pub(super) fn room(&mut self) -> &mut [u8] {
-        if self.used > 0 {
-            self.inbox.copy_within(usize::from(self.used)..usize::from(self.filled), 0);
-            (self.filled, self.used) = (self.filled - self.used, 0);
-        }
-        if usize::from(self.filled) >= INBOX {
-            // More than any telegram: noise.
-            (self.filled, self.timing.garbled) = (0, true);
-        }
-        &mut self.inbox[usize::from(self.filled)..]
-    }
-
-    /// So many bytes have arrived in its room, the last of them by `at`.
-    #[inline]
-    pub(super) fn received(&mut self, at: Time, count: usize) {
-        self.filled += count as u16;
-        if self.echo_left > 0 && self.is_echo() {
-            return;
-        }
-        if self.timing.state != State::Waiting && at > self.timing.free_at {
-            // The wire was idle before.
-            self.timing.garbled = false;
-        }
-        self.timing.free_at = self.timing.free_at.max(at + self.timing.idle_ns);
-        if let State::Listening(since) = &mut self.timing.state {
-            *since = at;
-        }
-    }
-
-    /// What has arrived is the own telegram, and no more than it.
-    #[cold]
-    fn is_echo(&mut self) -> bool {
-        let echoed = usize::from(self.length - self.echo_left);
-        let count = usize::from(self.echo_left.min(self.filled));
-        let own = self.request.get(echoed..echoed + count).unwrap_or_default();
-        if self.inbox.get(..count) != Some(own) {
-            // Something else is on the wire.
-            self.echo_left = 0;
-            return false;
-        }
-        self.echo_left -= count as u16;
-        self.inbox.copy_within(count..usize::from(self.filled), 0);
-        self.filled -= count as u16;
-        self.filled == 0
-    }
-
-    /// The next thing that has arrived by `at`; `None`: no more.
-    #[inline]
-    pub(super) fn heard(&mut self, at: Time) -> Option<Heard<'_>> {
-        let Line { timing, expected, inbox, used, filled, job, address, .. } = self;
-        let waits = timing.state == State::Waiting;
-        let bytes = inbox.get(usize::from(*used)..usize::from(*filled)).filter(|bytes| !bytes.is_empty())?;
-        if timing.garbled {
-            *used = *filled;
-            timing.put_off(at, 0);
-            return None;
-        }
-        let (telegram, ended) = match Next::parse(bytes) {
-            Next::Incomplete { at_least } => {
-                timing.put_off(at, self.line.span_ns(at_least));
-                return None;
-            }
-            Next::Malformed { why, .. } => {
-                *used = *filled;
-                timing.garbled = true;
-                timing.put_off(at, 0);
-                return Some(Heard::Malformed { why, expected: waits });
-            }
-            Next::Telegram { telegram, size } => {
-                *used += size as u16;
-                // One that was in the port before it was looked for has ended sooner.
-                (telegram, at.min(timing.answer_by + self.line.span_ns(size)))
-            }
-        };
-        let answer = match telegram {
-            Telegram::Acknowledge if expected.acknowledge => Ok(Answer::Acknowledged),
-            Telegram::Acknowledge => Err(Judged::Unrelated(Unrelated::Kind, None)),
-            Telegram::Token { da, sa } => {
-                let sign = if da == sa { Sign::Token } else { Sign::Passed };
-                Err(if sa == *address { Judged::Own(sign) } else { Judged::OtherMaster(sa, sign) })
-            }
-            Telegram::Data(frame) => expected.judge(&frame, *address),
-        };
-        Some(match answer {
-            Err(Judged::OtherMaster(address, sign)) => {
-                let searched = waits && matches!(job, Job::Gap(_));
-                let sign = if sign == Sign::Answer && !searched { Sign::Request } else { sign };
-                Heard::OtherMaster { address, sign }
-            }
-            Err(Judged::Own(sign)) => {
-                self.returns |= at <= self.known_at;
-                match timing.state {
-                    // Nothing of its own has been sent.
-                    State::Listening(_) => Heard::OtherMaster { address: *address, sign },
-                    _ if !self.echo && !self.returns => Heard::OtherMaster { address: *address, sign },
-                    State::Waiting => Heard::Unrelated(Unrelated::Kind, None),
-                    _ => Heard::Unrelated(Unrelated::Late, None),
-                }
-            }
-            Err(Judged::Unrelated(why, from)) if waits => Heard::Unrelated(why, from),
-            Err(Judged::Unrelated(_, from)) => Heard::Unrelated(Unrelated::Late, from),
-            Ok(_) if !waits => Heard::Unrelated(Unrelated::Late, Some(expected.da)),
-            Ok(answer) => {
-                timing.state = State::Free;
-                if *used == *filled {
-                    timing.free_at = ended + timing.idle_ns;
-                }
-                Heard::Answer(*job, answer)
-            }
-        })
-    }
-}
-
-impl Timing {
-    /// More bytes may follow, for so long.
-    #[cold]
-    fn put_off(&mut self, at: Time, more_ns: u64) {
-        let until = at + more_ns + self.idle_ns;
-        match self.state {
-            State::Waiting if self.garbled => self.overdue_at = until.max(self.free_at),
-            State::Waiting => self.overdue_at = self.overdue_at.max(until),
-            _ => self.free_at = self.free_at.max(until),
-        }
-    }
-}
-
-enum Judged {
-    /// With the own address as its sender: from an adapter that returns it, or of a master with the same address.
-    Own(Sign),
-    Unrelated(Unrelated, Option<u8>),
-    OtherMaster(u8, Sign),
-}
-
-impl Expected {
-    /// Whether a telegram answers it, and how.
-    #[inline]
-    fn judge<'a>(&self, frame: &Frame<'a>, own: u8) -> Result<Answer<'a>, Judged> {
-        let Head { da, sa, dsap, ssap, fc } = frame.head;
-        let function = fc.0 & !STATION;
-        if fc.0 & REQUEST != 0 {
-            return Err(match sa == own {
-                true => Judged::Own(Sign::Request),
-                false => Judged::OtherMaster(sa, Sign::Request),
-            });
-        }
-        if (da, sa) != (own, self.da) {
-            return Err(Judged::Unrelated(Unrelated::Station, Some(sa)));
-        }
-        if fc.0 & STATION != 0 {
-            return Err(Judged::OtherMaster(sa, Sign::Answer));
-        }
-        let same_service = self.saps == ssap.zip(dsap);
-        let fits = self.data.is_none_or(|length| frame.data.len() == usize::from(length));
-        match function {
-            DATA_LOW | DATA_HIGH if same_service && fits => {
-                Ok(Answer::Data { high: function == DATA_HIGH, data: frame.data })
-            }
-            // What has no such service cannot name it.
-            _ if REFUSED.contains(&function) && (same_service || (dsap, ssap) == (None, None)) => {
-                Ok(Answer::Refused(function))
-            }
-            NO_DATA
-                if self.acknowledge
-                    && frame.data.is_empty()
-                    && (same_service || (dsap, ssap) == (None, None)) =>
-            {
-                Ok(Answer::Acknowledged)
-            }
-            0 if (same_service || (dsap, ssap) == (None, None))
-                && (self.acknowledge || self.data == Some(0)) =>
-            {
-                Ok(Answer::Acknowledged)
-            }
-            _ => Err(Judged::Unrelated(Unrelated::Kind, Some(sa))),
-        }
     }
 }
 

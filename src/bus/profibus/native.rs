@@ -83,14 +83,14 @@ impl NativePort {
     /// Publishes the inputs behind the parameter channel.
     #[inline]
     pub(super) fn publish(&mut self, at: Time, running: bool, inputs: &[u8]) {
-        let (words, _) = inputs.as_chunks::<2>();
-        let words = words.get(..NATIVE_WORDS).unwrap_or(words);
+        let inputs = inputs.get(..2 * NATIVE_WORDS).unwrap_or(inputs);
         self.inputs.write_with(|places| {
             places.push(at.0);
-            places.push(u64::from(running) << 63 | words.len() as u64);
-            for four in words.chunks(4) {
-                let pack = |packed: u64, word: &[u8; 2]| packed << 16 | u64::from(u16::from_be_bytes(*word));
-                places.push(four.iter().rev().fold(0, pack));
+            places.push(u64::from(running) << 63 | inputs.len() as u64 / 2);
+            let (fours, rest) = inputs.as_chunks::<8>();
+            fours.iter().for_each(|four| places.push(u64::from_le_bytes(*four)));
+            if !rest.is_empty() {
+                places.push(rest.iter().rev().fold(0, |packed, byte| packed << 8 | u64::from(*byte)));
             }
         });
     }
@@ -129,14 +129,15 @@ impl Packed for NativeInputs {
         words[0] = self.at.0;
         words[1] = u64::from(self.running) << 63 | u64::from(self.count);
         for (place, four) in words[2..].iter_mut().zip(self.words.chunks(4)) {
-            *place = four.iter().rev().fold(0, |packed, word| packed << 16 | u64::from(*word));
+            *place = four.iter().rev().fold(0, |packed, word| packed << 16 | u64::from(word.swap_bytes()));
         }
         words
     }
 
     fn unpack(words: &Self::Words) -> NativeInputs {
         let [at, flags, fours @ ..] = *words;
-        let word = |n: usize| (fours[n / 4] >> (16 * (n % 4))) as u16;
+        // As on the wire: the high byte comes first.
+        let word = |n: usize| ((fours[n / 4] >> (16 * (n % 4))) as u16).swap_bytes();
         let count = (flags as u8).min(NATIVE_WORDS as u8);
         NativeInputs { at: Time(at), running: flags >> 63 != 0, count, words: std::array::from_fn(word) }
     }

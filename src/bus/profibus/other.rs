@@ -95,7 +95,7 @@ mod tests {
     use fastrand::Rng;
 
     use super::*;
-    use crate::bus::profibus::line::{Heard, Line};
+    use crate::bus::profibus::line::{Heard, Line, Other};
     use crate::bus::profibus::{LenzeDrive, ProfibusPlan};
     use crate::time::{MS, US};
 
@@ -113,7 +113,7 @@ mod tests {
         fn new() -> Wire {
             let plan = ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![LenzeDrive::new("x", 7)]);
             let mut line = Line::new(&ProfibusPlan { address: OWN, ..plan });
-            line.opened(Time(0));
+            line.opened(Time(0), true);
             Wire { line, others: Others::new(), now: Time(0), signs: 0 }
         }
 
@@ -124,13 +124,13 @@ mod tests {
             self.line.received(self.now, bytes.len());
             let mut named = None;
             while let Some(heard) = self.line.heard(self.now) {
-                if let Heard::OtherMaster { address, sign } = heard {
+                if let Heard::Other(Other::Master { address, sign }) = heard {
                     self.signs += 1;
                     named = self.others.received(self.now, address, sign).then_some(address).or(named);
                 }
             }
             // What was left of a telegram is given up.
-            self.line.opened(self.now + 500 * US);
+            self.line.opened(self.now + 500 * US, true);
             named
         }
 

@@ -7,7 +7,7 @@ use std::os::fd::RawFd;
 
 use thiserror::Error;
 
-use super::line::{Answer, Expected, Heard, Instead, Job, Line, Ready};
+use super::line::{Answer, Expected, Heard, Instead, Job, Line, Other, Ready};
 use super::plan::ProfibusPlan;
 use super::wire::dp::Diagnosis;
 use super::wire::sap::Service;
@@ -126,7 +126,7 @@ impl Scan {
             }
         }
         port.discard().map_err(|_| ScanError::Broken)?;
-        self.line.opened(self.now);
+        self.line.opened(self.now, port.is_timed());
         let begun = self.now;
         loop {
             self.take_in(port, wait)?;
@@ -199,7 +199,9 @@ impl Scan {
             self.line.received(at, count);
             while let Some(heard) = self.line.heard(at) {
                 match heard {
-                    Heard::OtherMaster { address, .. } => return Err(ScanError::OtherMaster(address)),
+                    Heard::Other(Other::Master { address, .. }) => {
+                        return Err(ScanError::OtherMaster(address));
+                    }
                     Heard::Answer(Job::Drive(address), answer) => {
                         answered = true;
                         let found = self.found.iter_mut().find(|found| found.address == address);
@@ -208,7 +210,7 @@ impl Scan {
                         }
                     }
                     Heard::Answer(..) => answered = true,
-                    Heard::Malformed { .. } | Heard::Unrelated(..) => {}
+                    Heard::Other(_) => {}
                 }
             }
         }

@@ -48,6 +48,13 @@ impl Clock for WorldClock {
         inner.run(at);
     }
 
+    fn spin_until(&mut self, at: Time) -> Time {
+        let mut inner = self.0.lock();
+        let at = at.max(inner.now);
+        inner.run(at);
+        inner.read()
+    }
+
     fn suspended_ns(&mut self) -> u64 {
         self.0.lock().suspended_ns
     }

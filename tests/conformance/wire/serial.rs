@@ -273,4 +273,8 @@ impl Serial for TappedSerial {
     fn discard(&mut self) -> Result<(), Broken> {
         self.carrier.discard()
     }
+
+    fn is_timed(&self) -> bool {
+        self.carrier.is_timed()
+    }
 }

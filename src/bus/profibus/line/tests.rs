@@ -1,5 +1,7 @@
 use super::*;
 use crate::bus::profibus::LenzeDrive;
+use crate::bus::profibus::other::Sign;
+use crate::bus::profibus::wire::telegram::Malformed;
 use crate::time::{MS, US};
 
 const SLAVE: u8 = 7;
@@ -23,7 +25,7 @@ impl Rig {
         let mut plan = ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![LenzeDrive::new("x", SLAVE)]);
         change(&mut plan);
         let mut rig = Rig { line: Line::new(&plan), now: Time(MS) };
-        rig.line.opened(rig.now);
+        rig.line.opened(rig.now, true);
         rig
     }
 
@@ -86,7 +88,7 @@ fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
         rig.now = rig.now + silent - US;
         assert_eq!(rig.line.ready(rig.now), Ready::Wait);
         rig.arrive(&[0xDC, 9, 9]);
-        assert_eq!(rig.heard(), Some(Heard::OtherMaster { address: 9, sign: Sign::Token }));
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, sign: Sign::Token })));
         assert_eq!(rig.heard(), None);
     }
     rig.now = rig.now + silent;
@@ -174,9 +176,55 @@ fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
     assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: true, .. }));
     rig.now = rig.now + US;
     rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Late, Some(SLAVE))));
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
     assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
     assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+}
+
+#[test]
+fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    let leaves = rig.now + 154 * US;
+    for (after_us, bytes) in [(0, &REPLY[..]), (100, &REPLY[..9]), (153, &[0xFF, 0x33])] {
+        rig.now = leaves - 154 * US + after_us * US;
+        rig.arrive(bytes);
+        match after_us {
+            0 => assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE))))),
+            100 => {}
+            _ => assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. })))),
+        }
+        assert_eq!(rig.heard(), None);
+    }
+    rig.now = leaves + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer(), "it is waited for all the same");
+    // Where the other end has all bytes at once, an answer may be there sooner.
+    rig.line.is_timed = false;
+    rig.idle();
+    rig.request();
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+}
+
+#[test]
+fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_next_one() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.idle();
+    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: false, .. }));
+    assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+    rig.send();
+    // The first answer, which is late, and the second, late by the same.
+    rig.now = rig.now + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+    rig.now = rig.now + 154 * US;
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
 }
 
 #[test]
@@ -194,7 +242,7 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
         broken[at] ^= 1;
         rig.now = rig.now + 350 * US;
         rig.arrive(&broken);
-        assert_eq!(rig.heard(), Some(Heard::Malformed { why, expected: true }), "{at}");
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Malformed { why, expected: true })), "{at}");
         // A rest that looks like an answer.
         rig.now = rig.now + 5 * US;
         rig.arrive(&REPLY);
@@ -219,14 +267,14 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         bytes[19] = bytes[4..19].iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
         bytes
     };
-    let unrelated = |why, from| Some(Heard::Unrelated(why, from));
+    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
     for (bytes, heard) in [
         (frame(2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
         (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
         (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
-        (frame(7, 4, 0x7D), Some(Heard::OtherMaster { address: 4, sign: Sign::Request })),
-        (frame(2, 7, 0x38), Some(Heard::OtherMaster { address: 7, sign: Sign::Request })),
+        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
+        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
     ] {
         let mut rig = Rig::up(|_| ());
         rig.request();
@@ -256,6 +304,7 @@ fn a_refusal_may_leave_out_the_access_points() {
     ] {
         assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))));
         rig.send();
+        rig.now = rig.now + 200 * US;
         rig.arrive(reply);
         assert_eq!(rig.heard(), Some(Heard::Answer(Job::Drive(3), answer)));
         rig.idle();
@@ -277,7 +326,7 @@ fn the_own_telegram_is_skipped_where_the_adapter_returns_it() {
     let mut rig = Rig::up(|plan| plan.echo = true);
     rig.request();
     rig.arrive(&[0, 0, 0]);
-    assert!(matches!(rig.heard(), Some(Heard::Malformed { .. })));
+    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { .. }))));
 }
 
 #[test]
@@ -322,7 +371,7 @@ fn any_bytes_at_any_time_are_taken() {
 
 #[test]
 fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what_is_sent() {
-    let other = |sign| Some(Heard::OtherMaster { address: 2, sign });
+    let other = |sign| Some(Heard::Other(Other::Master { address: 2, sign }));
     // Before its first telegram, nothing of its own can come back.
     for echo in [false, true] {
         let mut rig = Rig::new(|plan| plan.echo = echo);
@@ -345,8 +394,8 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
     let mut rig = Rig::up(|_| ());
     rig.request();
     rig.arrive(&TOKEN);
-    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Kind, None)));
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
     rig.now = rig.now + 2_000 * MS;
     rig.arrive(&TOKEN);
-    assert_eq!(rig.heard(), Some(Heard::Unrelated(Unrelated::Kind, None)));
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
 }
