@@ -86,7 +86,8 @@ impl NativePort {
         let inputs = inputs.get(..2 * NATIVE_WORDS).unwrap_or(inputs);
         self.inputs.write_with(|places| {
             places.push(at.0);
-            places.push(u64::from(running) << 63 | inputs.len() as u64 / 2);
+            let count = inputs.len() as u64 / 2;
+            places.push(u64::from(running) << 63 | count);
             let (fours, rest) = inputs.as_chunks::<8>();
             fours.iter().for_each(|four| places.push(u64::from_le_bytes(*four)));
             if !rest.is_empty() {
