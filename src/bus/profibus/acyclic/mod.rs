@@ -231,8 +231,9 @@ impl Acyclic {
         if nobody_waits {
             let left = *of.left.get_or_insert(now);
             if !is_sent || now.since(left) > LEFT_NS {
-                if matches!(of.way, Way::Channel(_)) {
-                    self.channel.clear(None);
+                match of.way {
+                    Way::Channel(_) => self.channel.clear(None),
+                    Way::Record(_) | Way::Request { .. } => transfer.abandoned(),
                 }
                 *active = None;
             }

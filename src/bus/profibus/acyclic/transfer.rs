@@ -75,7 +75,11 @@ impl Transfer {
         let length = out.finish();
         self.length = length.unwrap_or(0);
         (self.record, self.function) = (record, function);
+        let is_in_the_way = self.polls && !self.is_sent;
         self.anew();
+        if is_in_the_way {
+            self.lost();
+        }
         length.is_some()
     }
 
@@ -92,6 +96,14 @@ impl Transfer {
     /// The telegram was not answered.
     pub(super) fn lost(&mut self) {
         (self.polls, self.acknowledged) = (true, Some(0));
+    }
+
+    /// Nobody waits for its answer any more, which may still come: it is in the way of the next request.
+    pub(super) fn abandoned(&mut self) {
+        if self.is_sent {
+            self.is_sent = false;
+            self.lost();
+        }
     }
 
     /// It is sent again, later.

@@ -352,6 +352,31 @@ fn an_answer_that_nobody_has_fetched_is_fetched_first() {
 }
 
 #[test]
+fn the_answer_to_a_request_that_was_given_up_is_fetched_before_the_next_one() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module { delay: u32::MAX, ..Module::new() };
+    let mut first = side.read(C0061);
+    let end = side.by_msac1(&mut first, |data| Some(module.exchange(data)));
+    assert_eq!(end, Err(CallError::TimedOut));
+    while !side.access.is_idle() {
+        match side.turn() {
+            Sent::Exchange(inputs) => side.access.channel_answered(side.now, &inputs),
+            Sent::Msac1(data) => side.access.answered(side.now, module.exchange(&data).answer()),
+        }
+    }
+    // It comes at last.
+    module.delay = 0;
+    module.stored.iter_mut().for_each(|(polls, _)| *polls = 1);
+    let mut second = side.read(C0061);
+    let end = side.by_msac1(&mut second, |data| {
+        let reply = module.exchange(data);
+        assert_ne!(reply, Reply::Refused(2), "it was in the way");
+        Some(reply)
+    });
+    assert_eq!(end, Ok(430_000));
+}
+
+#[test]
 fn a_write_that_has_timed_out_ends_with_the_drive_before_the_next_call() {
     let mut side = Side::new(MSAC1);
     let mut module = Module { busy: u32::MAX, ..Module::new() };
