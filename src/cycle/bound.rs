@@ -80,8 +80,8 @@ impl<'a> Paced<'a> {
         self.divisor().saturating_add(misses).saturating_add(self.late())
     }
 
-    /// The most cycles from the loss to the next turn of `other`. On a half-duplex wire an exchange that is missed began
-    /// in an own slot, and divisors and phases say which slots of `other` follow.
+    /// The most cycles from the loss to the next turn of `other`. On a half-duplex wire an exchange that is missed
+    /// began in an own slot, and divisors and phases say which slots of `other` follow.
     fn turn_of(&self, other: &Paced<'_>) -> u64 {
         let Pace::HalfDuplex(_, late) = self.pace else { return other.turn() };
         let slot = |of: &Paced<'_>, count: u64| u64::from(of.axis.phase) + count * of.divisor();

@@ -59,8 +59,8 @@ impl ProfibusPlan {
         let planned: f64 = self.drives.iter().map(|drive| S as f64 / every_ns(drive)).sum();
         let [usual, worst] = self.loads(grid);
         format!(
-            "  turns: {planned:.0} exchanges/s, where {} would begin inside the windows; bus load {usual:.1} %, {worst:.1} % \
-             in a round with a slot time, a repetition and an acyclic telegram",
+            "  turns: {planned:.0} exchanges/s, where {} would begin inside the windows; bus load {usual:.1} %, \
+             {worst:.1} % in a round with a slot time, a repetition and an acyclic telegram",
             self.exchanges_within(S, grid),
         )
     }

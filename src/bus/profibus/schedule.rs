@@ -130,39 +130,50 @@ impl ProfibusPlan {
 
     /// The turns before that of drive `index`, and its `own`.
     fn turns_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
-        let Some((behind, ahead)) = self.drives.split_at_checked(index + 1) else { return 0 };
-        let tries = 1 + usize::from(self.retries);
-        let mut turns: Vec<(u64, u64)> = (ahead.iter().chain(behind))
-            .map(|drive| {
-                let once = self.longest_try_ns(drive);
-                (once, self.acyclic_more_ns(drive, once))
-            })
-            .collect();
-        let count = turns.len() - usize::from(!own);
-        if let Some((once, more)) = turns[..count].iter_mut().max_by_key(|(_, more)| *more) {
+        let Some(order) = self.order(index + 1) else { return 0 };
+        let turns = &order[..order.len() - usize::from(!own)];
+        if self.catches_up(grid) {
+            return self.all_tries(turns, None, grid);
+        }
+        let once = (0..order.len()).map(|place| self.all_tries(turns, Some(place), grid)).max().unwrap_or(0);
+        // Where turns are long, it is due more than once.
+        once + once / self.global_control_ns.max(1) * grid.period_ns.max(self.control_ns())
+    }
+
+    /// The drives in turn, from this one on.
+    fn order(&self, first: usize) -> Option<Vec<&LenzeDrive>> {
+        let (behind, ahead) = self.drives.split_at_checked(first)?;
+        Some(ahead.iter().chain(behind).collect())
+    }
+
+    /// From a slot to the end of these turns with all repetitions, one of them acyclic, and with Global_Control before
+    /// that at `place`.
+    fn all_tries(&self, drives: &[&LenzeDrive], place: Option<usize>, grid: Grid) -> u64 {
+        let once = |drive: &&LenzeDrive| {
+            let once = self.longest_try_ns(drive);
+            (once, self.acyclic_more_ns(drive, once))
+        };
+        let mut turns: Vec<(u64, u64)> = drives.iter().map(once).collect();
+        if let Some((once, more)) = turns.iter_mut().max_by_key(|(_, more)| *more) {
             *once += *more;
         }
         let begins = |free: u64, took: u64| grid.in_window(free).saturating_add(took);
-        // With Global_Control before the turn at `place`; those of so many drives.
-        let with_control = |place: usize, count: usize| {
-            let control = |free, at| if at == place { begins(free, self.control_ns()) } else { free };
-            let turns = turns.iter().take(count).enumerate();
-            let free = turns.fold(self.left_over_ns(grid), |free, (at, (once, _))| {
-                (0..tries).fold(control(free, at), |free, _| begins(free, *once))
-            });
-            control(free, count)
-        };
-        // Global_Control leaves when no drive waits any more, or when it is late by its own period. It is ahead of no
-        // drive where that comes in each round.
+        let control = |free, at| if place == Some(at) { begins(free, self.control_ns()) } else { free };
+        let free = turns.iter().enumerate().fold(self.left_over_ns(grid), |free, (at, (once, _))| {
+            (0..=self.retries).fold(control(free, at), |free, _| begins(free, *once))
+        });
+        control(free, turns.len())
+    }
+
+    /// Global_Control leaves when no drive waits any more, or when it is late by its own period. It is ahead of no
+    /// drive if all turns with all repetitions end before any drive is due again.
+    fn catches_up(&self, grid: Grid) -> bool {
         let divisor = self.drives.iter().map(|drive| drive.axis.divisor).min().unwrap_or(1);
-        let all = with_control(usize::MAX, turns.len());
-        let catches_up = grid.in_window(all) < grid.period_ns.saturating_mul(divisor.into());
-        if catches_up && 2 * all < self.global_control_ns {
-            return with_control(usize::MAX, count);
-        }
-        let once = (0..turns.len()).map(|place| with_control(place, count)).max().unwrap_or(0);
-        // Where turns are long, it is due more than once.
-        once + once / self.global_control_ns.max(1) * grid.period_ns.max(self.control_ns())
+        let orders = (0..self.drives.len()).filter_map(|first| self.order(first));
+        let all = orders.map(|order| self.all_tries(&order, None, grid)).max().unwrap_or(0);
+        // The stops of those that are lost are turns besides.
+        grid.in_window(all) < grid.period_ns.saturating_mul(divisor.into())
+            && 2 * all < self.global_control_ns
     }
 
     /// The exchanges that begin within `within_ns`, if all drives wait for their turn all the time and are answered.
