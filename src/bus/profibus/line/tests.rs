@@ -387,6 +387,7 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
         rig.arrive(bytes);
         assert_eq!(rig.heard(), other(sign));
     }
+    rig.now = rig.now + 200 * US;
     rig.arrive(&REPLY);
     assert_eq!(rig.heard(), answer());
 

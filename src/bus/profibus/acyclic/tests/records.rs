@@ -360,7 +360,7 @@ fn the_answer_to_a_request_that_was_given_up_is_fetched_before_the_next_one() {
     assert_eq!(end, Err(CallError::TimedOut));
     while !side.access.is_idle() {
         match side.turn() {
-            Sent::Exchange(inputs) => side.access.channel_answered(side.now, &inputs),
+            Sent::Exchange(inputs) => side.access.channel_answered(&inputs),
             Sent::Msac1(data) => side.access.answered(side.now, module.exchange(&data).answer()),
         }
     }
