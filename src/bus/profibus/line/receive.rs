@@ -116,14 +116,15 @@ impl Line {
             }
             Ok(_) => Heard::Other(Other::Unrelated(Unrelated::Late, Some(self.expected.da))),
             Err(Other::Unrelated(_, from)) if !waits => Heard::Other(Other::Unrelated(Unrelated::Late, from)),
+            // With the own address as its sender: from an adapter that returns it, or of a master with the same one.
             Err(Other::Master { address, sign }) if address == self.address => {
                 self.returns |= at <= self.known_at;
-                // Before it has sent anything, nothing of its own comes back.
-                let listens = matches!(self.timing.state, State::Listening(_));
-                Heard::Other(match listens || !self.echo && !self.returns {
-                    true => Other::Master { address, sign },
-                    false if waits => Other::Unrelated(Unrelated::Kind, None),
-                    false => Other::Unrelated(Unrelated::Late, None),
+                let state = self.timing.state;
+                let is_master = matches!(state, State::Listening(_)) || !self.echo && !self.returns;
+                Heard::Other(match state {
+                    _ if is_master => Other::Master { address, sign },
+                    State::Waiting => Other::Unrelated(Unrelated::Kind, None),
+                    _ => Other::Unrelated(Unrelated::Late, None),
                 })
             }
             // A station that is no slave answers a search only.
