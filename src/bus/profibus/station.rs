@@ -1,7 +1,7 @@
 //! The master's view of one drive: whose turn in what it is, the next telegram, and what its answers report.
 //!
-//! It takes instants and slices, and knows no port. What is desired of the drive becomes outputs in `profile`, and those
-//! are sent by `telegram`. `answer` is what an answer changes, `report` what it says of the drive.
+//! It takes instants and slices, and knows no port. What is desired of the drive becomes outputs in `profile`, which
+//! `telegram` sends. `answer` is what an answer changes, `report` what it says of the drive.
 //!
 //! Telegrams of the start-up are no exchanges: a slot that is due is unsent until the drive is in Data_Exchange. From
 //! then on a turn is Data_Exchange, or in its place a diagnosis that the drive has announced, or an MSAC1 request. A
@@ -286,8 +286,8 @@ impl Station {
         self.sending == Sending::Msac1
     }
 
-    /// The telegram of its turn left at `at`; the first time, if it is repeated. The window is kept open for its answer if
-    /// that usually comes inside it; of many that do not, now and then.
+    /// The telegram of its turn left at `at`; the first time, if it is repeated. The window is kept open for its answer
+    /// if that usually comes inside it; of many that do not, now and then.
     #[inline]
     pub fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
         if self.sending == Sending::StartUp {
