@@ -33,8 +33,8 @@ impl Integer {
         }
     }
 
-    /// The value from `low` to `high` that is meant by raw bits which may have their sign above them: that of a number of
-    /// 64 bits, or of 32.
+    /// The value from `low` to `high` that is meant by raw bits which may have their sign above them: that of a number
+    /// of 64 bits, or of 32.
     pub fn number_within(self, raw: u64, (low, high): (i64, i64)) -> Option<i64> {
         let own = (self.raw(raw as i64) == raw).then(|| self.number(raw));
         let word = u32::try_from(raw).ok().map(|word| i64::from(word as i32));
