@@ -40,7 +40,15 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     let chosen = format!("fieldbeat: cycle of {}: ", Ns(period_ns));
     assert!(ended.err.starts_with(&chosen), "{chosen}: {}", ended.err);
     assert!(summary["cycle"]["executed"].as_u64().unwrap() > 100, "{summary}");
-    for drive in summary["drives"].as_array().unwrap() {
+    // The load of a wire is that of its own drives, and others have none.
+    let drives = summary["drives"].as_array().unwrap();
+    let wire_us: u64 = drives.iter().filter_map(|drive| drive["protocol_counters"]["wire_us"].as_u64()).sum();
+    let slots_us = (summary["cycle"]["planned"].as_u64().unwrap() * period_ns) as f64 / 1e3;
+    for bus in summary["buses"].as_array().unwrap() {
+        let wanted = (bus["name"] == "profibus-dp").then_some(100.0 * wire_us as f64 / slots_us);
+        assert_eq!(bus["load_percent"].as_f64(), wanted, "{bus}");
+    }
+    for drive in drives {
         assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
         if drive["protocol"] == "ethernet-ip" {
             // Its packets answer nothing. Its last move ends 2 turns below where it swung.

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::bus::BusClock;
 use crate::cycle::Plan;
-use crate::cycle::status::{DriveEnd, Numbers};
+use crate::cycle::status::Numbers;
 use crate::time::{Ns, three_digits};
 
 /// One bus.
@@ -30,12 +30,14 @@ pub struct Bus {
 /// The load of each bus, percent.
 pub fn loads(plan: &Plan, numbers: &Numbers) -> Vec<Option<f64>> {
     let slots_us = (numbers.status.planned * plan.cycle.period_ns) as f64 / 1e3;
-    let mut drives = numbers.drives.iter();
+    let mut drives = numbers.drives.as_slice();
     let buses = plan.buses.iter().map(|bus| (bus.wire_us(), bus.axes().len()));
     let load = |(wire_us, count): (Option<usize>, usize)| {
-        let of_drive = |drive: &DriveEnd| wire_us.map(|wire_us| drive.counters.own[wire_us]);
-        let all_us: Option<u64> = drives.by_ref().take(count).map(of_drive).sum();
-        all_us.filter(|_| wire_us.is_some() && slots_us > 0.0).map(|us| 100.0 * us as f64 / slots_us)
+        let own;
+        (own, drives) = drives.split_at(count.min(drives.len()));
+        let wire_us = wire_us.filter(|_| slots_us > 0.0)?;
+        let all_us: u64 = own.iter().map(|drive| drive.counters.own[wire_us]).sum();
+        Some(100.0 * all_us as f64 / slots_us)
     };
     buses.map(load).collect()
 }
