@@ -144,7 +144,10 @@ fn a_motor_turns_on_while_codes_are_read() {
         // A stop does not wait for the calls.
         let _ticket = m.parameters(0).post_read::<i32>("C0061").unwrap();
         m.done(0, STOP);
+        // Done is what the drive calls standstill; what is left decays.
         assert!(m.speed(0).abs() < 0.1);
+        m.sim.run(20);
+        assert!(m.speed(0).abs() < 0.01, "{way:?}");
         m.kept_to_the_rules();
         for counters in m.finish() {
             assert_eq!((counters.missed, counters.malformed), (0, 0), "{way:?}");
