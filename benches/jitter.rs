@@ -148,7 +148,7 @@ fn ours(period_ns: u64, guard: Guard, fleet: Fleet, slots: u64, counted: &mut Sl
                 Record::Skipped(SkippedRecord { count, late_ns, .. }) => {
                     latencies.extend((0..count).map(|slot| late_ns.saturating_sub(slot * period_ns)));
                 }
-                Record::Drive(_) | Record::Monitor(_) | Record::Reference(_) => {}
+                _ => {}
             });
         }
         (latencies, rig.end())

@@ -24,7 +24,7 @@
 //!   loop alone at 1 kHz, in turns.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
 //!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
-//!   same.
+//!   same. Held to their budget are those that the loop makes whenever replies come.
 //! - With `--count`, in place of all that: **instructions a drive and cycle** of the loop without a socket, and its
 //!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a
 //!   segment of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
@@ -38,7 +38,6 @@ use std::io;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use fieldbeat::axis::{Acyclic, CallTicket};
@@ -69,7 +68,7 @@ use support::fleet::{self, Fleet, Side};
 use support::lenze::{self, NullSerial, NullWires};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
 use support::packets;
-use support::rig::{self, Calls, Pace, Rig};
+use support::rig::{self, Calls, Count, Metered, Pace, Rig};
 use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
@@ -221,11 +220,26 @@ fn scenarios() -> Vec<Scenario> {
         .into_iter()
         .flat_map(of)
         .chain([Scenario::of(profibus::PROTOCOL, lenze::SEGMENT), with_terminals])
+        .chain([WITH_LOG, WITH_NATIVE].into_iter().flat_map(|part| {
+            AGAIN.map(|(protocol, drives)| Scenario { part: Some(part), ..Scenario::of(protocol, drives) })
+        }))
         .collect()
 }
 
+/// What is counted once more with all inputs of the loop in a log, and with the native process data of all drives among
+/// its records.
+const WITH_LOG: &str = "recorded";
+const WITH_NATIVE: &str = "native";
+const AGAIN: [(&str, usize); 5] = [
+    (linudp::PROTOCOL, 64),
+    (modbus::PROTOCOL, 64),
+    (ethercat::PROTOCOL, 64),
+    (ethernet_ip::PROTOCOL, 64),
+    (profibus::PROTOCOL, lenze::SEGMENT),
+];
+
 /// The child: the loop over drives in memory, all in operation.
-fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
+fn counted(Scenario { protocol, part, drives, terminals, .. }: Scenario) -> Ran {
     rig::be_virtual();
     let segment = |first| segment_of(first, (drives - first).min(SEGMENT_MOST), terminals);
     let segments = if protocol == ethercat::PROTOCOL { drives } else { 0 };
@@ -245,8 +259,19 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     };
     let calls = Calls::default();
     let carriers = CountedNet::over(&memory, &calls);
-    let cycle = rig::exchange_cycle(MS, Wait::Poll);
-    let mut rig = Rig::new(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls));
+    let mut cycle = rig::exchange_cycle(MS, Wait::Poll);
+    if part == Some(WITH_NATIVE) {
+        cycle.record_native.push("all".to_owned());
+    }
+    if part == Some(WITH_LOG) {
+        let rig = Rig::logged(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls));
+        return counted_of(rig, &memory, &calls);
+    }
+    counted_of(Rig::new(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls)), &memory, &calls)
+}
+
+/// The same of the loop of `rig`.
+fn counted_of<C: Metered>(mut rig: Rig<C>, memory: &InMemory, calls: &Calls) -> Ran {
     rig.enable();
     while !memory.0.iter().all(|segment| segment.2.get().is_some()) {
         rig.turn(|_| {});
@@ -257,11 +282,11 @@ fn counted(Scenario { protocol, drives, terminals, .. }: Scenario) -> Ran {
     for _ in 0..COUNTED_CYCLES {
         rig.turn(|_| {});
     }
-    let (before, executed) = (calls.load(Ordering::Relaxed), rig.status().executed);
+    let (before, executed) = (calls.now(), rig.status().executed);
     let ran = count::run(COUNTED_CYCLES, || rig.counted_turn());
     assert_eq!(rig.status().executed, executed + COUNTED_CYCLES, "no slot is passed over in virtual time");
     assert!(!rig.is_any_stopped(), "all of them move as commanded");
-    Ran { calls: Some(calls.load(Ordering::Relaxed) - before), ..ran }
+    Ran { calls: Some(calls.now().since(before).made), ..ran }
 }
 
 /// So many drives, from `first` on, and terminals on a segment of their own.
@@ -718,7 +743,8 @@ fn on_sockets(
     let mut table = Vec::new();
     for &count in drives {
         let steal = Steal::begin();
-        let [mut ours, mut bare, mut ours_cpu, mut bare_cpu, mut calls] = [const { Sample::new() }; 5];
+        let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
+        let mut calls = CallsOnSockets::default();
         for _ in 0..rounds {
             let Some(duel) = duel(granted, Fleet::linmots(count), period(count), cycles) else { continue };
             ours.push(duel.ours.busy);
@@ -735,7 +761,7 @@ fn on_sockets(
             ours_cpu: each(&ours_cpu),
             bare_cpu: each(&bare_cpu),
             cpu_ratio: ours_cpu.ratio(&bare_cpu, 0.5),
-            calls: calls.quantile(0.5).map(|p50| p50.value),
+            calls: calls.p50(),
             steal_ms: steal.ms(),
         };
         let whole = |value: Option<f64>| shown(value.map(|value| value.round()));
@@ -752,17 +778,49 @@ fn on_sockets(
             shown(row.steal_ms)
         );
         if COMPARED.contains(&count) {
-            within(report, budgets, &format!("{count} {}", linudp::PROTOCOL), &calls);
+            calls.check(&format!("{count} {}", linudp::PROTOCOL), budgets, report);
         }
         table.push(row);
     }
     table
 }
 
-/// The system calls of each cycle and their budget. How often a loop looks until the last reply is there is the host's
-/// doing, so the quietest tenth of the cycles is compared.
-fn within(report: &mut Report, budgets: &Budgets, drives: &str, calls: &Sample) {
-    let row = format!("scale/sockets/{drives}/{}", budgets::CALLS);
+/// System calls on sockets, cycle by cycle.
+#[derive(Default)]
+struct CallsOnSockets {
+    made: Sample,
+    own: Sample,
+    all: Count,
+}
+
+impl CallsOnSockets {
+    /// Adds those of more cycles.
+    fn push(&mut self, calls: Vec<Count>) {
+        self.made.push(calls.iter().map(|calls| calls.made).collect());
+        self.own.push(calls.iter().map(Count::own).collect());
+        calls.into_iter().for_each(|calls| self.all += calls);
+    }
+
+    /// All calls of the median cycle.
+    fn p50(&self) -> Option<f64> {
+        self.made.quantile(0.5).map(|p50| p50.value)
+    }
+
+    /// Holds to their budget those that are made whenever replies come. A reply that is missing at the deadline costs
+    /// one more, so the quietest tenth of the cycles is compared. And no wait ends without a reason.
+    fn check(&self, drives: &str, budgets: &Budgets, report: &mut Report) {
+        within(report, budgets, drives, budgets::OWN_CALLS, &self.own);
+        let Count { ready, taken, .. } = self.all;
+        report.check(
+            format!("{drives}: ended waits {ready} <= {taken} that took something in"),
+            ready <= taken,
+        );
+    }
+}
+
+/// What the quietest tenth of the cycles makes, and its budget.
+fn within(report: &mut Report, budgets: &Budgets, drives: &str, what: &str, calls: &Sample) {
+    let row = format!("scale/sockets/{drives}/{what}");
     match calls.quantile(0.1) {
         Some(calls) => report.within(budgets, &row, calls.value),
         None => report.not_compared(row, "this host let too few cycles be answered"),
@@ -862,7 +920,7 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     println!("  Unidrives: {unidrives}");
     println!(
         "  system calls a cycle, p50: {}, of which on connections {}",
-        shown(p50(&calls)),
+        shown(calls.p50()),
         shown(p50(&on_connections))
     );
     println!(
@@ -877,8 +935,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     );
     linmots.check("together, LinMots", report);
     unidrives.check("together, Unidrives", report);
-    within(report, budgets, "together", &calls);
-    within(report, budgets, "together on connections", &on_connections);
+    calls.check("together", budgets, report);
+    within(report, budgets, "together on connections", budgets::CALLS, &on_connections);
     check_page_faults("together", page_faults, budgets, report);
     json!({
         "together": { "linmots": of_linmots, "unidrives": of_unidrives, "every": every },
@@ -890,7 +948,7 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
         "linmots_late": linmots.late,
         "unidrives_sent": unidrives.sent,
         "unidrives_answered": unidrives.answered,
-        "syscalls_per_cycle": p50(&calls),
+        "syscalls_per_cycle": calls.p50(),
         "syscalls_on_connections": p50(&on_connections),
         "sockets_ratio": against.busy.map(|ratio| ratio.value),
         "sockets_ratio_interval": against.busy.map(|ratio| ratio.ends()),
@@ -922,7 +980,7 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
     kinds.iter().for_each(|(name, kind)| println!("  {name}: {kind}"));
     println!(
         "  system calls a cycle, p50: {}, of which on connections {}; age of MOONS' feedback, p50: {} ns",
-        shown(p50(&calls)),
+        shown(calls.p50()),
         shown(p50(&on_connections)),
         shown(p50(&ages))
     );
@@ -931,8 +989,8 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
         status.planned == status.executed + status.skipped,
     );
     kinds.iter().for_each(|(name, kind)| kind.check(&format!("all kinds, {name}"), report));
-    within(report, budgets, "all kinds", &calls);
-    within(report, budgets, "all kinds on connections", &on_connections);
+    calls.check("all kinds", budgets, report);
+    within(report, budgets, "all kinds on connections", budgets::CALLS, &on_connections);
     check_page_faults("all kinds", page_faults, budgets, report);
     let counted = kinds.iter().map(|(name, kind)| (*name, json!([kind.sent, kind.answered, kind.missed])));
     json!({
@@ -941,7 +999,7 @@ fn all_kinds(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Rep
         "executed": status.executed,
         "skipped": status.skipped,
         "sent_answered_missed": counted.collect::<BTreeMap<_, _>>(),
-        "syscalls_per_cycle": p50(&calls),
+        "syscalls_per_cycle": calls.p50(),
         "syscalls_on_connections": p50(&on_connections),
         "moons_age_ns": p50(&ages),
         "steal_ms": steal.ms(),
@@ -954,7 +1012,8 @@ fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report:
     let (rounds, cycles, period_ns) = if quick { (3, 200, 4 * MS) } else { (15, 400, 4 * MS) };
     let fleet = Fleet::moons(MOONS_DUEL);
     let steal = Steal::begin();
-    let [mut ours, mut bare, mut calls, mut ages] = [const { Sample::new() }; 4];
+    let [mut ours, mut bare, mut ages] = [const { Sample::new() }; 3];
+    let mut calls = CallsOnSockets::default();
     for _ in 0..rounds {
         let (mut simulated, theirs) = (fleet.simulate(Side::Ours), fleet.simulate(Side::Bare));
         simulated.drives.extend(theirs.drives);
@@ -984,20 +1043,20 @@ fn packets_on_sockets(granted: &Granted, quick: bool, budgets: &Budgets, report:
         shown(p50(&ours)),
         shown(p50(&bare)),
         shown(ratio),
-        shown(p50(&calls))
+        shown(calls.p50())
     );
     println!(
         "  age of feedback, p50: {} ns; half an interval and a period: {bound_ns} ns",
         shown(p50(&ages))
     );
-    within(report, budgets, &format!("{MOONS_DUEL} {}", ethernet_ip::PROTOCOL), &calls);
+    calls.check(&format!("{MOONS_DUEL} {}", ethernet_ip::PROTOCOL), budgets, report);
     json!({
         "moons_on_sockets": MOONS_DUEL,
         "send_ns": p50(&ours),
         "bare_ns": p50(&bare),
         "send_ratio": ratio.map(|ratio| ratio.value),
         "send_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        "syscalls_per_cycle": p50(&calls),
+        "syscalls_per_cycle": calls.p50(),
         "age_ns": p50(&ages),
         "steal_ms": steal.ms(),
     })
@@ -1047,16 +1106,15 @@ fn alone_on_sockets(
     let steal = Steal::begin();
     let Alone { end, calls, page_faults, .. } = alone_at_1_khz(granted, fleet, cycles);
     let (status, drives) = (end.status, Kind::sum(&end.drives));
-    let p50 = calls.quantile(0.5).map(|p50| p50.value);
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
     println!("  {drives}");
-    println!("  system calls a cycle, p50: {}; steal {} ms", shown(p50), shown(steal.ms()));
+    println!("  system calls a cycle, p50: {}; steal {} ms", shown(calls.p50()), shown(steal.ms()));
     report.check(
         format!("{what}: planned {} = executed + skipped", status.planned),
         status.planned == status.executed + status.skipped,
     );
     drives.check(what, report);
-    within(report, budgets, what, &calls);
+    calls.check(what, budgets, report);
     check_page_faults(what, page_faults, budgets, report);
     json!({
         "alone": what,
@@ -1068,7 +1126,7 @@ fn alone_on_sockets(
         "sent": drives.sent,
         "answered": drives.answered,
         "missed": drives.missed,
-        "syscalls_per_cycle": p50,
+        "syscalls_per_cycle": calls.p50(),
         "steal_ms": steal.ms(),
     })
 }
@@ -1118,7 +1176,7 @@ fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
 struct Alone {
     end: Numbers,
     /// System calls of each executed cycle: all of them, and those on connections.
-    calls: Sample,
+    calls: CallsOnSockets,
     on_connections: Sample,
     /// How old the status of each MOONS' drive is when a cycle publishes it, ns.
     ages: Sample,
@@ -1156,7 +1214,8 @@ fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> Alone {
         }
         let page_faults = Usage::of_thread().since(usage).page_faults();
         rig.settle();
-        let [mut all, mut on_connections, mut ages] = [const { Sample::new() }; 3];
+        let [mut on_connections, mut ages] = [const { Sample::new() }; 2];
+        let mut all = CallsOnSockets::default();
         all.push(calls);
         ages.push(of_moons);
         on_connections.push(on_them);
@@ -1285,7 +1344,7 @@ fn traced(fleet: Fleet) {
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();
         let _ = std::os::unix::process::parent_id();
-        let calls: u64 = (0..TRACED_CYCLES).map(|_| rig.turn(|_| {}).calls).sum();
+        let calls: u64 = (0..TRACED_CYCLES).map(|_| rig.turn(|_| {}).calls.made).sum();
         let _ = std::os::unix::process::parent_id();
         calls
     });

@@ -56,6 +56,7 @@ use fieldbeat::internals::bus::profibus::wire::sap::Service;
 use fieldbeat::internals::bus::profibus::wire::telegram::{self, Next, Telegram};
 use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::internals::drive::machine::Machine;
+use fieldbeat::internals::inputs::InputLog;
 use fieldbeat::internals::net::Frames;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
@@ -130,7 +131,7 @@ impl Exchanged {
     fn operational() -> Exchanged {
         let address = Ipv4Addr::new(127, 90, 1, 10);
         let plan = linudp::LinUdpPlan::new(Ipv4Addr::LOCALHOST, vec![fleet::linmot(address)]);
-        let (station, native, _acyclic) = Station::new(&plan.drives[0]);
+        let (station, native, _acyclic) = Station::new(&plan.drives[0], &InputLog::default());
         let mut exchanged = Exchanged {
             machine: machine(&plan, 0),
             station,
@@ -219,7 +220,7 @@ impl Requested {
             ..Finding::default()
         });
         let mappings = unidrive::mappings(&drive);
-        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found);
+        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found, &InputLog::default());
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machine = machine(&modbus::ModbusPlan::new(vec![drive]), 0);
         let mut requested =
@@ -316,7 +317,8 @@ impl Clocked {
         let plan = EthernetIpPlan::new(Ipv4Addr::LOCALHOST, vec![moons::drive(address)]);
         let drive = &plan.drives[0];
         let (loop_end, mut session_end) = exchange::both();
-        let (station, native) = ethernet_ip::station::Station::new(drive, PERIOD_NS, loop_end);
+        let (station, native) =
+            ethernet_ip::station::Station::new(drive, PERIOD_NS, loop_end, &InputLog::default());
         let has_room = session_end.tell(News::Opened(Connection {
             generation: 1,
             outgoing: 0x42,
@@ -518,7 +520,8 @@ impl Addressed {
     fn operational() -> Addressed {
         let plan = lenze::plan("local:station", 0, 1);
         let (station, native, acyclic) =
-            profibus::station::Station::new(&plan.drives[0], plan.address).expect("a plan without faults");
+            profibus::station::Station::new(&plan.drives[0], plan.address, &InputLog::default())
+                .expect("a plan without faults");
         let mut addressed = Addressed {
             machine: machine(&plan, 0),
             station,

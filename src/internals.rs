@@ -47,9 +47,14 @@ pub mod bus {
     pub use crate::bus::contract::*;
     pub use crate::bus::counters::*;
     pub use crate::bus::drives::*;
+    pub use crate::bus::native::*;
     pub use crate::bus::*;
     pub mod desired {
         pub use crate::bus::desired::*;
+    }
+    #[cfg(feature = "cli")]
+    pub mod outline {
+        pub use crate::bus::outline::*;
     }
     #[cfg(feature = "cli")]
     pub mod tools {
@@ -181,6 +186,11 @@ pub mod config {
     pub use crate::config::demo::*;
     pub use crate::config::describe::*;
     pub use crate::config::json::*;
+    pub use crate::config::load_machine;
+    pub use crate::config::schema::*;
+    pub mod soak {
+        pub use crate::config::soak::*;
+    }
 }
 
 #[cfg(feature = "control")]
@@ -210,16 +220,33 @@ pub mod drive {
     pub use crate::drive::*;
 }
 
+pub mod logged {
+    pub use crate::logged::*;
+}
+
 pub mod master {
     pub use crate::master::*;
+}
+
+pub mod inputs {
+    pub use crate::inputs::*;
 }
 
 pub mod net {
     pub use crate::net::*;
 }
 
+pub mod replay {
+    pub use crate::replay::machine::*;
+}
+
 pub mod rt {
     pub use crate::rt::*;
+}
+
+#[cfg(feature = "scope")]
+pub mod scope {
+    pub use crate::scope::*;
 }
 
 pub mod sim {
@@ -255,9 +282,22 @@ pub mod sim {
     }
 }
 
+#[cfg(feature = "config")]
+pub mod soak {
+    pub use crate::soak::*;
+}
+
 pub mod telemetry {
-    pub use crate::telemetry::recorder::*;
+    pub use crate::telemetry::thread::*;
     pub use crate::telemetry::*;
+    #[cfg(feature = "report")]
+    pub mod archive {
+        pub use crate::telemetry::archive::*;
+    }
+    #[cfg(feature = "report")]
+    pub mod compare {
+        pub use crate::telemetry::compare::*;
+    }
     #[cfg(feature = "black-box")]
     pub mod blackbox {
         pub use crate::telemetry::blackbox::*;
@@ -274,7 +314,7 @@ pub mod telemetry {
     pub mod causes {
         pub use crate::telemetry::causes::*;
     }
-    #[cfg(any(feature = "black-box", feature = "report"))]
+    #[cfg(any(feature = "black-box", feature = "record", feature = "report"))]
     pub mod file {
         pub use crate::telemetry::file::*;
     }
@@ -289,9 +329,29 @@ pub mod telemetry {
     pub mod plots {
         pub use crate::telemetry::plots::*;
     }
+    #[cfg(feature = "record")]
+    pub mod recording {
+        pub use crate::telemetry::recording::*;
+        #[cfg(feature = "black-box")]
+        pub mod blackbox {
+            pub use crate::telemetry::recording::blackbox::*;
+        }
+        pub mod csv {
+            pub use crate::telemetry::recording::csv::*;
+        }
+        pub mod perfetto {
+            pub use crate::telemetry::recording::perfetto::*;
+        }
+        pub mod reading {
+            pub use crate::telemetry::recording::reading::*;
+        }
+    }
     #[cfg(feature = "summary")]
     pub mod summary {
         pub use crate::telemetry::summary::numbers::*;
+    }
+    pub mod tap {
+        pub use crate::telemetry::tap::*;
     }
     pub mod timeline {
         pub use crate::telemetry::timeline::*;

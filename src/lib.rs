@@ -22,6 +22,7 @@
 //!   of a run.
 //! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass
 //!   in seconds, and the same seed gives the same bytes.
+//! - [`replay`] repeats a recorded run bit by bit: a failure in the field becomes a test.
 //! - [`doctor`] reports how fit a host is for real time, and how to fix what is not.
 //! - [`bus`] has a folder for each protocol: the plan of its buses, its native process data, its services.
 //!
@@ -71,18 +72,23 @@
 //! |---|---|
 //! | `config` | [`config`]: a plan from TOML, [`Master::from_file`] |
 //! | `summary` | [`telemetry::summary`]: a run as one object and as a table; serde's traits of acyclic calls |
-//! | `report` | [`telemetry::report`]: a directory with the summary, `.hgrm` histograms and plots; brings `summary` |
+//! | `replay` | [`replay`]: the run of a recording with the wire, repeated; brings `config` |
+//! | `report` | [`telemetry::report`]: a directory with a page of plots, the summary and `.hgrm` histograms; brings `summary` |
 //! | `metrics` | [`telemetry::metrics`]: a page for Prometheus; brings `summary` |
+//! | `record` | [`telemetry::recording`]: every cycle in a file for Foxglove, PlotJuggler and Rerun; brings `summary` |
 //! | `black-box` | [`telemetry::blackbox`]: the last cycles in a file when something fails; brings `summary` |
 //! | `control` | the program's socket by which other processes reach a running master; brings `summary` |
 //! | `doctor` | [`doctor`]: what this host is worth; brings `summary` |
+//! | `jog` | the program's panel in the terminal; brings `cli` |
+//! | `scope` | the program's page of a running machine in the browser, with a web server; brings `cli` |
 //! | `cli` | the program, with all of them; the default |
 //!
 //! # Architecture
 //!
-//! Arrows point down only: `cli` -> `control`, [`doctor`], [`config`], `master` -> [`telemetry`] -> `cycle` -> `drive`,
-//! `bus` (the contract) -> [`axis`], `net`, `rt`; `bus/x` -> [`axis`], `net`; a `wire` module depends on nothing. Loop,
-//! drive machine, wires and sockets are not public: what is listed here is kept, and the rest changes freely.
+//! Arrows point down only: `cli` -> `control`, [`doctor`], [`config`], [`replay`], `master` -> [`telemetry`] -> `cycle`
+//! -> `drive`, `bus` (the contract) -> [`axis`], `net`, `rt`; `bus/x` -> [`axis`], `net`; a `wire` module depends on
+//! nothing. Loop, drive machine, wires and sockets are not public: what is listed here is kept, and the rest changes
+//! freely.
 
 pub mod axis;
 pub mod bus;
@@ -95,16 +101,24 @@ mod cycle;
 pub mod doctor;
 mod drive;
 mod errors;
+mod inputs;
 #[doc(hidden)]
 pub mod internals;
 #[cfg(feature = "config")]
 mod keys;
+mod logged;
 mod master;
 mod named;
 mod net;
+mod packed;
+pub mod replay;
 mod rt;
+#[cfg(feature = "scope")]
+mod scope;
 pub mod sim;
 mod simulation;
+#[cfg(feature = "config")]
+mod soak;
 #[cfg(feature = "summary")]
 mod style;
 mod sync;
@@ -124,7 +138,12 @@ pub use telemetry::{Monitor, Run};
 pub use time::Time;
 
 /// The programs of README.md and docs/ compile, or the doctests fail.
-#[cfg(all(doctest, feature = "config"))]
+#[cfg(all(doctest, feature = "record", feature = "replay"))]
 #[doc = include_str!("../README.md")]
 #[doc = include_str!("../docs/src/library.md")]
+#[doc = include_str!("../docs/src/replay.md")]
 struct Programs;
+
+#[cfg(all(doctest, feature = "record"))]
+#[doc = include_str!("../docs/src/recording.md")]
+struct Recordings;

@@ -23,6 +23,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -36,11 +37,16 @@ use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
 use crate::cycle::status::{Gauges, Numbers, Status};
 use crate::cycle::{Plan, PlanErrors};
-use crate::master::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble};
-use crate::rt::{Clock, Granted};
+use crate::logged::{LoggedCarriers, LoggedClock};
+use crate::master::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble, utc_ns};
+use crate::net::Carriers;
+use crate::rt::{Clock, Granted, Regions};
 use crate::sim::Simulated;
 use crate::sim::world::{World, WorldClock, WorldOptions};
-use crate::telemetry::{Keep, Measured, Monitor, Recorder};
+#[cfg(feature = "summary")]
+use crate::telemetry::Summary;
+use crate::telemetry::tap::{Tap, Taps};
+use crate::telemetry::{Feed, Keep, Measured, Monitor, Recorded, Sink, TelemetryThread};
 
 /// By so much may virtual time be ahead of its pace before the thread that steps it sleeps.
 const AHEAD: Duration = Duration::from_millis(1);
@@ -49,7 +55,7 @@ const AHEAD: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub struct Simulation {
     world: World,
-    engine: Engine<WorldClock>,
+    engine: Engine<LoggedClock<WorldClock>>,
     axes: Vec<Option<Axis>>,
     observers: Vec<Observer>,
     devices: Devices,
@@ -58,11 +64,22 @@ pub struct Simulation {
     control: Control,
     records: Consumer<Record>,
     measured: Measured,
+    taps: Taps,
+    telemetry_by: fn(&mut dyn FnMut()),
     plan: Plan,
     gauges: Gauges,
     black_box: Option<Box<dyn Keep>>,
+    sink: Option<(PathBuf, Box<dyn Sink>)>,
+    /// How many causes of late cycles it was given.
+    judged: u64,
     /// Events seen by [`execute`](Simulation::execute) while it waited for another one.
     pub events: Vec<(usize, Event)>,
+}
+
+/// What virtual time grants.
+fn granted() -> Granted {
+    let missing = vec!["time is virtual: nothing here says what this host is worth".to_owned()];
+    Granted { policy: "virtual", priority: 0, core: None, memory_locked: false, missing }
 }
 
 /// Why a simulation could not be built.
@@ -96,23 +113,36 @@ impl Setup {
     ) -> Result<Simulation, SimulateError> {
         self.plan().check()?;
         let world = World::new(drives, options)?;
-        let (plan, task, black_box) = self.into_parts();
+        let mut setup = self;
+        let mut regions = Regions::default();
+        let log = setup.begin_log(&mut regions);
+        let Setup { plan, task, black_box, mut sink, .. } = setup;
         let has_task = task.is_some();
         let control = Control::default();
+        let clock = LoggedClock::new(world.clock(), &log);
+        let logged = LoggedCarriers::new(&world, &log);
+        let carriers: &dyn Carriers = if log.is_on() { &logged } else { &world };
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, .. } =
-            assemble(&plan, world.clock(), &world, task, control.clone())?;
+            assemble(&plan, clock, carriers, task, control.clone())?;
         engine.begin();
+        if let Some((_, sink)) = &mut sink {
+            sink.begin(utc_ns(engine.clock().inner().now()));
+        }
         Ok(Simulation {
             world,
             engine,
             observers: axes.iter().map(Axis::observer).collect(),
-            measured: Measured::new(axes.len(), &plan.cycle, has_task),
+            measured: Measured::new(&plan.units(), &plan.cycle, has_task),
+            taps: Taps::default(),
+            telemetry_by: |work| work(),
             axes: axes.into_iter().map(Some).collect(),
             devices,
             acyclics,
             gauges,
             plan,
             black_box,
+            sink,
+            judged: 0,
             pulse,
             control,
             records,
@@ -159,13 +189,25 @@ impl Simulation {
     /// If the speed is not above 0.
     pub fn into_master(self, speed: f64) -> Result<Master, StartError> {
         assert!(speed > 0.0, "a speed of {speed}");
-        let Simulation { mut engine, axes, devices, acyclics, pulse, control, records, measured, .. } = self;
+        let Simulation {
+            mut engine,
+            axes,
+            devices,
+            acyclics,
+            pulse,
+            control,
+            records,
+            measured,
+            taps,
+            sink,
+            ..
+        } = self;
         let thread = std::thread::Builder::new()
             .name("fb-loop".into())
             .spawn(move || {
-                let (begun, virtual_begun) = (Instant::now(), engine.clock().now());
+                let (begun, virtual_begun) = (Instant::now(), engine.clock().inner().now());
                 while engine.step() == Flow::Continue {
-                    let passed = engine.clock().now().since(virtual_begun) as f64 / speed;
+                    let passed = engine.clock().inner().now().since(virtual_begun) as f64 / speed;
                     let ahead = Duration::from_nanos(passed as u64).saturating_sub(begun.elapsed());
                     if ahead > AHEAD {
                         std::thread::sleep(ahead);
@@ -174,17 +216,18 @@ impl Simulation {
                 engine.finish()
             })
             .map_err(StartError::Thread)?;
-        let recorder = match Recorder::start(records, measured, None, self.black_box, || {}) {
-            Ok(recorder) => recorder,
+        let feed = sink.map(|(path, sink)| Feed::new(path, sink, &taps));
+        let started = TelemetryThread::start(records, measured, taps, None, self.black_box, || {})
+            .and_then(|telemetry| telemetry.feed(feed, || {}));
+        let telemetry = match started {
+            Ok(telemetry) => telemetry,
             Err(error) => {
                 control.stop();
                 let _ = thread.join();
                 return Err(StartError::Thread(error));
             }
         };
-        let missing = vec!["time is virtual: nothing here says what this host is worth".to_owned()];
-        let granted = Granted { policy: "virtual", priority: 0, core: None, memory_locked: false, missing };
-        let monitor = Monitor::new(self.plan, granted, self.gauges, Arc::clone(recorder.recording()), None);
+        let monitor = Monitor::new(self.plan, granted(), self.gauges, Arc::clone(telemetry.gathered()), None);
         Ok(Master {
             axes: Mutex::new(axes),
             devices: Mutex::new(devices),
@@ -192,7 +235,7 @@ impl Simulation {
             monitor,
             pulse,
             control,
-            recorder,
+            telemetry,
             thread: Some(thread),
         })
     }
@@ -250,6 +293,28 @@ impl Simulation {
         &self.measured
     }
 
+    /// One more reader of the loop's records, from now on, with room for so many turns.
+    #[doc(hidden)]
+    pub fn tap(&self, room: usize) -> Tap {
+        self.taps.add(room)
+    }
+
+    /// The plan.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The loop and all drives in numbers so far. Those of a drive are at most 64 cycles or 100 ms old.
+    pub fn numbers(&self) -> Numbers {
+        self.gauges.numbers()
+    }
+
+    /// The run so far.
+    #[cfg(feature = "summary")]
+    pub fn summary(&self) -> Summary {
+        Summary::of(&self.plan, &self.numbers(), &self.measured, &granted(), None)
+    }
+
     /// What is to be known of drives and devices although they are in operation; see
     /// [`Monitor::remarks`](crate::telemetry::Monitor::remarks).
     pub fn remarks(&self) -> Vec<String> {
@@ -259,10 +324,48 @@ impl Simulation {
     /// One turn of the loop: one executed cycle, or slots passed over.
     pub fn step(&mut self) -> Flow {
         let flow = self.engine.step();
+        let by = self.telemetry_by;
+        by(&mut || self.gather());
+        flow
+    }
+
+    /// Runs the work of the telemetry by this, which on the real clock has a thread of its own: what counts the loop's
+    /// allocations leaves it out.
+    #[doc(hidden)]
+    pub fn run_telemetry_by(&mut self, by: fn(&mut dyn FnMut())) {
+        self.telemetry_by = by;
+    }
+
+    /// Empties the ring of the loop.
+    fn gather(&mut self) {
+        let mut batch = (!self.taps.is_empty()).then(Vec::new);
         while let Ok(record) = self.records.pop() {
             self.measured.enter(&record);
+            if let Some((_, sink)) = &mut self.sink {
+                sink.enter(&record);
+            }
+            if let Some(batch) = &mut batch {
+                batch.push(record);
+            }
         }
-        flow
+        self.taps.hand(batch.unwrap_or_default());
+        self.look_at_recording();
+    }
+
+    /// Gives a recording the causes of late cycles that are new, and has it take the log.
+    fn look_at_recording(&mut self) {
+        if let Some((_, sink)) = &mut self.sink {
+            self.measured.causes.judged_after(&mut self.judged).for_each(|judged| sink.late(judged));
+            // Nothing is lost on the way here. What fails is in what its end returns.
+            sink.look(self.engine.status().lost_records);
+        }
+    }
+
+    /// Ends the recording of [`Setup::with_recorder`](crate::Setup::with_recorder), if there is one. Returns the files
+    /// that were written.
+    pub fn finish_recording(&mut self) -> Vec<Recorded> {
+        self.look_at_recording();
+        self.sink.take().map_or(Vec::new(), |(_, mut sink)| sink.finish())
     }
 
     /// Runs so many turns.
@@ -316,8 +419,10 @@ impl Simulation {
         self.control.stop();
     }
 
-    /// The exact numbers of the run.
-    pub fn finish(self) -> Numbers {
+    /// The exact numbers of the run. A recording ends with it; [`finish_recording`](Simulation::finish_recording) before
+    /// says what became of it.
+    pub fn finish(mut self) -> Numbers {
+        self.finish_recording();
         self.engine.finish()
     }
 }

@@ -15,6 +15,8 @@ use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::internals::axis::acyclic::Notation;
 use fieldbeat::internals::bus::ethercat::object::Objects;
+use fieldbeat::internals::cycle::record::Record;
+use fieldbeat::internals::inputs::recording::LogReader;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
 use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings, ProfibusSegment};
@@ -69,6 +71,59 @@ impl SimDrive for Unwatched {
     }
 }
 
+/// Native process data of all drives, for a recording.
+fn natively() -> Vec<String> {
+    vec!["all".to_owned()]
+}
+
+/// How many parts of native process data the loop reports in some cycles.
+fn native_parts(sim: &mut Simulation) -> usize {
+    let tap = sim.tap(64);
+    sim.run(20);
+    let batches = std::iter::from_fn(|| tap.next(Duration::ZERO).ok());
+    batches.flat_map(|batch| batch.to_vec()).filter(|record| matches!(record, Record::Native(_))).count()
+}
+
+/// With all inputs of the loop in a log, and the native process data of all drives among its records. What takes the
+/// log out may allocate: that is another thread's work.
+#[test]
+fn a_recorded_run_allocates_nothing() {
+    static LOG: Mutex<Option<LogReader>> = Mutex::new(None);
+    static LOGGED: AtomicU64 = AtomicU64::new(0);
+    let _alone = alone();
+    let machine = Machine::new(247);
+    let config = drives(&machine, "1ms", 400, 200);
+    let mut plan = support::plan(&config);
+    plan.cycle.record_native = natively();
+    let setup = Master::from_plan(plan).with_log(|log| {
+        *LOG.lock().unwrap() = Some(log.reader);
+    });
+    let drives = support::simulated(&config).drives.into_iter();
+    let drives: Vec<_> = drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect();
+    let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
+    sim.run_telemetry_by(|work| {
+        unwatched(|| {
+            work();
+            let mut words = Vec::new();
+            LOG.lock().unwrap().as_mut().unwrap().take(&mut words);
+            LOGGED.fetch_add(words.len() as u64, Ordering::Relaxed);
+        });
+    });
+    sim.run(2_000);
+    let (mut ends, mut rounds) = ([Ends::default(); DRIVES], 0);
+    let count = allocations(|| {
+        while sim.status().executed < 30_000 {
+            round(&mut sim, &machine, &mut ends, rounds);
+            rounds += 1;
+        }
+    });
+    assert_eq!(count, 0);
+    let (ended, logged) = (LOG.lock().unwrap().as_ref().unwrap().ended_at(), LOGGED.load(Ordering::Relaxed));
+    assert!(ended.is_none() && logged > 500_000, "{logged} words, {ended:?}");
+    assert!(ends.iter().all(|ends| ends.done > 0), "{ends:?}");
+    assert!(native_parts(&mut sim) >= 20 * DRIVES / 2, "each drive that is due");
+}
+
 /// The whole machine in virtual time, the simulated network included: nothing of it allocates once it runs, nor on the
 /// way down.
 #[test]
@@ -86,6 +141,8 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
     let drives = support::simulated(&config).drives.into_iter();
     let drives: Vec<_> = drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect();
     let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
+    // The telemetry may allocate: it has a thread of its own where time is real.
+    sim.run_telemetry_by(|work| unwatched(work));
     let faults = FaultPlan {
         seed: 7,
         drop: 0.01,
@@ -264,6 +321,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     };
     let line = EthercatPlan::new(LINE, (0..3).map(drive).collect());
     let cycle = CyclePlan {
+        record_native: natively(),
         reference: Some(line.name.clone()),
         overrun: Overrun::Skip { max_skip: 1_000 },
         max_skip_rate: 1.0,
@@ -274,6 +332,8 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let plan = Plan { source: None, cycle, buses: vec![Box::new(line)], groups: Vec::new() };
     let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
     let mut sim = Master::from_plan(plan).simulate_with(drives, options).unwrap();
+    // The telemetry may allocate: it has a thread of its own where time is real.
+    sim.run_telemetry_by(|work| unwatched(work));
     // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
     let late = FaultPlan { delay: 1.0, delay_ns: 20_000_000, duplicate: 1.0, ..FaultPlan::default() };
     assert!(sim.world().set_segment_faults(LINE, late));
@@ -423,11 +483,17 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
         settings.clock = ClockSettings { drift_ppm: 300, jitter_ns: 200_000, seed: index as u64 };
         Box::new(UnwatchedMoons(MoonsSim::new(settings))) as Box<dyn SimDrive>
     });
-    let cycle =
-        CyclePlan { overrun: Overrun::Skip { max_skip: 1_000 }, max_skip_rate: 1.0, ..CyclePlan::default() };
+    let cycle = CyclePlan {
+        overrun: Overrun::Skip { max_skip: 1_000 },
+        max_skip_rate: 1.0,
+        record_native: natively(),
+        ..CyclePlan::default()
+    };
     let drives: Vec<_> = drives.collect();
     let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
     let mut sim = Master::from_plan(plan).simulate_with(drives, WorldOptions::default()).unwrap();
+    // The telemetry may allocate: it has a thread of its own where time is real.
+    sim.run_telemetry_by(|work| unwatched(work));
     let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
     assert!(sim.run_until(60_000, is_up), "they are online");
     let faults = FaultPlan { drop: 0.02, duplicate: 0.02, delay: 0.02, ..FaultPlan::default() };
@@ -524,6 +590,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
     let devices = wire.drives.into_iter().map(|drive| Box::new(UnwatchedDevice(drive)) as Box<dyn SimSerial>);
     let wire = SerialWire { drives: devices.collect(), ..wire };
     let cycle = CyclePlan {
+        record_native: natively(),
         receive_deadline: 0.8,
         overrun: Overrun::Skip { max_skip: 1_000 },
         max_skip_rate: 1.0,
@@ -538,6 +605,8 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
         seen.fetch_add(u64::from(stopped == Some(StopCause::OtherMaster)), Ordering::Relaxed);
     });
     let mut sim = setup.simulate_with(simulated, WorldOptions::default()).unwrap();
+    // The telemetry may allocate: it has a thread of its own where time is real.
+    sim.run_telemetry_by(|work| unwatched(work));
     let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
     // Buffers that the simulated wire keeps for reuse, more than the faults will ever need at once.
     let late = FaultPlan { delay: 1.0, delay_ns: 20 * MS, duplicate: 1.0, ..FaultPlan::default() };

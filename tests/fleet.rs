@@ -1,7 +1,8 @@
 //! A fleet in bad weather: hundreds of drives, every fault on every wire, an application that never gives up. It holds
 //! what it has to hold in every cycle, and the same seed is the same run to the last byte.
 //!
-//! The big one is marked ignored: it is meant for a release build, and prints how fast the simulation is.
+//! The big one is marked ignored: it is meant for a release build, and prints how fast the simulation is. It lasts an
+//! hour, or `FLEET_MINUTES`.
 
 #[path = "support/forward.rs"]
 mod forward;
@@ -426,14 +427,22 @@ fn sixteen_drives_for_a_minute_twice() {
     assert!(left.last.done > 500, "{} motions", left.last.done);
 }
 
+/// How long the big ones last.
+#[cfg(not(debug_assertions))]
+fn minutes() -> u64 {
+    let named = std::env::var("FLEET_MINUTES").ok();
+    named.map_or(60, |minutes| minutes.parse().expect("FLEET_MINUTES is a number"))
+}
+
 /// What makes two runs of a seed differ (an address, a hash, a thread, the clock of this computer) is there from the
 /// first cycle on: ten minutes of 256 drives have some thirty million datagrams to show it in.
 #[test]
 #[cfg(not(debug_assertions))]
 #[ignore = "an hour of 256 drives, and ten minutes of it again: minutes, and only in a release build"]
-fn a_fleet_for_an_hour_and_ten_minutes_of_it_again() {
-    let left = twice(256, 60 * MINUTE, 10 * MINUTE);
-    assert!(left.last.done > 200_000, "{} motions", left.last.done);
+fn a_fleet_for_an_hour_and_a_sixth_of_it_again() {
+    let minutes = minutes();
+    let left = twice(256, minutes * MINUTE, minutes * MINUTE / 6);
+    assert!(left.last.done > 200_000 * minutes / 60, "{} motions", left.last.done);
 }
 
 /// A MOONS' drive, and when its last packet left.
@@ -546,7 +555,7 @@ fn thirty_two_clocks_for_a_minute() {
 #[cfg(not(debug_assertions))]
 #[ignore = "an hour of 32 drives: a minute, and only in a release build"]
 fn thirty_two_clocks_for_an_hour() {
-    clocks(32, 60 * MINUTE);
+    clocks(32, minutes() * MINUTE);
 }
 
 /// A whole segment of Lenze drives at 1.5 Mbit/s in turn, and LinMots in every cycle of the same loop: every slot is

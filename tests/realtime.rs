@@ -5,6 +5,7 @@
 mod support;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::process::Command;
 use std::thread::sleep;
 use std::time::Duration;
@@ -79,19 +80,36 @@ fn start(command: &str, config: &std::path::Path, arguments: &[&str]) -> Program
     Program::spawn(Command::new(PROGRAM).arg(command).arg(config).args(arguments))
 }
 
+/// The loop has the shortest of these at which its drives come online: a simulated drive lives through its silence
+/// before it answers a probe, and how long that takes depends on the host.
+const PERIODS: [&str; 4] = ["250us", "500us", "1ms", "2ms"];
+
+/// Four drives and a master that has found all of them; `None`, and its summary printed, if it does not.
+fn online_at(machine: &Machine, period: &str, memory: &str) -> Option<(PathBuf, Program, Program)> {
+    let cycle =
+        format!("period = \"{period}\"\nrealtime = \"require\"\nmemory = \"{memory}\"\nmax_skip = \"30s\"");
+    // As long as a link may be judged (10 000 exchanges) at the shortest period.
+    let health = "health = { bucket = \"2500ms\", leak = 1, gate = 3, probe_interval = \"10ms\" }";
+    let config = machine.config("m.toml", 4, &cycle, health);
+    let mut sim = start("sim", &config, &[]);
+    sim.await_text("listening");
+    let master = start("run", &config, &["--json"]);
+    if until(LONG / 4, || master.err().contains("all drives online")) {
+        return Some((config, sim, master));
+    }
+    master.signal(libc::SIGINT);
+    let ended = master.end();
+    println!("not online at {period}: {}{}", ended.err, ended.out);
+    None
+}
+
 #[test]
 #[ignore = "needs root: SCHED_FIFO and locked memory"]
 fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
     for memory in ["process", "own"] {
         let machine = Machine::new(1);
-        let cycle =
-            format!("period = \"250us\"\nrealtime = \"require\"\nmemory = \"{memory}\"\nmax_skip = \"30s\"");
-        // As long as a link may be judged (10 000 exchanges).
-        let config = machine.config("m.toml", 4, &cycle, "health = { bucket = \"2500ms\", leak = 1 }");
-        let mut sim = start("sim", &config, &[]);
-        sim.await_text("listening");
-        let mut master = start("run", &config, &["--json"]);
-        master.await_text("all drives online");
+        let online = PERIODS.iter().find_map(|period| online_at(&machine, period, memory));
+        let (config, _sim, master) = online.expect("drives that answer within one of the periods");
         let (threads, locked) = (threads(master.pid()), locked_kib(master.pid()));
         // However long it takes this host.
         let executed = || {

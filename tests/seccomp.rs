@@ -26,7 +26,8 @@ use fieldbeat::internals::cycle::task::Task;
 use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::internals::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use fieldbeat::internals::rt::{Clock, MonotonicClock, PollSet};
-use fieldbeat::internals::telemetry::Recorder;
+use fieldbeat::internals::telemetry::TelemetryThread;
+use fieldbeat::internals::telemetry::tap::Taps;
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::ethercat::{Coupler, EthercatSegment};
 use fieldbeat::sim::ethernet_ip::MoonsDrives;
@@ -163,7 +164,7 @@ struct Confined {
     engine: Arc<Mutex<Option<Engine<MonotonicClock>>>>,
     control: Control,
     gauges: Gauges,
-    _recorder: Recorder,
+    _recorder: TelemetryThread,
 }
 
 impl Confined {
@@ -171,8 +172,8 @@ impl Confined {
         let control = Control::default();
         let Assembly { engine, axes, gauges, records, .. } =
             assemble(&plan, MonotonicClock, &Os::default(), Some(task), control.clone()).unwrap();
-        let measured = Measured::new(axes.len(), &plan.cycle, true);
-        let recorder = Recorder::start(records, measured, None, None, || {}).unwrap();
+        let measured = Measured::new(&plan.units(), &plan.cycle, true);
+        let recorder = TelemetryThread::start(records, measured, Taps::default(), None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));
         let of_thread = Arc::clone(&engine);
         // Not to be waited for: it leaves without telling its handle.
@@ -256,7 +257,9 @@ fn live(crime: Option<fn()>) {
     let drive = |name: &str| end.drives.iter().find(|drive| drive.name == name).unwrap();
     for (axis, ends) in adventures.axes().iter().zip(&adventures.ends) {
         let drive = drive(axis.name());
-        assert!(!drive.feedback.status.state.is_powered(), "{ends:?} {drive:?}");
+        // In a hurry it is waited for only 250 ms: a drive that reported nothing for most of them may have power yet.
+        let feedback = &drive.feedback;
+        assert!(!feedback.status.state.is_powered() || feedback.age >= 800, "{ends:?} {drive:?}");
     }
     let losses = end.drives[VICTIM].losses;
     assert!(losses > 0, "{:?}", end.drives[VICTIM]);

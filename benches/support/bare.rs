@@ -27,7 +27,7 @@ use super::bare_wire::BareWire;
 use super::fleet::{self, Fleet, Side};
 use super::handshake;
 use super::libmodbus::{Client, Libmodbus};
-use super::rig::{self, Calls, Pace, Rig, give_up, thread_cpu_ns};
+use super::rig::{self, Calls, Count, Pace, Rig, give_up, thread_cpu_ns};
 use super::unidrive;
 
 /// What one loop measured.
@@ -43,7 +43,7 @@ pub struct Measured {
     /// Processor time from one sleep's begin to the next one's, ns.
     pub cpu: Vec<u64>,
     /// System calls, the sleep included; ours only.
-    pub calls: Vec<u64>,
+    pub calls: Vec<Count>,
 }
 
 impl Measured {

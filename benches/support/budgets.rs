@@ -124,6 +124,8 @@ impl Budgets {
 pub const INSTRUCTIONS: &str = "instructions";
 /// What a row of system calls ends with: a cycle of all drives.
 pub const CALLS: &str = "system calls";
+/// What a row of those of them ends with that a cycle makes on sockets whenever replies come.
+pub const OWN_CALLS: &str = "own system calls";
 /// The row of allocations and frees, of all cycles that were counted.
 pub const ALLOCATIONS: &str = "all/allocations";
 /// That of page faults of a loop whose memory is locked.

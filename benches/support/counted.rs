@@ -3,7 +3,6 @@
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
-use std::sync::atomic::Ordering;
 use std::task::Waker;
 
 use fieldbeat::internals::net::frames::Unsent;
@@ -15,7 +14,7 @@ use fieldbeat::internals::rt::Regions;
 use fieldbeat::time::Time;
 
 use super::callgrind::paused;
-use super::rig::{self, Calls};
+use super::rig::Calls;
 
 /// Carriers, counting what they call.
 pub struct CountedNet<N = Os> {
@@ -39,7 +38,7 @@ impl<N> CountedNet<N> {
 
     /// Of these calls, those that send or receive on a connection.
     pub fn on_connections(&self) -> u64 {
-        self.on_connections.load(Ordering::Relaxed)
+        self.on_connections.now().made
     }
 }
 
@@ -61,13 +60,13 @@ impl<N: Carriers> Carriers for CountedNet<N> {
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         let look = u64::from(peers.len() > 1);
         let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
-        Ok(Box::new(CountedStreams { net: self.net.streams(peers)?, look, calls, on_connections }))
+        Ok(Box::new(CountedStreams { net: self.net.streams(peers)?, look, looked: 0, calls, on_connections }))
     }
 
     fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
         let (net, calls) = (self.net.serial(port, line)?, Calls::clone(&self.calls));
         // A port is none.
-        Ok(Box::new(CountedStreams { net, look: 0, calls, on_connections: Calls::default() }))
+        Ok(Box::new(CountedStreams { net, look: 0, looked: 0, calls, on_connections: Calls::default() }))
     }
 }
 
@@ -80,15 +79,17 @@ impl Datagrams for Counted {
         // One call for each 64 messages. One that is refused would cost one more; on loopback none is.
         paused(|| {
             let posted = (0..outbox.len()).filter(|index| outbox.sent(*index) == Sent::Posted).count();
-            rig::add(&self.calls, posted.div_ceil(64) as u64);
+            self.calls.made(posted.div_ceil(64) as u64);
             self.net.send(outbox);
         });
     }
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
         paused(|| {
-            rig::add(&self.calls, 1);
-            self.net.receive(take)
+            let result = self.net.receive(take);
+            self.calls.made(1);
+            self.calls.taken(u64::from(result.as_ref().is_ok_and(|count| *count > 0)));
+            result
         })
     }
 
@@ -118,15 +119,17 @@ impl Frames for CountedFrames {
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
         paused(|| {
-            rig::add(&self.calls, 1);
+            self.calls.made(1);
             self.net.send(frame)
         })
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         paused(|| {
-            rig::add(&self.calls, 1);
-            self.net.receive(room)
+            let result = self.net.receive(room);
+            self.calls.made(1);
+            self.calls.taken(u64::from(result.is_some()));
+            result
         })
     }
 
@@ -147,6 +150,8 @@ struct CountedStreams<N: ?Sized = dyn Streams> {
     net: Box<N>,
     /// System calls of a look: an only connection has no epoll, and is not looked at.
     look: u64,
+    /// Those of the last look, until it has found something.
+    looked: u64,
     calls: Calls,
     on_connections: Calls,
 }
@@ -155,8 +160,8 @@ impl<N: ?Sized> CountedStreams<N> {
     /// One call, unless there was no connection to make it on.
     fn count<T>(&self, result: &Result<T, Broken>) {
         let made = u64::from(!matches!(result, Err(Broken::Absent)));
-        rig::add(&self.calls, made);
-        rig::add(&self.on_connections, made);
+        self.calls.made(made);
+        self.on_connections.made(made);
     }
 }
 
@@ -188,26 +193,34 @@ impl<N: Streams + ?Sized> Streams for CountedStreams<N> {
         paused(|| {
             let opened = self.net.opened();
             // It is added to the epoll, if there is one.
-            rig::add(&self.calls, self.look * u64::from(opened.is_some()));
+            self.calls.made(self.look * u64::from(opened.is_some()));
             opened
         })
     }
 
     fn look(&mut self) {
         paused(|| {
-            rig::add(&self.calls, self.look);
+            self.calls.made(self.look);
+            self.looked = self.look;
             self.net.look();
         });
     }
 
     fn ready(&mut self) -> Option<usize> {
-        paused(|| self.net.ready())
+        paused(|| {
+            let ready = self.net.ready();
+            if ready.is_some() {
+                self.calls.taken(std::mem::take(&mut self.looked));
+            }
+            ready
+        })
     }
 
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
         paused(|| {
             let result = self.net.receive(index, room);
             self.count(&result);
+            self.calls.taken(u64::from(matches!(result, Ok(Some(_)))));
             result
         })
     }
@@ -222,7 +235,7 @@ impl<N: Streams + ?Sized> Streams for CountedStreams<N> {
 
     fn abandon(&mut self, index: usize, why: &'static str) {
         // The link thread is woken up; and it is removed from the epoll, if there is one.
-        rig::add(&self.calls, 1 + self.look);
+        self.calls.made(1 + self.look);
         self.net.abandon(index, why);
     }
 

@@ -16,7 +16,7 @@ use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
 use fieldbeat::time::Time;
 
 use super::fleet::{Fleet, Side};
-use super::rig::{self, Calls, Pace, Rig};
+use super::rig::{self, Calls, Count, Pace, Rig};
 
 /// What both measured, a cycle each.
 #[derive(Debug, Default)]
@@ -26,7 +26,7 @@ pub struct Packets {
     /// See `ours`.
     pub bare: Vec<u64>,
     /// Our system calls.
-    pub calls: Vec<u64>,
+    pub calls: Vec<Count>,
     /// How old the status of each drive is when a cycle publishes it, ns.
     pub ages: Vec<u64>,
 }

@@ -9,6 +9,9 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{TERMINAL_MAX, Terminals};
 use fieldbeat::internals::cycle::engine::Control;
 use fieldbeat::internals::cycle::record::{Record, Reply};
+use fieldbeat::internals::inputs::recording::LogReader;
+use fieldbeat::internals::inputs::{InputLog, recording};
+use fieldbeat::internals::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::internals::net::Carriers;
 use fieldbeat::internals::rt;
@@ -104,12 +107,86 @@ pub fn exchange_cycle(period_ns: u64, wait: Wait) -> CyclePlan {
     CyclePlan { receive_deadline: 0.9, wait, guard: Guard::Off, ..cycle(period_ns) }
 }
 
-/// Counts system calls of the loop: those of its clock, and those that a carrier adds.
-pub type Calls = Arc<AtomicU64>;
+/// Counts system calls of the loop: those of its clock, and those that a carrier adds. Only the loop's thread does.
+pub type Calls = Arc<Counters>;
 
-/// Adds to `calls`; only the loop's thread does.
-pub fn add(calls: &Calls, count: u64) {
-    calls.store(calls.load(Ordering::Relaxed) + count, Ordering::Relaxed);
+/// See [`Calls`].
+#[derive(Debug, Default)]
+pub struct Counters {
+    made: AtomicU64,
+    waits: AtomicU64,
+    ready: AtomicU64,
+    taken: AtomicU64,
+}
+
+/// System calls, from the begin or of a turn.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Count {
+    /// All of them.
+    pub made: u64,
+    /// Those that waited until something came, or until a time.
+    pub waits: u64,
+    /// Of these, those that ended because something had come.
+    pub ready: u64,
+    /// Those that took in something that had come.
+    pub taken: u64,
+}
+
+impl Counters {
+    /// So many calls were made.
+    pub fn made(&self, count: u64) {
+        add(&self.made, count);
+    }
+
+    /// Of the calls that were made, so many took in something.
+    pub fn taken(&self, count: u64) {
+        add(&self.taken, count);
+    }
+
+    /// A call waited, until something had come or not.
+    fn waited(&self, is_ready: bool) {
+        add(&self.made, 1);
+        add(&self.waits, 1);
+        add(&self.ready, u64::from(is_ready));
+    }
+
+    /// Until now.
+    pub fn now(&self) -> Count {
+        let [made, waits, ready, taken] = [&self.made, &self.waits, &self.ready, &self.taken]
+            .map(|counter| counter.load(Ordering::Relaxed));
+        Count { made, waits, ready, taken }
+    }
+}
+
+fn add(counter: &AtomicU64, count: u64) {
+    counter.store(counter.load(Ordering::Relaxed) + count, Ordering::Relaxed);
+}
+
+impl std::ops::AddAssign for Count {
+    fn add_assign(&mut self, more: Count) {
+        self.made += more.made;
+        self.waits += more.waits;
+        self.ready += more.ready;
+        self.taken += more.taken;
+    }
+}
+
+impl Count {
+    /// Since `before`.
+    pub fn since(self, before: Count) -> Count {
+        Count {
+            made: self.made - before.made,
+            waits: self.waits - before.waits,
+            ready: self.ready - before.ready,
+            taken: self.taken - before.taken,
+        }
+    }
+
+    /// Those that the loop makes whenever replies come. In how many pieces they come, and so how often it waits and
+    /// takes some in, is the host's doing.
+    pub fn own(&self) -> u64 {
+        self.made - self.waits - self.taken
+    }
 }
 
 /// How a loop by hand goes from cycle to cycle.
@@ -206,6 +283,12 @@ pub struct Meter {
     calls: Calls,
 }
 
+impl Meter {
+    fn new(pace: Pace, calls: &Calls) -> Meter {
+        Meter { pace, grid: Time(0), woke: None, waited_ns: 0, calls: Arc::clone(calls) }
+    }
+}
+
 impl Clock for Meter {
     fn now(&mut self) -> Time {
         let now = now();
@@ -221,22 +304,23 @@ impl Clock for Meter {
         }
         match self.pace {
             Pace::Grid => {
-                add(&self.calls, 1);
+                self.calls.made(1);
                 MonotonicClock.sleep_until(Time(at.0 - AHEAD_NS.load(Ordering::Relaxed)));
             }
             Pace::BackToBack => {
                 // What it would be on the grid.
-                add(&self.calls, 1);
+                self.calls.made(1);
                 AHEAD_NS.fetch_add(at.since(now()), Ordering::Relaxed);
             }
         }
     }
 
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
-        add(&self.calls, 1);
         let on_wires = SERIAL.load(Ordering::Relaxed) > 0;
         if !on_wires && !is_virtual() {
-            return MonotonicClock.wait(set, until);
+            let is_ready = MonotonicClock.wait(set, until);
+            self.calls.waited(is_ready);
+            return is_ready;
         }
         // What answers from memory has answered; on a serial wire a while later, and the next one is requested then.
         let is_idle = on_wires && !is_reply_waiting();
@@ -248,6 +332,7 @@ impl Clock for Meter {
             leap(ANSWERED_NS);
             self.waited_ns += ANSWERED_NS;
         }
+        self.calls.waited(!is_idle);
         !is_idle
     }
 
@@ -274,17 +359,58 @@ pub struct Turn {
     /// From the end of the sleep to the next one's begin, without what the clock jumped over in the window, ns.
     pub busy_ns: u64,
     /// System calls, the sleep included.
-    pub calls: u64,
+    pub calls: Count,
+}
+
+/// A clock that is a [`Meter`], or has one.
+pub trait Metered: Clock {
+    /// The meter.
+    fn meter(&mut self) -> &mut Meter;
+}
+
+impl Metered for Meter {
+    fn meter(&mut self) -> &mut Meter {
+        self
+    }
+}
+
+impl Metered for LoggedClock<Meter> {
+    fn meter(&mut self) -> &mut Meter {
+        self.inner()
+    }
 }
 
 /// The loop, to be driven by hand.
 #[derive(Debug)]
-pub struct Rig {
-    assembly: Assembly<Meter>,
+pub struct Rig<C = Meter> {
+    assembly: Assembly<C>,
     grid: Time,
     calls: Calls,
     /// Process data of the devices that are no drives.
     devices: Vec<Terminals>,
+    /// Takes out the log of the inputs, if there is one.
+    log: Option<LogReader>,
+    words: Vec<u64>,
+}
+
+/// Room for the log of some cycles, in words.
+const LOG_WORDS: usize = 1 << 20;
+
+impl Rig<LoggedClock<Meter>> {
+    /// The loop over the drives of `buses`, with a log of all that it takes from outside.
+    pub fn logged(
+        cycle: CyclePlan,
+        buses: Vec<Box<dyn BusPlan>>,
+        pace: Pace,
+        carriers: &dyn Carriers,
+        calls: Calls,
+    ) -> Rig<LoggedClock<Meter>> {
+        let (recording, reader) = recording::log(LOG_WORDS, &mut Regions::default());
+        let log = InputLog::recording(recording);
+        let carriers = LoggedCarriers::new(carriers, &log);
+        let clock = LoggedClock::new(Meter::new(pace, &calls), &log);
+        Rig { log: Some(reader), ..Rig::over(cycle, buses, clock, &carriers, calls) }
+    }
 }
 
 impl Rig {
@@ -296,14 +422,26 @@ impl Rig {
         carriers: &dyn Carriers,
         calls: Calls,
     ) -> Rig {
+        Rig::over(cycle, buses, Meter::new(pace, &calls), carriers, calls)
+    }
+}
+
+impl<C: Metered> Rig<C> {
+    fn over(
+        cycle: CyclePlan,
+        buses: Vec<Box<dyn BusPlan>>,
+        clock: C,
+        carriers: &dyn Carriers,
+        calls: Calls,
+    ) -> Rig<C> {
         let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
         AHEAD_NS.store(0, Ordering::Relaxed);
-        let clock = Meter { pace, grid: Time(0), woke: None, waited_ns: 0, calls: Arc::clone(&calls) };
         let assembly = match assemble(&plan, clock, carriers, None, Control::default()) {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
         };
-        let mut rig = Rig { assembly, grid: Time(0), calls, devices: Vec::new() };
+        let words = Vec::with_capacity(LOG_WORDS);
+        let mut rig = Rig { assembly, grid: Time(0), calls, devices: Vec::new(), log: None, words };
         for name in plan.buses.iter().flat_map(|bus| bus.devices()) {
             match rig.assembly.devices.take(name) {
                 Ok(device) => rig.devices.push(device),
@@ -338,17 +476,19 @@ impl Rig {
     pub fn turn(&mut self, mut record: impl FnMut(Record)) -> Turn {
         self.write_outputs();
         let engine = &mut self.assembly.engine;
-        (engine.clock().woke, engine.clock().waited_ns) = (None, 0);
-        let before = self.calls.load(Ordering::Relaxed);
+        let meter = engine.clock().meter();
+        (meter.woke, meter.waited_ns) = (None, 0);
+        let before = self.calls.now();
         engine.step();
-        let clock = engine.clock();
+        let clock = engine.clock().meter();
         let end = clock.now();
         let busy_ns = end.since(clock.woke.unwrap_or(end)).saturating_sub(clock.waited_ns);
         self.grid = clock.grid;
-        let calls = self.calls.load(Ordering::Relaxed) - before;
+        let calls = self.calls.now().since(before);
         while let Ok(entry) = self.assembly.records.pop() {
             record(entry);
         }
+        self.take_log();
         Turn { busy_ns, calls }
     }
 
@@ -356,10 +496,20 @@ impl Rig {
     pub fn counted_turn(&mut self) {
         self.write_outputs();
         let engine = &mut self.assembly.engine;
-        engine.clock().woke = None;
+        engine.clock().meter().woke = None;
         counted(|| engine.step());
-        self.grid = engine.clock().grid;
+        self.grid = engine.clock().meter().grid;
         while self.assembly.records.pop().is_ok() {}
+        self.take_log();
+    }
+
+    /// Empties the log. Returns how many words there were.
+    pub fn take_log(&mut self) -> usize {
+        self.words.clear();
+        if let Some(reader) = &mut self.log {
+            reader.take(&mut self.words);
+        }
+        self.words.len()
     }
 
     /// As an application does in each cycle: the outputs of all devices are others than before.
@@ -376,7 +526,7 @@ impl Rig {
 
     /// From now on it goes from cycle to cycle like this.
     pub fn set_pace(&mut self, pace: Pace) {
-        self.assembly.engine.clock().pace = pace;
+        self.assembly.engine.clock().meter().pace = pace;
     }
 
     /// Turns until all drives are online, enables them, and turns until all are in operation.
@@ -438,7 +588,7 @@ impl Rig {
         }
     }
 
-    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig) -> bool, after_turn: &mut dyn FnMut(Time)) {
+    fn turn_until(&mut self, what: &str, done: impl Fn(&Rig<C>) -> bool, after_turn: &mut dyn FnMut(Time)) {
         // The grid is that of the last turn: there has to be one.
         self.turn(|_| {});
         let begin = self.grid;

@@ -95,6 +95,18 @@ impl<T: Packed> Writer<T> {
         fill(&mut Places(self.shared.words.as_ref().iter()));
         self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
     }
+
+    /// The words that were written last.
+    #[inline]
+    pub fn words(&self) -> impl Iterator<Item = u64> + '_ {
+        self.shared.words.as_ref().iter().map(|word| word.load(Ordering::Relaxed))
+    }
+
+    /// One of them; 0: there are not as many.
+    #[inline]
+    pub fn word(&self, place: usize) -> u64 {
+        self.shared.words.as_ref().get(place).map_or(0, |word| word.load(Ordering::Relaxed))
+    }
 }
 
 /// The words of a value that is being written.

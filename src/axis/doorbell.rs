@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 
 use crossbeam::utils::CachePadded;
 
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::sync::AtomicU64;
 
@@ -31,6 +32,7 @@ pub struct Bells {
     words: Words,
     /// Those that have rung and whose queues are not known to be empty since then.
     rung: Box<[u64]>,
+    log: InputLog,
 }
 
 impl Bell {
@@ -48,7 +50,13 @@ impl Bells {
     pub fn new(axes: usize) -> Bells {
         let count = axes.div_ceil(IN_WORD);
         let words = (0..count).map(|_| CachePadded::new(AtomicU64::new(0))).collect();
-        Bells { words, rung: vec![0; count].into() }
+        Bells { words, rung: vec![0; count].into(), log: InputLog::default() }
+    }
+
+    /// What is taken is in this log.
+    pub fn logged(mut self, log: &InputLog) -> Bells {
+        self.log = log.source();
+        self
     }
 
     /// The application's end for `axis`, one of them.
@@ -71,9 +79,9 @@ impl Bells {
         let mut any = 0;
         for (rung, word) in self.rung.iter_mut().zip(&*self.words) {
             // A bell that is missed by this look rings until the next one.
-            if word.load(Ordering::Relaxed) != 0 {
-                *rung |= word.swap(0, Ordering::Acquire);
-            }
+            let rings = word.load(Ordering::Relaxed) != 0;
+            let taken = if rings { word.swap(0, Ordering::Acquire) } else { 0 };
+            *rung |= self.log.value(0, taken);
             any |= *rung;
         }
         any != 0

@@ -6,7 +6,8 @@ use super::command::{CommandId, Outcome};
 use super::feedback::{Fault, Link, State, StopCause};
 use crate::time::Time;
 
-/// One event of one axis.
+/// One event of one axis. It comes a moment before the feedback of its cycle: the rest of the cycle lies between the
+/// two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Event {
@@ -82,8 +83,13 @@ pub enum EventKind {
 
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "cycle {}: ", self.cycle)?;
-        match self.kind {
+        write!(f, "cycle {}: {}", self.cycle, self.kind)
+    }
+}
+
+impl fmt::Display for EventKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
             EventKind::Ended { id, command, outcome } => write!(f, "{command} (command {}) {outcome}", id.0),
             EventKind::Link(link) => write!(f, "link {link}"),
             EventKind::State(state) => write!(f, "state {state}"),

@@ -116,6 +116,9 @@ named! {
 /// The protocol's names for the fault codes of its drives; `None` = not known.
 pub type FaultNames = fn(u32) -> Option<&'static str>;
 
+/// Whether a fault code says that the drive's master was silent.
+pub type SilenceFaults = fn(u32) -> bool;
+
 /// A fault of a drive for messages: its code, in hex and in decimal as manuals write it, and its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault<'a> {
@@ -155,7 +158,9 @@ pub struct DriveStatus {
     pub position: f64,
     /// Demand position as the drive reports it, user units.
     pub demand: f64,
-    /// Actual velocity, user units/s (from the drive, or the difference of the last two fresh positions).
+    /// Actual velocity, user units/s. Of a drive that reports none, the difference of the last two fresh positions
+    /// over the time between their requests (EtherCAT: between the grid points of their frames). If the drive takes
+    /// one of them later after its request than the other, by a twentieth of the period, that shows as 5 %.
     pub velocity: f64,
     /// Motor current, A.
     pub current: f64,

@@ -249,6 +249,12 @@ impl Axis {
         &self.plan
     }
 
+    /// What its drive does not do.
+    #[cfg(any(feature = "config", feature = "control"))]
+    pub(crate) fn lacks(&self) -> &Lacks {
+        &self.ends.lacks
+    }
+
     /// The profile of moves that name none.
     pub fn profile(&self) -> Profile {
         self.plan.profile
@@ -537,21 +543,27 @@ impl Axis {
         self.wait(id, command.name(), limit + GRACE)
     }
 
-    /// Waits for the end of a posted command. Other events are kept for [`event`](Self::event).
+    /// Waits for the end of a posted command, and for the feedback of the cycle in which it ended: what it has reached,
+    /// or the fault that ended it, is there afterwards. Other events are kept for [`event`](Self::event).
     pub fn wait(&mut self, id: CommandId, command: &'static str, limit: Duration) -> Result<(), AxisError> {
         let begun = Instant::now();
         // Its end may have come during the wait for another command.
         if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
-            && let Some(outcome) = self.kept.remove(place).and_then(|event| ended(&event, id))
+            && let Some(event) = self.kept.remove(place)
+            && let Some(outcome) = ended(&event, id)
         {
             self.kept_ends -= 1;
+            self.await_feedback(event.cycle, begun, limit);
             return self.verdict(command, outcome);
         }
         loop {
             let gone = self.ends.events.is_abandoned();
             while let Some(event) = self.take_event() {
                 match ended(&event, id) {
-                    Some(outcome) => return self.verdict(command, outcome),
+                    Some(outcome) => {
+                        self.await_feedback(event.cycle, begun, limit);
+                        return self.verdict(command, outcome);
+                    }
                     None => self.keep(event),
                 }
             }
@@ -561,6 +573,14 @@ impl Axis {
             if begun.elapsed() > limit {
                 return Err(self.timed_out(command, limit));
             }
+            self.pulse.beat();
+            sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Events come before the feedback of their cycle: the rest of the cycle lies between the two.
+    fn await_feedback(&self, cycle: u64, begun: Instant, limit: Duration) {
+        while self.feedback().cycle < cycle && !self.ends.events.is_abandoned() && begun.elapsed() <= limit {
             self.pulse.beat();
             sleep(LOOK_EVERY);
         }

@@ -31,7 +31,7 @@ pub(crate) mod handle;
 pub(crate) mod limits;
 pub(crate) mod newest;
 pub(crate) mod observer;
-pub(crate) mod packed;
+mod parts;
 pub(crate) mod plan;
 mod pulse;
 mod streams;
@@ -47,7 +47,7 @@ pub use command::{
 pub(crate) use command::{GroupCall, QueuedCommand, Setpoint, StreamRow};
 pub use event::{Emergency, Event, EventKind};
 pub use feedback::{DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
-pub(crate) use feedback::{FaultNames, MONITOR_CHANNELS};
+pub(crate) use feedback::{FaultNames, MONITOR_CHANNELS, SilenceFaults};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub(crate) use handle::AxisEnds;
 pub use handle::{Axis, AxisError, Samples};

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use super::counters::{BusClock, Counters, OWN_COUNTERS, Unmatched};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
+use super::native::{NativeBytes, WantedOutputs};
 use crate::axis::acyclic::AcyclicEnds;
 use crate::axis::{DriveStatus, Emergency, Link, Observer};
 use crate::net::LinkNotes;
@@ -102,6 +103,20 @@ pub trait Bus: Send {
     /// The application's end of the native process data of drive `index`.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
         self.ends()?.native(index)
+    }
+
+    /// Replaces `bytes` by the newest native process data of drive `index` as they were received, if they were taken in
+    /// after `since`, followed by what the request that left last has carried to it, if that is wanted: it is only in
+    /// the cycle in which it left, before the next one is prepared. Returns when the inputs were taken in.
+    fn native_bytes(
+        &self,
+        _index: usize,
+        _since: Time,
+        _outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        None
     }
 
     /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.

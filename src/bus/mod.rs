@@ -6,10 +6,12 @@
 //! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
+//! | `native` | the native process data of a drive for a recording |
 //! | `drives` | what the buses of all protocols do with their drives |
 //! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
 //! | `variant` | a bus in a machine that is otherwise like its own |
 //! | `tools` | the commands that a protocol adds to the program |
+//! | `outline` | what a first configuration of a protocol has, and what is asked for it |
 //!
 //! No protocol knows another. Each has these modules:
 //!
@@ -19,7 +21,8 @@
 //! | `profile` | what is desired as process data, and what the replies prove | commands, sockets |
 //! | `station` | the master's view of one drive: identity of replies, its reports, the next request | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
-//! | `config`, `tools` | its keys in a configuration, its own commands of the program | other protocols |
+//! | `config`, `outline` | its keys in a configuration, and those of a first one | other protocols |
+//! | `tools` | its own commands of the program | other protocols |
 //!
 //! `tests/conformance` tests the contract clause by clause, for every protocol.
 
@@ -33,6 +36,9 @@ pub mod ethercat;
 pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
+pub(crate) mod native;
+#[cfg(feature = "cli")]
+pub(crate) mod outline;
 mod plan;
 pub mod profibus;
 mod reader;
@@ -59,6 +65,16 @@ pub struct Protocol {
     /// Reads the keys of a `[[bus]]`. What is wrong is noted on the table.
     #[cfg(feature = "config")]
     pub(crate) read: fn(&mut Table<'_>, &mut Machine) -> Box<dyn BusPlan>,
+    /// The reference of its keys in docs/.
+    #[cfg(feature = "config")]
+    pub(crate) reference: &'static str,
+    /// The keys of a `[[bus]]` behind its protocol, with each table whose keys are read only if it is there: the schema
+    /// is recorded from it.
+    #[cfg(feature = "config")]
+    pub(crate) specimen: &'static str,
+    /// What a first configuration of it has.
+    #[cfg(feature = "cli")]
+    pub outline: outline::Outline,
     /// The commands that it adds to the program.
     #[cfg(feature = "cli")]
     pub tools: &'static [tools::Tool],

@@ -6,11 +6,12 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 
 use super::desired::Capabilities;
+use super::native::NativeLayout;
 use super::variant::Variant;
 use super::{Bus, OpenError, OwnCounter};
 use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault};
+use crate::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault, SilenceFaults};
 use crate::net::Carriers;
 
 /// The grid of a cycle and its windows: what a wire depends on whose requests wait for their turn, since each of them
@@ -114,6 +115,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     /// The variables that drive `index` reports in addition to its process data, each once.
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
 
+    /// What is known of the native process data of drive `index`.
+    #[doc(hidden)]
+    fn native_layout(&self, _index: usize) -> NativeLayout {
+        NativeLayout::default()
+    }
+
     /// What `Counters::own` counts on this bus, in order.
     #[doc(hidden)]
     fn own_counters(&self) -> &'static [OwnCounter] {
@@ -132,6 +139,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         |_| None
     }
 
+    /// Which fault codes its drives have because their master was silent: their watchdogs, a lost connection.
+    #[doc(hidden)]
+    fn silence_faults(&self) -> SilenceFaults {
+        |_| false
+    }
+
     /// How its drives write addresses and values for acyclic access.
     #[doc(hidden)]
     fn notation(&self) -> Arc<dyn Notation>;
@@ -142,6 +155,13 @@ pub trait BusPlan: Any + Debug + Send + Sync {
 
     /// The IP addresses of its drives, in slot order; empty if they have none.
     fn addresses(&self) -> Vec<SocketAddrV4>;
+
+    /// The drive that byte `at` of a frame or telegram of this bus is for, where drives have no IP address; `None`: it
+    /// is for no single one.
+    #[doc(hidden)]
+    fn drive_in(&self, _telegram: &[u8], _at: usize) -> Option<usize> {
+        None
+    }
 
     /// This bus in a machine that is otherwise like its own; `None`: it cannot be had so.
     #[doc(hidden)]

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 use fieldbeat::Master;
 use fieldbeat::axis::{Axis, Fault, Link, StopCause};
 use fieldbeat::internals::axis::feedback::FaultNames;
-use fieldbeat::internals::control::{Answering, Server, Session, place};
+use fieldbeat::internals::control::{
+    Answering, OperatorSession, Sender, Server, Session, Station, Watch, answer_operator, place,
+};
 use fieldbeat::internals::rt::thread::helper_thread;
 use fieldbeat::telemetry::blackbox::Written;
 use fieldbeat::telemetry::{DriveEmergency, Failure, Monitor};
@@ -36,6 +38,8 @@ pub struct Handler {
     control: Option<Server>,
     /// Those whose events nobody else takes.
     axes: Vec<Axis>,
+    /// The axes, if others may operate them.
+    station: Option<Station>,
     links: Vec<Link>,
     drives: Vec<Known>,
     devices: Vec<Known>,
@@ -55,7 +59,16 @@ pub struct Handler {
 impl Handler {
     /// Begins. Without a control socket the master runs all the same.
     pub fn new(master: &Master, interrupt: &Interrupt) -> Handler {
-        let control = serve(master);
+        Handler::with(master, interrupt, None)
+    }
+
+    /// The same, and others may operate the axes of `station` through its control socket.
+    pub fn operated(master: &Master, interrupt: &Interrupt, station: Station) -> Handler {
+        Handler::with(master, interrupt, Some(station))
+    }
+
+    fn with(master: &Master, interrupt: &Interrupt, station: Option<Station>) -> Handler {
+        let control = serve(master, station.clone());
         if let Err(why) = &control {
             complain(&format!("no `fieldbeat status`: {why}"));
         }
@@ -65,6 +78,7 @@ impl Handler {
             interrupt: interrupt.clone(),
             control: control.ok(),
             axes: Vec::new(),
+            station,
             links: vec![Link::default(); master.observers().len()],
             drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
             devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
@@ -107,6 +121,13 @@ impl Handler {
             let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please \
                         report it";
             master.monitor().failed(what, false);
+        }
+        if self.station.as_ref().is_some_and(Station::has_failed) {
+            // Nothing ends what its operator does not hold any more.
+            let what =
+                "internal error: the operation of the axes panicked: the master ends; please report it";
+            master.monitor().failed(what, true);
+            master.stop();
         }
         if self.is_blind {
             return;
@@ -307,17 +328,20 @@ impl Known {
     }
 }
 
-/// Answers questions about `master`.
-fn serve(master: &Master) -> Result<Server, String> {
+/// Answers questions about `master`, and lets others operate the axes of `station`.
+pub fn serve(master: &Master, station: Option<Station>) -> Result<Server, String> {
     let config = master.plan().source.clone();
     let path = place::prepare(config.as_deref()).map_err(|error| error.to_string())?;
     let monitor = master.monitor();
     let core = master.granted().core;
     let acyclics = master.acyclics().to_vec();
+    let watch = Watch::new(&monitor);
     let open = move || Conversation {
         monitor: monitor.clone(),
         config: config.clone(),
         session: Session::new(acyclics.clone()),
+        watch: watch.clone(),
+        operator: station.as_ref().map(Station::session),
     };
     Server::start(&path, move || helper_thread(core), open).map_err(|error| error.to_string())
 }
@@ -327,6 +351,8 @@ struct Conversation {
     monitor: Monitor,
     config: Option<PathBuf>,
     session: Session,
+    watch: Watch,
+    operator: Option<OperatorSession>,
 }
 
 impl Answering for Conversation {
@@ -334,12 +360,20 @@ impl Answering for Conversation {
         if question["ask"] == "status" {
             return Ok(status(&self.monitor, self.config.as_deref()));
         }
-        self.session.answer(question, go_on).unwrap_or_else(|| {
+        let answer =
+            answer_operator(self.operator.as_ref(), question).or_else(|| self.watch.answer(question));
+        answer.or_else(|| self.session.answer(question, go_on)).unwrap_or_else(|| {
             Err("this master does not know that question; is it another version?".to_owned())
         })
     }
 
+    fn stream(&mut self, question: &Value, send: &mut Sender<'_>) -> Option<std::io::Result<()>> {
+        self.watch.stream(question, send)
+    }
+
     fn end(&mut self, go_on: &dyn Fn() -> bool) {
+        // First of all: what the conversation bequeathed may take minutes.
+        self.operator = None;
         self.session.end(go_on);
     }
 }

@@ -24,7 +24,7 @@ impl<'a> Meter<'a> {
         Meter { interrupt, terminal: std::io::stderr().is_terminal(), shown: Instant::now(), open: false }
     }
 
-    /// Whoever does it tells this, and breaks off at a signal.
+    /// Whoever does it reports to this, and breaks off at a signal.
     pub fn watch(mut self) -> impl FnMut(Progress) -> ControlFlow<()> + 'a {
         move |progress| {
             self.show(progress);

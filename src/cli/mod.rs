@@ -4,10 +4,15 @@
 
 mod blackbox;
 mod check;
+mod config;
 mod demo;
 mod doctor;
+mod export;
 mod handler;
+mod init;
 mod interrupt;
+#[cfg(feature = "jog")]
+mod jog;
 mod live;
 mod manual;
 mod masters;
@@ -16,9 +21,14 @@ mod output;
 mod own;
 mod param;
 mod reach;
+mod replay;
 mod run;
+#[cfg(feature = "scope")]
+mod scope;
 mod service;
+mod serving;
 mod sim;
+mod soak;
 mod status;
 mod tools;
 
@@ -27,8 +37,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anstyle::AnsiColor;
-use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{CommandFactory, Parser, Subcommand};
 use fieldbeat::internals::bus::tools::Stop;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
@@ -50,16 +60,32 @@ enum Command {
     Sim(sim::Sim),
     /// The master of CONFIG: brings the drives online and exchanges with them every cycle.
     Run(run::Run),
+    /// The master of CONFIG for hours or days: moves the axes, keeps checkpoints, and ends with a verdict.
+    Soak(soak::SoakTest),
     /// The plan of CONFIG in words or as JSON; refuses what cannot work, with the reason.
     Check(check::Check),
+    /// A first configuration by questions; looks for the drives if that is wanted, and moves nothing.
+    Init(init::Init),
+    /// The keys of a configuration as a JSON schema.
+    Config(config::Config),
     /// The state of a running master, and what it measured so far.
     Status(status::Status),
+    /// A panel in the terminal: enable, home, step and hold-to-run, through the running master or by one of its own.
+    #[cfg(feature = "jog")]
+    Jog(jog::Jog),
     /// Parameters of a drive: through its running master, or else by a master of its own that moves nothing.
     Param(param::Param),
+    /// A page in the browser of a running master: axes, cycle, trigger, cursors, export.
+    #[cfg(feature = "scope")]
+    Scope(scope::Scope),
     #[command(flatten)]
     Added(tools::Added),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
+    /// A recording, or a file of the black box, as tables, as a trace of the cycles, or as a recording.
+    Export(export::Export),
+    /// A recorded run through the same loop in virtual time, compared bit by bit.
+    Replay(replay::Replay),
     /// How well this host suits real time, and how to fix it; changes nothing.
     Doctor(doctor::Doctor),
     /// The script that completes the arguments of this program in a shell.
@@ -79,11 +105,20 @@ pub fn main() -> ExitCode {
         Command::Demo(demo) => demo.run(),
         Command::Sim(sim) => sim.run(),
         Command::Run(run) => run.run(),
+        Command::Soak(soak) => soak.run(),
         Command::Check(check) => check.run(),
+        Command::Init(init) => init.run(),
+        Command::Config(config) => config.run(),
         Command::Status(status) => status.run(),
+        #[cfg(feature = "jog")]
+        Command::Jog(jog) => jog.run(),
         Command::Param(param) => param.run(),
+        #[cfg(feature = "scope")]
+        Command::Scope(scope) => scope.run(),
         Command::Added(added) => added.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
+        Command::Export(export) => export.run(),
+        Command::Replay(replay) => replay.run(),
         Command::Doctor(doctor) => doctor.run(),
         Command::Completions(completions) => completions.run(),
         Command::Man(manual) => manual.run(),
@@ -106,15 +141,26 @@ fn arguments() -> Result<Arguments, Stop> {
                 | ErrorKind::DisplayVersion
                 | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
         ) {
-            return Stop::usage(one_line(&error.render().to_string()));
+            return Stop::usage(left_out(&error).unwrap_or_else(|| one_line(&error.render().to_string())));
         }
         error.exit()
     })
 }
 
-/// clap's message up to its usage, whose command then is the one to ask for help.
+/// The mistake is to want what this program was built without.
+fn left_out(error: &clap::Error) -> Option<String> {
+    const OUTSIDE: [&str; 2] = ["jog", "scope"];
+    let wanted = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg].into_iter();
+    let ContextValue::String(wanted) = wanted.filter_map(|kind| error.get(kind)).next()? else { return None };
+    let feature = OUTSIDE.into_iter().find(|feature| wanted.trim_start_matches("--") == *feature)?;
+    Some(format!(
+        "this program was built without `{wanted}`: `cargo build --release --features {feature}` builds one that has it"
+    ))
+}
+
+/// clap's message up to its usage, and the command whose help says more.
 fn one_line(message: &str) -> String {
-    let (what, usage) = message.split_once("Usage:").unwrap_or((message, ""));
+    let what = message.split("Usage:").next().unwrap_or_default();
     let what = what.split("For more information").next().unwrap_or_default();
     let mut line = String::new();
     for part in what.lines().map(str::trim).filter(|part| !part.is_empty()) {
@@ -125,9 +171,14 @@ fn one_line(message: &str) -> String {
         };
         line = line + between + part.trim_start_matches("error: ").trim_start_matches("tip: ");
     }
-    let words = usage.split_whitespace().take_while(|word| !word.starts_with(['[', '<', '-']));
-    let command = words.fold(String::new(), |command, word| command + word + " ");
-    format!("{line}; see `{}--help`", if command.is_empty() { "fieldbeat " } else { &command })
+    let (all, mut named) = (Arguments::command(), "fieldbeat".to_owned());
+    let mut command = &all;
+    for word in std::env::args_os().skip(1) {
+        let Some(next) = command.find_subcommand(word) else { break };
+        named = named + " " + next.get_name();
+        command = next;
+    }
+    format!("{line}; see `{named} --help`")
 }
 
 /// Prints to standard output. A reader that has gone away (`| head`) is no error; a full disk is, since the

@@ -6,13 +6,16 @@ use std::time::Duration;
 
 use clap::Args;
 use fieldbeat::axis::{HeldBy, Load};
+use fieldbeat::doctor::{self, Subject, examine};
+use fieldbeat::internals::config::describe;
+use fieldbeat::internals::master::MachineOf;
 use fieldbeat::telemetry::Summary;
-use fieldbeat::telemetry::blackbox::default_directory;
-use fieldbeat::telemetry::metrics::{self, Endpoint, MetricsError, Server};
+use fieldbeat::telemetry::recording::{RecordError, Recorder};
 use fieldbeat::telemetry::report::Report;
-use fieldbeat::{Master, Plan, Setup};
+use fieldbeat::{Master, Plan, Run, Setup};
 
-use super::{Stop, complain, print, show};
+use super::serving::{Served, Servers, Serving};
+use super::{Stop, complain, print, show, span};
 
 /// A disk that does not take the report within this time does not hold up the end.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -23,16 +26,27 @@ pub struct Output {
     /// Print the summary as one JSON object.
     #[arg(long)]
     json: bool,
-    /// Write summary, histograms (.hgrm) and plots (.svg) to this directory at the end.
+    /// Write a page with plots (index.html), summary and histograms (.hgrm) to this directory at the end.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only, NAME:PORT
-    /// for clients that use another name of this computer.
-    #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
-    metrics: Option<metrics::Address>,
-    /// Where the black box writes its files; without it the state directory of the service, or of the user.
-    #[arg(long, value_name = "DIR")]
-    black_box: Option<PathBuf>,
+    /// Compare the report with that of an earlier run, by its run.json; may be given several times.
+    #[arg(long, value_name = "FILE", requires = "report")]
+    compare: Vec<PathBuf>,
+    #[command(flatten)]
+    serving: Serving,
+    /// Record every cycle of every axis, commands and events to this file (MCAP: Foxglove, PlotJuggler, Rerun).
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Record only so much of what is newest, in memory: written at the end, at a failure, and on SIGUSR1.
+    #[arg(long, value_name = "TIME", value_parser = span, requires = "record")]
+    record_window: Option<Duration>,
+    /// Record all that the loop takes from outside to the same file, from which `fieldbeat replay` repeats the run.
+    #[arg(long, requires = "record")]
+    record_wire: bool,
+    /// Record also the native process data of these drives, as received and sent; `all` stands for each of them. May
+    /// be given several times.
+    #[arg(long, value_name = "NAME", value_delimiter = ',', requires = "record")]
+    record_native: Vec<String>,
 }
 
 /// All of it can be had, as far as is known before the run.
@@ -40,8 +54,8 @@ pub struct Output {
 pub struct Prepared {
     json: bool,
     report: Option<Report>,
-    endpoint: Option<Endpoint>,
-    black_box: PathBuf,
+    served: Served,
+    recorder: Option<Recorder>,
 }
 
 /// The machine runs.
@@ -50,43 +64,49 @@ pub struct Running {
     json: bool,
     report: Option<Report>,
     /// Answers as long as it is held.
-    _server: Option<Server>,
+    _server: Servers,
 }
 
 impl Output {
     /// Finds out whether it can be had, before anything is sent.
     pub fn prepare(self) -> Result<Prepared, Stop> {
-        let report = self.report.map(Report::create).transpose().map_err(Stop::usage)?;
-        let bind = |metrics::Address { socket, name }| {
-            let endpoint = Endpoint::bind(socket)?;
-            Ok(name.into_iter().fold(endpoint, Endpoint::named))
+        if self.record_wire && self.record_window.is_some() {
+            return Err(Stop::usage(RecordError::WireOfWindow));
+        }
+        let mut report = self.report.map(Report::create).transpose().map_err(Stop::usage)?;
+        for file in &self.compare {
+            report = report.map(|report| report.compare(file)).transpose().map_err(Stop::usage)?;
+        }
+        let served = self.serving.prepare()?;
+        let record = |path| match self.record_window {
+            Some(window) => Recorder::window(path, window),
+            None => Recorder::create(path),
         };
-        let endpoint =
-            self.metrics.map(bind).transpose().map_err(|error: MetricsError| Stop::usage(error))?;
-        let black_box = self.black_box.unwrap_or_else(default_directory);
-        Ok(Prepared { json: self.json, report, endpoint, black_box })
+        let mut recorder = self.record.map(record).transpose().map_err(Stop::usage)?;
+        if self.record_wire {
+            recorder = recorder.map(Recorder::with_wire).transpose().map_err(Stop::usage)?;
+        }
+        let recorder = recorder.map(|recorder| recorder.with_native(self.record_native));
+        Ok(Prepared { json: self.json, report, served, recorder })
     }
 }
 
 impl Prepared {
-    /// The machine of `plan`, with its black box.
-    pub fn setup(&self, plan: Plan) -> Setup {
-        Master::from_plan(plan).with_black_box(&self.black_box)
+    /// The machine of `plan`, which is from `machine`, with its black box and its recording.
+    pub fn setup(&mut self, plan: Plan, machine: MachineOf) -> Setup {
+        if let Some(report) = &mut self.report {
+            texts(&plan).into_iter().for_each(|(title, text)| report.add_text(title, text));
+        }
+        let setup = self.served.setup(plan).of_machine(machine);
+        match self.recorder.take() {
+            Some(recorder) => setup.with_recorder(recorder),
+            None => setup,
+        }
     }
 
     /// Answers with the numbers of `master` from here on.
     pub fn serve(self, master: &Master) -> Result<Running, Stop> {
-        let serve = |endpoint: Endpoint| {
-            let address = endpoint.address();
-            complain(&format!("metrics at http://{address}/metrics"));
-            if !address.ip().is_loopback() {
-                complain(
-                    "anyone on that network can read the metrics; --metrics with a port alone keeps them here",
-                );
-            }
-            endpoint.serve(master.monitor()).map_err(Stop::failed)
-        };
-        let server = self.endpoint.map(serve).transpose()?;
+        let server = self.served.serve(master)?;
         Ok(Running { json: self.json, report: self.report, _server: server })
     }
 }
@@ -101,15 +121,7 @@ impl Running {
     pub fn finish(self, master: Master) -> (Summary, Result<(), Stop>) {
         let run = master.finish();
         let summary = run.summary();
-        let loads = run.plan.axes().into_iter().zip(&run.end.drives);
-        for (axis, drive) in loads {
-            if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.status.state.is_powered() {
-                complain(&format!(
-                    "drive {} stays powered: only the drive holds its vertical load",
-                    axis.name
-                ));
-            }
-        }
+        name_held_loads(&run);
         let printed = if self.json {
             serde_json::to_string(&summary).map_err(Stop::failed).and_then(print)
         } else {
@@ -130,6 +142,23 @@ impl Running {
             None => Ok(()),
         };
         (summary, both(printed, written))
+    }
+}
+
+/// The configuration and the host, as they stand at the end of a page. To be called before the loop runs: it tries what
+/// the loop will take.
+pub fn texts(plan: &Plan) -> Vec<(String, String)> {
+    let subject = Subject::of(plan);
+    let host = doctor::Report::new(&subject, examine(&subject), None).to_string();
+    vec![("Configuration".into(), describe(plan).join("\n")), ("Host".into(), host)]
+}
+
+/// Says which drives stay powered.
+pub fn name_held_loads(run: &Run) {
+    for (axis, drive) in run.plan.axes().into_iter().zip(&run.end.drives) {
+        if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.status.state.is_powered() {
+            complain(&format!("drive {} stays powered: only the drive holds its vertical load", axis.name));
+        }
     }
 }
 

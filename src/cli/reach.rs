@@ -35,7 +35,7 @@ enum Way {
     /// A master runs.
     Running(Remote),
     /// None does; this one ends when it is dropped.
-    Alone { acyclic: Acyclic, _master: Master },
+    Alone { acyclic: Acyclic, _master: Box<Master> },
 }
 
 impl Reach {
@@ -154,5 +154,5 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
         }
         sleep(LOOK_EVERY);
     }
-    Ok(Way::Alone { acyclic, _master: master })
+    Ok(Way::Alone { acyclic, _master: Box::new(master) })
 }

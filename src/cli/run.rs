@@ -4,6 +4,10 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use fieldbeat::axis::Axis;
+use fieldbeat::config::Configuration;
+use fieldbeat::internals::config::load_machine;
+use fieldbeat::internals::control::Station;
 use fieldbeat::internals::rt::thread::helper_thread;
 use fieldbeat::telemetry::summary::{Drive, Summary};
 use fieldbeat::time::MS;
@@ -12,7 +16,7 @@ use fieldbeat::{Master, Setup};
 use super::handler::Handler;
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::output::{Output, both};
-use super::{Stop, complain, load, span};
+use super::{Stop, complain, span};
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -22,6 +26,9 @@ pub struct Run {
     /// End after this time; without it, at Ctrl-C.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
+    /// Let other processes of this user operate the axes, one at a time: `fieldbeat jog CONFIG`.
+    #[arg(long)]
+    allow_control: bool,
     #[command(flatten)]
     output: Output,
 }
@@ -29,15 +36,19 @@ pub struct Run {
 impl Run {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let plan = load(&self.config)?;
+        let (Configuration { plan, .. }, machine) = load_machine(&self.config).map_err(Stop::usage)?;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let output = self.output.prepare()?;
-        let master = start(output.setup(plan), &interrupt)?;
+        let mut output = self.output.prepare()?;
+        let master = start(output.setup(plan, machine), &interrupt)?;
         let output = output.serve(&master)?;
-        // Nobody else takes their events: untaken, they would count as lost.
-        let axes = master.observers().iter().map(|(name, _)| master.axis(name));
-        let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
-        let mut handler = Handler::new(&master, &interrupt).taking(axes);
+        let axes = all_axes(&master)?;
+        let mut handler = if self.allow_control {
+            let station = Station::start(axes, master.monitor()).map_err(Stop::failed)?;
+            Handler::operated(&master, &interrupt, station)
+        } else {
+            // Nobody else takes their events: untaken, they would count as lost.
+            Handler::new(&master, &interrupt).taking(axes)
+        };
         let begun = Instant::now();
         while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
             handler.look(&master, "run");
@@ -49,6 +60,12 @@ impl Run {
         let whole = summary.is_whole() || (interrupt.is_set() && !summary.has_failed());
         both(printed, if whole { Ok(()) } else { Err(not_whole(&summary)) })
     }
+}
+
+/// All axes of the machine, in their order.
+pub fn all_axes(master: &Master) -> Result<Vec<Axis>, Stop> {
+    let axes = master.observers().iter().map(|(name, _)| master.axis(name));
+    axes.collect::<Result<_, _>>().map_err(Stop::failed)
 }
 
 /// Starts the machine; a signal from here on stops it in order.
@@ -125,11 +142,25 @@ pub fn not_whole(summary: &Summary) -> Stop {
     ]
     .into_iter()
     .flatten()
+    .chain(stopped(summary))
     .chain(host_took(summary))
     .collect();
     let failures = summary.failures.iter().filter(|failure| failure.fails_run);
     let lines: Vec<String> = failures.map(|failure| failure.what.clone()).chain(lines).collect();
     Stop::failed(lines.join("; "))
+}
+
+/// The axes that were stopped by what no other line names, each with its cause.
+fn stopped(summary: &Summary) -> Option<String> {
+    let mut failed = summary.drives.iter().filter(|drive| drive.failed_by().is_some());
+    let remedy = match failed.all(Drive::was_starved) {
+        true => {
+            "what feeds them came too late: give its thread processor time, or let it queue further ahead"
+        }
+        false => "the black box says what led to it",
+    };
+    let axes = summary.stopped_axes()?;
+    Some(format!("stopped: {axes}; {remedy}, and `reset` ends it"))
 }
 
 /// What the host took from the loop, if that may have cost a drive: a hundredth of the run, or more.

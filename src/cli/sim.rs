@@ -30,7 +30,7 @@ pub struct Sim {
 impl Sim {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let Configuration { plan, simulation } = configuration(&self.config)?;
+        let Configuration { plan, simulation, .. } = configuration(&self.config)?;
         let cores = host::online_cores().unwrap_or_default();
         if let Some(core) = self.core.filter(|core| !cores.is_empty() && !cores.contains(core)) {
             return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));

@@ -4,8 +4,9 @@ use std::ops::RangeInclusive;
 
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
+use crate::keys::form::Form;
 use crate::keys::table::{Table, time, within_times};
-use crate::keys::value::{alternatives, plain_name};
+use crate::keys::value::{SHORT_NAME, alternatives, plain_name};
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, S, US};
 
@@ -66,7 +67,13 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
                 "the length of the recording that is kept for a failure; 0s keeps none",
             )
             .unwrap_or(default.black_box_ns),
-        reference: table.text("reference", "the name of a bus, whose clock leads the grid", plain_name),
+        record_native: default.record_native,
+        reference: table.text(
+            "reference",
+            SHORT_NAME,
+            "the name of a bus, whose clock leads the grid",
+            plain_name,
+        ),
     }
 }
 
@@ -89,7 +96,7 @@ pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<
 }
 
 fn guard(table: &mut Table<'_>) -> Option<Guard> {
-    table.read("guard", |value| match value.as_str() {
+    table.read("guard", Form::Time.or(Form::words(["off", "auto"])), |value| match value.as_str() {
         Some("off") => Ok(Guard::Off),
         Some("auto") => Ok(Guard::Auto),
         _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),

@@ -6,7 +6,9 @@
 //! | `cycle` | `[cycle]`, and what would starve the host |
 //! | `describe` | a plan in words |
 //! | `json` | a plan as one JSON object |
+//! | `schema` | the JSON schema of a configuration |
 //! | `demo` | the plan of `fieldbeat demo` |
+//! | `soak` | `[soak]`: the moves and criteria of a soak test |
 //!
 //! Each protocol reads its own keys, in its folder below [`bus`](crate::bus); what all of them have is in `keys`.
 //!
@@ -17,20 +19,24 @@ mod cycle;
 pub(crate) mod demo;
 pub(crate) mod describe;
 pub(crate) mod json;
+pub(crate) mod schema;
+pub(crate) mod soak;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use crate::keys::error::{ConfigError, ConfigErrors};
 
+use self::soak::SoakPlan;
 use crate::bus::{BusPlan, PROTOCOLS};
 use crate::cycle::{GroupPlan, Plan};
 use crate::keys::file;
+use crate::keys::form::Form;
 use crate::keys::machine::Machine;
 use crate::keys::page::Page;
 use crate::keys::table::Table;
-use crate::keys::value::{self, plain_name};
-use crate::master::{Master, Setup};
+use crate::keys::value::{self, SHORT_NAME, plain_name};
+use crate::master::{MachineOf, Master, Setup};
 use crate::sim::SimPlan;
 
 /// What a file holds.
@@ -40,20 +46,30 @@ pub struct Configuration {
     pub plan: Plan,
     /// Its drives, when they are simulated.
     pub simulation: SimPlan,
+    /// How a soak test moves its axes, and what it has to keep to.
+    #[doc(hidden)]
+    pub soak: SoakPlan,
 }
 
 /// Reads the configuration at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<Configuration, ConfigErrors> {
+    load_machine(path).map(|(read, _)| read)
+}
+
+/// The same, and its text for a record.
+#[doc(hidden)]
+pub fn load_machine(path: impl AsRef<Path>) -> Result<(Configuration, MachineOf), ConfigErrors> {
     let (file, text) =
         file::read(path.as_ref(), "an existing configuration, for example rt-config/demo.toml")?;
-    parse(&text, &file)
+    let read = parse(&text, &file)?;
+    Ok((read, MachineOf::Configuration { file, text }))
 }
 
 impl Master {
     /// Reads and checks a configuration.
     pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
-        let Configuration { plan, simulation } = load(path)?;
-        Ok(Master::from_plan(plan).with_simulation(simulation))
+        let (Configuration { plan, simulation, .. }, machine) = load_machine(path)?;
+        Ok(Master::from_plan(plan).with_simulation(simulation).of_machine(machine))
     }
 }
 
@@ -142,16 +158,17 @@ fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> C
         plan.groups.extend(group);
         table.finish();
     }
+    let soak = root.table("soak", |table| soak::soak(table, &plan));
     root.finish();
-    Configuration { plan, simulation }
+    Configuration { plan, simulation, soak }
 }
 
 /// A `[[group]]`: axes that act together.
 fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
     table.require("name", "the name by which programs use the group");
     table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
-    let name = table.text("name", "1 to 32 letters, digits, - _ or .", plain_name);
-    let axes = table.read("axes", |value| {
+    let name = table.text("name", SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
+    let axes = table.read("axes", Form::Text(None).any_list(), |value| {
         let names = value.as_array().map(|array| array.iter().map(|name| name.get_ref().as_str()));
         let names: Option<Vec<&str>> = names.and_then(Iterator::collect);
         names

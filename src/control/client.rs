@@ -103,6 +103,16 @@ impl Conversation {
         Ok(answer)
     }
 
+    /// Asks for what is no answer in a line, and leaves the connection to whoever reads it.
+    pub(super) fn into_stream(self, question: &Value) -> Result<UnixStream, AskError> {
+        let held = self.stream.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let stream = held.ok_or_else(|| AskError::Broken(self.path.clone()))?;
+        let said = Exchange::new(&stream, PATIENCE, &|| true)
+            .and_then(|exchange| exchange.say(&format!("{question}\n")));
+        said.map_err(|error| AskError::Io { path: self.path, error })?;
+        Ok(stream)
+    }
+
     fn ask_over(&self, stream: &UnixStream, question: &Value, patience: Duration) -> Result<Value, AskError> {
         let own = || self.path.clone();
         let failed = |error| AskError::Io { path: own(), error };

@@ -7,16 +7,26 @@
 //! | `server` | the master's side |
 //! | `client` | the client's side |
 //! | `session`, `remote` | acyclic access to the drives of a running master: its side, and that of another process |
+//! | `watch` | the records of all cycles of a running master, as they are made |
+//! | `operate` | the axes of a running master, operated from elsewhere |
 //! | `protocol` | one line each way, within a time that the other side cannot extend |
 
 mod client;
+mod operate;
 pub(crate) mod place;
 mod protocol;
 mod remote;
 mod server;
 mod session;
+mod watch;
 
 pub use client::{AskError, Conversation, ask};
+pub use operate::answer as answer_operator;
+pub use operate::{
+    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
+    OperateError, OperationState, Operator, OperatorSession, Order, Reply, Request, Station,
+};
 pub use remote::Remote;
-pub use server::{Answering, ServeError, Server};
+pub use server::{Answering, Sender, ServeError, Server};
 pub use session::Session;
+pub use watch::{About, Happened, Late, NEWS_EVERY, News, Part, Watch, Watched};

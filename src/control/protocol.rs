@@ -55,7 +55,12 @@ impl<'a> Exchange<'a> {
 
     /// Says `text`.
     pub fn say(&self, text: &str) -> io::Result<()> {
-        let mut rest = text.as_bytes();
+        self.send(text.as_bytes())
+    }
+
+    /// Sends `bytes`.
+    pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
+        let mut rest = bytes;
         while !rest.is_empty() {
             let piece = &rest[..rest.len().min(PIECE)];
             rest = &rest[self.patiently(|mut stream| stream.write(piece))?..];

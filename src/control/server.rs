@@ -29,6 +29,9 @@ use crate::net::clients::{Client, Clients};
 /// A client has so long to send its request, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
+/// Whoever gets a stream has so long for each of its frames.
+pub(super) const PATIENCE_OF_STREAM: Duration = Duration::from_secs(10);
+
 /// Between two questions of one conversation.
 const PAUSE: Duration = Duration::from_secs(10);
 
@@ -226,10 +229,19 @@ fn is_socket(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket())
 }
 
+/// Takes bytes, each time within a limit of time; an error: the other side is gone, too slow, or the server ends.
+pub type Sender<'a> = dyn FnMut(&[u8]) -> io::Result<()> + 'a;
+
 /// What answers the questions of one conversation.
 pub trait Answering {
     /// The answer. One that takes long breaks off once `go_on` is false: nobody waits for it any more.
     fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String>;
+
+    /// Sends what `question` begins instead of an answer in a line, up to its end, by `send`; `None`: it is answered.
+    fn stream(&mut self, question: &Value, send: &mut Sender<'_>) -> Option<io::Result<()>> {
+        let _ = (question, send);
+        None
+    }
 
     /// The conversation is over: does what has to be done then, while `go_on`.
     fn end(&mut self, go_on: &dyn Fn() -> bool) {
@@ -268,8 +280,16 @@ fn converse(
         }
         // What follows a line is nobody's.
         line.truncate(line.iter().position(|byte| *byte == b'\n').map_or(line.len(), |end| end + 1));
+        let question = serde_json::from_slice(&line);
+        if let (true, Ok(question)) = (ours, &question) {
+            let go_on = || go_on() && !hung_up(stream);
+            let mut send = |bytes: &[u8]| Exchange::new(stream, PATIENCE_OF_STREAM, &go_on)?.send(bytes);
+            if let Some(ended) = answering.stream(question, &mut send) {
+                return ended;
+            }
+        }
         let reply = match ours {
-            true => match serde_json::from_slice(&line) {
+            true => match question {
                 Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
                 Err(_) if line.len() == LONGEST_QUESTION => {
                     Err(format!("a request has at most {LONGEST_QUESTION} bytes"))

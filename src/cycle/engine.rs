@@ -5,11 +5,13 @@
 //! | `engine` | the grid: which slot is executed, and its stages in their order |
 //! | `stages` | evaluate, commands, prepare |
 //! | `report` | what a cycle publishes |
+//! | `native` | native process data for a recording |
 //! | `panics` | what follows from a panic on the loop's thread |
 //!
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
 
+mod native;
 mod panics;
 mod report;
 mod stages;
@@ -20,6 +22,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use crossbeam::utils::CachePadded;
 use rtrb::Producer;
 
+use self::native::{Moment, Natives};
 pub use self::panics::LoopPanic;
 use self::panics::Panics;
 use super::grid::Grid;
@@ -37,6 +40,7 @@ use crate::axis::{Pulse, StopCause};
 use crate::bus::{Cycle, Slot};
 use crate::drive::controller::DriveController;
 use crate::drive::groups::GroupSync;
+use crate::inputs::InputLog;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
 
@@ -79,6 +83,15 @@ pub struct Channels {
     pub records: Producer<Record>,
     /// The numbers of the loop, newest only.
     pub status: Writer<Status>,
+    /// All that it takes from outside.
+    pub log: InputLog,
+}
+
+impl Channels {
+    /// What the control requests.
+    fn requested(&self) -> u8 {
+        self.log.value(RUN.into(), self.control.requested().into()) as u8
+    }
 }
 
 /// One axis, as the loop takes it.
@@ -123,6 +136,7 @@ pub struct Engine<C> {
     heartbeat: Heartbeat,
     channels: Channels,
     status: Status,
+    natives: Natives,
     /// More of it than its counts has changed since it was published.
     changed: bool,
     /// A drive has reported monitored variables in this cycle.
@@ -245,10 +259,16 @@ impl<C: Clock> Engine<C> {
             task,
             task_id: 1,
             groups: GroupSync::new(controllers.len()),
-            heartbeat: Heartbeat::new(channels.pulse.clone(), plan.heartbeat_ns, plan.period_ns),
+            heartbeat: Heartbeat::new(
+                channels.pulse.clone(),
+                channels.log.source(),
+                plan.heartbeat_ns,
+                plan.period_ns,
+            ),
             controllers,
             channels,
             status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
+            natives: Natives::default(),
             changed: true,
             reference,
             shows: false,
@@ -278,6 +298,7 @@ impl<C: Clock> Engine<C> {
         self.channels.bells.memory(regions);
         regions.add(&*self.buses);
         regions.add(&*self.send_order);
+        self.natives.memory(regions);
         self.window.memory(regions);
         self.channels.status.memory(regions);
         regions.add(&*self.axes);
@@ -308,7 +329,10 @@ impl<C: Clock> Engine<C> {
     /// One slot of the grid: waits for it and executes it, or passes over slots that came too late. After a panic it
     /// only stops.
     pub fn step(&mut self) -> Flow {
-        if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) }
+        self.channels.log.cycle(self.grid.index());
+        let flow = if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) };
+        self.channels.log.whole();
+        flow
     }
 
     fn turn(&mut self) -> Flow {
@@ -319,9 +343,8 @@ impl<C: Clock> Engine<C> {
         self.guard.observe(now.since(self.grid.at() - guard_ns));
         self.spun = now < self.grid.at();
         // The final spin, bounded by the guard.
-        while now < self.grid.at() {
-            self.clock.spin();
-            now = self.clock.now();
+        if self.spun {
+            now = self.clock.spin_until(self.grid.at());
         }
         // A slot may begin late by half of its receive window. Later, the drives would be charged for our own
         // delay.
@@ -370,6 +393,9 @@ impl<C: Clock> Engine<C> {
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
         self.skips.executed();
+        if !self.natives.are_none() {
+            self.report_native(cycle, Moment::Sent);
+        }
         let sent = self.clock.now();
 
         // 2 receive
@@ -379,6 +405,9 @@ impl<C: Clock> Engine<C> {
 
         // 3 evaluate, what was sent included
         self.panics.stage = Some(Stage::Evaluate);
+        if !self.natives.are_none() {
+            self.report_native(cycle, Moment::Received);
+        }
         let missed = self.evaluate(cycle, received);
         self.steer(cycle);
         let evaluated = self.clock.now();
@@ -478,6 +507,11 @@ impl<C: Clock> Engine<C> {
         self.arm(&cycle, now);
     }
 
+    /// The slot of the next step.
+    pub fn slot(&self) -> u64 {
+        self.grid.index()
+    }
+
     /// The clock, for a caller that steps the engine by hand.
     pub fn clock(&mut self) -> &mut C {
         &mut self.clock
@@ -490,6 +524,9 @@ impl<C: Clock> Engine<C> {
 
     /// Ends the run and returns its exact numbers.
     pub fn finish(mut self) -> Numbers {
+        if let Some(recording) = self.channels.log.as_recording() {
+            recording.end();
+        }
         let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
         let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))

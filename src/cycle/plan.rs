@@ -2,11 +2,13 @@
 
 use std::path::PathBuf;
 
-use super::record::Record;
+use super::record::{NativeRecord, Record};
 use crate::axis::group::out_of_step;
 use crate::axis::{
-    AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, is_plain_name,
+    AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, SilenceFaults, Units,
+    is_plain_name,
 };
+use crate::bus::native::NativeLayout;
 use crate::bus::{BusPlan, Grid, OwnCounter};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
@@ -55,6 +57,9 @@ pub struct GroupPlan {
 pub struct PlanErrors(pub Vec<String>);
 crate::errors::debug_as_display!(PlanErrors);
 
+/// In place of a name: each drive.
+const EVERY_DRIVE: &str = "all";
+
 /// The largest black box, bytes.
 const MOST_BLACK_BOX: usize = 150_000_000;
 
@@ -62,6 +67,11 @@ impl Plan {
     /// All axes in slot order: bus after bus, drive after drive.
     pub fn axes(&self) -> Vec<&AxisPlan> {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()
+    }
+
+    /// The units of all axes, in slot order.
+    pub fn units(&self) -> Vec<Units> {
+        self.axes().into_iter().map(|axis| axis.units).collect()
     }
 
     /// The monitored variables of the drives, in slot order.
@@ -72,11 +82,41 @@ impl Plan {
     }
 
     /// The most records that the loop makes in a cycle: one per drive, one more per drive that reports monitored
-    /// variables, one of the bus whose clock leads, and one of its own.
+    /// variables, one of the bus whose clock leads, and one of its own; those of native process data apart. Commands
+    /// and events are rare.
     pub fn records_a_cycle(&self) -> usize {
         let monitored = self.monitored();
         let showing = monitored.iter().filter(|channels| channels.iter().any(Option::is_some));
         monitored.len() + showing.count() + usize::from(self.cycle.reference.is_some()) + 1
+    }
+
+    /// The most records with native process data that the loop makes at once, and usually in a cycle.
+    pub(crate) fn native_records_a_cycle(&self) -> usize {
+        let layouts = self.native_layouts().into_iter().flatten();
+        layouts.map(|(_, layout)| layout.most.div_ceil(NativeRecord::PART)).sum()
+    }
+
+    /// The axes whose native process data are recorded, in slot order, with what is known of these.
+    ///
+    /// # Errors
+    ///
+    /// One of the names is that of no drive.
+    pub(crate) fn native_layouts(&self) -> Result<Vec<(usize, NativeLayout)>, String> {
+        let chosen = &self.cycle.record_native;
+        let axes = self.axes();
+        let has = |name: &String| name == EVERY_DRIVE || axes.iter().any(|axis| axis.name == *name);
+        if let Some(name) = chosen.iter().find(|name| !has(name)) {
+            let known: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
+            return Err(format!(
+                "there is no drive {name:?} whose native process data could be recorded; name {EVERY_DRIVE}, or some \
+                 of: {}",
+                known.join(", ")
+            ));
+        }
+        let drives = self.buses.iter().flat_map(|bus| (0..bus.axes().len()).map(move |index| (bus, index)));
+        let is_chosen = |axis: &AxisPlan| chosen.iter().any(|name| name == EVERY_DRIVE || *name == axis.name);
+        let layouts = drives.zip(axes).enumerate().filter(|(_, (_, axis))| is_chosen(axis));
+        Ok(layouts.map(|(axis, ((bus, index), _))| (axis, bus.native_layout(index))).collect())
     }
 
     /// Whether this plan can work: contradictions, and mistakes that only a machine that does not stop would show.
@@ -101,6 +141,7 @@ impl Plan {
         if let Some(why) = self.reference_fault() {
             errors.push(format!("cycle: {why}"));
         }
+        errors.extend(self.native_layouts().err());
         for (index, group) in self.groups.iter().enumerate() {
             if self.groups[..index].iter().any(|other| other.name == group.name) {
                 errors.push(format!("group {}: its name is taken by another group", group.name));
@@ -234,6 +275,12 @@ impl Plan {
         self.of_each_drive(|bus| bus.fault_names())
     }
 
+    /// Which fault codes say that the master was silent, of each drive, in slot order.
+    #[doc(hidden)]
+    pub fn silence_faults(&self) -> Vec<SilenceFaults> {
+        self.of_each_drive(|bus| bus.silence_faults())
+    }
+
     fn of_each_drive<T: Clone>(&self, of: impl Fn(&dyn BusPlan) -> T) -> Vec<T> {
         self.buses.iter().flat_map(|bus| vec![of(&**bus); bus.axes().len()]).collect()
     }
@@ -307,6 +354,9 @@ pub struct CyclePlan {
     pub late_ns: Option<u64>,
     /// How far back the black box reaches, ns.
     pub black_box_ns: u64,
+    /// The drives whose native process data the loop reports, by name; `all` is each of them. A recorder sets it.
+    #[doc(hidden)]
+    pub record_native: Vec<String>,
 }
 
 impl CyclePlan {
@@ -346,6 +396,7 @@ impl Default for CyclePlan {
             heartbeat_ns: None,
             late_ns: None,
             black_box_ns: 2 * S,
+            record_native: Vec::new(),
         }
     }
 }

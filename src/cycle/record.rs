@@ -1,13 +1,18 @@
 //! The loop's reports to the telemetry thread: fixed-size records through a ring, one per drive, a second one per
-//! drive that reports monitored variables, one of the bus clock that leads the grid, if any, and one per cycle. A
-//! full ring loses records, never truth: the counts and extremes that the loop keeps itself are exact, and the loss
-//! is counted.
+//! drive that reports monitored variables, one of the bus clock that leads the grid, if any, and one per cycle; one
+//! per command and event; and some per drive whose native process data are recorded. A full ring loses records, never
+//! truth: the counts and extremes that the loop keeps itself are exact, and the loss is counted.
 
-pub use crate::drive::record::{DriveRecord, MonitorRecord, Reply, ShortEmergency, measured, short};
+use crate::drive::journal::Note;
+pub use crate::drive::record::{
+    CommandRecord, CommandStep, DriveRecord, EventRecord, MonitorRecord, Reply, ShortEmergency, measured,
+    short,
+};
 use crate::named::named;
 use crate::time::Time;
 
-/// One record. Those of the drives and of the reference come before that of their cycle.
+/// One record. All others come before that of their cycle; those of native process data before the ones of the drives,
+/// those of commands and events, axis by axis, after them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Record {
     /// One drive in an executed cycle.
@@ -20,16 +25,34 @@ pub enum Record {
     Cycle(CycleRecord),
     /// Slots passed over.
     Skipped(SkippedRecord),
+    /// A command that was taken, or begins.
+    Command(CommandRecord),
+    /// An event of an axis, the ends of its commands among them.
+    Event(EventRecord),
+    /// A part of the native process data of a drive.
+    Native(NativeRecord),
+}
+
+impl From<Note> for Record {
+    fn from(note: Note) -> Record {
+        match note {
+            Note::Command(record) => Record::Command(record),
+            Note::Event(record) => Record::Event(record),
+        }
+    }
 }
 
 impl Record {
-    /// Its slot; of slots passed over, the first.
+    /// Its slot; of slots passed over, the first. An event between two cycles has the slot of the next one.
     pub fn index(&self) -> u64 {
         match self {
             Record::Drive(DriveRecord { index, .. })
             | Record::Monitor(MonitorRecord { index, .. })
             | Record::Reference(ReferenceRecord { index, .. })
             | Record::Cycle(CycleRecord { index, .. })
+            | Record::Command(CommandRecord { index, .. })
+            | Record::Event(EventRecord { index, .. })
+            | Record::Native(NativeRecord { index, .. })
             | Record::Skipped(SkippedRecord { first: index, .. }) => *index,
         }
     }
@@ -89,6 +112,37 @@ pub struct ReferenceRecord {
     pub locked: bool,
     /// The grid is locked, or was locked before: its errors count.
     pub counts: bool,
+}
+
+/// A part of the native process data of a drive that is chosen for it: of the inputs, as they were received in an
+/// executed cycle, followed by the outputs, as they were sent in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NativeRecord {
+    /// The slot.
+    pub index: u64,
+    /// The inputs were taken in so long after the grid point, ns.
+    pub received_ns: u32,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// Bytes of inputs and outputs together.
+    pub total: u16,
+    /// Bytes of the inputs; 0: none were received.
+    pub inputs: u16,
+    /// Where this part begins.
+    pub offset: u16,
+    /// The part. What follows the end of the last one means nothing.
+    pub bytes: [u8; NativeRecord::PART],
+}
+
+impl NativeRecord {
+    /// Bytes of a part, except for the last one.
+    pub const PART: usize = 44;
+
+    /// The bytes of this part.
+    pub fn part(&self) -> &[u8] {
+        let rest = usize::from(self.total.saturating_sub(self.offset));
+        &self.bytes[..rest.min(NativeRecord::PART)]
+    }
 }
 
 /// Slots passed over.

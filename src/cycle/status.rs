@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use super::engine::LoopPanic;
 use crate::axis::cell::Reader;
-use crate::axis::packed::{packed, parts};
 use crate::axis::{Feedback, MONITOR_CHANNELS, Observer};
 use crate::bus::{BusClock, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
+use crate::packed::{packed, parts};
 
 /// The loop in numbers, published every cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -183,6 +183,26 @@ pub struct Gauges {
 }
 
 impl Gauges {
+    /// The loop and all drives in numbers. Those of a drive are at most 64 cycles or 100 ms old.
+    pub fn numbers(&self) -> Numbers {
+        let Gauges { status, axes, buses } = self;
+        Numbers {
+            status: status.read(),
+            drives: (axes.iter())
+                .map(|axis| axis.info.with(axis.observer.feedback(), axis.numbers.read()))
+                .collect(),
+            clocks: buses.iter().map(|bus| bus.clock.read()).collect(),
+            buses: buses.iter().map(|bus| bus.info.with(bus.unmatched.read())).collect(),
+            devices: self.devices(),
+            ..Numbers::default()
+        }
+    }
+
+    /// What takes part without being a drive, in the order of the plan.
+    pub fn devices(&self) -> Vec<DeviceEnd> {
+        self.buses.iter().flat_map(|bus| bus.info.devices()).collect()
+    }
+
     /// What is to be known of drives and devices although they are in operation, a line each.
     pub fn remarks(&self) -> Vec<String> {
         let drives = self.axes.iter().filter_map(|axis| axis.info.remark());

@@ -3,6 +3,8 @@
 use crate::axis::{Command, CommandId, Failure, Feedback, QueuedCommand, Row};
 use crate::bus::Cycle;
 use crate::drive::controller::DriveController;
+use crate::inputs::InputLog;
+use crate::packed::Part;
 use crate::time::Time;
 
 /// Runs on the real-time thread once a cycle, between the evaluation of the replies and the building of the next
@@ -17,6 +19,23 @@ pub struct Axes<'a> {
     next_id: &'a mut u64,
     cycle: &'a Cycle,
     now: Time,
+    log: &'a InputLog,
+}
+
+/// What the task has requested of an axis, by its index: all that leaves it, and what was refused by no rule of the
+/// loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TaskCall {
+    /// A command.
+    Command(usize, Command),
+    /// A velocity.
+    Velocity(usize, f64),
+    /// A torque.
+    Torque(usize, f64),
+    /// A row.
+    Follow(usize, Row),
+    /// A command that was refused, since the application had left no room for its end.
+    NoRoom(usize),
 }
 
 impl<'a> Axes<'a> {
@@ -25,8 +44,9 @@ impl<'a> Axes<'a> {
         next_id: &'a mut u64,
         cycle: &'a Cycle,
         now: Time,
+        log: &'a InputLog,
     ) -> Axes<'a> {
-        Axes { controllers, next_id, cycle, now }
+        Axes { controllers, next_id, cycle, now, log }
     }
 
     /// The number of axes.
@@ -58,8 +78,10 @@ impl<'a> Axes<'a> {
             self.cycle,
             self.now,
             QueuedCommand { id, member: index as u32, command, stream: 0, call: None },
+            |found| has_room(self.log, index, found),
         )?;
         *self.next_id += 1;
+        self.log.calls(&TaskCall::Command(index, command));
         Ok(id)
     }
 
@@ -68,7 +90,9 @@ impl<'a> Axes<'a> {
     pub fn set_velocity(&mut self, index: usize, velocity: f64) -> Result<(), Failure> {
         let controller =
             self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
-        controller.velocity_from_task(self.cycle.index, velocity)
+        controller.velocity_from_task(self.cycle.index, velocity)?;
+        self.log.calls(&TaskCall::Velocity(index, velocity));
+        Ok(())
     }
 
     /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs
@@ -76,7 +100,9 @@ impl<'a> Axes<'a> {
     pub fn set_torque(&mut self, index: usize, torque: f64) -> Result<(), Failure> {
         let controller =
             self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
-        controller.torque_from_task(self.cycle.index, torque)
+        controller.torque_from_task(self.cycle.index, torque)?;
+        self.log.calls(&TaskCall::Torque(index, torque));
+        Ok(())
     }
 
     /// The row that axis `index` follows at its next exchange, while it runs [`Command::Follow`] outside of a group. It
@@ -84,6 +110,70 @@ impl<'a> Axes<'a> {
     pub fn follow(&mut self, index: usize, row: Row) {
         if let Some(controller) = self.controllers.get_mut(index) {
             controller.row_from_task(row);
+            self.log.calls(&TaskCall::Follow(index, row));
+        }
+    }
+
+    /// Makes a call as the task of a recorded run made it, where it was accepted. Returns whether it is here.
+    pub(crate) fn repeat(&mut self, call: TaskCall) -> bool {
+        match call {
+            TaskCall::Command(index, command) => self.command(index, command).is_ok(),
+            TaskCall::Velocity(index, velocity) => self.set_velocity(index, velocity).is_ok(),
+            TaskCall::Torque(index, torque) => self.set_torque(index, torque).is_ok(),
+            TaskCall::Follow(index, row) => {
+                self.follow(index, row);
+                index < self.len()
+            }
+            TaskCall::NoRoom(index) => {
+                self.log.calls(&call);
+                index < self.len()
+            }
+        }
+    }
+}
+
+/// Whether the application has left room for the end of a command to axis `index`: of a repeated run what the recorded
+/// one found, `found` in any other.
+fn has_room(log: &InputLog, index: usize, found: bool) -> bool {
+    let none = TaskCall::NoRoom(index);
+    let has_room = log.as_replaying().map_or(found, |replaying| replaying.peek_call() != Some(none));
+    if !has_room {
+        log.calls(&none);
+    }
+    has_room
+}
+
+impl Part for TaskCall {
+    const WORDS: usize = 2 + Command::WORDS;
+
+    fn put(&self, words: &mut [u64]) {
+        words.fill(0);
+        let (code, index) = match *self {
+            TaskCall::Command(index, command) => {
+                command.put(&mut words[2..]);
+                (0, index)
+            }
+            TaskCall::Velocity(index, value) | TaskCall::Torque(index, value) => {
+                value.put(&mut words[2..]);
+                (1 + u64::from(matches!(self, TaskCall::Torque(..))), index)
+            }
+            TaskCall::Follow(index, row) => {
+                row.put(&mut words[2..]);
+                (3, index)
+            }
+            TaskCall::NoRoom(index) => (4, index),
+        };
+        (words[0], words[1]) = (code, index as u64);
+    }
+
+    fn take(words: &[u64]) -> TaskCall {
+        let (index, rest) = (words[1] as usize, &words[2..]);
+        match words[0] {
+            0 => TaskCall::Command(index, Part::take(rest)),
+            1 => TaskCall::Velocity(index, Part::take(rest)),
+            2 => TaskCall::Torque(index, Part::take(rest)),
+            3 => TaskCall::Follow(index, Part::take(rest)),
+            _ => TaskCall::NoRoom(index),
         }
     }
 }

@@ -156,9 +156,15 @@ impl Window {
         let (mut left, mut poll_at) = self.all::<POLLS>();
         let owed = left;
         let mut napped = false;
+        // The turn before has polled a bus: it was none in which nothing came.
+        let mut polled = false;
         // Bounded by the deadline: each turn waits towards it.
         while left > 0 || poll_at < cycle.deadline {
-            let mut now = begin.take().unwrap_or_else(|| clock.now());
+            let mut now = begin.take().unwrap_or_else(|| match self.wait {
+                Wait::Spin if !(POLLS && polled) => clock.turn(),
+                _ => clock.now(),
+            });
+            polled = false;
             let spin_ns = if left == 0 { LONGEST_SPIN_NS } else { SHORTEST_NAP_NS };
             if POLLS && self.wait == Wait::Poll && now < poll_at && poll_at.since(now) <= spin_ns {
                 now = clock.spin_until(poll_at.min(cycle.deadline));
@@ -172,6 +178,7 @@ impl Window {
                     }
                 }
                 (left, poll_at) = self.all::<POLLS>();
+                polled = true;
                 continue;
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
@@ -258,6 +265,8 @@ mod tests {
     struct Steps {
         steps: Vec<(&'static str, Time)>,
         arrives: Time,
+        /// So many readings at the begin of a turn in which nothing had come.
+        turns: usize,
     }
 
     impl Steps {
@@ -285,6 +294,11 @@ mod tests {
         fn spin(&mut self) {
             let at = self.now() + 10 * US;
             self.go("spin", at);
+        }
+
+        fn turn(&mut self) -> Time {
+            self.turns += 1;
+            self.now()
         }
     }
 
@@ -348,16 +362,22 @@ mod tests {
     /// What a window until 500 us does, until when in us, with so many replies owed, the first of which comes at
     /// `arrives_us`.
     fn steps(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Vec<(&'static str, u64)> {
+        let clock = window(wait, owed, arrives_us, poll_at_us);
+        clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
+    }
+
+    /// The clock of that window after it.
+    fn window(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Steps {
         let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
         let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
         let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
         let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
-        let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
+        let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US), turns: 0 };
         slots.resize(owed.max(1), Slot::default());
         let mut buses = [open_bus(Box::new(bus), 0..slots.len(), poll_at_us.is_some())];
         let begin = clock.now();
         Window::new(wait, &buses).run(&mut clock, &cycle, begin, &mut buses, &mut slots);
-        clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
+        clock
     }
 
     #[test]
@@ -378,6 +398,14 @@ mod tests {
         assert_eq!(steps(Wait::Poll, 1, 0, Some(20))[0], ("wait", 20));
         assert_eq!(steps(Wait::Poll, 1, 0, Some(5))[0], ("spin", 10));
         assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+    }
+
+    #[test]
+    fn a_turn_after_a_poll_is_none_in_which_nothing_came() {
+        // Spins of 10 us up to the poll at 300 us, after which none follows in time. Each begins with a turn, but the
+        // first one and that after the poll at 100 us; so does each poll.
+        let clock = window(Wait::Spin, 0, 0, Some(100));
+        assert_eq!((clock.steps.len(), clock.turns), (30, 30));
     }
 
     /// A reply of one byte comes on its socket, if it misses one. How often it was read.

@@ -21,15 +21,16 @@ pub use super::health::Probes;
 
 use std::collections::VecDeque;
 
-use rtrb::{Consumer, Producer};
+use rtrb::Producer;
 
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
 use super::bounds::Bounds;
 use super::health::LinkHealth;
+use super::journal::{Journal, Note};
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
-use super::record::{DriveRecord, Measured, MonitorRecord, Published, Reply};
+use super::record::{CommandStep, DriveRecord, Measured, MonitorRecord, Published, Reply};
 use super::rest::Rest;
 use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
@@ -39,6 +40,7 @@ use crate::axis::{
 };
 use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Slot};
+use crate::inputs::{Inlet, InputLog};
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -53,17 +55,21 @@ pub struct Queues {
     /// Events and samples for which there was no room.
     pub lost: u64,
     /// Commands that the application has posted, to the axis or to the group that it leads.
-    pub posted: Consumer<QueuedCommand>,
+    pub posted: Inlet<QueuedCommand>,
     /// Commands to the axis, taken out of its own queue and out of those of its groups.
     pub commands: VecDeque<QueuedCommand>,
     /// Rows of the application's stream, or of the stream of the group that it leads.
-    pub rows: Consumer<StreamRow>,
+    pub rows: Inlet<StreamRow>,
     /// The newest velocity or torque setpoint of the application.
     pub setpoints: NewestOut,
     /// Events to the application.
     pub events: Producer<Event>,
     /// Places among them that only the ends of commands take.
     pub room_for_ends: usize,
+    /// The inputs of the loop.
+    pub log: InputLog,
+    /// Commands and events for the telemetry.
+    pub journal: Journal,
 }
 
 /// What the loop keeps of one axis.
@@ -297,6 +303,22 @@ impl DriveController {
         Some(MonitorRecord { index: self.feedback.cycle, axis, shown })
     }
 
+    /// It has notes for the telemetry; asked before its record is built.
+    #[inline]
+    pub fn has_notes(&self) -> bool {
+        self.measured.noted
+    }
+
+    /// The oldest of its notes, as one of axis `axis`.
+    pub fn take_note(&mut self, axis: u16) -> Option<Note> {
+        self.queues.journal.take(axis, self.feedback.cycle)
+    }
+
+    /// How many notes found no room since the last call.
+    pub fn take_lost_notes(&mut self) -> u64 {
+        self.queues.journal.take_lost()
+    }
+
     /// Events and samples for which the queues had no room.
     #[inline]
     pub fn lost(&self) -> u64 {
@@ -339,8 +361,16 @@ impl DriveController {
         self.emit(cycle, now, EventKind::Ended { id: queued.id, command: queued.command.name(), outcome });
     }
 
+    /// Notes for the telemetry that a command was taken, or begins.
+    fn note(&mut self, step: CommandStep, queued: &QueuedCommand) {
+        self.queues.journal.command(step, queued);
+        self.measured.noted = true;
+    }
+
     #[inline(never)]
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
+        self.queues.journal.event(cycle.index, kind);
+        self.measured.noted = true;
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;

@@ -14,6 +14,7 @@
 //! | `planner` | the setpoint at an instant |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
 //! | `record`, `numbers` | what the loop reports and counts of one drive |
+//! | `journal` | its commands and events, until they are reported |
 //!
 //! It reads the instants of the grid and the stamps of exchanges, and never a clock: the same code runs in virtual
 //! time.
@@ -22,6 +23,7 @@ mod bounds;
 pub mod controller;
 pub mod groups;
 mod health;
+pub mod journal;
 pub mod machine;
 pub mod numbers;
 pub(crate) mod planner;

@@ -1,8 +1,8 @@
 //! What the loop counts of one drive, exactly.
 
 use crate::axis::MONITOR_CHANNELS;
-use crate::axis::packed::{packed, parts};
 use crate::bus::Counters;
+use crate::packed::{packed, parts};
 
 /// The largest value seen, and its slot. All zero: none was seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,9 +1,13 @@
-//! The records of one drive: what it did in an executed cycle. With those of the loop they go to the telemetry thread
-//! through a ring.
+//! The records of one drive: what it did in an executed cycle, and what happened to it. With those of the loop they go
+//! to the telemetry thread through a ring.
+
+mod event;
 
 use std::num::NonZeroU32;
 
-use crate::axis::{DriveStatus, Emergency, Link, Shown, State, StopCause};
+pub use self::event::EventRecord;
+use crate::axis::{Command, CommandId, DriveStatus, Emergency, Link, QueuedCommand, Shown, State, StopCause};
+use crate::named::named;
 
 /// The result of a drive's exchange in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -99,6 +103,8 @@ pub(crate) struct Measured {
     pub jitter_ns: Option<NonZeroU32>,
     pub rtt_ns: Option<NonZeroU32>,
     pub age_ns: Option<NonZeroU32>,
+    /// Not measured, and here since here is room: there is something in the axis' journal.
+    pub noted: bool,
 }
 
 /// What is published of an axis besides the status of its drive, as in its [`DriveRecord`].
@@ -132,7 +138,7 @@ impl DriveRecord {
     #[inline]
     pub(crate) fn new(of: Published, measured: Measured, status: &DriveStatus) -> DriveRecord {
         let Published { index, axis, link, stopped, command } = of;
-        let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns } = measured;
+        let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns, .. } = measured;
         DriveRecord {
             index,
             axis,
@@ -173,6 +179,45 @@ pub struct MonitorRecord {
     pub axis: u16,
     /// The values.
     pub shown: Shown,
+}
+
+named! {
+    /// Where a command is.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum CommandStep {
+        /// The loop has taken it; it waits for its turn.
+        #[default]
+        Taken = 0: "taken",
+        /// It begins.
+        Begun = 1: "begun",
+    }
+}
+
+/// A command that the loop has taken, or that begins. Its end is an event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// Of a command to a group: the first axis of it.
+    pub group: Option<u16>,
+    /// Where it is.
+    pub step: CommandStep,
+    /// Its id.
+    pub id: CommandId,
+    /// The command.
+    pub command: Command,
+}
+
+impl CommandRecord {
+    /// Of a command in a slot that is still to be named.
+    pub(crate) fn new(step: CommandStep, queued: &QueuedCommand) -> CommandRecord {
+        let QueuedCommand { id, member, command, call, .. } = *queued;
+        let group = call.map(|call| call.lead as u16);
+        CommandRecord { index: 0, axis: member as u16, group, step, id, command }
+    }
 }
 
 /// Nanoseconds in a record: saturate at 4.29 s.

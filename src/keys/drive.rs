@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use super::form::Form;
 use super::machine::Machine;
 use super::table::{POSITIVE, Table, integer, time as time_of};
-use super::value::plain_name;
+use super::value::{SHORT_NAME, plain_name};
 use crate::axis::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
     Underrun, Unit, Units,
@@ -107,7 +108,7 @@ fn load(table: &mut Table<'_>) -> Load {
 /// A time, or "off": the jog then runs until something replaces it.
 fn jog_deadman(table: &mut Table<'_>) -> Option<Option<Duration>> {
     let hint = "a jog that is not renewed within this time is stopped; or \"off\"";
-    table.read("jog_deadman", |value| match value.as_str() {
+    table.read("jog_deadman", Form::Time.or(Form::word("off")), |value| match value.as_str() {
         Some("off") => Ok(None),
         _ => time_of(value, &(MS..=60 * S), hint).map(|ns| Some(Duration::from_nanos(ns))),
     })
@@ -120,7 +121,8 @@ fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, defau
 /// The name of a `kind`, a drive or a device.
 pub fn name(table: &mut Table<'_>, machine: &mut Machine, kind: &'static str, why: &str) -> String {
     table.require("name", why);
-    let name = table.text("name", "1 to 32 letters, digits, - _ or .", plain_name).unwrap_or_default();
+    let name =
+        table.text("name", SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name).unwrap_or_default();
     machine.claim_name(table, kind, &name);
     name
 }
@@ -243,6 +245,7 @@ fn stop(
         group: table
             .text(
                 "group",
+                SHORT_NAME,
                 "a name of 1 to 32 letters, digits, - _ or .; leave it out to stop alone",
                 plain_name,
             )
@@ -252,7 +255,8 @@ fn stop(
 
 fn underrun(table: &mut Table<'_>) -> Option<Underrun> {
     const FORMS: &str = "must be \"stop\", \"hold\" or { extrapolate = 3 } (exchanges)";
-    table.read("underrun", |value| match value.as_str() {
+    let extrapolate = Form::Fields(vec![("extrapolate", Form::integer(1..=1000), true)]);
+    table.read("underrun", Form::words(["stop", "hold"]).or(extrapolate), |value| match value.as_str() {
         Some("stop") => Ok(Underrun::Stop),
         Some("hold") => Ok(Underrun::Hold),
         Some(_) => Err(FORMS.into()),

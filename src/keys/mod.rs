@@ -6,6 +6,7 @@
 //! | `file` | a file as text |
 //! | `page` | its lines, and the mistakes found so far |
 //! | `table` | a table, read key by key; unknown keys, ranges, words, places of mistakes |
+//! | `form` | what a key takes, and a record of all keys: what the schema is made from |
 //! | `value` | times with units, addresses, did-you-mean |
 //! | `error` | the mistakes |
 //! | `machine` | what must be unique in a machine |
@@ -16,6 +17,7 @@ pub mod bus;
 pub mod drive;
 pub mod error;
 pub mod file;
+pub mod form;
 pub mod machine;
 pub mod page;
 pub mod table;

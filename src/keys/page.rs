@@ -7,6 +7,7 @@ use std::ops::Range;
 use toml::de::DeTable;
 
 use super::error::{ConfigError, ConfigErrors};
+use super::form::Record;
 
 /// One file while it is read: its text, and the mistakes found so far.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub struct Page<'a> {
     /// Offsets of the line ends.
     line_ends: Vec<usize>,
     mistakes: RefCell<Vec<ConfigError>>,
+    /// Where the keys that are read are noted, if anybody wants them.
+    record: Option<&'a RefCell<Record>>,
 }
 
 /// Where something stands, for a message.
@@ -30,7 +33,18 @@ impl<'a> Page<'a> {
     pub fn new(file: &'a str, text: &'a str) -> Page<'a> {
         let line_ends =
             text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
-        Page { file, text, line_ends, mistakes: RefCell::default() }
+        Page { file, text, line_ends, mistakes: RefCell::default(), record: None }
+    }
+
+    /// The keys that are read from it are noted in `record`.
+    pub fn recorded(self, record: &'a RefCell<Record>) -> Page<'a> {
+        Page { record: Some(record), ..self }
+    }
+
+    pub(super) fn record(&self, note: impl FnOnce(&mut Record)) {
+        if let Some(record) = self.record {
+            note(&mut record.borrow_mut());
+        }
     }
 
     /// Parses the text. With a mistake of syntax nothing behind it can be trusted, so the first one of each line is

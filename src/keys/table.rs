@@ -10,6 +10,7 @@ use std::ops::{Bound, RangeBounds};
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
+use super::form::{Form, Key, Range, listed};
 use super::page::{Page, Place, shorten};
 use super::value;
 use crate::time::Ns;
@@ -25,6 +26,8 @@ pub struct Table<'a> {
     layers: Vec<Layer<'a>>,
     /// Keys that no layer behind the first may give.
     own: &'static [&'static str],
+    /// Others may fill in what it leaves out.
+    has_defaults: bool,
     known: Vec<&'static str>,
 }
 
@@ -66,13 +69,14 @@ impl<'a> Table<'a> {
     }
 
     fn new(page: &'a Page<'a>, layer: Layer<'a>) -> Table<'a> {
-        Table { page, layers: vec![layer], own: &[], known: Vec::new() }
+        Table { page, layers: vec![layer], own: &[], has_defaults: false, known: Vec::new() }
     }
 
     /// Lets `defaults` fill in what this table leaves out, sub-tables key by key, all but the keys in `own`.
     pub fn over(mut self, defaults: &Table<'a>, own: &'static [&'static str]) -> Table<'a> {
+        self.page.record(|record| record.note_defaults(&defaults.layers[0].path, &self.layers[0].path));
         self.layers.extend(defaults.layers.iter().cloned());
-        self.own = own;
+        (self.own, self.has_defaults) = (own, true);
         self
     }
 
@@ -121,25 +125,39 @@ impl<'a> Table<'a> {
 
     /// Notes a mistake if `key` is absent.
     pub fn require(&mut self, key: &'static str, why: &str) {
+        let is_own = !self.has_defaults || self.own.contains(&key);
+        self.record(key, |noted| noted.required |= is_own);
         if self.find(key).is_none() {
             self.page.report(self.place_without(key), format!("missing; {why}"));
         }
     }
 
+    /// Records what is known of `key`, where a record is kept.
+    fn record(&self, key: &'static str, note: impl FnOnce(&mut Key)) {
+        self.page.record(|record| {
+            let noted = record.note(&self.layers[0].path, key);
+            noted.own |= self.own.contains(&key);
+            note(noted);
+        });
+    }
+
     fn find(&mut self, key: &'static str) -> Option<(usize, Entry<'a>)> {
         if !self.known.contains(&key) {
             self.known.push(key);
+            self.record(key, |_| {});
         }
         let layers = if self.own.contains(&key) { 1 } else { self.layers.len() };
         self.layers[..layers].iter().enumerate().find_map(|(index, layer)| Some((index, layer.get(key)?)))
     }
 
-    /// A value of any form; `Err` says what it must be.
+    /// A value of this form; `Err` says what it must be.
     pub fn read<T>(
         &mut self,
         key: &'static str,
+        form: Form,
         read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
     ) -> Option<T> {
+        self.record(key, |noted| noted.takes(&form));
         let (layer, entry) = self.find(key)?;
         match read(entry.1.get_ref()) {
             Ok(value) => Some(value),
@@ -152,23 +170,34 @@ impl<'a> Table<'a> {
 
     /// `true` or `false`.
     pub fn flag(&mut self, key: &'static str) -> Option<bool> {
-        self.read(key, |value| value.as_bool().ok_or("must be true or false".into()))
+        self.read(key, Form::Flag, |value| value.as_bool().ok_or("must be true or false".into()))
     }
 
-    /// Text that passes `check`.
+    /// Text that passes `check`, which the regular expression `pattern` shows at a distance.
     pub fn text<T>(
         &mut self,
         key: &'static str,
+        pattern: impl Into<Option<&'static str>>,
         hint: &str,
         check: impl FnOnce(&str) -> Option<T>,
     ) -> Option<T> {
-        self.read(key, |value| value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}")))
+        self.text_of(key, Form::Text(pattern.into()), hint, check)
+    }
+
+    fn text_of<T>(
+        &mut self,
+        key: &'static str,
+        form: Form,
+        hint: &str,
+        check: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<T> {
+        self.read(key, form, |value| value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}")))
     }
 
     /// One of a few words.
     pub fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
-        let list = value::alternatives(words.iter().map(|(word, _)| *word));
-        self.text(key, &list, |text| {
+        let (form, list) = listed(words);
+        self.text_of(key, form, &list, |text| {
             words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
         })
     }
@@ -180,7 +209,8 @@ impl<'a> Table<'a> {
         range: impl RangeBounds<i128>,
         hint: &str,
     ) -> Option<T> {
-        self.read(key, |value| {
+        let form = Form::Integer(Range::of(&range, |bound| bound as f64));
+        self.read(key, form, |value| {
             let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
             inside(number, &range, hint, |bound| bound)?;
             T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
@@ -195,7 +225,8 @@ impl<'a> Table<'a> {
         every_ns: u64,
         hint: &str,
     ) -> Option<T> {
-        self.read(key, |value| {
+        let form = Form::Integer(Range::of(&range, |bound| bound as f64)).or(Form::Time);
+        self.read(key, form, |value| {
             let time = value.as_str().and_then(value::duration);
             let number = integer(value).or(time.map(|ns| i128::from(ns.div_ceil(every_ns.max(1)))));
             let number =
@@ -210,7 +241,8 @@ impl<'a> Table<'a> {
         let one = |value: &DeValue<'_>| {
             integer(value).and_then(|value| u16::try_from(value).ok()).filter(|value| *value <= highest)
         };
-        let list = self.read(key, |value| {
+        let form = Form::integer(0..=highest.into()).list(0, most);
+        let list = self.read(key, form, |value| {
             let elements = value.as_array().map(|array| array.iter().map(|element| one(element.get_ref())));
             elements
                 .and_then(Iterator::collect::<Option<Vec<u16>>>)
@@ -232,7 +264,8 @@ impl<'a> Table<'a> {
 
     /// A finite number, with or without a decimal point.
     pub fn number(&mut self, key: &'static str, range: impl RangeBounds<f64>, hint: &str) -> Option<f64> {
-        self.read(key, |value| {
+        let form = Form::Number(Range::of(&range, |bound| bound));
+        self.read(key, form, |value| {
             let number = number(value).ok_or_else(|| format!("must be a number; {hint}"))?;
             inside(number, &range, hint, |bound| bound)
         })
@@ -240,7 +273,7 @@ impl<'a> Table<'a> {
 
     /// Two rising numbers, `[lowest, highest]`.
     pub fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
-        self.read(key, |value| {
+        self.read(key, Form::Number(Range::ALL).list(2, 2), |value| {
             let pair = value.as_array().and_then(|array| match (array.first(), array.get(1), array.len()) {
                 (Some(low), Some(high), 2) => Some((number(low.get_ref())?, number(high.get_ref())?)),
                 _ => None,
@@ -255,7 +288,7 @@ impl<'a> Table<'a> {
 
     /// A time in ns.
     pub fn time(&mut self, key: &'static str, range: impl RangeBounds<u64>, hint: &str) -> Option<u64> {
-        self.read(key, |value| time(value, &range, hint))
+        self.read(key, Form::Time, |value| time(value, &range, hint))
     }
 
     /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
@@ -269,6 +302,7 @@ impl<'a> Table<'a> {
     /// A sub-table whose keys are read elsewhere.
     pub fn sub_table(&mut self, key: &'static str) -> Table<'a> {
         self.find(key);
+        self.record(key, |noted| noted.takes(&Form::Table));
         let mut layers = Vec::new();
         for layer in &self.layers {
             let Some(entry) = layer.get(key) else { continue };
@@ -288,11 +322,12 @@ impl<'a> Table<'a> {
             let own = &self.layers[0];
             layers.push(Layer { path: own.path_to(key), line: own.line, entries: None });
         }
-        Table { page: self.page, layers, own: &[], known: Vec::new() }
+        Table { page: self.page, layers, own: &[], has_defaults: self.has_defaults, known: Vec::new() }
     }
 
     /// The tables under `[[key]]`, in order.
     pub fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
+        self.record(key, |noted| noted.takes(&Form::Tables));
         let Some((layer, entry)) = self.find(key) else { return Vec::new() };
         let path = self.layers[layer].path_to(key);
         let elements = entry.1.get_ref().as_array().map_or(&[][..], |array| array);
@@ -313,7 +348,7 @@ impl<'a> Table<'a> {
 
     /// The same table, to be read a second time for what else is in it; unknown keys are found by the first one.
     pub fn again(&self) -> Table<'a> {
-        Table { page: self.page, layers: self.layers.clone(), own: self.own, known: Vec::new() }
+        Table { layers: self.layers.clone(), known: Vec::new(), ..*self }
     }
 
     /// `key` is read elsewhere.

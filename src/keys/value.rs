@@ -5,6 +5,17 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use crate::axis::is_plain_name;
 use crate::time::{MS, S, US};
 
+/// What a short plain name looks like: at most 32 characters, of ASCII only letters, digits, `-`, `_` and `.`.
+pub const SHORT_NAME: &str = r"^[^\s!-,/:-@\[-^`{-~]{1,32}$";
+/// What an IPv4 address looks like, with or without a port.
+pub const ENDPOINT: &str = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}(:[0-9]{1,5})?$";
+/// What an IPv4 address looks like.
+pub const HOST: &str = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$";
+/// Not nothing.
+pub const SOMETHING: &str = ".";
+/// What a time looks like.
+pub const TIME: &str = r"^ *[0-9]+(\.[0-9]+)? *(ns|us|ms|s|min|h) *$";
+
 /// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
 /// `"250us"`, `"0.5s"`, `"1 ms"`.
 pub fn duration(text: &str) -> Option<u64> {

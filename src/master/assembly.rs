@@ -19,9 +19,11 @@ use crate::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers,
 use crate::cycle::task::Task;
 use crate::cycle::window::OpenBus;
 use crate::drive::controller::{DriveController, Probes, Queues};
+use crate::drive::journal::Journal;
+use crate::inputs::Inlet;
 use crate::net::Carriers;
 use crate::rt::{self, Clock, Regions};
-use crate::telemetry::Recorder;
+use crate::telemetry::TelemetryThread;
 
 /// An engine, its axes, and everything that belongs to them.
 #[derive(Debug)]
@@ -84,8 +86,10 @@ pub fn assemble<C: Clock>(
     let (status_in, status) = cell::cell(Status::default());
     let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
     let machine = plan.axes();
-    let bells = Bells::new(machine.len());
-    for bus_plan in &plan.buses {
+    let log = carriers.log();
+    let bells = Bells::new(machine.len()).logged(&log);
+    for (place, bus_plan) in plan.buses.iter().enumerate() {
+        log.opens(place);
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (entries.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
@@ -110,15 +114,17 @@ pub fn assemble<C: Clock>(
                 }
             };
             let queues = Queues {
-                posted,
+                posted: Inlet::new(posted).logged(&log),
                 commands: rt::deque(most_unended(axis), &mut regions),
-                rows: row_out,
+                rows: Inlet::new(row_out).logged(&log),
                 setpoints: setpoint_out,
                 events: event_in,
                 room_for_ends: room_for_ends(axis),
                 feedback: writer,
                 samples: sample_in,
                 lost: 0,
+                log: log.source(),
+                journal: Journal::new(room_for_ends(axis), &mut regions),
             };
             // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
             // occurs later.
@@ -200,9 +206,13 @@ pub fn assemble<C: Clock>(
         });
     }
     acyclics.extend(of_devices);
-    let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
-    let channels = Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in };
-    let engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
+    let native_records = plan.native_records_a_cycle();
+    let records_a_cycle = plan.records_a_cycle() + native_records;
+    let (record_in, records) = rt::ring(TelemetryThread::ring_size(records_a_cycle, period_ns), &mut regions);
+    let channels =
+        Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in, log };
+    let mut engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
+    engine.record_native(plan.native_layouts().into_iter().flatten().map(|(axis, _)| axis), native_records);
     engine.memory(&mut regions);
     Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })
 }

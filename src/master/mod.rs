@@ -1,18 +1,22 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application.
+//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted.
 
 mod assembly;
+mod log;
 
 use std::ops::Deref;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use thiserror::Error;
 
 pub use self::assembly::{Assembly, Devices, assemble};
+use self::log::LogSink;
+pub use self::log::{LogBegin, MachineOf};
 use crate::axis::acyclic::{Acyclic, Parameters};
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
@@ -20,11 +24,14 @@ use crate::cycle::engine::Control;
 use crate::cycle::status::Numbers;
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::{self, Plan, PlanErrors};
-use crate::net::Os;
+use crate::logged::{LoggedCarriers, LoggedClock};
+use crate::net::{Carriers, Os};
 use crate::rt::watch::ThreadWatch;
-use crate::rt::{self, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Usage};
+use crate::rt::{self, Clock, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage};
 use crate::sim::SimPlan;
-use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
+use crate::telemetry::tap::Taps;
+use crate::telemetry::{Feed, Keep, Measured, Monitor, Run, Sink, TelemetryThread};
+use crate::time::{self, Time};
 
 /// A machine that has not started yet.
 ///
@@ -48,10 +55,14 @@ use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Setup {
-    plan: Plan,
+    pub(crate) plan: Plan,
     simulation: SimPlan,
-    task: Option<Task>,
+    pub(crate) task: Option<Task>,
     pub(crate) black_box: Option<Box<dyn Keep>>,
+    log_sink: Option<LogSink>,
+    machine: MachineOf,
+    /// With the file that it writes.
+    pub(crate) sink: Option<(PathBuf, Box<dyn Sink>)>,
 }
 
 impl std::fmt::Debug for Setup {
@@ -88,7 +99,7 @@ pub struct Master {
     pub(crate) monitor: Monitor,
     pub(crate) pulse: Pulse,
     pub(crate) control: Control,
-    pub(crate) recorder: Recorder,
+    pub(crate) telemetry: TelemetryThread,
     pub(crate) thread: Option<JoinHandle<Numbers>>,
 }
 
@@ -193,7 +204,15 @@ impl Deref for Master {
 impl Master {
     /// A machine from a plan built in code.
     pub fn from_plan(plan: Plan) -> Setup {
-        Setup { simulation: SimPlan::of(&plan.buses), plan, task: None, black_box: None }
+        Setup {
+            simulation: SimPlan::of(&plan.buses),
+            plan,
+            task: None,
+            black_box: None,
+            log_sink: None,
+            machine: MachineOf::Code,
+            sink: None,
+        }
     }
 
     /// A reader of this machine for another thread.
@@ -330,7 +349,7 @@ impl Master {
             }
             None => (Numbers::default(), None),
         };
-        let measured = self.recorder.finish(end.status.late, failed);
+        let measured = self.telemetry.finish(&end.status, failed);
         let (plan, granted) = (self.shared_plan(), self.granted().clone());
         Run { end, measured, granted, plan, steal_ms: self.steal_ms() }
     }
@@ -343,6 +362,12 @@ impl Drop for Master {
             let _ = thread.join();
         }
     }
+}
+
+/// How much later UTC is than the clock that shows `now`, ns.
+pub(crate) fn utc_ns(now: Time) -> i64 {
+    let utc = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, time::nanos);
+    (utc as i64).wrapping_sub(now.0 as i64)
 }
 
 impl Setup {
@@ -368,33 +393,51 @@ impl Setup {
         self
     }
 
-    /// The plan, the task, and what keeps the last cycles.
-    pub(crate) fn into_parts(self) -> (Plan, Option<Task>, Option<Box<dyn Keep>>) {
-        (self.plan, self.task, self.black_box)
-    }
-
     /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
-    pub fn start(self) -> Result<Master, StartError> {
-        let (plan, task, black_box) = self.into_parts();
-        let has_task = task.is_some();
-        plan.check()?;
+    pub fn start(mut self) -> Result<Master, StartError> {
+        self.plan.check()?;
+        let cycle = &self.plan.cycle;
         let realtime = RealtimePlan {
-            realtime: plan.cycle.realtime,
-            memory: plan.cycle.memory,
-            priority: plan.cycle.priority,
-            core: plan.cycle.core,
+            realtime: cycle.realtime,
+            memory: cycle.memory,
+            priority: cycle.priority,
+            core: cycle.core,
         };
         let throttling = rt::host::rt_throttling();
-        if let Some(why) = throttling.and_then(|throttling| cycle::starvation(&plan.cycle, &throttling)) {
+        if let Some(why) = throttling.and_then(|throttling| cycle::starvation(cycle, &throttling)) {
             return Err(StartError::Starving(why));
         }
-        if plan.cycle.realtime != Realtime::Off && plan.cycle.memory == Memory::Process {
+        if cycle.realtime != Realtime::Off && cycle.memory == Memory::Process {
             rt::memory::prepare_heap();
         }
+        let (core, mut regions) = (realtime.core_to_be(), Regions::default());
+        let log = self.begin_log(&mut regions);
+        let os = Os::off_core(core);
+        // Without a log nothing is between the loop and the system.
+        match log.is_on() {
+            false => self.start_on(MonotonicClock, &os, realtime, regions),
+            true => {
+                let clock = LoggedClock::new(MonotonicClock, &log);
+                self.start_on(clock, &LoggedCarriers::new(&os, &log), realtime, regions)
+            }
+        }
+    }
+
+    /// Opens the buses and starts the loop, on this clock and these carriers.
+    fn start_on<C: Clock + 'static>(
+        self,
+        clock: C,
+        carriers: &dyn Carriers,
+        realtime: RealtimePlan,
+        mut regions: Regions,
+    ) -> Result<Master, StartError> {
+        let Setup { plan, task, black_box, sink, .. } = self;
+        let has_task = task.is_some();
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions } =
-            assemble(&plan, MonotonicClock, &Os::off_core(realtime.core_to_be()), task, control.clone())?;
+        let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
+        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions: own } = assembly;
+        regions.extend(&own);
 
         let (report, reported) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
@@ -428,17 +471,24 @@ impl Setup {
         let core = granted.core;
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
-        let measured = Measured::new(axes.len(), &plan.cycle, has_task);
+        let measured = Measured::new(&plan.units(), &plan.cycle, has_task);
         let aside = move || rt::thread::helper_thread(core);
-        let recorder = match Recorder::start(records, measured, watch, black_box, aside) {
-            Ok(recorder) => recorder,
+        let taps = Taps::default();
+        let feed = sink.map(|(path, mut sink)| {
+            sink.begin(utc_ns(MonotonicClock::read()));
+            Feed::new(path, sink, &taps)
+        });
+        let started = TelemetryThread::start(records, measured, taps, watch, black_box, aside)
+            .and_then(|telemetry| telemetry.feed(feed, aside));
+        let telemetry = match started {
+            Ok(telemetry) => telemetry,
             Err(error) => {
                 control.stop();
                 let _ = thread.join();
                 return Err(StartError::Thread(error));
             }
         };
-        let monitor = Monitor::new(plan, granted, gauges, Arc::clone(recorder.recording()), steal_before_ms);
+        let monitor = Monitor::new(plan, granted, gauges, Arc::clone(telemetry.gathered()), steal_before_ms);
         Ok(Master {
             axes: Mutex::new(axes.into_iter().map(Some).collect()),
             devices: Mutex::new(devices),
@@ -446,7 +496,7 @@ impl Setup {
             monitor,
             pulse,
             control,
-            recorder,
+            telemetry,
             thread: Some(thread),
         })
     }

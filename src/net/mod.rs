@@ -48,6 +48,7 @@ pub use outbox::{Outbox, Sent};
 pub use serial::{Parity, Rs485, Serial, SerialLine};
 pub use stream::{Broken, Handshake, HandshakeState, LinkNotes, StreamPeer, Streams};
 
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::time::Time;
 use link::LinkThread;
@@ -113,6 +114,11 @@ pub trait Carriers {
     /// that is down is no error here: sending on it gives [`Down`](frames::Unsent::Down).
     fn frames(&self, _interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
         Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// The log of all that the loop takes from outside, for the queues of a bus. By default there is none.
+    fn log(&self) -> InputLog {
+        InputLog::default()
     }
 
     /// Locks `place` for one master, for as long as the lock lives; before anything is opened there. By default,

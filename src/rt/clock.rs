@@ -32,6 +32,18 @@ impl PollSet {
         self.fds.extend(descriptors.into_iter().map(poll));
     }
 
+    /// How many places it has.
+    pub fn places(&self) -> usize {
+        self.fds.len()
+    }
+
+    /// Sets what [`is_readable`](Self::is_readable) says of a place.
+    pub fn set_readable(&mut self, place: usize, is_readable: bool) {
+        if let Some(poll) = self.fds.get_mut(place) {
+            (poll.fd, poll.revents) = (0, if is_readable { libc::POLLIN } else { 0 });
+        }
+    }
+
     /// Whether the last wait found the descriptor at this place readable, or broken; true without a descriptor, of
     /// which it says nothing.
     pub fn is_readable(&self, place: usize) -> bool {
@@ -52,6 +64,12 @@ pub trait Clock: Send {
 
     /// One turn of a spinning wait: keeps the processor, lets no other thread run.
     fn spin(&mut self);
+
+    /// The current instant at the begin of another turn of a spinning wait, in which nothing has come since the turn
+    /// before.
+    fn turn(&mut self) -> Time {
+        self.now()
+    }
 
     /// Spins until `at`; returns when that was noticed.
     fn spin_until(&mut self, at: Time) -> Time {

@@ -241,6 +241,11 @@ impl Medium {
     /// The master takes in what has arrived; how much of `room` is filled.
     pub(super) fn read(&mut self, now: Time, room: &mut [u8]) -> usize {
         self.deliver(now);
+        self.read_ended(room)
+    }
+
+    /// The same of what had arrived when a telegram ended last.
+    pub(super) fn read_ended(&mut self, room: &mut [u8]) -> usize {
         // Reading from this queue of bytes cannot fail, nor wait.
         std::io::Read::read(&mut self.inbox, room).unwrap_or(0)
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::{Carrier, FaultPlan, SimDrive, SimSegment, SimSerial};
 use crate::net::{Parity, Rs485, SerialLine};
-use crate::time::{MS, Time};
+use crate::time::{MS, S, Time};
 
 /// The peers connected to the drive of a test, each with the begin of a request. It never waits for a peer.
 #[derive(Clone, Default)]
@@ -149,6 +149,7 @@ impl SimSegment for Tally {
 pub struct Producer {
     ip: Ipv4Addr,
     group: Option<SocketAddrV4>,
+    watchdog_ns: u64,
     faults: FaultPlan,
     owner: Option<SocketAddrV4>,
     next: Time,
@@ -158,7 +159,7 @@ pub struct Producer {
 }
 
 impl Producer {
-    /// Without a packet of its owner for so long it stops, and ends the connection, ns.
+    /// Without a packet of its owner for so long it stops, and ends the connection, unless it is patient, ns.
     pub const WATCHDOG_NS: u64 = 50 * MS;
     /// Between two packets, ns.
     pub const EVERY_NS: u64 = MS;
@@ -167,6 +168,7 @@ impl Producer {
         Producer {
             ip,
             group: None,
+            watchdog_ns: Self::WATCHDOG_NS,
             faults: FaultPlan::default(),
             owner: None,
             next: Time::default(),
@@ -174,6 +176,11 @@ impl Producer {
             count: 0,
             hang: None,
         }
+    }
+
+    /// It waits for as long as no busy host takes to feed it.
+    pub fn patient(self) -> Producer {
+        Producer { watchdog_ns: 60 * S, ..self }
     }
 
     /// Its packets go to a group.
@@ -220,7 +227,7 @@ impl SimDrive for Producer {
         match socket {
             0 => return self.receive(now, from, bytes, reply),
             1 if self.owner.is_some_and(|owner| owner.ip() == from.ip()) => {
-                self.dies = now + Self::WATCHDOG_NS;
+                self.dies = now + self.watchdog_ns;
             }
             2 => {
                 reply.extend_from_slice(bytes);
@@ -240,8 +247,7 @@ impl SimDrive for Producer {
     ) -> Option<SocketAddrV4> {
         match bytes {
             b"O" => {
-                (self.owner, self.next, self.dies, self.count) =
-                    (Some(from), now, now + Self::WATCHDOG_NS, 0);
+                (self.owner, self.next, self.dies, self.count) = (Some(from), now, now + self.watchdog_ns, 0);
             }
             _ => self.owner = None,
         }

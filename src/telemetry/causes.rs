@@ -136,6 +136,8 @@ pub struct Causes {
     task: bool,
     tallies: Vec<Tally>,
     judged: VecDeque<Judged>,
+    /// How many there were.
+    judgements: u64,
 }
 
 /// What the kernel counted between two samples.
@@ -194,6 +196,7 @@ impl Causes {
             task,
             tallies: Vec::with_capacity(16),
             judged: VecDeque::with_capacity(MOST_JUDGED),
+            judgements: 0,
         }
     }
 
@@ -206,7 +209,12 @@ impl Causes {
                     self.missed = Some((*index, *axis));
                 }
             }
-            Record::Drive(_) | Record::Monitor(_) | Record::Reference(_) => {}
+            Record::Drive(_)
+            | Record::Monitor(_)
+            | Record::Reference(_)
+            | Record::Command(_)
+            | Record::Event(_)
+            | Record::Native(_) => {}
             Record::Cycle(record) => {
                 self.cycles += 1;
                 self.last = *record;
@@ -377,6 +385,13 @@ impl Causes {
         self.judged.iter().skip(self.judged.len().saturating_sub(count))
     }
 
+    /// The judgements after the first `seen`, as far as they are kept; counts on `seen`.
+    pub(crate) fn judged_after(&self, seen: &mut u64) -> impl Iterator<Item = &Judged> {
+        let new = self.judgements - *seen;
+        *seen = self.judgements;
+        self.newest(usize::try_from(new).unwrap_or(usize::MAX))
+    }
+
     /// The last word on a late cycle.
     fn settle(&mut self, late: &Late) {
         let stolen = |causes: &Causes| {
@@ -476,6 +491,7 @@ impl Causes {
             self.judged.pop_front();
         }
         let Late { index, lateness, from, to, .. } = *late;
+        self.judgements += 1;
         self.judged.push_back(Judged { index, lateness, from, to, cause });
         let tally = self.tally(cause);
         tally.count += 1;

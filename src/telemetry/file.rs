@@ -5,12 +5,26 @@ use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use tempfile::NamedTempFile;
+
 /// Writes a file whole or not at all, and makes its directory if that is missing. A file or a link of that name is
 /// replaced.
 ///
 /// Until it is whole it has a name that nobody can guess: a link laid out there by another user of the directory would
 /// lead what is written, perhaps by root, to a file of their choice.
 pub fn save(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    whole(path, bytes)?.persist(path)?;
+    Ok(())
+}
+
+/// The same, but nothing is replaced: a file or a link of that name is an error.
+pub fn save_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    whole(path, bytes)?.persist_noclobber(path)?;
+    Ok(())
+}
+
+/// The bytes in a file next to `path`.
+fn whole(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     let directory = path.parent().unwrap_or(Path::new(""));
     fs::create_dir_all(directory)?;
     // Dropped before it has its name, it is removed: what is not whole is of no use, and may have taken the last of the
@@ -22,8 +36,7 @@ pub fn save(path: &Path, bytes: &[u8]) -> io::Result<()> {
         .tempfile_in(directory)?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
-    file.persist(path)?;
-    Ok(())
+    Ok(file)
 }
 
 #[cfg(test)]

@@ -72,7 +72,7 @@ impl Quantity {
         &self.0
     }
 
-    #[cfg(test)]
+    #[cfg(all(test, any(feature = "metrics", feature = "report")))]
     pub(crate) fn bins_mut(&mut self) -> &mut Histogram<u64> {
         &mut self.0
     }
@@ -145,7 +145,7 @@ impl Histograms {
                     }
                 }
             }
-            Record::Monitor(_) => {}
+            Record::Monitor(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => {}
             Record::Reference(ReferenceRecord { error_ns, counts, .. }) => {
                 if let Some(error_ns) = error_ns.filter(|_| *counts) {
                     self.reference.enter(error_ns.unsigned_abs().into());

@@ -3,7 +3,8 @@
 
 use std::sync::Arc;
 
-use super::{Measured, Recording};
+use super::tap::Tap;
+use super::{Gathered, Measured};
 use crate::axis::Observer;
 use crate::cycle::Plan;
 use crate::cycle::status::{DeviceEnd, Gauges, Numbers, Status};
@@ -19,7 +20,7 @@ struct Watched {
     granted: Granted,
     observers: Vec<(String, Observer)>,
     gauges: Gauges,
-    recording: Arc<Recording>,
+    gathered: Arc<Gathered>,
     steal_before_ms: Option<u64>,
 }
 
@@ -28,13 +29,13 @@ impl Monitor {
         plan: Plan,
         granted: Granted,
         gauges: Gauges,
-        recording: Arc<Recording>,
+        gathered: Arc<Gathered>,
         steal_before_ms: Option<u64>,
     ) -> Monitor {
         let plan = Arc::new(plan);
         let observers =
             gauges.axes.iter().map(|axis| (axis.info.name.clone(), axis.observer.clone())).collect();
-        Monitor(Arc::new(Watched { plan, granted, observers, gauges, recording, steal_before_ms }))
+        Monitor(Arc::new(Watched { plan, granted, observers, gauges, gathered, steal_before_ms }))
     }
 
     /// The plan it runs.
@@ -64,18 +65,12 @@ impl Monitor {
 
     /// The loop and all drives in numbers. Those of a drive are at most 64 cycles or 100 ms old.
     pub fn numbers(&self) -> Numbers {
-        let Gauges { axes, buses, .. } = &self.0.gauges;
-        let drives =
-            axes.iter().map(|axis| axis.info.with(axis.observer.feedback(), axis.numbers.read())).collect();
-        let clocks = buses.iter().map(|bus| bus.clock.read()).collect();
-        let buses = buses.iter().map(|bus| bus.info.with(bus.unmatched.read())).collect();
-        let (status, devices) = (self.status(), self.devices());
-        Numbers { status, drives, buses, clocks, devices, ..Numbers::default() }
+        self.0.gauges.numbers()
     }
 
     /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
     pub fn devices(&self) -> Vec<DeviceEnd> {
-        self.0.gauges.buses.iter().flat_map(|bus| bus.info.devices()).collect()
+        self.0.gauges.devices()
     }
 
     /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
@@ -96,7 +91,13 @@ impl Monitor {
 
     /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.
     pub fn measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> R {
-        look(&self.0.recording.read())
+        look(&self.0.gathered.read())
+    }
+
+    /// One more reader of the loop's records, from now on, with room for so many batches.
+    #[doc(hidden)]
+    pub fn tap(&self, room: usize) -> Tap {
+        self.0.gathered.taps().add(room)
     }
 
     /// Time that the hypervisor took from all cores since the start, ms.
@@ -107,11 +108,12 @@ impl Monitor {
     /// Notes that a part of the program failed that it starts by itself, such as a server of its own; `fails_run`: data
     /// was lost. It stands in the summary from then on.
     pub fn failed(&self, what: &str, fails_run: bool) {
-        self.0.recording.failed(what, fails_run);
+        self.0.gathered.failed(what, fails_run);
     }
 
-    /// Writes the black box to a file, if there is one; see `Setup::with_black_box`.
+    /// Writes the black box to a file, if there is one; see `Setup::with_black_box`. So does a recording of what is
+    /// newest.
     pub fn write_black_box(&self) {
-        self.0.recording.write_black_box();
+        self.0.gathered.write_black_box();
     }
 }

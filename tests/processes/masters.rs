@@ -39,7 +39,7 @@ fn machines(machine: &Machine) -> Vec<(PathBuf, &'static str, String)> {
         (
             "kollmorgen.toml",
             format!("protocol = \"ethercat\"\ninterface = \"{segment}\"\n"),
-            "watchdog = \"3s\"\n".to_owned(),
+            "watchdog = \"6s\"\n".to_owned(),
             format!("interface {segment} is in use by another master"),
             "0x6041:0",
         ),

@@ -14,6 +14,7 @@ use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::telemetry::Status;
 use fieldbeat::telemetry::metrics::Endpoint;
+use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
 use libc::SIGINT;
 
@@ -338,6 +339,7 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
         let mut drive = UnidriveDrive::new(format!("d{index}"), *machine.drive(index).ip());
         drive.address.set_port(1502);
         drive.axis.health = patient();
+        (drive.reply_within_ns, drive.watchdog.timeout_ns) = (5_000 * MS, Some(20_000 * MS));
         drive
     });
     let bus = ModbusPlan::new(drives.to_vec());

@@ -130,13 +130,25 @@ fn a_mistake_in_the_arguments_is_one_line() {
         ("demo --for 3", "invalid value '3' for '--for <TIME>': write a number with its unit"),
         ("demo --for -3s", "unexpected argument '-3' found"),
         ("demo --for ''", "write a number with its unit: ns, us, ms, s, min or h, for example 10s"),
-        ("demo --for", "a value is required for '--for <TIME>'"),
+        (
+            "demo --for",
+            "a value is required for '--for <TIME>' but none was supplied; see `fieldbeat demo --help`",
+        ),
         ("demo --drives 0", "0 is not in 1..=128"),
         ("demo --drives 129", "129 is not in 1..=128"),
         ("demo --period 1ns", "cycle.period = \"1ns\": must be at least 50 us"),
         ("sim a.toml --core 1000000", "cannot read a.toml"),
     ] {
         run(arguments.split(' ')).refused(&[parts]);
+    }
+    if !cfg!(feature = "scope") {
+        run(["scope", "a.toml"])
+            .refused(&["built without `scope`: `cargo build --release --features scope`"]);
+        run(["demo", "--scope"])
+            .refused(&["built without `--scope`: `cargo build --release --features scope`"]);
+    }
+    if !cfg!(feature = "jog") {
+        run(["jog", "a.toml"]).refused(&["built without `jog`: `cargo build --release --features jog`"]);
     }
     let machine = Machine::new(13);
     let config = machine.plain(1).display().to_string();

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
 
@@ -13,9 +12,11 @@ use serde_json::Value;
 use super::support::{
     Ended, LONG, Machine, PROGRAM, Program, as_ordinary_user, assert_sums, carried, command, drive, until,
 };
-use super::{assert_silent, await_status, end_once_measured, end_once_online, master, serve, socket};
+use super::{
+    assert_silent, await_status, end_once_measured, end_once_online, limit_files, master, serve, socket,
+};
 
-const PLOTS: [&str; 4] = ["percentiles.svg", "rtt.svg", "timeline.svg", "wake.svg"];
+const FILES: [&str; 3] = ["index.html", "run.json", "summary.json"];
 
 fn files(directory: &Path) -> BTreeSet<String> {
     let entries = std::fs::read_dir(directory).unwrap();
@@ -26,11 +27,13 @@ fn read(directory: &Path, file: &str) -> String {
     std::fs::read_to_string(directory.join(file)).unwrap()
 }
 
-/// Every text of a plot, in the order it is drawn.
-fn texts(svg: &str) -> Vec<String> {
-    let document = roxmltree::Document::parse(svg).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(document.root_element().tag_name().name(), "svg");
-    let texts = document.descendants().filter(|node| node.has_tag_name("text"));
+/// Every text of a page, in its order.
+fn texts(html: &str) -> Vec<String> {
+    let options = roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() };
+    let document =
+        roxmltree::Document::parse_with_options(html, options).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(document.root_element().tag_name().name(), "html");
+    let texts = document.descendants().filter(|node| node.is_text());
     texts.map(|node| node.text().unwrap_or_default().trim().to_owned()).collect()
 }
 
@@ -51,7 +54,7 @@ fn total(hgrm: &str) -> u64 {
 }
 
 #[test]
-fn a_report_holds_summary_histograms_and_plots() {
+fn a_report_holds_summary_histograms_and_a_page() {
     let machine = Machine::new(60);
     let config = machine.plain(2);
     let _sim = serve(&config);
@@ -61,8 +64,7 @@ fn a_report_holds_summary_histograms_and_plots() {
     let summary = ended.json();
     assert_sums(&summary);
 
-    let mut expected: BTreeSet<String> = PLOTS.map(String::from).into();
-    expected.insert(String::from("summary.json"));
+    let mut expected: BTreeSet<String> = FILES.map(String::from).into();
     let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
     let of_the_loop = ["wake", "jitter"].map(String::from).into_iter();
     let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}"))))
@@ -88,40 +90,75 @@ fn a_report_holds_summary_histograms_and_plots() {
     let kernel = summary["host"]["kernel"].as_str().unwrap();
     let host = summary["host"]["name"].as_str().unwrap();
     let max = &summary["wake_ns"]["max_cycle"];
-    let cycles = format!("cycles of {}", Ns(carried()));
-    for (plot, labels) in [
-        (
-            "wake.svg",
-            vec![
-                String::from("latency (us, log scale)"),
-                String::from("cycles"),
-                format!("late limit {}", Ns(carried() / 10)),
-                format!("period {}", Ns(carried())),
-                format!("in cycle {max}"),
-            ],
-        ),
-        (
-            "percentiles.svg",
-            vec![
-                "latency (us)".into(),
-                "percentile (log scale)".into(),
-                "round trip of d".into(),
-                ", the worst of 2 by p".into(),
-                "50 %".into(),
-                "90 %".into(),
-                "max".into(),
-                "receive deadline".into(),
-            ],
-        ),
-        ("rtt.svg", vec!["round trip (us)".into(), "d0: p50".into(), "d1: p50".into()]),
-        ("timeline.svg", vec!["time (s)".into(), "largest (us)".into(), "missed".into(), "skipped".into()]),
+    let texts = texts(&read(&place, "index.html"));
+    let has = |label: &str| texts.iter().any(|text| text.contains(label));
+    let (late, period) = (format!("late limit {}", Ns(carried() / 10)), format!("period {}", Ns(carried())));
+    let (in_cycle, cycles) = (format!("in cycle {max}"), format!("a cycle of {}", Ns(carried())));
+    for label in [
+        "plain.toml",
+        "passed",
+        &cycles,
+        host,
+        kernel,
+        // Each of the plots.
+        "latency (us, log scale)",
+        &late,
+        &period,
+        &in_cycle,
+        "percentile (log scale)",
+        "round trip of d",
+        ", the worst of 2 by p",
+        "50 %",
+        "max",
+        "receive deadline",
+        "round trip (us)",
+        "d0: p50",
+        "d1: p50",
+        "time (s)",
+        "largest (us)",
+        "missed: ",
+        "skipped: ",
+        "position (mm)",
+        "velocity (mm/s)",
+        // The configuration, and what the doctor knows.
+        "2 drives, 1 bus",
+        "this host: ",
     ] {
-        let texts = texts(&read(&place, plot));
-        let has = |label: &str| texts.iter().any(|text| text.contains(label));
-        for label in labels.iter().map(String::as_str).chain(["plain.toml: ", &cycles, host, kernel]) {
-            assert!(has(label), "no \"{label}\" on {plot}: {texts:?}");
-        }
+        assert!(has(label), "no \"{label}\": {texts:?}");
     }
+    // Nothing is loaded from elsewhere.
+    let html = read(&place, "index.html").replace("http://www.w3.org/2000/svg", "");
+    assert!(!html.contains("http") && !html.contains("<script") && !html.contains("src="));
+}
+
+#[test]
+fn a_run_is_compared_with_an_earlier_one() {
+    let machine = Machine::new(190);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let [first, second] = ["first", "second"].map(|name| machine.path(name));
+    let report = |place: &Path, more: &[&str]| {
+        let arguments = [&["--report", place.to_str().unwrap()], more].concat();
+        end_once_measured(master(&config, &arguments), &config)
+    };
+    report(&first, &[]).expect(0);
+    let earlier = first.join("run.json");
+    report(&second, &["--compare", earlier.to_str().unwrap()]).expect(0);
+    let texts = texts(&read(&second, "index.html"));
+    assert!(texts.iter().any(|text| text == "Compared with first"), "{texts:?}");
+    assert!(texts.iter().any(|text| text.starts_with("first: p50 ")), "{texts:?}");
+
+    // What is no earlier run is refused before anything is sent.
+    let broken = machine.write("broken.json", &read(&first, "run.json")[..1_000]);
+    for (file, expected) in [
+        (machine.path("none.json"), "cannot read"),
+        (first.join("summary.json"), "is no run.json of a report, or is damaged: missing field `format`"),
+        (broken, "is no run.json of a report, or is damaged: EOF"),
+    ] {
+        let arguments = ["--report", second.to_str().unwrap(), "--compare", file.to_str().unwrap()];
+        master(&config, &arguments).end().refused(&[expected]);
+    }
+    master(&config, &["--compare", earlier.to_str().unwrap()]).end().refused(&["--report"]);
 }
 
 #[test]
@@ -132,7 +169,7 @@ fn the_plots_of_many_drives_name_the_worst_of_them() {
     let place = machine.path("report");
     let ended = end_once_measured(master(&config, &["--json", "--report", place.to_str().unwrap()]), &config);
     ended.expect(0);
-    let texts = texts(&read(&place, "rtt.svg"));
+    let texts = texts(&read(&place, "index.html"));
     let named = texts.iter().filter(|text| text.starts_with('d') && text.contains(": p50 ")).count();
     assert_eq!(named, 5, "{texts:?}");
     assert!(texts.iter().any(|text| text == "the other 7 drives, none of them worse"), "{texts:?}");
@@ -156,7 +193,7 @@ fn an_interrupted_run_is_reported_and_an_old_report_replaced() {
     let ended = end_once_online(master(&config, &["--json", "--report", place.to_str().unwrap()]));
     ended.expect(0);
     assert_eq!(read(&place, "summary.json"), ended.out);
-    assert!(!texts(&read(&place, "wake.svg")).is_empty());
+    assert!(!texts(&read(&place, "index.html")).is_empty());
     // Nothing of the old one is left that would pass for the new one's, and nothing of anybody else's is touched.
     assert!(of_others.iter().all(|file| read(&place, file) == "mine"));
     assert!(
@@ -173,9 +210,7 @@ fn a_run_without_answers_is_reported() {
     let ended = master(&config, &["--for", "100ms", "--json", "--report", place.to_str().unwrap()]).end();
     ended.expect(1);
     assert!(ended.err.contains("never answered: d0"), "{}", ended.err);
-    for plot in PLOTS {
-        texts(&read(&place, plot));
-    }
+    assert!(texts(&read(&place, "index.html")).iter().any(|text| text == "never answered: d0"));
     assert!(read(&place, "rtt-d0.hgrm").contains("Total count    =            0]"));
 }
 
@@ -242,7 +277,7 @@ fn assert_incomplete(ended: &Ended, place: &Path, why: &str) {
         match file.rsplit_once('.').unwrap().1 {
             "json" => drop(serde_json::from_str::<Value>(&text).unwrap()),
             "hgrm" => drop(total(&text)),
-            "svg" => drop(texts(&text)),
+            "html" => drop(texts(&text)),
             other => panic!("{file}: {other}"),
         }
     }
@@ -256,21 +291,11 @@ fn a_file_that_may_not_grow_ends_the_report_and_nothing_else() {
     let place = machine.path("report");
     let mut command = Command::new(PROGRAM);
     command.arg("run").arg(&config).args(["--json", "--report"]).arg(&place);
-    // SAFETY: between fork and exec, system calls only.
-    unsafe {
-        command.pre_exec(|| {
-            let small = libc::rlimit { rlim_cur: 6 << 10, rlim_max: 6 << 10 };
-            match libc::setrlimit(libc::RLIMIT_FSIZE, &small) {
-                0 => Ok(()),
-                _ => Err(std::io::Error::last_os_error()),
-            }
-        });
-    }
-    let program = Program::spawn(&mut command);
+    let program = Program::spawn(limit_files(&mut command, 6 << 10));
     await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(100));
     program.signal(SIGINT);
     assert_incomplete(&program.end(), &place, "File too large");
-    assert!(files(&place).contains("summary.json") && !files(&place).contains("rtt.svg"));
+    assert!(files(&place).contains("summary.json") && !files(&place).contains("index.html"));
 }
 
 /// A disk of its own.

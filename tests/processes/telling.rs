@@ -278,8 +278,8 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
         found.unwrap_or_else(|| panic!("{drive}: {what}: {happened:#?}"))
     };
     for drive in ["d0", "d1"] {
-        // A busy computer may cost it a reply before that, and the silence is no fewer than 50 of them.
-        let (silent, lost) = (place(drive, "no reply", 49), place(drive, "link online -> lost", 1));
+        // The bucket holds 50. What a busy computer costs before that is in it, too.
+        let (silent, lost) = (place(drive, "no reply", 20), place(drive, "link online -> lost", 1));
         assert!(silent < lost, "{happened:#?}");
     }
     assert_eq!(happened[place("d0", "link online -> lost", 1)]["cycle"], lost["cycle"]);
@@ -383,7 +383,7 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
             "[cycle]\nperiod = \"{}\"\n\
              max_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
              [[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\n\
-             watchdog.timeout = \"10s\"\n",
+             watchdog.timeout = \"10s\"\nreply_within = \"5s\"\n",
             period()
         ),
     );

@@ -29,7 +29,8 @@ pub const LEASH: f64 = 20.0;
 pub fn config(machine: &Machine, file: &str, drives: usize, cycle: &str, defaults: &str) -> PathBuf {
     let defaults = format!(
         "limits = {{ position = [0, 2000] }}\nsimulate = {{ start = 10 }}\nno_drive_watchdog = \"accept\"\n\
-         leash = {LEASH}\nstop.deceleration = {DECELERATION}\nstop.timeout = \"10s\"\n{defaults}"
+         leash = {LEASH}\njog_deadman = \"30s\"\n\
+         stop.deceleration = {DECELERATION}\nstop.timeout = \"10s\"\n{defaults}"
     );
     machine.config(file, drives, cycle, &defaults)
 }

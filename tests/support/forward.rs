@@ -66,6 +66,10 @@ macro_rules! forward_bus_plan {
             self.$field.notation()
         }
 
+        fn native_layout(&self, index: usize) -> fieldbeat::internals::bus::NativeLayout {
+            self.$field.native_layout(index)
+        }
+
         fn wire_us(&self) -> Option<usize> {
             self.$field.wire_us()
         }

@@ -499,7 +499,7 @@ pub fn as_ordinary_user(machine: &Machine) -> Command {
 }
 
 /// Sets the directories for the program's sockets and files.
-fn directories_of(command: &mut Command, user: u32) {
+pub fn directories_of(command: &mut Command, user: u32) {
     let directory = std::env::temp_dir().join(format!("fieldbeat-tests-{user}"));
     command.env("XDG_RUNTIME_DIR", &directory).env("XDG_STATE_HOME", &directory);
 }

@@ -4,13 +4,16 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Abort, AxisError, Command, Link, Move, Outcome, Profile, StopCause, Target};
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::{Master, config};
+use fieldbeat::{Master, Setup, config};
+
+fn setup() -> Setup {
+    let config::Configuration { plan, simulation, .. } =
+        fieldbeat::internals::config::demo_plan(2, 1_000_000, 0).unwrap();
+    Master::from_plan(plan).with_simulation(simulation)
+}
 
 fn demo(speed: f64) -> (Master, fieldbeat::sim::World) {
-    let config::Configuration { plan, simulation } =
-        fieldbeat::internals::config::demo_plan(2, 1_000_000, 0).unwrap();
-    let machine =
-        Master::from_plan(plan).with_simulation(simulation).simulate(WorldOptions::default()).unwrap();
+    let machine = setup().simulate(WorldOptions::default()).unwrap();
     let world = machine.world().clone();
     (machine.into_master(speed).unwrap(), world)
 }
@@ -52,4 +55,23 @@ fn a_drive_that_is_lost_ends_the_call_that_waits_for_it() {
     assert_eq!(outcome, Outcome::Aborted(Abort::Stopped(StopCause::LinkLost)));
     let feedback = axis.feedback();
     assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)));
+}
+
+/// The task of the loop is between the events of a lost link and the feedback of their cycle, and takes its time here.
+#[test]
+fn what_ended_a_call_is_in_the_feedback_when_it_returns() {
+    let setup = setup().with_task(|_, _| std::thread::sleep(Duration::from_millis(2)));
+    let machine = setup.simulate(WorldOptions::default()).unwrap();
+    let world = machine.world().clone();
+    let master = machine.into_master(f64::INFINITY).unwrap();
+    master.wait_online(Duration::from_secs(60)).unwrap();
+    for (index, name) in ["a1", "a2"].into_iter().enumerate() {
+        let mut axis = master.axis(name).unwrap();
+        axis.enable().unwrap();
+        let id = axis.post(Command::Home).unwrap();
+        assert!(world.unplug(master.plan().buses[0].addresses()[index]));
+        axis.wait(id, "home", Duration::from_secs(60)).unwrap_err();
+        let feedback = axis.feedback();
+        assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)), "{name}");
+    }
 }

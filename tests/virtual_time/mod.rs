@@ -22,16 +22,22 @@ mod limits;
 mod loads;
 mod lock;
 mod moons;
+#[cfg(feature = "record")]
+mod native;
 mod oracle;
 mod oracle_found;
 mod other_masters;
 mod panics;
 mod powered;
 mod queues;
+#[cfg(feature = "record")]
+mod recordings;
+mod replay;
 mod replies;
 mod restarts;
 mod services;
 mod shutdown;
+mod soak;
 mod stop_bound;
 mod streams;
 mod support;

@@ -13,7 +13,7 @@ const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
 
 /// `hold`: what follows the stops of its axes.
 fn shape(kind: Kind, hold: bool) -> Shape {
-    Shape { kind, hold, other: false, free_writes: true }
+    Shape { hold, ..Shape::of(kind) }
 }
 
 /// The bus' other way as well: tagged replies, menu 0, a clock that leads.

@@ -2,10 +2,11 @@
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
 use fastrand::Rng;
+use fieldbeat::axis::Target;
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
 use fieldbeat::internals::bus::linudp::upid::call;
 use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef, RtcCommand};
-use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
 use fieldbeat::time::{MS, US};
 
@@ -242,4 +243,28 @@ fn what_the_system_drops_and_refuses_to_give_is_counted_and_stops_nobody() {
     let end = b.finish();
     let Unmatched { datagrams, dropped, errors } = end.buses[0].1;
     assert_eq!((datagrams, dropped, errors), (0, 3, 1));
+}
+
+#[test]
+fn a_velocity_is_the_way_between_two_requests_whenever_their_replies_are_received() {
+    // The master wakes up late, for its sends as for its replies, by up to a third of a period; what the drive reports
+    // is where it was when it had the request.
+    let mut rig = Rig::new(1);
+    rig.options = WorldOptions { wake_ns: 300 * US, seed: 7, ..rig.options };
+    let mut b = rig.cycle(|cycle| cycle.receive_deadline = 0.8).ready();
+    b.done(0, to(10.0));
+    b.post(0, with(Target::Absolute(190.0), 100.0, 5_000.0));
+    b.run(100);
+    let mut seen = Vec::new();
+    for _ in 0..1_000 {
+        b.step();
+        if b.feedback(0).age == 0 {
+            seen.push(b.feedback(0).status.velocity);
+        }
+    }
+    let late = b.status().wake_max.ns;
+    assert!(seen.len() > 900 && late > 200 * US, "{} of 1000, {late} ns", seen.len());
+    let (least, most) =
+        seen.iter().fold((f64::MAX, f64::MIN), |(least, most), v| (least.min(*v), most.max(*v)));
+    assert!(least > 99.0 && most < 101.0, "{least} ... {most} mm/s");
 }

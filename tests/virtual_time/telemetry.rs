@@ -1,11 +1,14 @@
 //! What the loop counts stays true whatever becomes of its records.
 
+use std::time::Duration;
+
+use fieldbeat::axis::{Command, EventKind, Move, Profile, Target};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{LinUdpPlan, MonitorPlan};
 use fieldbeat::internals::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat::internals::bus::linudp::upid::Upid;
 use fieldbeat::internals::cycle::engine::Control;
-use fieldbeat::internals::cycle::record::{Record, Reply};
+use fieldbeat::internals::cycle::record::{CommandRecord, Record, Reply};
 use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{FaultPlan, SimPlan, Simulated, World, WorldOptions};
@@ -71,7 +74,7 @@ fn cycle() -> CyclePlan {
 #[test]
 fn records_that_nobody_takes_cost_detail_and_no_truth() {
     let plan = plan();
-    let mut measured = Measured::new(3, &plan.cycle, false);
+    let mut measured = Measured::new(&plan.units(), &plan.cycle, false);
     let mut shown = [None; MONITOR_CHANNELS];
     let mut taken = run(&plan, |records| {
         for record in reported(records) {
@@ -157,10 +160,12 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     for index in 0..50 {
         engine.step();
         let reported: Vec<Record> = reported(&mut records).collect();
-        let [Record::Drive(a), Record::Drive(b), Record::Drive(c), Record::Cycle(cycle)] = reported[..]
+        let [Record::Drive(a), Record::Drive(b), Record::Drive(c), ref events @ .., Record::Cycle(cycle)] =
+            reported[..]
         else {
             panic!("{reported:?}")
         };
+        assert!(events.iter().all(|event| matches!(event, Record::Event(_))), "{reported:?}");
         assert_eq!([a.index, b.index, c.index, cycle.index], [index; 4]);
         assert_eq!([a.axis, b.axis, c.axis], [0, 1, 2]);
     }
@@ -187,7 +192,7 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
                     assert!(timer > at, "{timer} after {at}");
                     (at, fresh) = (timer, fresh + 1);
                 }
-                Record::Reference(_) | Record::Cycle(_) | Record::Skipped(_) => {}
+                _ => {}
             }
         }
     });
@@ -218,4 +223,92 @@ fn only_drives_that_show_something_besides_take_room() {
             assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
         assert_eq!((ring.buffer().capacity(), plan.black_box_records()), (records * 1_000, records * 2_000));
     }
+}
+
+/// The commands and events among records, in words.
+fn notes(records: impl Iterator<Item = Record>) -> Vec<(u64, String)> {
+    records
+        .filter_map(|record| match record {
+            Record::Command(CommandRecord { index, axis, group, step, id, command }) => {
+                let group = group.map_or(String::new(), |lead| format!(" in the group of {lead}"));
+                Some((index, format!("{axis}: {} {} {step}{group}", command.name(), id.0)))
+            }
+            Record::Event(event) => match event.kind().unwrap() {
+                EventKind::Ended { id, command, outcome } => {
+                    Some((event.index, format!("{}: {command} {} {outcome}", event.axis, id.0)))
+                }
+                EventKind::Stopped(cause) => Some((event.index, format!("{}: {cause}", event.axis))),
+                _ => None,
+            },
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn commands_and_their_ends_reach_the_telemetry_in_their_order() {
+    let mut b = Rig::new(2).ready();
+    let tap = b.sim.tap(100_000);
+    let profile = Profile { velocity: 50.0, acceleration: 500.0, deceleration: 500.0 };
+    let target = Target::Relative(5.0);
+    let first = b.sim.axis(0).post(Command::Move(Move { target, profile })).unwrap();
+    b.step();
+    let second = b.sim.axis(0).post(Command::Enable).unwrap();
+    b.step();
+    let third = b.sim.axis(0).post(Command::QuickStop).unwrap();
+    let other = b.sim.axis(1).post(Command::Move(Move { target, profile })).unwrap();
+    b.run(1_000);
+    let records = std::iter::from_fn(|| tap.next(Duration::ZERO).ok());
+    let records: Vec<Record> = records.flat_map(|batch| batch.to_vec()).collect();
+    // Each has the slot of the cycle that it stands in.
+    let mut ended = 0;
+    for record in records.iter().rev() {
+        match record {
+            Record::Cycle(cycle) => ended = cycle.index,
+            other => assert_eq!(other.index(), ended, "{other:?}"),
+        }
+    }
+    let notes = notes(records.into_iter());
+    assert!(notes.is_sorted_by_key(|(index, _)| *index), "{notes:?}");
+    let of = |axis: &str| -> Vec<&str> {
+        notes.iter().map(|(_, note)| &**note).filter(|note| note.starts_with(axis)).collect()
+    };
+    let [first, second, third, other] = [first, second, third, other].map(|id| id.0);
+    assert_eq!(
+        of("0: "),
+        [
+            format!("0: move {first} taken"),
+            format!("0: move {first} begun"),
+            format!("0: enable {second} taken"),
+            format!("0: quick stop {third} taken"),
+            format!("0: enable {second} aborted: replaced by command {third}"),
+            format!("0: move {first} aborted: replaced by command {third}"),
+            format!("0: quick stop {third} begun"),
+            format!("0: quick stop {third} done"),
+        ]
+    );
+    let expected = ["taken", "begun", "done"].map(|step| format!("1: move {other} {step}"));
+    assert_eq!(of("1: "), expected);
+}
+
+#[test]
+fn notes_of_more_commands_than_the_ring_holds_are_counted() {
+    let plan = plan();
+    let world = World::new(drives(), WorldOptions::default()).unwrap();
+    let Assembly { mut engine, mut axes, .. } =
+        assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
+    engine.begin();
+    let mut before = 0;
+    while before == 0 {
+        engine.step();
+        before = engine.status().lost_records;
+    }
+    engine.step();
+    // Nobody takes the records: those of the three drives and of the cycle, and no other.
+    let usual = engine.status().lost_records - before;
+    before += usual;
+    axes[0].post(Command::ResetFault).unwrap();
+    engine.step();
+    // It was taken, and has ended at once: its drive is not online.
+    assert!(engine.status().lost_records >= before + usual + 2, "{usual}");
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::{Answer, Call, CallError};
+use crate::inputs::{Inlet, InputLog};
 use crate::rt::Regions;
 use crate::sync::{AtomicBool, AtomicU64, Consumer, Producer};
 
@@ -106,7 +107,8 @@ impl Guard {
 /// The source of calls and the destination of their ends.
 #[derive(Debug)]
 pub struct Port {
-    calls: Consumer<Posted>,
+    calls: Inlet<Posted>,
+    log: InputLog,
     ends: Producer<Ended>,
     cancelled: Cancelled,
     guard: Guard,
@@ -123,7 +125,21 @@ impl Port {
         guard: Guard,
         regions: Regions,
     ) -> Port {
-        Port { calls, ends, cancelled, guard, failed: 0, regions }
+        Port {
+            calls: Inlet::new(calls),
+            log: InputLog::default(),
+            ends,
+            cancelled,
+            guard,
+            failed: 0,
+            regions,
+        }
+    }
+
+    /// The same for an executor that is the loop, whose inputs are in this log.
+    pub fn logged(mut self, log: &InputLog) -> Port {
+        (self.calls, self.log) = (self.calls.logged(log), log.source());
+        self
     }
 
     /// Adds what it touches, to be locked.
@@ -170,7 +186,7 @@ impl Port {
     pub fn take_if(&mut self, wanted: impl Fn(&Posted) -> bool) -> Option<Posted> {
         // Bounded by what is queued now: the application may go on posting.
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
-            let posted = *self.calls.peek().ok()?;
+            let posted = *self.calls.peek()?;
             let over = if self.is_cancelled(&posted) {
                 Some(CallError::Cancelled)
             } else if posted.series != 0 && posted.series == self.failed {
@@ -181,7 +197,7 @@ impl Port {
             if over.is_none() && !wanted(&posted) {
                 return None;
             }
-            self.calls.pop().ok()?;
+            self.calls.pop()?;
             match over {
                 Some(why) => self.end(&posted, Err(why)),
                 None => return Some(posted),
@@ -193,14 +209,14 @@ impl Port {
     /// Ends the calls that are queued now, a bounded number in one cycle.
     pub fn refuse_all(&mut self, why: CallError) {
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
-            let Ok(posted) = self.calls.pop() else { return };
+            let Some(posted) = self.calls.pop() else { return };
             self.end(&posted, Err(why));
         }
     }
 
     /// Whether the application has cancelled this call.
     pub fn is_cancelled(&self, posted: &Posted) -> bool {
-        self.cancelled.has(posted.number)
+        self.log.flag(false, self.cancelled.has(posted.number))
     }
 
     /// Ends a call whose execution had begun.

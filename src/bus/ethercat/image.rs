@@ -284,6 +284,12 @@ impl Frame {
         self.next.get_mut(range.start.into()..range.end.into())
     }
 
+    /// The outputs in this range that left last, as long as no newer ones are loaded.
+    #[inline]
+    pub fn sent_outputs(&self, range: &Range<u16>) -> &[u8] {
+        self.bytes.get(range.start.into()..range.end.into()).unwrap_or_default()
+    }
+
     /// The next outputs there are the previous ones.
     pub fn keep_outputs(&mut self, range: &Range<u16>) {
         let range = usize::from(range.start)..usize::from(range.end);

@@ -7,6 +7,7 @@
 //! | `object` | objects of a drive: what is known of them, how people write them, the contents of its PDOs |
 //! | `plan` | the segment as configured |
 //! | `config` | its keys in a configuration |
+//! | `outline` | what a first configuration of it has, and how its drives are found |
 //! | `tools` | `fieldbeat ethercat` |
 //! | `counters` | counters that only EtherCAT has |
 //! | `bus` | stations, devices and frames as one bus |
@@ -19,6 +20,7 @@
 //! | `start_up` | objects written to a drive before its process data run |
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
+//! | `fields` | those of drives as a recording shows them |
 //! | `scan` | lists the slaves of a segment, for people |
 //!
 //! What follows is the reference of docs/ for its configuration.
@@ -34,9 +36,12 @@ pub(crate) mod wire;
 pub(crate) mod bus;
 #[cfg(feature = "config")]
 mod config;
+mod fields;
 pub(crate) mod image;
 mod native;
 mod other;
+#[cfg(feature = "cli")]
+mod outline;
 mod plan;
 mod profile;
 mod segment;
@@ -72,6 +77,12 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "Kollmorgen S300 ... S700",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "config")]
+    reference: include_str!("../../../docs/src/configuration-ethercat.md"),
+    #[cfg(feature = "config")]
+    specimen: config::SPECIMEN,
+    #[cfg(feature = "cli")]
+    outline: outline::OUTLINE,
     #[cfg(feature = "cli")]
     tools: tools::TOOLS,
 };

@@ -5,10 +5,13 @@ use std::sync::Arc;
 
 use rtrb::{Consumer, Producer};
 
-use super::object::Object;
 use super::object::pdo::Layout;
+use super::object::{Object, Type};
 use crate::axis::Emergency;
 use crate::axis::cell::{self, Packed, Reader, Writer};
+use crate::bus::native::NativeBytes;
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::{Part, put_bytes, take_bytes};
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
@@ -115,9 +118,14 @@ impl Native {
 
 fn value(layout: &Layout, object: Object, bytes: &[u8]) -> Option<i64> {
     let (at, entry) = layout.places().find(|(_, entry)| entry.object == object)?;
+    number(entry.kind, at, bytes)
+}
+
+/// The number of this type that begins at a byte.
+pub(super) fn number(kind: Type, at: usize, bytes: &[u8]) -> Option<i64> {
     let mut raw = [0; WORD];
-    raw[..entry.kind.bytes()].copy_from_slice(bytes.get(at..at + entry.kind.bytes())?);
-    Some(entry.kind.number(u64::from_le_bytes(raw)))
+    raw[..kind.bytes()].copy_from_slice(bytes.get(at..at + kind.bytes())?);
+    Some(kind.number(u64::from_le_bytes(raw)))
 }
 
 /// The station's end.
@@ -125,7 +133,7 @@ fn value(layout: &Layout, object: Object, bytes: &[u8]) -> Option<i64> {
 #[repr(C)] // Its writer is used with each report.
 pub(super) struct NativePort {
     inputs: Writer<Image<{ FRONT + PDO_MAX / WORD }>>,
-    outputs: Consumer<NativeOutput>,
+    outputs: Inlet<NativeOutput>,
     regions: Regions,
 }
 
@@ -136,10 +144,16 @@ pub(super) fn native(outputs: &Layout, inputs: &Layout) -> (Native, NativePort) 
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
     let layouts = Arc::new([outputs.clone(), inputs.clone()]);
     let native = Native { inputs: reader, outputs: producer, layouts };
-    (native, NativePort { inputs: writer, outputs: consumer, regions })
+    (native, NativePort { inputs: writer, outputs: Inlet::new(consumer), regions })
 }
 
 impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -152,8 +166,17 @@ impl NativePort {
         self.inputs.write_with(|places| pack(at, running, inputs, |word| places.push(word)));
     }
 
+    /// Appends the newest inputs, if they were taken in after `since`. Returns when they were.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let length = words.next().unwrap_or(0) as u16;
+        out.put_words(words, length.into());
+        Some(at)
+    }
+
     pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop().ok()
+        self.outputs.pop()
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
@@ -169,7 +192,7 @@ impl NativePort {
 #[derive(Debug)]
 pub struct Terminals {
     inputs: Reader<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
-    outputs: Producer<[u8; TERMINAL_MAX]>,
+    outputs: Producer<TerminalOutputs>,
     emergencies: Consumer<Emergency>,
     sizes: (usize, usize),
 }
@@ -236,7 +259,36 @@ impl Terminals {
             Some(place) if place.len() == outputs.len() => place.copy_from_slice(outputs),
             _ => return Err(TerminalError::Size { has: self.sizes.0, given: outputs.len() }),
         }
-        self.outputs.push(image).map_err(|_| TerminalError::Full)
+        self.outputs.push(TerminalOutputs(image)).map_err(|_| TerminalError::Full)
+    }
+}
+
+/// All outputs of a device.
+#[derive(Clone, Copy, Debug)]
+pub struct TerminalOutputs([u8; TERMINAL_MAX]);
+
+impl Part for TerminalOutputs {
+    const WORDS: usize = TERMINAL_MAX / WORD;
+
+    fn put(&self, words: &mut [u64]) {
+        put_bytes(&self.0, words);
+    }
+
+    fn take(words: &[u64]) -> TerminalOutputs {
+        TerminalOutputs(take_bytes(words))
+    }
+}
+
+impl Part for NativeOutput {
+    const WORDS: usize = 1 + PDO_MAX / WORD;
+
+    fn put(&self, words: &mut [u64]) {
+        self.length.put(words);
+        put_bytes(&self.bytes, &mut words[1..]);
+    }
+
+    fn take(words: &[u64]) -> NativeOutput {
+        NativeOutput { length: u8::take(words), bytes: take_bytes(&words[1..]) }
     }
 }
 
@@ -244,7 +296,8 @@ impl Terminals {
 #[derive(Debug)]
 pub struct TerminalPort {
     inputs: Writer<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
-    outputs: Consumer<[u8; TERMINAL_MAX]>,
+    outputs: Inlet<TerminalOutputs>,
+    log: InputLog,
     emergencies: Producer<Emergency>,
     newest: [u8; TERMINAL_MAX],
     /// The outputs of the next frame were taken: built again, it has the same.
@@ -266,8 +319,9 @@ pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
         terminals,
         TerminalPort {
             inputs: writer,
-            outputs: consumer,
+            outputs: Inlet::new(consumer),
             emergencies: reported,
+            log: InputLog::default(),
             newest,
             taken: false,
             size: sizes.0,
@@ -277,6 +331,12 @@ pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
 }
 
 impl TerminalPort {
+    /// The same with this log.
+    pub fn logged(mut self, log: &InputLog) -> TerminalPort {
+        (self.outputs, self.log) = (self.outputs.logged(log), log.source());
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -298,17 +358,16 @@ impl TerminalPort {
         if waiting == 0 {
             return;
         }
-        let Ok(images) = self.outputs.read_chunk(waiting) else { return };
-        let (first, rest) = images.as_slices();
-        if let Some(image) = rest.last().or(first.last()) {
+        self.outputs.skip(waiting - 1);
+        if let Some(TerminalOutputs(image)) = self.outputs.peek() {
             self.newest[..self.size].copy_from_slice(&image[..self.size]);
         }
-        images.commit_all();
+        self.outputs.skip(1);
     }
 
     /// The application has room for an emergency.
     pub fn may_report(&self) -> bool {
-        !self.emergencies.is_full()
+        self.log.flag(true, !self.emergencies.is_full())
     }
 
     /// Queues an emergency that it reported; dropped if there is no room.

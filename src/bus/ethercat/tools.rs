@@ -68,7 +68,7 @@ impl Scan {
 }
 
 /// The frames of an interface; the error says what is missing, and how to get it.
-fn open(interface: &str) -> Result<Box<dyn Frames>, Stop> {
+pub(super) fn open(interface: &str) -> Result<Box<dyn Frames>, Stop> {
     Os::default().frames(interface, ETHERTYPE).map_err(|error| {
         Stop::usage(match error.kind() {
             io::ErrorKind::PermissionDenied => {
@@ -87,7 +87,7 @@ fn open(interface: &str) -> Result<Box<dyn Frames>, Stop> {
     })
 }
 
-fn failed(interface: &str, error: ScanError) -> Stop {
+pub(super) fn failed(interface: &str, error: ScanError) -> Stop {
     Stop::failed(match error {
         // Not every driver says so itself, and the kernel may take a second to.
         ScanError::Unsent(_) | ScanError::Silent if is_unplugged(interface) => {

@@ -9,12 +9,14 @@ use super::plan::{Delivery, EthernetIpPlan, IO_PORT};
 use super::session::{HANDSHAKE_NS, Session};
 use super::station::{ROOM, Station};
 use super::target::commanding;
-use super::wire::io::Packet;
+use super::wire::io::{Outgoing, Packet};
 use crate::axis::acyclic;
+use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Bus, Cycle, Ends, Notes, OpenError, Slot, Unmatched, drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions};
 use crate::rt::Regions;
+use crate::time::Time;
 
 /// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
 /// datagrams never delays the cycle.
@@ -98,7 +100,7 @@ impl EthernetIpBus {
                 handshake_ns: HANDSHAKE_NS,
                 ..StreamPeer::new(drive.address, Box::new(session))
             });
-            let (station, native) = Station::new(drive, period_ns, loop_end);
+            let (station, native) = Station::new(drive, period_ns, loop_end, &carriers.log());
             stations.push(station);
             of_application.push((native, calls));
         }
@@ -254,6 +256,18 @@ impl Bus for EthernetIpBus {
                 self.outbox.set_length(index, length);
             }
         }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Outgoing::outputs(self.outbox.bytes(index)))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::bus::EthernetIpBus;
 use super::counters::OWN;
+use super::fields::layout;
 use super::notation::Addresses;
 use super::plan::{EthernetIpPlan, MoonsDrive};
 use super::profile;
@@ -13,6 +14,7 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::native::NativeLayout;
 use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, OpenError, OwnCounter, drives};
 use crate::net::Carriers;
@@ -61,6 +63,10 @@ impl BusPlan for EthernetIpPlan {
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], MoonsDrive::shown)
+    }
+
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        self.drives.get(index).map_or_else(NativeLayout::default, layout)
     }
 
     fn capabilities(&self, index: usize, period_ns: u64) -> Capabilities {

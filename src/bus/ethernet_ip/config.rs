@@ -13,11 +13,16 @@ use crate::axis::Unit;
 use crate::bus::BusPlan;
 use crate::keys::bus::{NOWHERE, drives, reachable};
 use crate::keys::drive::{Counts, axis};
+use crate::keys::form::Form;
 use crate::keys::machine::{Claim, Machine};
 use crate::keys::table::{POSITIVE, Table, integer, number, time};
-use crate::keys::value::station;
+use crate::keys::value::{ENDPOINT, station};
 use crate::net::SendMode;
 use crate::time::{MS, S};
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\nhoming = {}\n\
+     enable_input = {}\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -39,7 +44,8 @@ fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
     let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; never 0.0.0.0, \
         since drives compare it";
     let own = |ip: &Ipv4Addr| !ip.is_unspecified() && !ip.is_multicast() && !ip.is_broadcast();
-    let bind = table.text("bind", hint, |text| station(text, IO_PORT).filter(|bind| own(bind.ip())))?;
+    let bind =
+        table.text("bind", ENDPOINT, hint, |text| station(text, IO_PORT).filter(|bind| own(bind.ip())))?;
     machine.claim_bind(table, bind);
     Some(bind)
 }
@@ -63,8 +69,9 @@ fn originator(table: &mut Table<'_>, bind: Ipv4Addr) -> Originator {
 fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
     table.require("address", "the address of the drive, like \"192.168.1.40\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.40\", or with a port other than 44818";
-    let address = table
-        .text("address", hint, |text| station(text, PORT).filter(|address| !address.ip().is_unspecified()))?;
+    let address = table.text("address", ENDPOINT, hint, |text| {
+        station(text, PORT).filter(|address| !address.ip().is_unspecified())
+    })?;
     machine.claim_address(table, address, Claim::Host);
     if bind.is_some_and(|bind| bind.ip() == address.ip()) {
         table.fault("address", "is the master's own address, bind; give that of the drive");
@@ -111,7 +118,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
             .time("first_within", MS..=60 * S, "the time within which the first packet has to come")
             .unwrap_or(default.first_within_ns),
         configuration: configuration(table),
-        heartbeat: table.read("heartbeat", |value| match integer(value) {
+        heartbeat: table.read("heartbeat", Form::numbers([0, 2, 6]), |value| match integer(value) {
             Some(0) => Ok(0),
             Some(2) => Ok(2),
             Some(6) => Ok(6),
@@ -129,10 +136,15 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         watchdog: watchdog(table, default.watchdog),
         enable_input: enable_input(table),
         homing: homing(table),
-        homed_register: table.text("homed_register", "a register of the user, \"0\" ... \"9\"", |text| {
-            let &[register @ b'0'..=b'9'] = text.as_bytes() else { return None };
-            Some(register)
-        }),
+        homed_register: table.text(
+            "homed_register",
+            "^[0-9]$",
+            "a register of the user, \"0\" ... \"9\"",
+            |text| {
+                let &[register @ b'0'..=b'9'] = text.as_bytes() else { return None };
+                Some(register)
+            },
+        ),
         encoder: encoder.is_some(),
         encoder_counts_per_step: encoder.unwrap_or(default.encoder_counts_per_step),
         jog: jog(table, connection).unwrap_or(default.jog),
@@ -165,7 +177,8 @@ fn delivery(table: &mut Table<'_>, connection: Access) -> Delivery {
 
 /// The factor, as its code.
 fn multiplier(table: &mut Table<'_>) -> Option<u8> {
-    table.read("timeout_multiplier", |value| {
+    let factors = (0..=7).map(|code| 4 << code);
+    table.read("timeout_multiplier", Form::numbers(factors), |value| {
         let factor = integer(value).and_then(|factor| u32::try_from(factor).ok());
         let code = factor.and_then(|factor| (0_u8..=7).find(|code| 4_u32 << code == factor));
         code.ok_or("must be 4, 8, 16, 32, 64, 128, 256 or 512 packets; leave it out for the usual one".into())
@@ -181,18 +194,20 @@ fn configuration(table: &mut Table<'_>) -> Option<Vec<u8>> {
 /// Encoder counts of a motor step, if there is an encoder.
 fn encoder(table: &mut Table<'_>, steps: f64) -> Option<f64> {
     const FORMS: &str = "must be true, false, or the counts of the encoder in a revolution";
-    let given = table.read("encoder", |value| match (value.as_bool(), number(value)) {
-        (Some(true), _) => Ok(Some(1.0)),
-        (Some(false), _) => Ok(None),
-        (None, Some(counts)) if counts > 0.0 && counts.is_finite() => Ok(Some(counts / steps)),
-        _ => Err(FORMS.into()),
+    let given = table.read("encoder", Form::Flag.or(Form::number(POSITIVE)), |value| {
+        match (value.as_bool(), number(value)) {
+            (Some(true), _) => Ok(Some(1.0)),
+            (Some(false), _) => Ok(None),
+            (None, Some(counts)) if counts > 0.0 && counts.is_finite() => Ok(Some(counts / steps)),
+            _ => Err(FORMS.into()),
+        }
     });
     given.flatten()
 }
 
 fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
     let hint = "what ZS of the drive is set to at most, 500ms as delivered; or \"off\"";
-    let within_ns = table.read("watchdog", |value| match value.as_str() {
+    let within_ns = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
         Some("off") => Ok(None),
         _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
     });
@@ -209,7 +224,7 @@ fn optional<'a, T>(
     key: &'static str,
     read: impl FnOnce(&mut Table<'a>) -> Option<T>,
 ) -> Option<T> {
-    match table.read(key, |value| Ok(value.as_table().is_some()))? {
+    match table.read(key, Form::Table, |value| Ok(value.as_table().is_some()))? {
         true => table.table(key, read),
         // It has no keys that could be missing.
         false => table.table(key, |_| None),
@@ -238,7 +253,7 @@ fn homing(table: &mut Table<'_>) -> Option<Homing> {
         }
         let method = table.word("method", &[("seek", HomingMethod::Seek), ("find", HomingMethod::Find)]);
         let hint = "an input with its condition, like \"2L\": 0 ... 12 and H, L, R or F";
-        let input = table.text("input", hint, |text| text.parse::<IoCode>().ok());
+        let input = table.text("input", None, hint, |text| text.parse::<IoCode>().ok());
         let velocity = table.number("velocity", POSITIVE, "units/s");
         let acceleration = table.number("acceleration", POSITIVE, "units/s²");
         let distance = table.number("distance", .., "user units; the sign is the direction");

@@ -5,6 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::plan::{Layout, Version};
+use crate::inputs::entry::{peer, peer_of};
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::Part;
 use crate::rt::{self, Regions};
 use crate::sync::{Consumer, Producer};
 
@@ -83,6 +86,57 @@ pub enum Wish {
     },
 }
 
+/// Its kind, and what it holds.
+impl Part for News {
+    const WORDS: usize = 13;
+
+    fn put(&self, words: &mut [u64]) {
+        words.fill(0);
+        match *self {
+            News::Opened(connection) => {
+                let Connection { generation, outgoing, incoming, destination, source, .. } = connection;
+                let outputs = match connection.outputs {
+                    Outputs::Owned => u64::MAX,
+                    Outputs::Heartbeat(size) => size.into(),
+                };
+                let (v2, page) = (connection.version == Version::V2, connection.layout == Layout::Page);
+                [0, generation.into(), outgoing.into(), incoming.into(), peer(destination)].put(words);
+                [source.to_bits().into(), connection.outgoing_api_ns, connection.incoming_api_ns]
+                    .put(&mut words[5..]);
+                [connection.timeout_ns, outputs, v2.into(), page.into()].put(&mut words[8..]);
+            }
+            News::Closed { generation } => [1, u64::from(generation)].put(words),
+            News::Read(Facts { homed }) => {
+                words[0] = 2;
+                homed.put(&mut words[1..]);
+            }
+        }
+    }
+
+    fn take(words: &[u64]) -> News {
+        match words[0] {
+            0 => News::Opened(Connection {
+                generation: words[1] as u32,
+                outgoing: words[2] as u32,
+                incoming: words[3] as u32,
+                destination: peer_of(words[4]),
+                source: (words[5] as u32).into(),
+                outgoing_api_ns: words[6],
+                incoming_api_ns: words[7],
+                timeout_ns: words[8],
+                outputs: match words[9] {
+                    u64::MAX => Outputs::Owned,
+                    size => Outputs::Heartbeat(size as u8),
+                },
+                version: if words[10] == 0 { Version::V1 } else { Version::V2 },
+                layout: if words[11] == 0 { Layout::Manual } else { Layout::Page },
+            }),
+            1 => News::Closed { generation: words[1] as u32 },
+            _ => News::Read(Facts { homed: Part::take(&words[1..]) }),
+        }
+    }
+}
+
 /// What both sides look at in each step.
 #[derive(Debug, Default)]
 struct Flags {
@@ -95,10 +149,11 @@ struct Flags {
 /// The loop's end.
 #[derive(Debug)]
 pub struct LoopEnd {
-    news: Consumer<News>,
+    news: Inlet<News>,
     wishes: Producer<Wish>,
     flags: Arc<Flags>,
     regions: Regions,
+    log: InputLog,
 }
 
 /// The session's end.
@@ -116,19 +171,25 @@ pub fn both() -> (LoopEnd, SessionEnd) {
     let (wishes, wishes_out) = rt::ring(ROOM, &mut regions);
     let flags = Arc::new(Flags::default());
     let session = SessionEnd { news: news_in, wishes: wishes_out, flags: Arc::clone(&flags) };
-    (LoopEnd { news, wishes, flags, regions }, session)
+    (LoopEnd { news: Inlet::new(news), wishes, flags, regions, log: InputLog::default() }, session)
 }
 
 impl LoopEnd {
+    /// The same with this log.
+    pub fn logged(mut self, log: &InputLog) -> LoopEnd {
+        (self.news, self.log) = (self.news.logged(log), log.source());
+        self
+    }
+
     /// The next news.
     #[inline]
     pub fn news(&mut self) -> Option<News> {
-        if self.news.is_empty() { None } else { self.news.pop().ok() }
+        if self.news.is_empty() { None } else { self.news.pop() }
     }
 
     /// Tells the session; false if there is no room: again in a later cycle.
     pub fn wish(&mut self, wish: Wish) -> bool {
-        self.wishes.push(wish).is_ok()
+        self.log.flag(true, self.wishes.push(wish).is_ok())
     }
 
     /// From now on calls that command the drive are refused, or not. Returns whether one is under way: its telegram
@@ -139,7 +200,7 @@ impl LoopEnd {
         if self.flags.guarded.load(Ordering::Relaxed) != on {
             self.flags.guarded.store(on, Ordering::SeqCst);
         }
-        self.flags.commanded.load(Ordering::SeqCst)
+        self.log.flag(false, self.flags.commanded.load(Ordering::SeqCst))
     }
 
     /// Adds what it touches, to be locked.

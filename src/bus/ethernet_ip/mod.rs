@@ -7,13 +7,14 @@
 //! | `check` | what is wrong with the plan of a drive, and what `check` says of it |
 //! | `bus_plan` | the plan as every protocol's |
 //! | `config` | its keys in a configuration |
+//! | `outline` | what a first configuration of it has, and how its drives are found |
 //! | `notation`, `target` | how people write addresses and values of a drive; what an acyclic call does, as numbers |
 //! | `tools`, `scan` | `fieldbeat ethernet-ip` |
 //! | `session` | the session of one drive on the link thread: it opens connections, and carries out acyclic calls |
 //! | `exchange` | what passes between session and loop |
 //! | `profile`, `edges` | what is desired as outputs, and what the packets prove; the command word as a machine of edges |
 //! | `station` | the master's view of one drive: its connection, its packets, its report |
-//! | `native`, `counters` | native process data, counts |
+//! | `native`, `fields`, `counters` | native process data, and as a recording shows them; counts |
 //! | `bus` | stations, sessions and one socket as one bus |
 //!
 //! What follows is the reference of docs/ for its configuration.
@@ -27,8 +28,11 @@ mod config;
 mod counters;
 mod edges;
 pub(crate) mod exchange;
+mod fields;
 mod native;
 pub(crate) mod notation;
+#[cfg(feature = "cli")]
+mod outline;
 pub(crate) mod plan;
 mod profile;
 #[cfg(feature = "cli")]
@@ -57,6 +61,12 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "MOONS' STF and SSDC",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "config")]
+    reference: include_str!("../../../docs/src/configuration-ethernet-ip.md"),
+    #[cfg(feature = "config")]
+    specimen: config::SPECIMEN,
+    #[cfg(feature = "cli")]
+    outline: outline::OUTLINE,
     #[cfg(feature = "cli")]
     tools: tools::TOOLS,
 };

@@ -1,17 +1,20 @@
 //! The native process data of a MOONS' drive: unscaled and complete, for the application.
 
-use rtrb::{Consumer, Producer};
+use rtrb::Producer;
 
 use super::plan::{Layout, Version};
-use super::wire::assembly::{Inputs, IoCode, Letters, Outputs, command};
+use super::wire::assembly::{Inputs, IoCode, Letters, Outputs, command, input_size};
 use crate::axis::cell::{self, Packed, Reader, Writer};
+use crate::bus::native::NativeBytes;
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::{parts, word};
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
 /// How many outputs the application may queue.
 const OUTPUTS: usize = 16;
 /// The longest input assembly, bytes.
-const ROOM: usize = 56;
+const ROOM: usize = input_size(Version::V2);
 const WORD: usize = size_of::<u64>();
 
 /// The application's end: [`Axis::native`](crate::axis::Axis::native) with this type.
@@ -145,7 +148,7 @@ impl NativeOutput {
 #[derive(Debug)]
 pub(super) struct NativePort {
     inputs: Writer<Assembly>,
-    outputs: Consumer<NativeOutput>,
+    outputs: Inlet<NativeOutput>,
     /// Native mode runs.
     running: bool,
     begun: u32,
@@ -158,7 +161,8 @@ pub(super) fn native() -> (Native, NativePort) {
     let (writer, reader) = cell::cell(Assembly::default());
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let port = NativePort { inputs: writer, outputs: consumer, running: false, begun: 0, regions };
+    let port =
+        NativePort { inputs: writer, outputs: Inlet::new(consumer), running: false, begun: 0, regions };
     (Native { inputs: reader, outputs: producer }, port)
 }
 
@@ -166,10 +170,8 @@ impl Native {
     /// The newest inputs.
     pub fn inputs(&self) -> NativeInputs {
         let Assembly { at, running, begun, kind, bytes } = self.inputs.read();
-        let inputs = kind.and_then(|(version, layout)| {
-            let length = if version == Version::V1 { 30 } else { ROOM };
-            Inputs::parse(&bytes[..length], version, layout)
-        });
+        let inputs =
+            kind.and_then(|(version, layout)| Inputs::parse(&bytes[..input_size(version)], version, layout));
         NativeInputs { at, running, begun, inputs }
     }
 
@@ -180,7 +182,25 @@ impl Native {
     }
 }
 
+word! {
+    Letters: |letters: Letters| letters.0.into(), |word| Letters(word as u16);
+}
+
+parts! {
+    NativeOutput { outputs }
+    Outputs {
+        command, jog_speed, jog_acceleration, jog_deceleration, velocity, acceleration, deceleration, distance, current,
+        letters, register_1, register_2
+    }
+}
+
 impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -214,14 +234,27 @@ impl NativePort {
         });
     }
 
+    /// Appends the newest assembly, if it was taken in after `since`. Returns when it was.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let length = match words.next().unwrap_or(0) >> KIND & 0xFF {
+            0 => 0,
+            1 => input_size(Version::V1),
+            _ => ROOM,
+        };
+        out.put_words(words, length);
+        Some(at)
+    }
+
     /// The next output, which stays until it is [taken](Self::pop).
-    pub(super) fn peek(&self) -> Option<NativeOutput> {
-        self.outputs.peek().ok().copied()
+    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
+        self.outputs.peek().copied()
     }
 
     /// The next output has begun.
     pub(super) fn pop(&mut self) {
-        if self.outputs.pop().is_ok() {
+        if self.outputs.pop().is_some() {
             self.begun = self.begun.wrapping_add(1);
         }
     }
@@ -251,6 +284,9 @@ impl Default for Assembly {
     }
 }
 
+/// The place of the kind among the flags.
+const KIND: u32 = 32;
+
 fn flags(running: bool, begun: u32, kind: Option<(Version, Layout)>) -> u64 {
     let kind = match kind {
         None => 0,
@@ -258,7 +294,7 @@ fn flags(running: bool, begun: u32, kind: Option<(Version, Layout)>) -> u64 {
         Some((Version::V2, Layout::Manual)) => 2,
         Some((Version::V2, Layout::Page)) => 3,
     };
-    u64::from(begun) | kind << 32 | u64::from(running) << 63
+    u64::from(begun) | kind << KIND | u64::from(running) << 63
 }
 
 impl Packed for Assembly {
@@ -278,7 +314,7 @@ impl Packed for Assembly {
         for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[2..]) {
             *bytes = word.to_le_bytes();
         }
-        let kind = match words[1] >> 32 & 0xFF {
+        let kind = match words[1] >> KIND & 0xFF {
             1 => Some((Version::V1, Layout::Manual)),
             2 => Some((Version::V2, Layout::Manual)),
             3 => Some((Version::V2, Layout::Page)),

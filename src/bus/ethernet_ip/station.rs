@@ -18,6 +18,7 @@ use crate::axis::units::Unwrap;
 use crate::axis::{State, Units};
 use crate::bus::desired::{Motion, Power};
 use crate::bus::{Cycle, Exchange, Slot};
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -138,8 +139,9 @@ struct Last {
 
 impl Station {
     /// The station of `drive`, and the application's end of its native process data.
-    pub fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd) -> (Station, Native) {
+    pub fn new(drive: &MoonsDrive, period_ns: u64, end: LoopEnd, log: &InputLog) -> (Station, Native) {
         let (application, native) = native();
+        let (native, end) = (native.logged(log), end.logged(log));
         let station = Station {
             grid: Time(0),
             fresh_until: Time(0),
@@ -173,6 +175,12 @@ impl Station {
             closing: None,
         };
         (station, application)
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
     }
 
     /// Adds what it touches besides itself, to be locked.

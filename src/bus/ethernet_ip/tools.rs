@@ -121,7 +121,7 @@ fn row(device: &Device) -> [String; 8] {
 }
 
 /// The vendors of these drives.
-fn vendor(number: u16) -> Option<&'static str> {
+pub(super) fn vendor(number: u16) -> Option<&'static str> {
     (number == 60).then_some("Applied Motion Products")
 }
 

@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
+use super::fields::layout;
 use super::notation::Upids;
 use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 use super::profile;
@@ -13,11 +14,13 @@ use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, Cycle, Ends, OpenError, Slot, Unmatched, drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
+use crate::time::Time;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
 /// a telegram of this protocol.
@@ -64,7 +67,7 @@ impl LinUdpBus {
         let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
         let (mut stations, mut ends) = (Vec::new(), Ends::default());
         for drive in &plan.drives {
-            let (station, native, acyclic) = Station::new(drive);
+            let (station, native, acyclic) = Station::new(drive, &carriers.log());
             stations.push(station);
             ends.push(native, acyclic);
         }
@@ -215,6 +218,18 @@ impl Bus for LinUdpBus {
         }
     }
 
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(self.outbox.bytes(index)))
+    }
+
     fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
         // The drives keep no connection: once the axes are down, nothing more has to be sent.
         true
@@ -259,6 +274,10 @@ impl BusPlan for LinUdpPlan {
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
+    }
+
+    fn native_layout(&self, _index: usize) -> NativeLayout {
+        layout()
     }
 
     fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {

@@ -12,11 +12,15 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
 use crate::keys::bus::{NOWHERE, drives, reachable};
 use crate::keys::drive::{Counts, axis};
+use crate::keys::form::Form;
 use crate::keys::machine::{Claim, Machine};
 use crate::keys::table::{POSITIVE, Table, integer};
-use crate::keys::value::{closest, station};
+use crate::keys::value::{ENDPOINT, closest, station};
 use crate::net::SendMode;
 use crate::time::S;
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -34,7 +38,7 @@ const COUNTS: Counts =
 fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
     table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
     let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 41136";
-    let bind = table.text("bind", hint, |text| station(text, MASTER_PORT))?;
+    let bind = table.text("bind", ENDPOINT, hint, |text| station(text, MASTER_PORT))?;
     machine.claim_bind(table, bind);
     Some(bind)
 }
@@ -42,7 +46,7 @@ fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
 fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
     table.require("address", "the address of the drive, like \"192.168.1.10\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.10\", or with a port other than 49360";
-    let address = table.text("address", hint, |text| {
+    let address = table.text("address", ENDPOINT, hint, |text| {
         station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
     })?;
     machine.claim_address(table, address, Claim::Host);
@@ -86,7 +90,9 @@ fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
 fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
     const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] \
         or UPIDs as numbers";
-    table.read("monitor", |value| {
+    let variable = Form::integer(0..=u16::MAX.into()).or(Form::Text(None));
+    let form = Form::Flag.or(variable.list(1, MONITOR_CHANNELS));
+    table.read("monitor", form, |value| {
         if let Some(flag) = value.as_bool() {
             return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
         }

@@ -13,10 +13,11 @@
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
 //! | `upid`, `notation` | parameters by number and name; how people write and list them |
-//! | `native` | unscaled process data for the application |
+//! | `native`, `fields` | unscaled process data for the application, and as a recording shows them |
 //! | `bus` | all drives on one socket |
 //! | `plan` | the bus as configured |
 //! | `config` | its keys in a configuration |
+//! | `outline` | what a first configuration of it has, and how its drives are found |
 //! | `tools` | `fieldbeat linmot` |
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
@@ -29,10 +30,13 @@ mod channel;
 #[cfg(feature = "config")]
 mod config;
 pub mod curve;
+mod fields;
 pub mod motion;
 pub(crate) mod native;
 pub(crate) mod notation;
 mod other;
+#[cfg(feature = "cli")]
+mod outline;
 pub(crate) mod plan;
 mod profile;
 pub(crate) mod rtc;
@@ -61,6 +65,12 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "LinMot LinUDP V2",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "config")]
+    reference: include_str!("../../../docs/src/configuration-linudp.md"),
+    #[cfg(feature = "config")]
+    specimen: config::SPECIMEN,
+    #[cfg(feature = "cli")]
+    outline: outline::OUTLINE,
     #[cfg(feature = "cli")]
     tools: tools::TOOLS,
 };

@@ -1,10 +1,13 @@
 //! The native process data of a LinUDP drive: unscaled and complete, for the application.
 
-use rtrb::{Consumer, Producer};
+use rtrb::Producer;
 
 use super::motion::MotionCommand;
 use super::wire::{ControlWord, RESPONSE_MAX, Response, RtcBlock};
 use crate::axis::cell::{self, Packed, Reader, Writer};
+use crate::bus::native::NativeBytes;
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::{Part, put_bytes, take_bytes};
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
@@ -50,7 +53,7 @@ pub struct NativeOutput {
 #[derive(Debug)]
 pub(super) struct NativePort {
     inputs: Writer<Telegram>,
-    outputs: Consumer<NativeOutput>,
+    outputs: Inlet<NativeOutput>,
     /// Native mode runs.
     running: bool,
     /// The memory of the queue.
@@ -62,7 +65,7 @@ pub(super) fn native() -> (Native, NativePort) {
     let (writer, reader) = cell::cell(Telegram { at: Time(0), running: false, length: 0, bytes: [0; ROOM] });
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let port = NativePort { inputs: writer, outputs: consumer, running: false, regions };
+    let port = NativePort { inputs: writer, outputs: Inlet::new(consumer), running: false, regions };
     (Native { inputs: reader, outputs: producer }, port)
 }
 
@@ -83,6 +86,12 @@ impl Native {
 }
 
 impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -99,12 +108,23 @@ impl NativePort {
         self.inputs.write_with(|places| pack(at, self.running, telegram, |word| places.push(word)));
     }
 
+    /// Appends the newest telegram, if it was taken in after `since`. Returns when it was.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let length = ((words.next().unwrap_or(0) << 1 >> 1) as usize).min(ROOM);
+        out.put_words(words, length);
+        // Its last bytes are the word behind its whole ones.
+        out.end_with(self.inputs.word(FRONT + length / WORD));
+        Some(at)
+    }
+
     /// The next output; one with a motion only if the motion channel is `free`.
     pub(super) fn next(&mut self, free: bool) -> Option<NativeOutput> {
-        if !free && self.outputs.peek().ok()?.motion.is_some() {
+        if !free && self.outputs.peek()?.motion.is_some() {
             return None;
         }
-        self.outputs.pop().ok()
+        self.outputs.pop()
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
@@ -112,6 +132,35 @@ impl NativePort {
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
+        }
+    }
+}
+
+/// Whole, for the log of the loop: its optional parts with a word each that says whether they are there.
+impl Part for NativeOutput {
+    const WORDS: usize = 2 + 6 + 6;
+
+    fn put(&self, words: &mut [u64]) {
+        let NativeOutput { control, motion, config } = *self;
+        control.map(|control| control.0).put(words);
+        (words[2], words[8]) = (motion.is_some().into(), config.is_some().into());
+        if let Some(MotionCommand { id, parameters }) = motion {
+            id.put(&mut words[3..]);
+            put_bytes(&parameters, &mut words[4..8]);
+        }
+        if let Some(RtcBlock { tag, code, words: block }) = config {
+            [tag, code].put(&mut words[9..]);
+            block.put(&mut words[11..]);
+        }
+    }
+
+    fn take(words: &[u64]) -> NativeOutput {
+        let motion = || MotionCommand { id: u16::take(&words[3..]), parameters: take_bytes(&words[4..8]) };
+        let [tag, code] = Part::take(&words[9..]);
+        NativeOutput {
+            control: <Option<u16> as Part>::take(words).map(ControlWord),
+            motion: (words[2] != 0).then(motion),
+            config: (words[8] != 0).then(|| RtcBlock { tag, code, words: Part::take(&words[11..]) }),
         }
     }
 }
@@ -125,6 +174,8 @@ struct Telegram {
     bytes: [u8; ROOM],
 }
 
+/// Words before those of the telegram.
+const FRONT: usize = 2;
 /// Room for the longest telegram, in whole words. Bytes after its blocks are never read.
 const ROOM: usize = RESPONSE_MAX.next_multiple_of(WORD);
 const WORD: usize = size_of::<u64>();
@@ -141,7 +192,7 @@ fn pack(at: Time, running: bool, telegram: &[u8], mut push: impl FnMut(u64)) {
 }
 
 impl Packed for Telegram {
-    type Words = [u64; 3 + ROOM / WORD];
+    type Words = [u64; FRONT + ROOM / WORD + 1];
 
     fn pack(&self) -> Self::Words {
         let mut words = Self::Words::default();

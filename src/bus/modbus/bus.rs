@@ -5,6 +5,7 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::counters::OWN;
+use super::fields::layout;
 use super::handshake::{Found, UnidriveHandshake};
 use super::mapping::Mapping;
 use super::notation::Parameters;
@@ -14,14 +15,16 @@ use super::station::Station;
 use super::trips::Trip;
 use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use crate::bus::desired::Capabilities;
+use crate::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use crate::bus::variant::Variant;
 use crate::bus::{
     Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
 };
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
+use crate::time::Time;
 
 /// Connections and their drives.
 pub struct ModbusBus {
@@ -69,7 +72,7 @@ impl ModbusBus {
                 unacknowledged_ns: 2 * drive.reply_within_ns,
                 ..StreamPeer::new(drive.address, Box::new(handshake))
             });
-            let (station, native, acyclic) = Station::new(drive, mappings, found);
+            let (station, native, acyclic) = Station::new(drive, mappings, found, &carriers.log());
             stations.push(station);
             ends.push(native, acyclic);
         }
@@ -208,6 +211,19 @@ impl Bus for ModbusBus {
         }
     }
 
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let station = self.stations.get(index)?;
+        let received_at = station.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(station.sent_request()))
+    }
+
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
         let mut done = true;
         for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
@@ -272,6 +288,11 @@ impl BusPlan for ModbusPlan {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], UnidriveDrive::shown)
     }
 
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        let drive = self.drives.get(index).and_then(|drive| Some((drive, mappings(drive)?)));
+        drive.map_or_else(NativeLayout::default, |(drive, mappings)| layout(drive, mappings))
+    }
+
     fn own_counters(&self) -> &'static [OwnCounter] {
         &OWN
     }
@@ -282,6 +303,10 @@ impl BusPlan for ModbusPlan {
 
     fn fault_names(&self) -> FaultNames {
         |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
+    }
+
+    fn silence_faults(&self) -> SilenceFaults {
+        |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence())
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -12,13 +12,17 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
 use crate::keys::bus::{NOWHERE, drives, reachable};
 use crate::keys::drive::{Counts, axis};
+use crate::keys::form::Form;
 use crate::keys::machine::{Claim, Machine};
 use crate::keys::table::{Table, integer, time};
-use crate::keys::value::{closest, station};
+use crate::keys::value::{ENDPOINT, HOST, closest, station};
 use crate::time::{MS, S, US};
 
 const COUNTS: Counts =
     Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -33,7 +37,7 @@ fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
         to the drives";
     // The port is the kernel's choice.
     let own = |text: &str| text.parse().ok().filter(|ip: &Ipv4Addr| !ip.is_unspecified());
-    table.text("bind", hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
+    table.text("bind", HOST, hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
 }
 
 fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> UnidriveDrive {
@@ -86,8 +90,9 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -
 fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> Option<SocketAddrV4> {
     table.require("address", "the address of the drive, like \"192.168.1.20\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
-    let address = table
-        .text("address", hint, |text| station(text, PORT).filter(|address| !address.ip().is_unspecified()))?;
+    let address = table.text("address", ENDPOINT, hint, |text| {
+        station(text, PORT).filter(|address| !address.ip().is_unspecified())
+    })?;
     machine.claim_address(table, address, Claim::Port);
     reachable(table, bind, address);
     Some(address)
@@ -95,12 +100,12 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>)
 
 fn map(table: &mut Table<'_>, default: Map) -> Map {
     let map = table.table("map", |table| Map {
-        control: table.read("control", one).unwrap_or(default.control),
-        reference: table.read("reference", one).unwrap_or(default.reference),
-        status: table.read("status", one).unwrap_or(default.status),
-        speed: table.read("speed", one).unwrap_or(default.speed),
+        control: table.read("control", parameter_form(), one).unwrap_or(default.control),
+        reference: table.read("reference", parameter_form(), one).unwrap_or(default.reference),
+        status: table.read("status", parameter_form(), one).unwrap_or(default.status),
+        speed: table.read("speed", parameter_form(), one).unwrap_or(default.speed),
         trip: table
-            .read("trip", |value| match value.as_str() {
+            .read("trip", parameter_form(), |value| match value.as_str() {
                 Some("off") => Ok(None),
                 _ => one(value).map(Some),
             })
@@ -109,8 +114,10 @@ fn map(table: &mut Table<'_>, default: Map) -> Map {
         also: default.also,
     });
     Map {
-        show: table.read("monitor", monitor).unwrap_or(map.show),
-        also: table.read("also_read", also_read).unwrap_or_default(),
+        show: table
+            .read("monitor", Form::False.or(parameter_form().list(1, MONITOR_CHANNELS)), monitor)
+            .unwrap_or(map.show),
+        also: table.read("also_read", parameter_form().any_list(), also_read).unwrap_or_default(),
         ..map
     }
 }
@@ -151,6 +158,17 @@ fn one(value: &DeValue<'_>) -> Result<Mapped, String> {
 
 const FORMS: &str = "must be a parameter like \"06.042\" or \"control-word\", or { parameter = \"18.011\", \
     bits = 32, decimals = 1 }";
+
+/// What [`span`] takes.
+fn parameter_form() -> Form {
+    let bits = Form::numbers([16, 32]);
+    let decimals = Form::integer(0..=9);
+    Form::Text(None).or(Form::Fields(vec![
+        ("parameter", Form::Text(None), true),
+        ("bits", bits, false),
+        ("decimals", decimals, false),
+    ]))
+}
 
 /// A parameter that is known, or one with its size in a table: or several in a row, `"20.021 ... 20.030"`.
 fn span(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
@@ -221,7 +239,8 @@ impl Size {
 /// `"direct"`, `"menu-0"`, or `{ menu_0 = 11 }`: from that place on.
 fn via(table: &mut Table<'_>) -> Option<Via> {
     const FORMS: &str = "must be \"direct\", \"menu-0\", or { menu_0 = 11 } for menu 0 from Pr 00.011 on";
-    table.read("via", |value| match value.as_str() {
+    let from = Form::Fields(vec![("menu_0", Form::integer(1..=80), true)]);
+    table.read("via", Form::words(["direct", "menu-0"]).or(from), |value| match value.as_str() {
         Some("direct") => Ok(Via::Direct),
         Some("menu-0") => Ok(Via::Menu0 { first: 1 }),
         Some(_) => Err(FORMS.into()),
@@ -239,7 +258,7 @@ fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
     let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
     let watchdog = table.table("watchdog", |table| Watchdog {
         timeout_ns: table
-            .read("timeout", |value| match value.as_str() {
+            .read("timeout", Form::Time.or(Form::word("off")), |value| match value.as_str() {
                 Some("off") => Ok(None),
                 _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
             })

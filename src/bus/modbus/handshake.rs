@@ -16,6 +16,7 @@ use super::plan::UnidriveDrive;
 use super::setup::{Purpose, Setting, settings};
 use super::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, frame};
 use super::words::{ControlWord, StatusWord};
+use crate::inputs::InputLog;
 use crate::net::{Handshake, HandshakeState};
 use crate::time::{S, Time};
 
@@ -47,9 +48,10 @@ pub struct Found {
 
 impl Found {
     /// What was found last.
-    pub fn get(&self) -> Finding {
+    pub fn get(&self, log: &InputLog) -> Finding {
         let [bits, state] = &self.words;
-        let (bits, state) = (bits.load(Ordering::Acquire), state.load(Ordering::Acquire));
+        let bits = log.value(0, bits.load(Ordering::Acquire));
+        let state = log.value(0, state.load(Ordering::Acquire));
         let flag = |bit: u32| bits >> bit & 1 != 0;
         Finding {
             unit: bits as u8,

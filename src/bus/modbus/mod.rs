@@ -8,9 +8,11 @@
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
 //! | `check` | what is wrong with the plan of a drive, and what `check` says of it |
 //! | `config` | its keys in a configuration |
+//! | `outline` | what a first configuration of it has, and how its drives are found |
 //! | `handshake` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
 //! | `identity`, `pace`, `calls`, `native`, `counters` | matching of replies, whether they come in the window, calls, native data, counts |
+//! | `fields` | native data as a recording shows them |
 //! | `read_write` | whether the drive has FC23 |
 //! | `setup`, `echo` | settings before the first request to move, values that the drive has accepted |
 //! | `other` | another master's values |
@@ -34,9 +36,12 @@ mod check;
 #[cfg(feature = "config")]
 mod config;
 mod echo;
+mod fields;
 pub(crate) mod handshake;
 mod identity;
 mod other;
+#[cfg(feature = "cli")]
+mod outline;
 mod pace;
 mod plan;
 mod profile;
@@ -61,6 +66,12 @@ pub(super) const REGISTERED: Protocol = Protocol {
     drives: "Nidec Unidrive",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "config")]
+    reference: include_str!("../../../docs/src/configuration-modbus.md"),
+    #[cfg(feature = "config")]
+    specimen: config::SPECIMEN,
+    #[cfg(feature = "cli")]
+    outline: outline::OUTLINE,
     #[cfg(feature = "cli")]
     tools: &[],
 };

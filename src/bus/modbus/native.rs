@@ -3,11 +3,15 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, Ordering};
 
-use rtrb::{Consumer, Producer};
+use rtrb::Producer;
 
-use super::mapping::{Image, Role};
+use super::fields::COUNT;
+use super::mapping::{Image, ROLES, Role};
 use super::words::{ControlWord, StatusWord};
 use crate::axis::cell::{self, Packed, Reader, Words, Writer};
+use crate::bus::native::NativeBytes;
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::{parts, word};
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
@@ -64,7 +68,7 @@ pub struct NativeOutput {
 pub(super) struct NativePort {
     inputs: Writer<NativeInputs>,
     also: Arc<[AtomicI32]>,
-    outputs: Consumer<NativeOutput>,
+    outputs: Inlet<NativeOutput>,
     regions: Regions,
 }
 
@@ -75,7 +79,7 @@ pub(super) fn native(also: usize) -> (Native, NativePort) {
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
     let also: Arc<[AtomicI32]> = (0..also).map(|_| AtomicI32::new(0)).collect();
     let native = Native { inputs: reader, also: Arc::clone(&also), outputs: producer };
-    (native, NativePort { inputs: writer, also, outputs: consumer, regions })
+    (native, NativePort { inputs: writer, also, outputs: Inlet::new(consumer), regions })
 }
 
 impl Native {
@@ -98,6 +102,12 @@ impl Native {
 }
 
 impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -115,6 +125,24 @@ impl NativePort {
         });
     }
 
+    /// Appends the newest counts, if the newest of them was taken in after `since`: which roles were read, a bit each;
+    /// the count of each role up to the last one that was read; those of the additional parameters. Returns when it
+    /// was.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let seen = words.next().unwrap_or(0) as u16;
+        let roles = match self.also.len() {
+            0 => (u16::BITS - seen.leading_zeros()) as usize,
+            // The places of the additional ones are fixed.
+            _ => ROLES,
+        };
+        out.put(&seen.to_le_bytes());
+        out.put_words(words, COUNT * roles);
+        self.also.iter().for_each(|count| out.put(&count.load(Ordering::Relaxed).to_le_bytes()));
+        Some(at)
+    }
+
     #[inline]
     pub(super) fn publish_also(&mut self, index: u8, count: i32) {
         if let Some(place) = self.also.get(usize::from(index)) {
@@ -123,7 +151,7 @@ impl NativePort {
     }
 
     pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop().ok()
+        self.outputs.pop()
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
@@ -133,6 +161,14 @@ impl NativePort {
             let _ = self.outputs.pop();
         }
     }
+}
+
+word! {
+    ControlWord: |control: ControlWord| control.0.into(), |word| ControlWord(word as u16);
+}
+
+parts! {
+    NativeOutput { control, reference }
 }
 
 impl Packed for NativeInputs {

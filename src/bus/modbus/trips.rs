@@ -57,6 +57,12 @@ impl Trip {
         }
     }
 
+    /// Its master was silent: the watchdog of the control word, or that of a module, which shares its trip with other
+    /// errors of the module.
+    pub const fn is_of_silence(self) -> bool {
+        matches!(self, Trip::WATCHDOG | Trip(202 | 207 | 212 | 252))
+    }
+
     const fn known(self) -> Option<(&'static str, bool)> {
         let assumed = true;
         Some(match self.0 {
@@ -119,6 +125,12 @@ mod tests {
     fn only_over_current_delays_its_reset() {
         assert_eq!(Trip::OVER_CURRENT.reset_after_ns(), 10_000_000_000);
         assert!((0..=u16::MAX).map(Trip).filter(|trip| trip.reset_after_ns() != 0).eq([Trip(3)]));
+    }
+
+    #[test]
+    fn a_watchdog_says_that_the_master_was_silent_and_no_other_trip_does() {
+        let of_silence: Vec<u16> = (0..=u16::MAX).filter(|code| Trip(*code).is_of_silence()).collect();
+        assert_eq!(of_silence, [30, 202, 207, 212, 252]);
     }
 
     #[test]

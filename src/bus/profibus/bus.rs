@@ -21,6 +21,7 @@ use super::notes::{Known, WireNotes};
 use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
+use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Broken, Carriers, Lock, Place, Serial};
 use crate::rt::Regions;
@@ -80,7 +81,8 @@ impl ProfibusBus {
         let (mut stations, mut ends) = (Vec::new(), Ends::default());
         for drive in &plan.drives {
             let broken = || OpenError::Plan { bus: plan.name.clone(), drive: drive.axis.name.clone() };
-            let (station, native, acyclic) = Station::new(drive, plan.address).ok_or_else(broken)?;
+            let (station, native, acyclic) =
+                Station::new(drive, plan.address, &carriers.log()).ok_or_else(broken)?;
             stations.push(station);
             ends.push(native, acyclic);
         }
@@ -228,6 +230,19 @@ impl Bus for ProfibusBus {
                 station.prepare(cycle, slot);
             }
         }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let station = self.stations.get(index)?;
+        let received_at = station.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(station.sent_outputs()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

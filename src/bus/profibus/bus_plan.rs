@@ -5,18 +5,27 @@ use std::sync::Arc;
 
 use super::bus::ProfibusBus;
 use super::counters::{OWN, Own};
+use super::fields::layout;
 use super::notation::Codes;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::profile;
+use super::wire::telegram;
 use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
+use crate::bus::native::NativeLayout;
 use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
 use crate::net::Carriers;
 
 impl BusPlan for ProfibusPlan {
+    /// By the address in its head.
+    fn drive_in(&self, telegram: &[u8], _at: usize) -> Option<usize> {
+        let address = telegram::destination(telegram)?;
+        self.drives.iter().position(|drive| drive.address == address)
+    }
+
     fn name(&self) -> &str {
         &self.name
     }
@@ -77,6 +86,10 @@ impl BusPlan for ProfibusPlan {
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], LenzeDrive::shown)
+    }
+
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        self.drives.get(index).map_or_else(NativeLayout::default, layout)
     }
 
     fn own_counters(&self) -> &'static [OwnCounter] {

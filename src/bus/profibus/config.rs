@@ -18,9 +18,10 @@ use crate::axis::{PlanFault, Unit, is_plain_name};
 use crate::bus::{BusPlan, Grid};
 use crate::keys::bus::drive_tables;
 use crate::keys::drive::{Counts, axis};
+use crate::keys::form::Form;
 use crate::keys::machine::Machine;
 use crate::keys::table::{Table, integer, number, set, time};
-use crate::keys::value::alternatives;
+use crate::keys::value::{SHORT_NAME, SOMETHING, alternatives};
 use crate::time::MS;
 
 const COUNTS: Counts =
@@ -28,11 +29,14 @@ const COUNTS: Counts =
 /// The units of a shown word.
 const UNITS: [&str; 9] = ["", "%", "A", "V", "Hz", "rpm", "Nm", "W", "°C"];
 
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "device = \"local:x\"\n[[bus.drive]]\nname = \"x\"\naddress = 3\n";
+
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let device = device(table, machine);
-    let rate = table.read("rate", |value| {
+    let rate = table.read("rate", Form::numbers(RATES.map(i128::from)), |value| {
         let rate = integer(value).and_then(|rate| u32::try_from(rate).ok());
         rate.filter(|rate| RATES.contains(rate)).ok_or_else(|| format!("must be {} bit/s", rates()))
     });
@@ -84,7 +88,7 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
 fn device(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
     table.require("device", "a serial port, like \"/dev/ttyS1\", or \"local:NAME\"");
     let hint = "a serial port, like \"/dev/ttyS1\", or \"local:NAME\", a simulated wire on this host";
-    let device = table.text("device", hint, |text| (!text.is_empty()).then(|| text.to_owned()))?;
+    let device = table.text("device", SOMETHING, hint, |text| (!text.is_empty()).then(|| text.to_owned()))?;
     machine.claim_interface(table, "device", &device);
     Some(device)
 }
@@ -118,7 +122,8 @@ fn integer_or_off<T: TryFrom<i128>>(
 ) -> Option<Option<T>> {
     let number =
         |value: &DeValue<'_>| integer(value).filter(|number| range.contains(number))?.try_into().ok();
-    table.read(key, |value| match (value.as_str(), number(value)) {
+    let form = Form::integer(range.clone()).or(Form::word("off"));
+    table.read(key, form, |value| match (value.as_str(), number(value)) {
         (Some("off"), _) => Ok(None),
         (_, Some(number)) => Ok(Some(number)),
         _ => Err(format!("must be {hint}, or \"off\"")),
@@ -135,7 +140,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
     set(&mut drive.user_prm, bytes(table, "user_prm", USER_PRM_MAX));
     set(&mut drive.configuration, bytes(table, "configuration", DATA_MAX));
     let watchdog = "the drive stops when it is not addressed for this time; or \"off\"";
-    let timeout_ns = table.read("watchdog", |value| match value.as_str() {
+    let timeout_ns = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
         Some("off") => Ok(None),
         _ => time(value, &(MS..), watchdog).map(Some),
     });
@@ -153,7 +158,10 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
     drive.enable_bit = enable_bit(table).unwrap_or(drive.profile.usual_enable_bit());
     scale(table, &mut drive.scale);
     drive.further = table.integers("further", DATA_MAX / 2, u16::MAX);
-    set(&mut drive.show, table.read("monitor", monitor));
+    set(
+        &mut drive.show,
+        table.read("monitor", Form::False.or(shown_form().list(1, MONITOR_CHANNELS)), monitor),
+    );
     let fault_at = "a byte of the extended diagnosis, 0 ... 242";
     set(&mut drive.fault_at, integer_or_off(table, "fault_at", 0..=242, fault_at));
     let most = "its most bytes, Max_Diag_Data_Len of its GSD less 6";
@@ -169,7 +177,7 @@ fn bytes(table: &mut Table<'_>, key: &'static str, most: usize) -> Option<Vec<u8
 
 /// Groups of Global_Control, a bit each.
 fn groups(table: &mut Table<'_>) -> Option<u8> {
-    table.read("groups", |value| {
+    table.read("groups", Form::integer(1..=8).any_list(), |value| {
         let bit = |value: &DeValue<'_>| match integer(value) {
             Some(group @ 1..=8) => Some(1_u8 << (group - 1)),
             _ => None,
@@ -206,7 +214,9 @@ fn parameters(table: &mut Table<'_>, channel: bool) -> ParameterPath {
 /// A bit, `{ bit = 12, set = false }`, or `"off"`.
 fn enable_bit(table: &mut Table<'_>) -> Option<Option<StatusBit>> {
     const FORMS: &str = "must be a bit of the status word, 0 ... 15, { bit = 12, set = false }, or \"off\"";
-    table.read("enable_bit", |value| {
+    let bit = || Form::integer(0..=15);
+    let parts = Form::Fields(vec![("bit", bit(), true), ("set", Form::Flag, false)]);
+    table.read("enable_bit", bit().or(parts).or(Form::word("off")), |value| {
         let bit = |value: &DeValue<'_>| match integer(value) {
             Some(bit @ 0..=15) => Some(bit as u8),
             _ => None,
@@ -247,6 +257,17 @@ fn monitor(value: &DeValue<'_>) -> Result<[Option<ShownWord>; MONITOR_CHANNELS],
         *channel = Some(shown(value.get_ref())?);
     }
     Ok(show)
+}
+
+/// What [`shown`] takes.
+fn shown_form() -> Form {
+    Form::Fields(vec![
+        ("name", Form::Text(Some(SHORT_NAME)), true),
+        ("word", Form::integer(0..=255), true),
+        ("per_count", Form::number(..), false),
+        ("signed", Form::Flag, false),
+        ("unit", Form::words(UNITS), false),
+    ])
 }
 
 fn shown(value: &DeValue<'_>) -> Result<ShownWord, String> {

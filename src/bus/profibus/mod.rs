@@ -8,6 +8,7 @@
 //! | `line` | the link layer: silence, token, slot time, repetitions, the count of requests |
 //! | `start_up` | a drive on its way to Data_Exchange |
 //! | `profile`, `native` | control word and set point, status and actual value; native process data |
+//! | `fields` | native process data as a recording shows them |
 //! | `station` | the master's view of one drive |
 //! | `acyclic` | parameters, in the drive's own turns |
 //! | `target`, `catalogue`, `notation` | what a call is for; known codes; how people write them |
@@ -15,6 +16,7 @@
 //! | `schedule` | its turns on the grid: whether they fit, and how long one waits |
 //! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
 //! | `config` | its keys in a configuration |
+//! | `outline` | what a first configuration of it has, and how its drives are found |
 //! | `other` | whether another master is on the wire |
 //! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
 //!
@@ -30,11 +32,14 @@ mod check;
 mod config;
 pub(crate) mod counters;
 mod describe;
+mod fields;
 pub(crate) mod line;
 mod native;
 pub(crate) mod notation;
 mod notes;
 mod other;
+#[cfg(feature = "cli")]
+mod outline;
 mod plan;
 mod profile;
 #[cfg(feature = "cli")]
@@ -66,6 +71,12 @@ pub(super) const REGISTERED: super::Protocol = super::Protocol {
     drives: "Lenze with EMF2133IB",
     #[cfg(feature = "config")]
     read: config::bus,
+    #[cfg(feature = "config")]
+    reference: include_str!("../../../docs/src/configuration-profibus.md"),
+    #[cfg(feature = "config")]
+    specimen: config::SPECIMEN,
+    #[cfg(feature = "cli")]
+    outline: outline::OUTLINE,
     #[cfg(feature = "cli")]
     tools: tools::TOOLS,
 };

@@ -1,9 +1,12 @@
 //! The native process data of a drive: unscaled and complete, for the application.
 
-use rtrb::{Consumer, Producer};
+use rtrb::Producer;
 
 use super::plan::DATA_MAX;
 use crate::axis::cell::{self, Packed, Reader, Words, Writer};
+use crate::bus::native::NativeBytes;
+use crate::inputs::{Inlet, InputLog};
+use crate::packed::parts;
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
@@ -47,7 +50,7 @@ pub struct NativeOutput {
 #[derive(Debug)]
 pub(super) struct NativePort {
     inputs: Writer<NativeInputs>,
-    outputs: Consumer<NativeOutput>,
+    outputs: Inlet<NativeOutput>,
     regions: Regions,
 }
 
@@ -57,7 +60,7 @@ pub(super) fn native() -> (Native, NativePort) {
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
     let native = Native { inputs: reader, outputs: producer };
-    (native, NativePort { inputs: writer, outputs: consumer, regions })
+    (native, NativePort { inputs: writer, outputs: Inlet::new(consumer), regions })
 }
 
 impl Native {
@@ -73,7 +76,17 @@ impl Native {
     }
 }
 
+parts! {
+    NativeOutput { mask, words }
+}
+
 impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
     /// Adds what both directions touch, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.inputs.memory(regions);
@@ -96,8 +109,18 @@ impl NativePort {
         });
     }
 
+    /// Appends the newest inputs behind the parameter channel, if they were taken in after `since`. Returns when they
+    /// were.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let count = words.next().unwrap_or(0) as u8;
+        out.put_words(words, 2 * usize::from(count));
+        Some(at)
+    }
+
     pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop().ok()
+        self.outputs.pop()
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which would

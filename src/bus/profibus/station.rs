@@ -17,7 +17,7 @@ use self::telegram::Telegram;
 use super::acyclic::{Acyclic, Turn};
 use super::counters::Own;
 use super::line::Expected;
-use super::native::{Native, NativePort, native};
+use super::native::{NATIVE_WORDS, Native, NativePort, native};
 use super::notes::Note;
 use super::plan::LenzeDrive;
 use super::profile::{Inputs, Profile};
@@ -29,6 +29,7 @@ use super::wire::telegram::MAX;
 use crate::axis::Link;
 use crate::axis::acyclic::{AcyclicEnds, queue};
 use crate::bus::{Cycle, Exchange, Slot};
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -99,9 +100,10 @@ pub struct Station {
 impl Station {
     /// The station of `drive` of the master at address `own`, and the application's ends of its native process data and
     /// of its acyclic access. `None`: its plan is not free of faults.
-    pub fn new(drive: &LenzeDrive, own: u8) -> Option<(Station, Native, AcyclicEnds)> {
+    pub fn new(drive: &LenzeDrive, own: u8, log: &InputLog) -> Option<(Station, Native, AcyclicEnds)> {
         let (application, native) = native();
         let (ends, port) = queue(drive.axis.parameter_queue, commanding());
+        let (native, port) = (native.logged(log), port.logged(log));
         let (outputs, inputs) = drive.lengths()?;
         let process_at = drive.process_at();
         let word = |word: u8, length: usize| {
@@ -150,6 +152,12 @@ impl Station {
             }
         }
         Some((station, application, ends))
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -224,6 +232,16 @@ impl Station {
                 outputs.iter_mut().zip(channel).for_each(|(place, byte)| *place = *byte);
             });
         }
+    }
+
+    /// The outputs behind the parameter channel that were sent last, as long as no newer ones are built; nothing if its
+    /// turn was no Data_Exchange.
+    pub(super) fn sent_outputs(&self) -> &[u8] {
+        let outputs = match self.sending {
+            Sending::DataExchange => self.telegram.outputs(self.process_at),
+            Sending::StartUp | Sending::Diagnosis | Sending::Msac1 | Sending::Unlock => &[],
+        };
+        outputs.get(..2 * NATIVE_WORDS).unwrap_or(outputs)
     }
 
     /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.

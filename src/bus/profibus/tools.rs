@@ -27,6 +27,9 @@ pub(super) const TOOLS: &[Tool] = &[Tool {
     },
 }];
 
+/// What a port may add before a byte is read while nothing is known of it, ms.
+pub(super) const SCAN_LATENCY_MS: u64 = 20;
+
 /// Arguments of `profibus`.
 #[derive(Debug, Args)]
 struct Profibus {
@@ -54,7 +57,7 @@ struct Scan {
     address: u8,
     /// What the port adds before a byte is read, ms: an answer is waited for so much longer.
     #[arg(
-        long, value_name = "MS", default_value_t = 20,
+        long, value_name = "MS", default_value_t = SCAN_LATENCY_MS,
         value_parser = clap::value_parser!(u64).range(0..=LATENCY_MAX_NS / MS)
     )]
     latency: u64,
@@ -110,7 +113,7 @@ impl Scan {
 }
 
 /// Waits until the descriptor is readable, or for so many ns, rounded up to whole milliseconds.
-fn pause(fd: Option<RawFd>, most_ns: u64) {
+pub(super) fn pause(fd: Option<RawFd>, most_ns: u64) {
     let ms = most_ns.div_ceil(MS);
     let Some(fd) = fd else { return sleep(Duration::from_millis(ms)) };
     // SAFETY: the carrier holds it, and is borrowed by the caller.

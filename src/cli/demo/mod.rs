@@ -12,6 +12,7 @@ use clap::Args;
 use fieldbeat::config::Configuration;
 use fieldbeat::doctor::{Glance, glance};
 use fieldbeat::internals::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
+use fieldbeat::internals::master::MachineOf;
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{MS, Ns, nanos};
 use fieldbeat::{CyclePlan, Plan};
@@ -54,9 +55,9 @@ impl Demo {
     pub fn run(self) -> Result<(), Stop> {
         let begun = Instant::now();
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let output = self.output.prepare()?;
+        let mut output = self.output.prepare()?;
         let period_ns = period_ns(self.period)?;
-        let Served { plan, server, claim: _claim } = serve(usize::from(self.drives), period_ns)?;
+        let Served { plan, machine, server, claim: _claim } = serve(usize::from(self.drives), period_ns)?;
         // The bus whose clock leads takes few periods.
         if plan.cycle.reference.is_none() {
             let period = Ns(period_ns);
@@ -65,7 +66,7 @@ impl Demo {
                  3ms, of 1ms above, not {period}"
             ));
         }
-        let master = start(output.setup(plan), &interrupt)?;
+        let master = start(output.setup(plan, machine), &interrupt)?;
         let output = output.serve(&master)?;
 
         let [streamers, movers, turners] = names(master.plan());
@@ -141,7 +142,8 @@ fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
 fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
     let mut in_use = None;
     for place in 0..DEMO_PLACES {
-        let Configuration { plan, simulation } = demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
+        let Configuration { plan, simulation, .. } =
+            demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
         let name = format!("fieldbeat-demo/{place}");
         let claim = SocketAddr::from_abstract_name(name).and_then(|name| UnixListener::bind_addr(&name));
         let served = claim.and_then(|claim| {
@@ -149,7 +151,10 @@ fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
             Ok((claim, server))
         });
         match served {
-            Ok((claim, server)) => return Ok(Served { plan, server, claim }),
+            Ok((claim, server)) => {
+                let machine = MachineOf::Demo { drives, period_ns, place };
+                return Ok(Served { plan, machine, server, claim });
+            }
             Err(error) if error.kind() == ErrorKind::AddrInUse => in_use = Some(error),
             Err(error) => return Err(Stop::usage(format!("cannot simulate the drives: {error}"))),
         }
@@ -161,6 +166,7 @@ fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
 /// The drives of a demo, with addresses that are its own for as long as this lives.
 struct Served {
     plan: Plan,
+    machine: MachineOf,
     server: SimServer,
     /// An abstract address of the network namespace: it needs no rights, and the kernel takes it back on death.
     claim: UnixListener,

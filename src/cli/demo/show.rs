@@ -6,11 +6,11 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::{
-    Abort, Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit,
-};
+use fieldbeat::axis::{Abort, Axis, AxisError, Command, CommandId, EventKind, Outcome, StopCause, Unit};
 use fieldbeat::internals::config::DEMO_STREAMS_UP_TO_NS;
-use fieldbeat::time::S;
+use fieldbeat::internals::soak::pattern::{Shuttle, Turning, feed, to, waiting};
+use fieldbeat::internals::soak::wave::{FADE_S, Swing, Wave};
+use fieldbeat::time::{S, nanos};
 use fieldbeat::{Master, MasterError};
 
 use super::light::Light;
@@ -18,16 +18,10 @@ use crate::cli::handler::Handler;
 
 /// Time of one swing, s.
 pub const SWING_S: f64 = 2.0;
-/// The wave grows and dies away within this time, s.
-const FADE_S: f64 = 1.0;
 /// Axes on one wave length.
 const WAVE_LENGTH: f64 = 8.0;
-/// How deep the streams are queued, s.
-const DEPTH_S: f64 = 0.25;
-/// The speed-controlled axes turn the other way after this time, s ...
-const TURN_S: f64 = 2.0;
-/// ... and their velocity is renewed this often.
-const RENEW_EVERY: Duration = Duration::from_millis(100);
+/// The speed-controlled axes turn the other way after this time.
+const TURN: Duration = Duration::from_secs(2);
 
 /// The wave ends so long before the show: the axes stop, make one move and are powered off.
 const CLOSING: Duration = Duration::from_secs(2);
@@ -83,10 +77,10 @@ impl Show {
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
         self.together("enable", &all, |_| Command::Enable)?;
         self.together("home", &movers, |_| Command::Home)?;
-        self.together("to the start", &movers, |axis| to(Swing::of(axis).centre, axis))?;
+        self.together("to the start", &movers, |axis| to(swing(axis).centre, axis.profile()))?;
         self.wave()?;
         self.together("stop", &turners, |_| Command::Stop { deceleration: None })?;
-        self.together("profile move", &movers, |axis| to(Swing::of(axis).low(), axis))?;
+        self.together("profile move", &movers, |axis| to(low(axis), axis.profile()))?;
         self.together("stop", &all, |_| Command::Stop { deceleration: None })?;
         self.together("disable", &all, |_| Command::Disable)
     }
@@ -154,7 +148,7 @@ impl Show {
         Ok(())
     }
 
-    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back.
+    /// The travelling wave, streamed row by row, a second deep; and meanwhile there and back.
     fn wave(&mut self) -> Result<(), Error> {
         let length_s = self.left().as_secs_f64();
         let period_ns = self.master.plan().cycle.period_ns;
@@ -163,20 +157,21 @@ impl Show {
         }
         let period_s = period_ns as f64 / S as f64;
         let streamers = self.axes[..self.streamers].iter().enumerate();
-        let mut waves: Vec<Wave> =
-            streamers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
+        let mut waves: Vec<Wave> = (streamers)
+            .map(|(place, axis)| {
+                let row_s = period_s * f64::from(axis.plan().divisor);
+                Wave::new(swing(axis), TAU * place as f64 / WAVE_LENGTH, row_s, length_s)
+            })
+            .collect();
         let mut ids = Vec::new();
         let mut ended = vec![None; self.streamers];
-        let (mut turning, mut moving) = (Turning::default(), Moving::default());
-        while waves.iter().any(|wave| wave.next < wave.rows) {
+        let begun = Instant::now();
+        let (mut turning, mut moving) = (self.turning(), self.moving());
+        while waves.iter().any(Wave::goes_on) {
             let left_s = self.left().as_secs_f64();
             for (axis, wave) in self.axes.iter_mut().zip(&mut waves) {
-                wave.end_within(left_s);
-                let waiting = axis.plan().stream_queue - axis.stream_room();
-                for _ in waiting..wave.depth().min(axis.plan().stream_queue) {
-                    let Some(row) = wave.next() else { break };
-                    axis.push_row(row)?;
-                }
+                wave.end_within(left_s, waiting(axis));
+                feed(axis, wave)?;
             }
             let (streamers, others) = self.axes.split_at_mut(self.streamers);
             let (movers, turners) = others.split_at_mut(self.movers - self.streamers);
@@ -184,8 +179,13 @@ impl Show {
                 ids = streamers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
                 self.light.iter_mut().for_each(Light::begin);
             }
-            turning.go_on(turners)?;
-            moving.go_on(movers)?;
+            let now = nanos(begun.elapsed());
+            for (axis, turning) in turners.iter_mut().zip(&mut turning) {
+                turning.go_on(axis, now)?;
+            }
+            for (axis, moving) in movers.iter_mut().zip(&mut moving) {
+                moving.go_on(axis, now)?;
+            }
             for ((axis, id), ended) in streamers.iter_mut().zip(&ids).zip(&mut ended) {
                 while let Some(event) = axis.event() {
                     match event.kind {
@@ -194,7 +194,6 @@ impl Show {
                     }
                 }
             }
-            turners.iter_mut().for_each(|axis| while axis.event().is_some() {});
             self.look("wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
@@ -222,216 +221,47 @@ impl Show {
     /// Where the period is too long for streams, or the time too short: moves there and back, until it is time to
     /// close.
     fn swing(&mut self) -> Result<(), Error> {
-        let mut turning = Turning::default();
+        let (begun, mut turning) = (Instant::now(), self.turning());
         while !self.left().is_zero() {
-            for end in [Swing::high, Swing::low] {
-                turning.go_on(&mut self.axes[self.movers..])?;
-                self.together("moves", &(0..self.movers), |axis| to(end(Swing::of(axis)), axis))?;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Moves there and back, for axes that take positions and no streams.
-#[derive(Debug, Default)]
-struct Moving {
-    /// The move of each that is under way, and whether it is the one to the high end.
-    under_way: Vec<(CommandId, bool)>,
-}
-
-impl Moving {
-    /// The next move of each axis whose last one has ended.
-    fn go_on(&mut self, axes: &mut [Axis]) -> Result<(), AxisError> {
-        if self.under_way.is_empty() {
-            let first = |axis: &mut Axis| Ok((axis.post(to(Swing::of(axis).high(), axis))?, true));
-            self.under_way = axes.iter_mut().map(first).collect::<Result<_, AxisError>>()?;
-        }
-        for (axis, (id, is_high)) in axes.iter_mut().zip(&mut self.under_way) {
-            let mut end = None;
-            while let Some(event) = axis.event() {
-                match event.kind {
-                    EventKind::Ended { id: of, outcome, .. } if of == *id => end = Some(outcome),
-                    _ => {}
+            for end in [high, low] {
+                for (axis, turning) in self.axes[self.movers..].iter_mut().zip(&mut turning) {
+                    turning.go_on(axis, nanos(begun.elapsed()))?;
                 }
-            }
-            // A stopped axis ends the show; how its command ended says why.
-            if let Some(outcome) = end
-                && outcome != Outcome::Done
-            {
-                let axis = axis.name().to_owned();
-                return Err(AxisError::Ended { axis, command: "moves", outcome, fault: None });
-            }
-            if end.is_some() {
-                *is_high = !*is_high;
-                let swing = Swing::of(axis);
-                *id = axis.post(to(if *is_high { swing.high() } else { swing.low() }, axis))?;
+                self.together("moves", &(0..self.movers), |axis| to(end(axis), axis.profile()))?;
             }
         }
         Ok(())
     }
-}
 
-/// Velocity there and back, for axes that take no positions.
-#[derive(Debug, Default)]
-struct Turning {
-    begun: Option<Instant>,
-    renewed: Option<Instant>,
-}
-
-impl Turning {
-    /// The velocity of now, where it is time to give it again.
-    fn go_on(&mut self, axes: &mut [Axis]) -> Result<(), AxisError> {
-        let now = Instant::now();
-        if self.renewed.is_some_and(|at| now - at < RENEW_EVERY) {
-            return Ok(());
-        }
-        self.renewed = Some(now);
-        let Some(begun) = self.begun else {
-            self.begun = Some(now);
-            return axes.iter_mut().try_for_each(|axis| axis.jog(axis.profile().velocity).map(drop));
-        };
-        let back = ((now - begun).as_secs_f64() / TURN_S) as u64 % 2 == 1;
-        axes.iter_mut().try_for_each(|axis| {
+    /// Velocity there and back, for axes that take no positions.
+    fn turning(&self) -> Vec<Turning> {
+        let turning = |axis: &Axis| {
             let velocity = axis.profile().velocity;
-            axis.set_velocity(if back { -velocity } else { velocity })
-        })
+            Turning::new(vec![velocity, -velocity], nanos(TURN))
+        };
+        self.axes[self.movers..].iter().map(turning).collect()
     }
-}
 
-fn to(position: f64, axis: &Axis) -> Command {
-    Command::Move(Move { target: Target::Absolute(position), profile: axis.profile() })
+    /// Moves there and back, for axes that take positions and no streams.
+    fn moving(&self) -> Vec<Shuttle> {
+        let moving = |axis: &Axis| Shuttle::new(vec![high(axis), low(axis)], axis.profile(), 0);
+        self.axes[self.streamers..self.movers].iter().map(moving).collect()
+    }
 }
 
 /// How far an axis swings, in its units.
-#[derive(Clone, Copy, Debug)]
-struct Swing {
-    centre: f64,
-    amplitude: f64,
+fn swing(axis: &Axis) -> Swing {
+    let (centre, amplitude) = match axis.plan().units.unit {
+        Unit::Millimetre => (200.0, 40.0),
+        Unit::Revolution => (5.0, 2.0),
+    };
+    Swing { centre, amplitude, period_s: SWING_S }
 }
 
-impl Swing {
-    fn of(axis: &Axis) -> Swing {
-        match axis.plan().units.unit {
-            Unit::Millimetre => Swing { centre: 200.0, amplitude: 40.0 },
-            Unit::Revolution => Swing { centre: 5.0, amplitude: 2.0 },
-        }
-    }
-
-    fn high(self) -> f64 {
-        self.centre + self.amplitude
-    }
-
-    fn low(self) -> f64 {
-        self.centre - self.amplitude
-    }
+fn high(axis: &Axis) -> f64 {
+    swing(axis).centre + swing(axis).amplitude
 }
 
-/// The rows of an axis: a sine whose amplitude grows from 0 and dies away to 0, so that the wave begins and ends at
-/// standstill.
-#[derive(Debug)]
-struct Wave {
-    swing: Swing,
-    /// Of the sine, rad.
-    phase: f64,
-    /// Time between two rows, s.
-    row_s: f64,
-    rows: u64,
-    /// The number of the next one.
-    next: u64,
-}
-
-impl Wave {
-    /// The wave of this length, of the axis at `place`.
-    fn new(axis: &Axis, place: usize, period_s: f64, length_s: f64) -> Wave {
-        let row_s = period_s * f64::from(axis.plan().divisor);
-        Wave {
-            swing: Swing::of(axis),
-            phase: TAU * place as f64 / WAVE_LENGTH,
-            row_s,
-            rows: (length_s / row_s).round() as u64,
-            next: 0,
-        }
-    }
-
-    /// Ends it sooner where its rows would take longer: on a host that skips cycles each of them costs more than its
-    /// time. Only between the two fades, so that it stays smooth.
-    fn end_within(&mut self, left_s: f64) {
-        let fade = (FADE_S / self.row_s).ceil() as u64;
-        if self.next > fade && self.next + fade < self.rows {
-            let most = self.next + ((left_s / self.row_s).ceil() as u64).max(fade + 1);
-            self.rows = self.rows.min(most);
-        }
-    }
-
-    /// So many rows are queued at a time.
-    fn depth(&self) -> usize {
-        ((DEPTH_S / self.row_s) as usize).max(16)
-    }
-}
-
-impl Iterator for Wave {
-    type Item = Row;
-
-    fn next(&mut self) -> Option<Row> {
-        let last = self.rows.checked_sub(1)?;
-        if self.next > last {
-            return None;
-        }
-        let t = self.next as f64 * self.row_s;
-        let (fade, fade_v, fade_a) = fade(t, last as f64 * self.row_s);
-        let w = TAU / SWING_S;
-        let (sin, cos) = (w * t - self.phase).sin_cos();
-        let Swing { centre, amplitude } = self.swing;
-        let is_last = self.next == last;
-        self.next += 1;
-        Some(Row {
-            position: centre + amplitude * fade * sin,
-            velocity: amplitude * (fade_v * sin + fade * w * cos),
-            acceleration: amplitude * (fade_a * sin + 2.0 * fade_v * w * cos - fade * w * w * sin),
-            last: is_last,
-        })
-    }
-}
-
-/// A smooth step up within [`FADE_S`] from the begin and down before the end, with its first and second derivative.
-fn fade(t: f64, end: f64) -> (f64, f64, f64) {
-    let (x, sign) = if t < end / 2.0 { (t / FADE_S, 1.0) } else { ((end - t) / FADE_S, -1.0) };
-    if x >= 1.0 {
-        return (1.0, 0.0, 0.0);
-    }
-    let x = x.max(0.0);
-    // 6x^5 - 15x^4 + 10x^3: position, velocity and acceleration are 0 at both ends.
-    let value = x * x * x * (10.0 + x * (6.0 * x - 15.0));
-    let slope = 30.0 * x * x * (1.0 - x) * (1.0 - x) / FADE_S;
-    let bend = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (FADE_S * FADE_S);
-    (value, sign * slope, bend)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_wave_ends_in_its_time_on_a_host_that_skips_every_fifth_cycle_and_stays_smooth() {
-        let (row_s, length_s) = (0.001, 8.0);
-        let swing = Swing { centre: 200.0, amplitude: 40.0 };
-        for share in [1.0, 0.8, 0.5] {
-            let mut wave = Wave { swing, phase: 1.0, row_s, rows: (length_s / row_s) as u64, next: 0 };
-            let (mut rows, mut before) = (0, Row { position: swing.centre, ..Row::default() });
-            while !before.last {
-                wave.end_within(length_s - f64::from(rows) * row_s / share);
-                let row = wave.next().expect("it ends with its last row");
-                let steepest = swing.amplitude * (TAU / SWING_S + 2.0 / FADE_S) * row_s;
-                assert!((row.position - before.position).abs() <= steepest, "{before:?} {row:?}");
-                assert!((row.velocity - before.velocity).abs() <= 1_000.0 * row_s, "{before:?} {row:?}");
-                (rows, before) = (rows + 1, row);
-            }
-            assert_eq!(wave.next(), None);
-            assert!((before.position - swing.centre).abs() < 1e-9 && before.velocity.abs() < 1e-9);
-            let took_s = f64::from(rows) * row_s / share;
-            assert!(took_s <= length_s + FADE_S / share, "{took_s} s at {share}");
-            assert!(share < 1.0 || rows == 8_000, "{rows}");
-        }
-    }
+fn low(axis: &Axis) -> f64 {
+    swing(axis).centre - swing(axis).amplitude
 }

@@ -153,7 +153,7 @@ impl<C: Clock> Engine<C> {
         let bus = self.buses.iter().position(|open| open.is_at_work);
         let stage = self.panics.stage;
         self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
-        if self.channels.control.requested() == RUN {
+        if self.channels.requested() == RUN {
             self.channels.control.stop();
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
@@ -325,7 +325,7 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end; true once it is complete.
     fn end_stop(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let requested = self.channels.control.requested();
+        let requested = self.channels.requested();
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = requested == HURRY && before == STOP;
         self.ending = Some((since, requested));
@@ -368,6 +368,7 @@ impl<C: Clock> Engine<C> {
         for (axis, (outlet, (controller, slot))) in axes.enumerate() {
             self.panics.guard(cycle.index, Some(Stage::Publish), Part::Axis(axis), || {
                 channels.record(Record::Drive(controller.publish(axis as u16)), &mut status.lost_records);
+                channels.notes(axis as u16, controller, &mut status.lost_records);
                 outlet.numbers.write(&controller.numbers(slot));
                 status.operational += u32::from(controller.feedback().is_operational());
                 status.online += u32::from(controller.feedback().link == Link::Online);

@@ -3,12 +3,21 @@
 use super::{Channels, Engine};
 use crate::cycle::record::{CycleRecord, Look, Record};
 use crate::cycle::window::OpenBus;
+use crate::drive::controller::DriveController;
 use crate::rt::Clock;
 
 impl Channels {
     /// Sends a record to the telemetry, or counts it as lost.
     pub(super) fn record(&mut self, record: Record, lost: &mut u64) {
         *lost += u64::from(self.records.push(record).is_err());
+    }
+
+    /// Sends the commands and events of an axis to the telemetry.
+    pub(super) fn notes(&mut self, axis: u16, controller: &mut DriveController, lost: &mut u64) {
+        while let Some(note) = controller.take_note(axis) {
+            self.record(note.into(), lost);
+        }
+        *lost += controller.take_lost_notes();
     }
 }
 
@@ -34,18 +43,21 @@ impl<C: Clock> Engine<C> {
         // The records are built in the ring, if each drive has one and there is room for all of them.
         let axes = self.controllers.len();
         let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
-        let lost = match room {
+        let (mut lost, mut noted) = (0, false);
+        match room {
             Some(room) => {
-                let mut lost = 0;
                 room.fill_from_iter(self.controllers.iter_mut().enumerate().map(|(axis, controller)| {
+                    noted |= controller.has_notes();
                     let record = controller.publish(axis as u16);
                     lost += controller.lost();
                     Record::Drive(record)
                 }));
-                lost
             }
-            None => self.publish_each(),
-        };
+            None => (lost, noted) = self.publish_each(),
+        }
+        if noted {
+            self.publish_notes();
+        }
         // Those whose turn it is.
         let (axes, every) = (self.axes.len(), self.numbers_every);
         let first = (every - turn % every) % every;
@@ -61,19 +73,28 @@ impl<C: Clock> Engine<C> {
     }
 
     /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
-    /// samples were lost so far.
+    /// samples were lost so far, and whether an axis has notes.
     #[inline(never)]
-    fn publish_each(&mut self) -> u64 {
-        let mut lost = 0;
+    fn publish_each(&mut self) -> (u64, bool) {
+        let (mut lost, mut noted) = (0, false);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
             let lost_records = &mut self.status.lost_records;
+            noted |= controller.has_notes();
             self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
             if let Some(record) = controller.take_shown(axis as u16) {
                 self.channels.record(Record::Monitor(record), lost_records);
             }
             lost += controller.lost();
         }
-        lost
+        (lost, noted)
+    }
+
+    /// Publishes the commands that the axes have taken, and their events.
+    #[inline(never)]
+    fn publish_notes(&mut self) {
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
+            self.channels.notes(axis as u16, controller, &mut self.status.lost_records);
+        }
     }
 
     /// Publishes the numbers of the loop; what changes only now and then, only if it has changed.

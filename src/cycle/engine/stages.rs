@@ -27,13 +27,13 @@ impl<C: Clock> Engine<C> {
         // What was posted before a stop ends with it.
         take_commands(&mut self.controllers, &mut self.channels.bells);
         let (mut missed, mut stopped) = (0_u16, false);
-        let (mut operational, mut online, mut unanswered) = (0, 0, 0);
+        let (mut operational, mut online) = (0, 0);
         self.shows = false;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let reply = controller.evaluate(cycle, now, slot);
-            if matches!(reply, Reply::Missed | Reply::Unsent) {
-                unanswered += 1;
-                missed += u16::from(controller.was_online() && reply == Reply::Missed);
+            if reply == Reply::Missed {
+                self.status.missed += 1;
+                missed += u16::from(controller.was_online());
             }
             stopped |= controller.just_stopped();
             self.shows |= controller.shows();
@@ -41,7 +41,6 @@ impl<C: Clock> Engine<C> {
             operational += u32::from(feedback.is_operational());
             online += u32::from(feedback.link == Link::Online);
         }
-        self.status.missed += unanswered;
         (self.status.operational, self.status.online) = (operational, online);
         for bus in &self.buses {
             if bus.bus.helper_ended() {
@@ -129,7 +128,7 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end, once requested. True when it is complete.
     pub(super) fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let requested = self.channels.control.requested();
+        let requested = self.channels.requested();
         if requested == RUN {
             return false;
         }
@@ -155,9 +154,9 @@ impl<C: Clock> Engine<C> {
 
     pub(super) fn run_task(&mut self, cycle: &Cycle, before: Time) {
         let Some(task) = &mut self.task else { return };
-        let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before);
+        let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before, &self.channels.log);
         let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
-        let panicked = result.is_err();
+        let panicked = self.channels.log.flag(false, result.is_err());
         // Neither the panic's payload nor the task is dropped: this thread must not free memory.
         std::mem::forget(result);
         let over = match self.plan.task_budget_ns {

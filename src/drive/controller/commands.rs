@@ -1,7 +1,5 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
-use rtrb::Consumer;
-
 use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
 use crate::axis::doorbell::Bells;
@@ -11,6 +9,7 @@ use crate::axis::{
     State, StopCause, Target,
 };
 use crate::bus::{Cycle, Exchange, Slot};
+use crate::drive::record::CommandStep;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
@@ -39,19 +38,20 @@ fn take_posted(controllers: &mut [DriveController], bells: &mut Bells) {
     while std::mem::take(&mut again) {
         for index in bells.rung() {
             controllers[index].called = true;
-            while let Some(first) = entry(&mut controllers[index].queues.posted, 0) {
+            while let Some(first) = controllers[index].queues.posted.entry(0) {
                 let parts = first.call.map_or(1, |call| call.parts as usize);
                 let next = (0..parts).all(|place| {
-                    let command = entry(&mut controllers[index].queues.posted, place);
+                    let command = controllers[index].queues.posted.entry(place);
                     command.is_some_and(|command| controllers[command.member as usize].takes(&command))
                 });
                 if !next {
                     break;
                 }
                 for _ in 0..parts {
-                    if let Ok(command) = controllers[index].queues.posted.pop() {
+                    if let Some(command) = controllers[index].queues.posted.pop() {
                         let axis = &mut controllers[command.member as usize];
                         (axis.called, axis.next_id) = (true, axis.next_id + 1);
+                        axis.note(CommandStep::Taken, &command);
                         axis.queues.commands.push_back(command);
                     }
                 }
@@ -235,6 +235,7 @@ impl DriveController {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(queued.id)));
         }
         self.duty.set_active(Some(queued));
+        self.note(CommandStep::Begun, &queued);
         self.began = now;
         match queued.command {
             Command::Reset => self.try_reset(cycle, now, queued),
@@ -350,29 +351,32 @@ impl DriveController {
         }
     }
 
-    /// For the in-loop task: a command to be taken in this cycle, before the queue.
+    /// For the in-loop task: a command to be taken in this cycle, before the queue. Whether the application has left
+    /// room for its end passes `room`.
     pub fn command_from_task(
         &mut self,
         cycle: &Cycle,
         now: Time,
         queued: QueuedCommand,
+        room: impl FnOnce(bool) -> bool,
     ) -> Result<(), Failure> {
         if self.task_command.is_some_and(|waiting| !queued.command.is_urgent() || waiting.command.is_urgent())
         {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
         check_command(&self.plan, self.machine.lacks(), &queued.command)?;
-        if self.queues.events.slots() <= self.queues.room_for_ends && !queued.command.is_urgent() {
-            return Err(Failure::Unsupported(
-                "the application takes no events: there is no room for its end",
-            ));
-        }
         if self.moves_in_group().is_some() && !queued.command.is_urgent() {
             return Err(Failure::Unsupported(
                 "the axis moves in a group: only a stop can be given to it alone",
             ));
         }
+        if !queued.command.is_urgent() && !room(self.queues.events.slots() > self.queues.room_for_ends) {
+            return Err(Failure::Unsupported(
+                "the application takes no events: there is no room for its end",
+            ));
+        }
         self.called = true;
+        self.note(CommandStep::Taken, &queued);
         // A stop does not wait for the commands before it.
         if let Some(waiting) = self.task_command.replace(queued) {
             self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(queued.id)));
@@ -413,16 +417,6 @@ impl DriveController {
 /// After an enable that did not come to its end, so many reports without power show that its last control word had no
 /// effect: reports may be two exchanges older than the word.
 const FALLEN_REPORTS: u8 = 4;
-
-/// Entry `place` of a queue, left there.
-pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T> {
-    if place == 0 {
-        return queue.peek().ok().copied();
-    }
-    let chunk = queue.read_chunk(place + 1).ok()?;
-    let (first, second) = chunk.as_slices();
-    first.iter().chain(second).nth(place).copied()
-}
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {

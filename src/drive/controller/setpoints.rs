@@ -2,7 +2,6 @@
 //! none.
 
 use super::DriveController;
-use super::commands::entry;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{Command, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun};
 use crate::bus::{Cycle, Slot};
@@ -39,8 +38,7 @@ pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
             if !controllers[lead].has_row(follow.stream) {
                 break;
             }
-            let row =
-                |controllers: &mut [DriveController], part| entry(&mut controllers[lead].queues.rows, part);
+            let row = |controllers: &mut [DriveController], part| controllers[lead].queues.rows.entry(part);
             let all = (0..parts as usize).all(|part| {
                 row(controllers, part).is_some_and(|row| {
                     let member = row.member as usize;
@@ -66,7 +64,7 @@ pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
 impl DriveController {
     /// The newest setpoint of the application.
     pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
-        if let Some(setpoint) = self.queues.setpoints.take() {
+        if let Some(setpoint) = self.queues.log.part(self.queues.setpoints.take()) {
             self.take_setpoint(cycle.index, setpoint);
         }
     }
@@ -211,7 +209,7 @@ impl DriveController {
     /// Whether the first row is of `stream`; rows of earlier streams before it are dropped.
     fn has_row(&mut self, stream: u32) -> bool {
         for _ in 0..self.queues.rows.slots() {
-            match entry(&mut self.queues.rows, 0) {
+            match self.queues.rows.entry(0) {
                 Some(row) if row.stream < stream => self.drop_row(),
                 row => return row.is_some_and(|row| row.stream == stream),
             }
@@ -221,9 +219,7 @@ impl DriveController {
 
     /// Drops the first row, with the parts of all members.
     fn drop_row(&mut self) {
-        let parts = entry(&mut self.queues.rows, 0).map_or(0, |row| row.parts as usize);
-        if let Ok(chunk) = self.queues.rows.read_chunk(parts) {
-            chunk.commit_all();
-        }
+        let parts = self.queues.rows.entry(0).map_or(0, |row| row.parts as usize);
+        self.queues.rows.skip(parts);
     }
 }

@@ -5,6 +5,8 @@ mod exchanges;
 use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
+use rtrb::Consumer;
+
 use super::*;
 use crate::axis::command::NativeOwner;
 use crate::axis::doorbell::Bells;
@@ -16,7 +18,7 @@ use crate::axis::{
 use crate::bus::Exchange;
 use crate::bus::desired::{Generator, Velocities};
 use crate::drive::record::measured;
-use crate::rt::ring;
+use crate::rt::{Regions, ring};
 use crate::time::MS;
 
 /// An axis, its slot, and the application's ends of its queues. A cycle takes 1 ms.
@@ -93,15 +95,17 @@ impl Alone {
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
-            posted,
+            posted: Inlet::new(posted),
             commands: VecDeque::with_capacity(8),
-            rows: row_out,
+            rows: Inlet::new(row_out),
             setpoints: setpoint_out,
             events: event_in,
             room_for_ends: 8,
             feedback,
             samples: None,
             lost: 0,
+            log: InputLog::default(),
+            journal: Journal::new(8, &mut Regions::default()),
         };
         let controller = DriveController::new(plan, can(), queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
@@ -342,7 +346,7 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
     }
     let mut takes = |command| {
         let command = QueuedCommand { id: CommandId::of_task(1), member: 0, command, stream: 0, call: None };
-        x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
+        x.controller.command_from_task(&cycle(50), Time(50 * MS), command, |room| room).is_ok()
     };
     assert!(!takes(Command::Home));
     assert!(takes(Command::QuickStop));
@@ -886,7 +890,7 @@ impl Alone {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
         let command = QueuedCommand { id, member: 0, command, stream: 0, call: None };
-        self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
+        self.controller.command_from_task(&cycle, cycle.grid, command, |room| room).unwrap();
         id
     }
 }

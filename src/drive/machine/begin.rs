@@ -13,6 +13,11 @@ pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
     "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
 );
 
+/// What a drive falls back to that does not come into operation, or does not stay in it.
+pub(super) fn fallen_back(rest: Power) -> Power {
+    if rest == Power::EnableOperation { Power::Off } else { rest }
+}
+
 impl State {
     /// Takes the drive over as it is, at its present velocity.
     pub(super) fn claim(&mut self, view: &View) {
@@ -82,7 +87,11 @@ impl State {
         }
         let on = evidence.outputs_count && !self.was_switched_off();
         let can = &view.rules.can;
-        let rest = if on && state == Cia402::SwitchedOn { Power::SwitchOn } else { Power::Off };
+        let rest = match state {
+            Cia402::OperationEnabled if on && evidence.is_set_up => Power::EnableOperation,
+            Cia402::SwitchedOn if on => Power::SwitchOn,
+            _ => Power::Off,
+        };
         match state {
             // What runs already is not switched off first.
             Cia402::OperationEnabled if on && evidence.is_set_up => {
@@ -134,9 +143,9 @@ impl State {
             return None;
         }
         match self.step {
-            // Powering up: it does not go on by itself.
-            Step::Enabling { rest } => {
-                self.set(rest);
+            // Powering up: it does not go on by itself. One that was in operation before is stopped like any other.
+            Step::Enabling { rest } if rest != Power::EnableOperation || !self.runs(view) => {
+                self.set(fallen_back(rest));
                 return self.fall(now);
             }
             // A stop that is under way is not made softer.

@@ -111,7 +111,7 @@ struct State {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Step {
     Idle,
-    /// From state to state into operation, each seen; it falls back to this.
+    /// From state to state into operation, each seen; it falls back to this. `EnableOperation`: it was in operation.
     Enabling {
         rest: Power,
     },
@@ -131,6 +131,8 @@ enum Step {
     ResetWaiting,
     /// Without the reset, so that it has an edge.
     ResetLow,
+    /// With it, until the drive has it.
+    ResetHigh,
     Resetting,
     ResetDone,
     /// To a target, if it has one.
@@ -588,6 +590,7 @@ impl State {
             | Step::Falling
             | Step::ResetWaiting
             | Step::ResetLow
+            | Step::ResetHigh
             | Step::Resetting
             | Step::ResetDone => None,
             _ => self.fail(Failure::Dropped(view.status.state)),

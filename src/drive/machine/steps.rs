@@ -1,6 +1,6 @@
 //! A command that is under way: what each report of the drive means for it.
 
-use super::begin::OTHER_MODE;
+use super::begin::{OTHER_MODE, fallen_back};
 use super::view::{Input, View};
 use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
@@ -50,7 +50,9 @@ impl State {
             | Step::Homing
             | Step::HomeStopping(_)
             | Step::HomeLeaving(_) => self.homing(view),
-            Step::ResetWaiting | Step::ResetLow | Step::Resetting | Step::ResetDone => self.resetting(view),
+            Step::ResetWaiting | Step::ResetLow | Step::ResetHigh | Step::Resetting | Step::ResetDone => {
+                self.resetting(view)
+            }
             Step::Halting | Step::Released | Step::Halted => self.halting(view),
             Step::TakingOver(command) => self.taking_over(command, view),
             _ => self.moving(view),
@@ -93,7 +95,7 @@ impl State {
     }
 
     fn enabling(&mut self, rest: Power, view: &View) -> End {
-        let (state, evidence) = (view.status.state, view.evidence);
+        let (state, evidence, rest) = (view.status.state, view.evidence, fallen_back(rest));
         if self.has_power(view) && evidence.outputs_count {
             if evidence.fault.active {
                 return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
@@ -423,9 +425,11 @@ impl State {
                 }
                 (Step::ResetLow, _) => {
                     self.want_power(Power::FaultReset);
-                    self.begin_step(view.now, Step::Resetting);
+                    self.begin_step(view.now, Step::ResetHigh);
                 }
-                (Step::Resetting, false) => {
+                // However long it took to get there: its report is the first one behind the edge.
+                (Step::ResetHigh, true) => self.begin_step(view.now, Step::Resetting),
+                (Step::ResetHigh | Step::Resetting, false) => {
                     self.set(Power::Off);
                     self.enter(Step::ResetDone);
                 }

@@ -9,7 +9,9 @@ use super::{
 };
 use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use crate::keys::bus;
+use crate::keys::form::Form;
 use crate::keys::table::{Table, number};
+use crate::keys::value::SOMETHING;
 use crate::sim::keys::faults;
 use crate::sim::{Carrier, SimBus};
 use crate::time::{MS, US};
@@ -62,12 +64,13 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &EthercatPlan, period_ns
 /// The segment as a whole.
 fn segment(table: &mut Table<'_>, period_ns: u64) -> SegmentSettings {
     let default = SegmentSettings::default();
+    let ppm = || Form::number(-1_000.0..=1_000.0);
     SegmentSettings {
-        interface: table.text("interface", "a network interface, like \"eth2\"", |text| {
+        interface: table.text("interface", SOMETHING, "a network interface, like \"eth2\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())
         }),
         drift_ppm: table
-            .read("drift_ppm", |value| {
+            .read("drift_ppm", ppm().or(ppm().any_list()), |value| {
                 let one = |value| number(value).filter(|ppm| ppm.abs() <= 1_000.0);
                 let several = || value.as_array()?.iter().map(|value| one(value.get_ref())).collect();
                 one(value)
@@ -106,12 +109,14 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
         serial: table.integer("serial", 0..=u32::MAX.into(), "the serial number").unwrap_or(default.serial),
         position: start.unwrap_or(default.position),
         home_turns: table
-            .read("home", |value| match value.as_str() {
+            .read("home", Form::number(-1_000.0..=1_000.0).or(Form::word("none")), |value| {
+                match value.as_str() {
                 Some("none") => Ok(None),
                 _ => number(value).filter(|turns| turns.abs() <= 1_000.0).map(Some).ok_or(
                     "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\""
                         .into(),
                 ),
+            }
             })
             .unwrap_or(default.home_turns),
         interrupts_to_sync: table

@@ -4,6 +4,7 @@ use super::{FlashMode, LinMotSettings, LinMots, MasterFilter, UnknownCommands};
 use crate::axis::Units;
 use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use crate::keys::bus;
+use crate::keys::form::Form;
 use crate::keys::table::{Table, integer};
 use crate::sim::Carrier;
 use crate::sim::keys::faults;
@@ -39,7 +40,7 @@ fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: u
         address: drive.address,
         faults: faults(table, Carrier::Datagrams, period_ns, index),
         padding: table
-            .read("padding", |value| {
+            .read("padding", Form::numbers([0, 14, 64]), |value| {
                 let padding = integer(value).and_then(|padding| usize::try_from(padding).ok());
                 padding
                     .filter(|padding| [0, 14, 64].contains(padding))
@@ -94,11 +95,14 @@ fn counts(units: &Units, position: f64) -> i32 {
 }
 
 fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {
-    table.text("filter", "\"none\", \"single\" or the one master's address, like \"192.168.1.1\"", |text| {
-        match text {
+    table.text(
+        "filter",
+        None,
+        "\"none\", \"single\" or the one master's address, like \"192.168.1.1\"",
+        |text| match text {
             "none" => Some(MasterFilter::None),
             "single" => Some(MasterFilter::Single),
             _ => text.parse().ok().map(MasterFilter::Fixed),
-        }
-    })
+        },
+    )
 }

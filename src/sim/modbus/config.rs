@@ -3,6 +3,7 @@
 use super::{Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, Unidrives};
 use crate::bus::modbus::{ModbusPlan, UnidriveDrive};
 use crate::keys::bus;
+use crate::keys::form::Form;
 use crate::keys::table::Table;
 use crate::sim::Carrier;
 use crate::sim::keys::faults;
@@ -40,12 +41,14 @@ fn settings(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index:
 
 /// Whether the simulated drive has FC23, or what it does instead.
 fn fc23(table: &mut Table<'_>) -> Option<ReadWrite> {
-    table.read("fc23", |value| match (value.as_bool(), value.as_str()) {
-        (Some(true), _) => Ok(ReadWrite::Served),
-        (Some(false), _) => Ok(ReadWrite::Refused),
-        (_, Some("ignored")) => Ok(ReadWrite::Ignored),
-        (_, Some("closes")) => Ok(ReadWrite::Closes),
-        _ => Err("must be true, false, \"ignored\" or \"closes\"".into()),
+    table.read("fc23", Form::Flag.or(Form::words(["ignored", "closes"])), |value| {
+        match (value.as_bool(), value.as_str()) {
+            (Some(true), _) => Ok(ReadWrite::Served),
+            (Some(false), _) => Ok(ReadWrite::Refused),
+            (_, Some("ignored")) => Ok(ReadWrite::Ignored),
+            (_, Some("closes")) => Ok(ReadWrite::Closes),
+            _ => Err("must be true, false, \"ignored\" or \"closes\"".into()),
+        }
     })
 }
 

@@ -7,6 +7,7 @@ use super::{
 use crate::bus::profibus::{LenzeDrive, ProfibusPlan};
 use crate::keys::bus;
 use crate::keys::table::Table;
+use crate::keys::value::SOMETHING;
 use crate::sim::keys::faults;
 use crate::sim::{Carrier, FaultPlan, SimBus};
 use crate::time::{MS, S};
@@ -19,7 +20,7 @@ pub(in crate::sim) fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns
         ..settings(table, drive)
     });
     let segment = table.table("simulate", |table| ProfibusSegment {
-        own_port: table.text("port", "a serial port, like \"/dev/ttyUSB1\"", |text| {
+        own_port: table.text("port", SOMETHING, "a serial port, like \"/dev/ttyUSB1\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())
         }),
         faults: FaultPlan {

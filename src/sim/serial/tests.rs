@@ -66,6 +66,19 @@ fn bytes_take_their_time_and_everybody_receives_everything() {
 }
 
 #[test]
+fn of_what_has_ended_no_telegram_is_in_two_pieces() {
+    let mut medium = Medium::new(wire(&[7]));
+    medium.write(START, &Slave::request(7, 5));
+    let begin = START + (3 * BYTE + TURN);
+    let mut room = [0; 64];
+    for (bytes, read) in [(1, 0), (2, 0), (3, 3), (4, 0)] {
+        run(&mut medium, begin + bytes * BYTE);
+        assert_eq!(medium.read_ended(&mut room), read, "{bytes}");
+    }
+    assert_eq!(room[..3], [135, 5, 1]);
+}
+
+#[test]
 fn what_follows_at_once_follows_without_a_gap_and_only_a_driver_full_is_taken() {
     let mut medium = Medium::new(wire(&[7]));
     medium.write(START, &[1, 2]);

@@ -112,7 +112,8 @@ impl SharedBus for Wire {
         let (now, mut answered) = (MonotonicClock::read(), 0);
         while self.medium.step(now, &mut |_, way, _| answered += u64::from(way == Way::Reply)) {}
         let (mut room, mut unsent) = ([0; 512], 0);
-        while let count @ 1.. = self.medium.read(now, &mut room) {
+        // Whole telegrams, as a port's driver has them after a pause: whenever this thread gets a processor.
+        while let count @ 1.. = self.medium.read_ended(&mut room) {
             let sent = match &mut self.port {
                 Port::Local { master: Some(stream), .. } => stream.write(&room[..count]),
                 Port::Local { master: None, .. } => Ok(0),

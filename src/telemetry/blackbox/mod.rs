@@ -22,14 +22,15 @@ use std::time::{Duration, Instant, SystemTime};
 use nix::unistd::User;
 
 use self::file::{Axis, Channel, Header};
-use crate::axis::{Fault, FaultNames, Link, MonitorChannel, StopCause};
+use crate::axis::{FaultNames, MonitorChannel};
 use crate::cycle::Plan;
 use crate::cycle::record::{DriveRecord, Record};
 use crate::master::Setup;
 use crate::rt::host;
+use crate::telemetry::failures::Failures;
 use crate::telemetry::file::save;
-use crate::telemetry::recorder::Keep;
-pub use crate::telemetry::recorder::Written;
+use crate::telemetry::thread::Keep;
+pub use crate::telemetry::thread::Written;
 use crate::time::MS;
 
 /// So much of what follows is kept too: how the stop went.
@@ -53,7 +54,7 @@ pub struct BlackBox {
     header: Header,
     records: VecDeque<Record>,
     room: usize,
-    axes: Vec<Known>,
+    failing: Failures,
     fault_names: Vec<FaultNames>,
     newest: u64,
     aftermath: u64,
@@ -106,25 +107,47 @@ struct Due {
     failed: bool,
 }
 
-/// How an axis was when last seen.
-#[derive(Clone, Copy, Debug, Default)]
-struct Known {
-    link: Link,
-    fault: u32,
-    stopped: Option<StopCause>,
-}
-
 impl From<MonitorChannel> for Channel {
     fn from(MonitorChannel { name, unit }: MonitorChannel) -> Channel {
         Channel { name, unit: unit.to_owned() }
     }
 }
 
+/// What the records of a run of `plan` are of; no fault has occurred yet.
+pub(crate) fn header(plan: &Plan) -> Header {
+    let cycle = &plan.cycle;
+    Header {
+        program: env!("CARGO_PKG_VERSION").to_owned(),
+        machine: plan.source.as_ref().map(|path| path.display().to_string()),
+        period_ns: cycle.period_ns,
+        deadline_ns: cycle.deadline_ns(),
+        late_ns: cycle.late_ns(),
+        reference: cycle.reference.clone(),
+        axes: (plan.axes().iter().zip(plan.monitored()))
+            .map(|(axis, monitored)| Axis {
+                name: axis.name.clone(),
+                unit: axis.units.unit.to_string(),
+                monitor: monitored.map(|channel| channel.map(Channel::from)),
+                faults: BTreeMap::new(),
+            })
+            .collect(),
+        kernel: host::kernel(),
+        preemption: host::preemption(),
+        cpu: host::cpu(),
+        ..Header::default()
+    }
+}
+
+/// The codes in a record that its protocol may have names for.
+pub(crate) fn fault_codes(drive: &DriveRecord) -> impl Iterator<Item = u32> {
+    let reported = drive.emergency().map_or(0, |emergency| emergency.code.into());
+    [drive.fault, reported].into_iter().filter(|code| *code != 0)
+}
+
 impl BlackBox {
     /// A black box of `plan` whose files go to `directory`; `None` if the plan wants none.
     pub fn new(plan: &Plan, directory: &Path) -> Option<BlackBox> {
         let cycle = &plan.cycle;
-        let axes = plan.axes();
         let room = plan.black_box_records();
         (room > 0).then(|| BlackBox {
             directory: directory.to_owned(),
@@ -140,52 +163,16 @@ impl BlackBox {
             newest_files: VecDeque::with_capacity(NEWEST_FILES + 1),
             writing: Vec::new(),
             patience: PATIENCE,
-            header: Header {
-                program: env!("CARGO_PKG_VERSION").to_owned(),
-                machine: plan.source.as_ref().map(|path| path.display().to_string()),
-                period_ns: cycle.period_ns,
-                deadline_ns: cycle.deadline_ns(),
-                late_ns: cycle.late_ns(),
-                reference: cycle.reference.clone(),
-                axes: (axes.iter().zip(plan.monitored()))
-                    .map(|(axis, monitored)| Axis {
-                        name: axis.name.clone(),
-                        unit: axis.units.unit.to_string(),
-                        monitor: monitored.map(|channel| channel.map(Channel::from)),
-                        faults: BTreeMap::new(),
-                    })
-                    .collect(),
-                kernel: host::kernel(),
-                preemption: host::preemption(),
-                cpu: host::cpu(),
-                ..Header::default()
-            },
-            axes: vec![Known::default(); axes.len()],
+            header: header(plan),
+            failing: Failures::of(plan),
             fault_names: plan.fault_names(),
         })
     }
 
     fn look(&mut self, drive: &DriveRecord) {
-        let axis = usize::from(drive.axis);
-        let (Some(known), Some(names)) = (self.axes.get_mut(axis), self.fault_names.get(axis)) else {
-            return;
-        };
-        let (link, fault, stopped) = (drive.link, drive.fault, drive.stopped);
-        let before = std::mem::replace(known, Known { link, fault, stopped });
-        let what = if link == Link::Lost && before.link != Link::Lost {
-            "link lost".to_owned()
-        } else if fault != 0 && before.fault == 0 {
-            format!("fault {}", Fault::new(fault, *names))
-        } else if let Some(cause) =
-            stopped.filter(|cause| before.stopped.is_none() && *cause != StopCause::Shutdown)
-        {
-            format!("stopped: {cause}")
-        } else {
-            return;
-        };
-        let name = &self.header.axes[axis].name;
+        let Some(why) = self.failing.see(drive) else { return };
         let due = Due {
-            why: format!("drive {name}: {what}"),
+            why,
             cycle: drive.index,
             // Not before the newest file's end has left it: what follows closely upon a failure is in one file with it.
             from: (drive.index + self.aftermath).max(self.written_to.map_or(0, |to| to + self.cycles)),
@@ -205,8 +192,7 @@ impl BlackBox {
             let (Some(of), Some(names)) = (header.axes.get_mut(axis), self.fault_names.get(axis)) else {
                 continue;
             };
-            let reported = drive.emergency().map_or(0, |emergency| emergency.code.into());
-            for code in [drive.fault, reported].into_iter().filter(|code| *code != 0) {
+            for code in fault_codes(drive) {
                 if let Some(name) = names(code) {
                     of.faults.entry(code).or_insert_with(|| name.to_owned());
                 }
@@ -261,13 +247,22 @@ impl BlackBox {
 
 impl Keep for BlackBox {
     fn enter(&mut self, record: &Record) {
+        // What commands and events lead to stands in the records of the drives, and their words do not fit into its
+        // file; native process data would shorten the time that it has room for.
+        if matches!(record, Record::Command(_) | Record::Event(_) | Record::Native(_)) {
+            return;
+        }
         if self.records.len() == self.room {
             self.records.pop_front();
         }
         self.records.push_back(*record);
         match record {
             Record::Drive(drive) => self.look(drive),
-            Record::Monitor(_) | Record::Reference(_) => {}
+            Record::Monitor(_)
+            | Record::Reference(_)
+            | Record::Command(_)
+            | Record::Event(_)
+            | Record::Native(_) => {}
             Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
         }
         // At once: when the telemetry is late, the failure itself would leave the ring before it is written.

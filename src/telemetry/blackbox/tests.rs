@@ -1,4 +1,5 @@
 use super::*;
+use crate::axis::{Link, StopCause};
 use crate::bus::linudp::upid::Upid;
 use crate::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 use crate::cycle::CyclePlan;

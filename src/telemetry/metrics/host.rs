@@ -7,7 +7,7 @@ use crate::rt::host;
 
 /// The value of a Host header (RFC 9110, 7.2), without its port: several may lead here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Meant<'a> {
+pub(crate) struct Meant<'a> {
     /// A name or an address; one of IPv6 without its brackets.
     pub name: &'a str,
     is_v6: bool,
@@ -39,14 +39,14 @@ impl<'a> Meant<'a> {
 }
 
 /// Whether it may be the name of a computer, or an address of IPv4.
-pub(super) fn is_name(name: &str) -> bool {
+pub(crate) fn is_name(name: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
     !name.is_empty() && name.bytes().all(plain)
 }
 
 /// The names of an endpoint.
 #[derive(Debug)]
-pub(super) struct Names {
+pub(crate) struct Names {
     names: Vec<String>,
 }
 

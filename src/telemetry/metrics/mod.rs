@@ -9,7 +9,7 @@
 //! The thread is a normal one, off the loop's core, and waits for no client: `Clients` bounds their number, bytes and
 //! time. A client that is slow, or says nothing, delays nobody.
 
-mod host;
+pub(crate) mod host;
 mod page;
 
 use std::io;
@@ -62,7 +62,7 @@ pub enum MetricsError {
 }
 crate::errors::debug_as_display!(MetricsError);
 
-fn remedy(error: &io::Error) -> &'static str {
+pub(crate) fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which): use another port",
         io::ErrorKind::AddrNotAvailable => "use an address of this computer (ip address shows them)",

@@ -1,17 +1,13 @@
 //! Quantiles over the percentile, on an axis that gives every further nine the same room. A curve ends at the last
 //! quantile that its sample supports; the maximum stands by itself at the right.
 
-use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, VPos};
-
-use super::PlotError;
-use super::sheet::{Area, Axis, GREY, PALETTE, Sheet, anchored, chart, label_us, text, within};
-use crate::cycle::status::Peak;
+use super::chart::{COLOURS, Chart};
+use super::scale::{Scale, Tick};
 use crate::telemetry::Quantiles;
-use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, supports};
-use crate::telemetry::summary::Drive;
-use crate::telemetry::{Run, Summary};
-use crate::time::Ns;
+use crate::telemetry::archive::{Archive, Drive, Sampled};
+use crate::telemetry::bins::Bins;
+use crate::telemetry::histograms::{SAMPLES_BEYOND, supports};
+use crate::time::{Ns, three_digits};
 
 /// Where the curves begin, in nines: what is below the median worries nobody.
 const MEDIAN: f64 = std::f64::consts::LOG10_2;
@@ -20,88 +16,97 @@ const MEDIAN: f64 = std::f64::consts::LOG10_2;
 const POINTS_PER_NINE: f64 = 25.0;
 
 /// So many drives have a colour and a line in the legend each; of more only [`WORST`] of them.
-const NAMED: usize = PALETTE.len();
+const NAMED: usize = COLOURS;
 
 /// Of many drives these are the ones to look at.
 const WORST: usize = 5;
 
+/// A quantity in numbers; the maximum is exact, the others are not known better than this.
+pub fn numbers(quantiles: &Quantiles) -> String {
+    let or = |ns: Option<u64>| ns.map_or(String::from("-"), |ns| Ns(three_digits(ns)).to_string());
+    let max = quantiles.max.map_or(String::from("-"), |ns| Ns(ns).to_string());
+    let cycle = quantiles.max_cycle.map_or(String::new(), |cycle| format!(" (cycle {cycle})"));
+    format!(
+        "p50 {}, p99 {}, p99.9 {}, max {max}{cycle}; n = {}",
+        or(quantiles.p50),
+        or(quantiles.p99),
+        or(quantiles.p99_9),
+        quantiles.count
+    )
+}
+
 /// One curve.
 struct Curve {
-    color: RGBColor,
-    width: u32,
+    class: String,
     /// Nines of the percentile, and ns.
     points: Vec<(f64, f64)>,
     max: Option<u64>,
 }
 
 impl Curve {
-    fn of(histogram: &Quantity, peak: Peak, color: RGBColor, width: u32) -> Curve {
-        let end = (histogram.len() as f64 / SAMPLES_BEYOND).log10();
+    fn of(sampled: &Sampled, class: impl Into<String>) -> Curve {
+        let end = (sampled.bins.count() as f64 / SAMPLES_BEYOND).log10();
         let steps = ((end - MEDIAN) * POINTS_PER_NINE).floor();
         let steps = (0..=steps as u32).map(|step| MEDIAN + f64::from(step) / POINTS_PER_NINE);
         let nines = steps.chain([end]).filter(|nines| (MEDIAN..=end).contains(nines));
         let points = nines.filter_map(|nines| {
-            let value = histogram.bins().value_at_quantile(1.0 - 10_f64.powf(-nines));
-            (!histogram.is_cut_off(value)).then_some((nines, value.min(peak.ns).max(1) as f64))
+            let value = sampled.bins.rank(1.0 - 10_f64.powf(-nines))?;
+            (!Bins::is_cut_off(value)).then_some((nines, value.min(sampled.max_ns).max(1) as f64))
         });
         let points = points.collect();
-        Curve { color, width, points, max: (peak != Peak::default()).then_some(peak.ns) }
+        Curve { class: class.into(), points, max: (sampled.max_ns > 0).then_some(sampled.max_ns) }
     }
 }
 
 /// The loop, and what its drives come to.
-pub fn of_the_run(run: &Run, summary: &Summary) -> Result<String, PlotError> {
-    let (status, histograms) = (&run.end.status, &run.measured.histograms);
-    let mut sheet = Sheet::new(run, summary, "Percentiles of the cycle and of the drives' round trips");
-    let wake = Curve::of(&histograms.wake, status.wake_max, PALETTE[0], 3);
-    sheet.explain_quantiles(PALETTE[0], "wake-up latency", &summary.wake_ns);
-    let jitter = Curve::of(&histograms.jitter, status.jitter_max, PALETTE[2], 2);
-    sheet.explain_quantiles(PALETTE[2], "cycle jitter", &summary.jitter_ns);
-    let mut curves = vec![wake, jitter];
-    let ranking = Ranking::of(&summary.drives);
+pub fn of_the_run(run: &Archive) -> String {
+    let mut legend = vec![
+        ("c0", format!("wake-up latency: {}", numbers(&run.wake.quantiles()))),
+        ("c2", format!("cycle jitter: {}", numbers(&run.jitter.quantiles()))),
+    ];
+    let mut curves = vec![Curve::of(&run.wake, "c0 thick"), Curve::of(&run.jitter, "c2")];
+    let ranking = Ranking::of(&run.drives);
     if let Some(worst) = ranking.order.first() {
-        let drive = &summary.drives[*worst];
+        let drive = &run.drives[*worst];
         let what = match ranking.compared {
             0 | 1 => format!("round trip of {}", drive.name),
             all => format!("round trip of {}, the worst of {all} by {}", drive.name, ranking.by()),
         };
-        curves.push(of_drive(run, *worst, PALETTE[3], 2));
-        sheet.explain_quantiles(PALETTE[3], &what, &drive.rtt_ns);
+        curves.push(Curve::of(&drive.rtt, "c3"));
+        legend.push(("c3", format!("{what}: {}", numbers(&drive.rtt.quantiles()))));
     }
-    let deadline = run.plan.cycle.deadline_ns();
-    sheet.draw(|area| draw(area, &curves, &[("receive deadline", deadline)], "latency (us)"))
+    let mut chart = draw(&curves, run.deadline_ns, "latency (us)");
+    legend.iter().for_each(|(class, words)| chart.explain(class, words));
+    chart.finish("percentiles", "Percentiles of the cycle and of the drives' round trips")
 }
 
 /// The round trips of each drive.
-pub fn of_the_drives(run: &Run, summary: &Summary) -> Result<String, PlotError> {
-    let mut sheet = Sheet::new(run, summary, "Percentiles of each drive's round trip");
-    let ranking = Ranking::of(&summary.drives);
+pub fn of_the_drives(run: &Archive) -> String {
+    let ranking = Ranking::of(&run.drives);
     let ranked = &ranking.order;
     let named = if ranked.len() <= NAMED { NAMED } else { WORST };
     let (worst, others) = ranked.split_at(ranked.len().min(named));
-    for (place, color) in worst.iter().zip(PALETTE) {
-        let drive = &summary.drives[*place];
-        sheet.explain_quantiles(color, &drive.name, &drive.rtt_ns);
-    }
+    let curve = |place: usize, class: String| Curve::of(&run.drives[place].rtt, class);
     // The worst last, so that it lies above all others.
-    let others_curves = others.iter().map(|place| of_drive(run, *place, GREY, 1));
-    let named = worst.iter().zip(PALETTE).rev().map(|(place, color)| of_drive(run, *place, color, 2));
+    let others_curves = others.iter().map(|place| curve(*place, "quiet".to_owned()));
+    let named = worst.iter().enumerate().rev().map(|(colour, place)| curve(*place, format!("c{colour}")));
     let curves: Vec<Curve> = others_curves.chain(named).collect();
+    let mut chart = draw(&curves, run.deadline_ns, "round trip (us)");
+    for (colour, place) in worst.iter().enumerate() {
+        let drive = &run.drives[*place];
+        chart.explain(&format!("c{colour}"), &format!("{}: {}", drive.name, numbers(&drive.rtt.quantiles())));
+    }
     if !others.is_empty() {
-        sheet.explain(Some(GREY), format!("the other {} drives, none of them worse", others.len()));
+        chart.explain("quiet", &format!("the other {} drives, none of them worse", others.len()));
     }
     if ranking.compared > 1 {
-        let by = ranking.by();
         let why = ranking.quantile.map_or("", |_| ", the highest quantile that each of them supports");
-        sheet.explain(None, format!("Worst first: {} drives compared by {by}{why}.", ranking.compared));
+        chart.explain(
+            "",
+            &format!("Worst first: {} drives compared by {}{why}.", ranking.compared, ranking.by()),
+        );
     }
-    let deadline = run.plan.cycle.deadline_ns();
-    sheet.draw(|area| draw(area, &curves, &[("receive deadline", deadline)], "round trip (us)"))
-}
-
-fn of_drive(run: &Run, place: usize, color: RGBColor, width: u32) -> Curve {
-    let histogram = &run.measured.histograms.drives[place].rtt;
-    Curve::of(histogram, run.end.drives[place].peaks.rtt, color, width)
+    chart.finish("round-trips", "Percentiles of each drive's round trip")
 }
 
 /// A quantile: its name, its share, and its value.
@@ -128,27 +133,26 @@ struct Ranking {
 
 impl Ranking {
     fn of(drives: &[Drive]) -> Ranking {
+        let drives: Vec<Quantiles> = drives.iter().map(|drive| drive.rtt.quantiles()).collect();
         let (_, lowest, _) = LEVELS[LEVELS.len() - 1];
-        let supported = |drive: &&Drive| supports(drive.rtt_ns.count, lowest);
-        let fewest = drives.iter().filter(supported).map(|drive| drive.rtt_ns.count).min();
+        let supported = |rtt: &&Quantiles| supports(rtt.count, lowest);
+        let fewest = drives.iter().filter(supported).map(|rtt| rtt.count).min();
         let quantile =
             fewest.and_then(|count| LEVELS.into_iter().find(|(_, share, _)| supports(count, *share)));
         // A quantile that is supported and not known lies where the histogram ends: it is above all others.
         let tail = |place: &usize| {
-            let rtt = &drives[*place].rtt_ns;
-            let value =
-                quantile.map(
-                    |(_, share, value)| {
-                        if supports(rtt.count, share) { value(rtt).unwrap_or(u64::MAX) } else { 0 }
-                    },
-                );
+            let rtt = &drives[*place];
+            let value = quantile.map(|(_, share, value)| match supports(rtt.count, share) {
+                true => value(rtt).unwrap_or(u64::MAX),
+                false => 0,
+            });
             (value, rtt.max)
         };
         let mut order: Vec<usize> = (0..drives.len()).collect();
         order.sort_by_key(|place| std::cmp::Reverse(tail(place)));
         let compared = match quantile {
             Some(_) => drives.iter().filter(supported).count(),
-            None => drives.iter().filter(|drive| drive.rtt_ns.max.is_some()).count(),
+            None => drives.iter().filter(|rtt| rtt.max.is_some()).count(),
         };
         Ranking { quantile, order, compared }
     }
@@ -158,35 +162,28 @@ impl Ranking {
     }
 }
 
-fn draw(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) -> Result<(), PlotError> {
+fn draw(curves: &[Curve], deadline_ns: u64, unit: &str) -> Chart {
     let values = curves
         .iter()
         .flat_map(|curve| curve.points.iter().map(|(_, ns)| *ns).chain(curve.max.map(|ns| ns.max(1) as f64)));
-    let values = Axis::logarithmic(values.chain(limits.iter().map(|(_, ns)| *ns as f64)));
+    let y = Scale::times(values.chain([deadline_ns as f64]), unit);
     // The labels of the axis: as many nines as there are curves for, then the maxima.
     let last = curves.iter().filter_map(|curve| curve.points.last()).fold(1.0_f64, |end, (x, _)| end.max(*x));
     let maxima = last + last.max(2.0) * 0.08;
-    let end = maxima + last.max(2.0) * 0.06;
-    let mut nines = vec![MEDIAN];
-    nines.extend((1..=last.floor() as u32).map(f64::from));
-    nines.push(maxima);
-    let x = Axis { low: MEDIAN, high: end, bold: nines, light: Vec::new() };
-    let label = |nines: &f64| if *nines == maxima { String::from("max") } else { percent(*nines) };
-    let mut chart = chart(area, 10, (x, &label, "percentile (log scale)"), (values, &label_us, unit))?;
-    for (name, ns) in limits {
-        let log = (*ns as f64).log10();
-        chart.draw_series(DashedLineSeries::new([(MEDIAN, log), (end, log)], 6, 4, GREY.stroke_width(1)))?;
-        let (x, y) = within(area, chart.plotting_area().map_coordinate(&(MEDIAN, log)));
-        let style = anchored(text(12, GREY), HPos::Left, VPos::Bottom);
-        area.draw_text(&format!("{name} {}", Ns(*ns)), &style, (x + 6, y - 3))?;
+    let high = maxima + last.max(2.0) * 0.06;
+    let nines = [MEDIAN].into_iter().chain((1..=last.floor() as u32).map(f64::from));
+    let mut ticks: Vec<Tick> = nines.map(|at| Tick { at, label: Some(percent(at)) }).collect();
+    ticks.push(Tick { at: maxima, label: Some(String::from("max")) });
+    let x = Scale { low: MEDIAN, high, ticks, title: String::from("percentile (log scale)") };
+    let mut chart = Chart::new(x, y, 340);
+    chart.limit_y("quiet", (deadline_ns as f64).log10(), &format!("receive deadline {}", Ns(deadline_ns)));
+    for Curve { class, points, max } in curves {
+        chart.line(class, points.iter().map(|(x, ns)| (*x, ns.log10())));
+        if let Some(max) = max {
+            chart.dot(class, (maxima, ((*max).max(1) as f64).log10()), &format!("max {}", Ns(*max)));
+        }
     }
-    for Curve { color, width, points, max } in curves {
-        let points = points.iter().map(|(x, ns)| (*x, ns.log10()));
-        chart.draw_series(LineSeries::new(points, color.stroke_width(*width)))?;
-        let max = max.map(|ns| (maxima, (ns.max(1) as f64).log10()));
-        chart.draw_series(max.map(|place| TriangleMarker::new(place, 5, color.filled())))?;
-    }
-    Ok(())
+    chart
 }
 
 /// 0 %, 50 %, 90 %, 99 %, 99.9 % ...
@@ -198,26 +195,27 @@ fn percent(nines: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::telemetry::Histograms;
 
     #[test]
     fn a_curve_ends_where_its_sample_ends() {
-        let mut histogram = Histograms::new(0).wake;
-        let peak = Peak { ns: 70_000, index: 1 };
-        assert_eq!(Curve::of(&histogram, Peak::default(), BLACK, 1).max, None);
+        let mut sampled = Sampled::default();
+        assert_eq!(Curve::of(&sampled, "").max, None);
         for count in 1..=10_000_u64 {
-            assert!(histogram.bins_mut().record(7 * count).is_ok());
-            let curve = Curve::of(&histogram, peak, BLACK, 1);
+            sampled.bins.add(&Bins::from_list([(7 * count, 1)]));
+            if ![19, 20, 10_000].contains(&count) {
+                continue;
+            }
+            sampled.max_ns = 70_000;
+            let curve = Curve::of(&sampled, "");
             match count {
                 19 => assert_eq!(curve.points, []),
                 // The median of 20, and nothing beyond it.
                 20 => assert_eq!(curve.points.last(), Some(&(2_f64.log10(), 70.0))),
-                10_000 => {
+                _ => {
                     let (nines, ns) = *curve.points.last().unwrap();
                     assert!(nines == 3.0 && (69_900.0..=70_000.0).contains(&ns), "{nines} {ns}");
                     assert!(curve.points.is_sorted_by(|a, b| a.0 <= b.0 && a.1 <= b.1));
                 }
-                _ => {}
             }
         }
     }
@@ -230,8 +228,9 @@ mod tests {
 
     #[test]
     fn drives_are_compared_by_the_highest_quantile_that_all_of_them_support() {
-        let drive = super::super::tests::run("x", 0).summary().drives.remove(0);
-        let (mut drives, us) = (Vec::new(), |us: u64| us * 1_000);
+        let run = super::super::tests::run("x", 0);
+        let drive = crate::telemetry::archive::tests::archive(&run).drives.remove(0);
+        let us = |us: u64| us * 1_000;
         // Each with so many round trips, of which one in twenty takes the longer time.
         let cases = [
             ("many", 20_000, 100, 900),
@@ -239,18 +238,12 @@ mod tests {
             ("silent", 0, 0, 0),
             ("five", 5, 2_000, 2_000),
         ];
-        for (name, count, usual, longer) in cases {
-            let mut histogram = Histograms::new(1).drives.remove(0).rtt;
-            for index in 0..count {
-                histogram.bins_mut().record(us(if index % 20 == 0 { longer } else { usual })).unwrap();
-            }
-            let peak = Peak { ns: us(longer), index: u64::from(count > 0) };
-            drives.push(Drive {
-                name: name.into(),
-                rtt_ns: Quantiles::of(&histogram, peak),
-                ..drive.clone()
-            });
-        }
+        let drives = cases.map(|(name, count, usual, longer): (&str, u64, u64, u64)| {
+            let mut bins = Bins::from_list([(us(usual), count - count / 20)]);
+            bins.add(&Bins::from_list([(us(longer), count / 20)]));
+            let rtt = Sampled { bins, max_ns: us(longer), max_cycle: u64::from(count > 0) };
+            Drive { name: name.into(), rtt, ..drive.clone() }
+        });
         let ranking = Ranking::of(&drives);
         let names = |ranking: &Ranking| {
             ranking.order.iter().map(|place| drives[*place].name.clone()).collect::<Vec<_>>()

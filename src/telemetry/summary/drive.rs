@@ -61,6 +61,9 @@ pub struct Drive {
     pub fault: Option<u32>,
     /// What its protocol calls that; null if it has no name for it.
     pub fault_name: Option<&'static str>,
+    /// Why it stands stopped is no failure: it was found running, or a drive of its stop group was.
+    #[serde(skip)]
+    pub(super) found_running: bool,
     /// Its monitored variables, as planned.
     pub monitor: Vec<Variable>,
 }
@@ -129,9 +132,29 @@ impl Drive {
         notes
     }
 
+    /// Why the master had stopped it, and nobody had reset it, when the run ended: `None` also if it was only found
+    /// running, which its configuration allows, or stopped with its stop group by that.
+    pub fn failed_by(&self) -> Option<&String> {
+        self.stopped_by().filter(|_| !self.found_running)
+    }
+
     /// Whether the axis was stopped by an overrun of the loop.
     pub fn was_overrun(&self) -> bool {
-        self.stopped.as_ref().is_some_and(|cause| *cause == StopCause::Overrun.to_string())
+        self.was_stopped_by(&[StopCause::Overrun])
+    }
+
+    /// Whether the axis was stopped because the application fed it too late.
+    pub fn was_starved(&self) -> bool {
+        self.was_stopped_by(&[
+            StopCause::Underrun,
+            StopCause::StaleSetpoint,
+            StopCause::DeadMan,
+            StopCause::Heartbeat,
+        ])
+    }
+
+    fn was_stopped_by(&self, causes: &[StopCause]) -> bool {
+        self.stopped.as_ref().is_some_and(|stopped| causes.iter().any(|cause| cause.to_string() == *stopped))
     }
 }
 

@@ -53,9 +53,9 @@ pub struct Found {
 }
 
 impl Found {
-    pub(in crate::telemetry) fn of(tally: &Tally, plan: &Plan) -> Found {
+    pub(crate) fn of(tally: &Tally, plan: &Plan) -> Found {
         let Tally { cause, count, worst_ns, worst_cycle } = *tally;
-        let (cause, stage, drive) = named(cause, plan);
+        let (cause, stage, drive) = named(cause, in_plan(plan));
         let worst_ns = (worst_ns > 0).then_some(worst_ns);
         Found { cause, stage, drive, count, worst_ns, worst_cycle }
     }
@@ -63,23 +63,27 @@ impl Found {
 
 impl LateCycle {
     pub(super) fn of(judged: &Judged, plan: &Plan) -> LateCycle {
-        let (cause, stage, drive) = named(judged.cause, plan);
+        let (cause, stage, drive) = named(judged.cause, in_plan(plan));
         let delay_ns = Some(judged.lateness.ns()).filter(|ns| *ns > 0);
         LateCycle { cycle: judged.index, delay_ns, cause, stage, drive }
     }
 }
 
-/// The words of the `--json` object for `cause`, and the stage or drive that it names.
-fn named(cause: Cause, plan: &Plan) -> (&'static str, Option<&'static str>, Option<String>) {
+fn in_plan(plan: &Plan) -> impl Fn(usize) -> Option<String> {
+    |axis| plan.axes().get(axis).map(|axis| axis.name.clone())
+}
+
+/// The words of the `--json` object for `cause`, and the stage or drive that it names; `axis` names the drives.
+pub(crate) fn named(
+    cause: Cause,
+    axis: impl Fn(usize) -> Option<String>,
+) -> (&'static str, Option<&'static str>, Option<String>) {
     match cause {
         Cause::Host => ("host", None, None),
         Cause::Preempted => ("preempted", None, None),
         Cause::PageFault => ("page_fault", None, None),
         Cause::Work(stage) => ("work", Some(stage.name()), None),
-        Cause::Drive(axis) => {
-            let name = plan.axes().get(usize::from(axis)).map(|axis| axis.name.clone());
-            ("drive", None, name)
-        }
+        Cause::Drive(index) => ("drive", None, axis(index.into())),
         Cause::Drives => ("drives", None, None),
         Cause::Timer => ("timer", None, None),
         Cause::Unknown => ("unknown", None, None),

@@ -7,12 +7,14 @@ mod late;
 pub(crate) mod numbers;
 mod text;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub(super) use self::bus::loads;
 pub use self::bus::{Bus, ClockNumbers};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
 pub use self::drive::{Drive, Variable};
+#[cfg(feature = "record")]
+pub(crate) use self::late::named;
 pub use self::late::{Found, Late, LateCycle};
 #[cfg(feature = "black-box")]
 pub(super) use self::numbers::plain;
@@ -20,8 +22,9 @@ pub(crate) use self::numbers::plural;
 pub(super) use self::numbers::{decimals, reported};
 use super::histograms::Quantiles;
 use super::monitor::Monitor;
-use super::recorder::{Failure, Measured, Run, Written};
-use crate::axis::{Link, Units};
+use super::sink::Recorded;
+use super::thread::{Failure, Measured, Run, Written};
+use crate::axis::{Fault, Link, StopCause, Units};
 pub use crate::bus::counters::ProtocolCounters;
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
@@ -69,6 +72,8 @@ pub struct Summary {
     pub host: Host,
     /// What the black box wrote.
     pub black_boxes: Vec<Written>,
+    /// What was recorded.
+    pub recordings: Vec<Recorded>,
     /// What failed of the program itself.
     pub failures: Vec<Failure>,
     /// The histogram of the wake-ups, drawn by the text form only.
@@ -106,7 +111,7 @@ pub struct RealtimeNumbers {
 }
 
 /// The machine.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Host {
     /// Its name.
     pub name: Option<String>,
@@ -128,6 +133,25 @@ fn cut_off(status: &Status) -> Option<Failure> {
     status.cut_off.then(|| Failure { what: what.into(), fails_run: true })
 }
 
+/// Which drives stand stopped because they were found running, or because that stopped their group: no drive of it was
+/// stopped by anything else.
+fn found_running(plan: &Plan, numbers: &Numbers) -> Vec<bool> {
+    let groups = plan.axes().into_iter().map(|axis| axis.stop.group);
+    let stopped: Vec<_> = groups.zip(numbers.drives.iter().map(|drive| drive.feedback.stopped)).collect();
+    let took_along = |group: Option<u16>| {
+        let mut causes = stopped.iter().filter(|(other, _)| *other == group).filter_map(|(_, cause)| *cause);
+        let all = [StopCause::FoundRunning, StopCause::Group, StopCause::Shutdown];
+        causes.clone().all(|cause| all.contains(&cause))
+            && causes.any(|cause| cause == StopCause::FoundRunning)
+    };
+    let is_found = |(group, cause): &(Option<u16>, Option<StopCause>)| match cause {
+        Some(StopCause::FoundRunning) => true,
+        Some(StopCause::Group) => took_along(*group),
+        _ => false,
+    };
+    stopped.iter().map(is_found).collect()
+}
+
 impl Summary {
     /// A run in numbers, ended or not.
     pub fn of(
@@ -139,8 +163,10 @@ impl Summary {
     ) -> Summary {
         let (status, histograms) = (&numbers.status, &measured.histograms);
         let of_protocol = plan.own_counters().into_iter().zip(plan.fault_names());
+        let found = found_running(plan, numbers);
         let drives = (numbers.drives.iter().zip(&histograms.drives).zip(plan.monitored()).zip(of_protocol))
-            .map(|(((drive, measured), monitored), (own, fault_names))| {
+            .zip(found)
+            .map(|((((drive, measured), monitored), (own, fault_names)), found_running)| {
                 let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
                 let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
                 Drive {
@@ -168,6 +194,7 @@ impl Summary {
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
                     fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
+                    found_running,
                     monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
                 }
             })
@@ -229,21 +256,32 @@ impl Summary {
                 taken_ms: measured.causes.taken_ns() / MS,
             },
             black_boxes: measured.black_boxes.clone(),
+            recordings: measured.recordings.clone(),
             failures: measured.failures.iter().cloned().chain(cut_off(status)).collect(),
             wake_bars: text::bars(&histograms.wake),
-            units: plan.axes().iter().map(|axis| axis.units).collect(),
+            units: plan.units(),
         }
     }
 
-    /// Whether a drive was lost, the loop came too late, or the program itself failed: a failure however the run was
-    /// ended.
+    /// Whether a drive was lost, an axis had been stopped at the end by anything but that end, or the program itself
+    /// failed: a failure however the run was ended.
     pub fn has_failed(&self) -> bool {
-        self.drives.iter().any(|drive| drive.losses > 0 || drive.was_overrun())
+        self.drives.iter().any(|drive| drive.losses > 0 || drive.failed_by().is_some())
             || self.failures.iter().any(|failure| failure.fails_run)
     }
 
-    /// Whether every drive answered, none was lost on the way, none was stopped because the loop came too late, and
-    /// the program itself did not fail.
+    /// The axes that had been stopped at the end, each with its cause, but for lost drives and overruns.
+    pub fn stopped_axes(&self) -> Option<String> {
+        let named = self.drives.iter().filter(|drive| drive.losses == 0 && !drive.was_overrun());
+        let axes = named.filter_map(|drive| {
+            let fault = drive.fault.map(|code| format!(", fault {}", Fault { code, name: drive.fault_name }));
+            Some(format!("{} ({}{})", drive.name, drive.failed_by()?, fault.unwrap_or_default()))
+        });
+        let axes: Vec<String> = axes.collect();
+        (!axes.is_empty()).then(|| axes.join(", "))
+    }
+
+    /// Whether every drive answered, none was lost on the way or stopped, and the program itself did not fail.
     pub fn is_whole(&self) -> bool {
         !self.has_failed() && self.drives.iter().all(Drive::is_online)
     }

@@ -192,6 +192,10 @@ impl Summary {
         let steal = host.steal_ms.map_or(String::from("?"), |steal| steal.to_string());
         write!(f, "host: {kernel}, {preemption}, {cpu}; steal {steal} ms; ")?;
         writeln!(f, "other threads had the loop's core for {} ms", host.taken_ms)?;
+        for recorded in &self.recordings {
+            let is_bad = recorded.lost > 0 || recorded.error.is_some();
+            writeln!(f, "{}", paint(&recorded.to_string(), BAD, is_bad && f.alternate()))?;
+        }
         for written in &self.black_boxes {
             writeln!(f, "{written}")?;
         }

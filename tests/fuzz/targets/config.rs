@@ -90,7 +90,7 @@ fn check_errors(text: &str, errors: &ConfigErrors) {
 }
 
 /// A few cycles of the machine, with an application that wants everything of it.
-fn run(Configuration { mut plan, simulation }: Configuration) {
+fn run(Configuration { mut plan, simulation, .. }: Configuration) {
     let axes: Vec<_> = plan.axes().into_iter().cloned().collect();
     let entries = |axis: &fieldbeat::axis::AxisPlan| {
         axis.command_queue + axis.stream_queue + axis.event_queue + axis.sample_queue

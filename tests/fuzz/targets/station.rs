@@ -19,6 +19,7 @@ use fieldbeat::internals::bus::linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
 };
 use fieldbeat::internals::bus::{Exchange, Slot};
+use fieldbeat::internals::inputs::InputLog;
 use fieldbeat::time::{MS, Time};
 
 use super::commanded::Commanded;
@@ -93,7 +94,7 @@ impl Rig {
                 homing: None,
             };
         }
-        let (station, native, _) = Station::new(&drive);
+        let (station, native, _) = Station::new(&drive, &InputLog::default());
         let plan = LinUdpPlan::new(Ipv4Addr::LOCALHOST, vec![drive]);
         let machine = Commanded::new(&plan, 0, PERIOD_NS);
         let drive = plan.drives.into_iter().next().unwrap();

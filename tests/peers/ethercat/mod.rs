@@ -43,20 +43,28 @@ const ETHERTYPE: u16 = 0x88A4;
 /// For local experiments (IEEE 802): marks of a capture.
 const MARKER: u16 = 0x88B5;
 
+/// The watchdog of whatever has outputs: as long as no busy host is silent.
+const PATIENT: Watchdog = Watchdog::After(1_000 * MS);
+
+/// A drive whose link no busy host loses, and that goes on until it is stopped.
+fn patient(place: u16, family: Family) -> KollmorgenDrive {
+    let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
+    drive.axis.health.bucket = 1_000;
+    drive.axis.jog_deadman = None;
+    drive.slave.watchdog = PATIENT;
+    drive
+}
+
 /// A coupler with a byte of outputs and one of inputs, and so many drives behind it.
 fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
-    let drive = |place: u16| {
-        let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
-        drive.slave.watchdog = Watchdog::After(100 * MS);
-        drive
-    };
     let simulated =
         |place: u16| DriveSettings { serial: 100 + u32::from(place), ..DriveSettings::new(family) };
-    let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(drive).collect());
+    let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(|place| patient(place, family)).collect());
     let slave = SlavePlan {
         identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), revision: None },
         outputs: vec![Area { start: 0x1000, length: 1 }],
         inputs: vec![Area { start: 0x1100, length: 1 }],
+        watchdog: PATIENT,
         ..SlavePlan::new(0)
     };
     plan.devices.push(Device { name: "io".into(), slave });
@@ -72,7 +80,7 @@ fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
 /// A coupler, digital outputs that are wired to digital inputs, outputs behind two SyncManagers, analogue inputs, and
 /// two drives.
 fn with_terminals() -> EthercatSegment {
-    let drives = [5, 6].map(|place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700));
+    let drives = [5, 6].map(|place| patient(place, Family::S700));
     let mut plan = EthercatPlan::new(WIRE, drives.into());
     let area = |start, length| Area { start, length };
     let models = [
@@ -85,7 +93,8 @@ fn with_terminals() -> EthercatSegment {
     let mut slaves = BTreeMap::new();
     for (place, (name, model, outputs, inputs)) in (0..).zip(models) {
         let mailbox = (model == Model::El3102).then_some([area(0x1000, 128), area(0x1080, 128)]);
-        let slave = SlavePlan { outputs, inputs, mailbox, ..SlavePlan::new(place) };
+        let watchdog = if outputs.is_empty() { Watchdog::AsDelivered } else { PATIENT };
+        let slave = SlavePlan { outputs, inputs, mailbox, watchdog, ..SlavePlan::new(place) };
         plan.devices.push(Device { name: name.into(), slave });
         let wired_to = (model == Model::El2008).then_some(2);
         slaves.insert(place, SlaveSettings { model: Some(model), wired_to, ..SlaveSettings::default() });

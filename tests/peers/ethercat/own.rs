@@ -7,7 +7,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fieldbeat::axis::ParameterError;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
 
@@ -119,10 +119,6 @@ fn works_a_segment(test: u8, run: Run) {
         drive.axis.profile.velocity = 2.0 * SPEED;
         drive.axis.profile.acceleration = 100.0;
         drive.axis.stop.deceleration = 100.0;
-        drive.axis.jog_deadman = None;
-        // For a busy computer.
-        drive.axis.health.bucket = 1_000;
-        drive.slave.watchdog = Watchdog::After(1_000 * MS);
     }
     let plan = segment.plan.clone();
     let _line = serve(&cable, segment);
@@ -255,12 +251,25 @@ fn judge_slots(exchanges: &[Exchange], run: Run) {
     times.dedup();
     assert_eq!(times, [0, 0xFFFF, 0xFFFE].map(|place| Address::Slave(place, PORT_TIMES)));
     for station in [COUPLER, DRIVES[0], DRIVES[1]] {
-        assert_eq!(of(Affair::Of(station)), steps(station).iter().collect::<Vec<_>>(), "{station:#x}");
+        let mut own = of(Affair::Of(station));
+        leave_out_corrections(&mut own);
+        assert_eq!(own, steps(station).iter().collect::<Vec<_>>(), "{station:#x}");
         let shapes = run.mailbox_slots();
         let mut mailbox = of(Affair::Mailbox(station));
         assert_eq!(mailbox.is_empty(), station == COUPLER);
         mailbox.retain(|slot| !shapes.contains(slot));
         assert!(mailbox.is_empty(), "{station:#x}: {mailbox:?}");
+    }
+}
+
+/// A clock that was set by a frame that left late is set again by the difference that is left, five times at most.
+fn leave_out_corrections(own: &mut Vec<&Slot>) {
+    let (set, difference) = (set(), difference());
+    let is_correction = |four: &[&Slot]| four[..2] == four[2..] && *four[0] == set && *four[1] == difference;
+    for corrections in 0.. {
+        let Some(at) = own.windows(4).position(is_correction) else { return };
+        assert!(corrections < 5, "{own:?}");
+        own.drain(at..at + 2);
     }
 }
 
@@ -390,11 +399,15 @@ fn difference() -> Slot {
     slot_of([(FPRD, 0x092C, 4)])
 }
 
+/// Offset and delay of its clock.
+fn set() -> Slot {
+    slot_of([(FPWR, OFFSET, 12), (FPWR, 0x0930, 2)])
+}
+
 /// The clock of a drive: its time and offset are read, and set; what is left is read of one that follows another.
 fn clock(station: u64) -> Vec<Slot> {
     let read = slot_of([(FPRD, TIME, 24), (FPWR, 0x0934, 2)]);
-    let set = slot_of([(FPWR, OFFSET, 12), (FPWR, 0x0930, 2)]);
-    let mut steps = vec![read, set, difference()];
+    let mut steps = vec![read, set(), difference()];
     if station == DRIVES[0] {
         steps.pop();
     }

@@ -11,7 +11,7 @@ use fieldbeat::sim::ethercat::EthercatSegment;
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
 use super::{ETHERTYPE, WIRE, at_master, cable, capture, segment, serve};
 use crate::capture;
-use crate::support::{Cable, Ended, Machine, PROGRAM, Program, command};
+use crate::support::{Cable, Ended, LONG, Machine, PROGRAM, Program, command, until};
 
 pub fn scan(cable: &Cable, options: &[&str]) -> Ended {
     let mut scan = Command::new(PROGRAM);
@@ -35,6 +35,7 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
     assert_eq!(slaves[1]["clock_bits"], 32);
 
     let exchanges = exchanges(&dissect(&file));
+    let mut commands = 0;
     for (sent, back) in &exchanges {
         let back = back.as_ref().unwrap_or_else(|| panic!("it did not come back: {sent:?}"));
         assert_eq!((sent.datagrams[0].command, back.datagrams[0].working_counter), (NOP, 0));
@@ -50,11 +51,16 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
                 BRD => assert_eq!(back.working_counter, 3),
                 // A slave without a clock has no registers of one.
                 APRD => assert!(back.working_counter == 1 || register >= 0x0900, "{back:?}"),
-                APWR => assert_eq!((register, back.working_counter), (0x0502, 1)),
+                // A repeated one may meet an EEPROM that is at work already.
+                APWR => {
+                    assert!(register == 0x0502 && back.working_counter <= 1, "{back:?}");
+                    commands += back.working_counter;
+                }
                 other => panic!("command {other}"),
             }
         }
     }
+    assert!(commands > 0, "no command of an SII");
     // The dissector reads what the program has printed.
     let features = capture::dissect(
         &file,
@@ -133,7 +139,14 @@ fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it(
         Cable::enter(&cable.master, &master)
     };
     let refused = "another master (10:10:10:10:10:10) already has frames on wire: end it";
-    beside_another(&cable, || Program::spawn(&mut master(&["run"])).end()).refused(&[refused]);
+    // The other one may be held up for as long as it is listened for.
+    let mut ended = None;
+    let is_refused = until(LONG, || {
+        let run = || Program::spawn(&mut master(&["run", "--for", "1s"])).end();
+        ended.insert(beside_another(&cable, run)).code == Some(2)
+    });
+    assert!(is_refused, "{ended:?}");
+    ended.unwrap().refused(&[refused]);
     let mut running = Program::spawn(&mut master(&["run"]));
     running.await_text("all drives online");
     beside_another(&cable, || {

@@ -21,6 +21,7 @@ EL3102 = 0x0C1E3052
 VELOCITY = 5_000
 # Whoever runs this may have a busy computer.
 LONG_S = 40
+WATCHDOG_MS = 1_000
 ERROR = 0x10
 DELAY, FEATURES = 0x0928, 0x0008
 
@@ -204,9 +205,8 @@ def main():
     segment = Segment(interface)
     segment.describe()
     segment.set_up()
-    if what == "hold-unwatched":
-        for slave in segment.slaves:
-            slave.set_watchdog("processdata", 0)
+    for slave in segment.slaves:
+        slave.set_watchdog("processdata", 0 if what == "hold-unwatched" else WATCHDOG_MS)
     segment.to_op()
     stop = segment.turn()
     if what != "turn":

@@ -74,8 +74,9 @@ fn soem_brings_drives_coupler_and_terminals_to_op_and_turns_a_drive() {
     let states = said["status"].iter().map(|word| u16::from_str_radix(&word[2..], 16).unwrap() & 0x6F);
     assert_eq!(states.collect::<Vec<_>>(), [0x21, 0x23, 0x27]);
     let moved: Vec<i32> = said["moved"][0].split(' ').map(|counts| counts.parse().unwrap()).collect();
-    // 5000 counts per 250 us for 400 ms, less the ramp: about 7 million. The other one stays where it is.
-    assert!((4_000_000..11_000_000).contains(&moved[0]) && moved[1].abs() < 100, "{moved:?}");
+    // 5000 counts per 250 us for 400 ms, less the ramp: about 7 million, and more where cycles are late. The other one
+    // stays where it is.
+    assert!(moved[0] > 4_000_000 && moved[1].abs() < 100, "{moved:?}");
     // What the first one writes is read by the one that it is wired to; nobody reads the 16 outputs of the other one.
     let wired: Vec<Vec<&str>> = said["wired"].iter().map(|wired| wired.split(' ').collect()).collect();
     let written: Vec<[&str; 3]> = wired.iter().map(|wired| [wired[0], wired[1], wired[2]]).collect();

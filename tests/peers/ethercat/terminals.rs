@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use fieldbeat::bus::ethercat::{EthercatPlan, Terminals, Watchdog};
+use fieldbeat::bus::ethercat::{EthercatPlan, Terminals};
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
 
@@ -27,12 +27,7 @@ const SET: [&[u64]; SLAVES as usize] = [&[], &[0], &[0], &[0, 1], &[0, 1, 3], &[
 #[ignore = "needs root, iproute2 and tshark"]
 fn tshark_finds_nothing_wrong_with_our_master_on_a_coupler_with_terminals() {
     let (machine, cable) = (Machine::new(54), cable(54));
-    let mut segment = with_terminals();
-    for drive in &mut segment.plan.drives {
-        // For a busy computer.
-        drive.axis.health.bucket = 1_000;
-        drive.slave.watchdog = Watchdog::After(1_000 * MS);
-    }
+    let segment = with_terminals();
     let plan = segment.plan.clone();
     let _segment = serve(&cable, segment);
     let mut executed = 0;

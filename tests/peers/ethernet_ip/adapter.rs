@@ -104,11 +104,15 @@ fn exchange(test: u8, explicit: Explicit) {
         counters.sent >= begun.sent + PACKETS && counters.answered >= begun.answered + PACKETS
     });
     assert!(done && axis.feedback().status.state == State::OperationEnabled, "{:?}", counters(&master));
+    // What was sent arrives, each packet once and as agreed.
+    let sent = counters(&master).sent;
+    assert!(until(LONG, || received(&mut adapter) >= sent), "{sent}");
+    let before = received(&mut adapter);
     let end = master.finish().end.drives[0].counters;
-    // Sent, arrived: all of it once, but for what was on its way at the end; there a few packets may be idle.
+    // Those of the end may be idle, and find the connection closed.
     let counts = adapter.numbers("packets");
-    assert!((end.sent - 2..=end.sent).contains(&counts[0]), "{counts:?}: {end:?}");
-    assert!(counts[1] == 0 && counts[2] < 10 && counts[3] == 0, "{counts:?}");
+    assert!((before..=end.sent).contains(&counts[0]), "{counts:?}: {end:?}");
+    assert!(counts[1] == 0 && counts[2] <= counts[0] - before && counts[3] == 0, "{counts:?}");
     assert_eq!((end.malformed, end.duplicate, end.late), (0, 0, 0), "{end:?}");
     // One open, closed at the end; and one of class 3.
     let opened = adapter.numbers("opened");

@@ -37,6 +37,7 @@ fn drive(name: &str, address: Ipv4Addr) -> MoonsDrive {
     let mut drive = MoonsDrive::new(name, address);
     drive.axis.divisor = 5;
     drive.axis.health.bucket = 100;
+    drive.axis.jog_deadman = None;
     drive.axis.enable_timeout = LONG;
     drive.fresh_within_ns = Some(500 * MS);
     drive.first_within_ns = 20_000 * MS;

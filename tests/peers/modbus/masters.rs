@@ -64,7 +64,7 @@ fn handshake(library: Library, machine: &Machine, options: &[&str]) -> u64 {
     let (mut peer, address) = server(library, machine, options);
     let mut drive = machine_drive(address);
     // So seldom that both ends are counted in between.
-    drive.axis.divisor = 200;
+    drive.axis.divisor = 1_000;
     let master = Master::from_plan(plan(drive)).start().unwrap();
     let mut handshake = None;
     let found = until(LONG, || {

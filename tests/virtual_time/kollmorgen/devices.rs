@@ -209,7 +209,7 @@ fn a_string_of_a_configuration_is_written_at_start_up() {
              mailbox = {{ out = [0x1000, 128], in = [0x1080, 128] }}\ninputs = {{ start = 0x1180, length = 8 }}\n\
              start_up = [{{ object = \"0x8005:0.text\", value = \"{text}\" }}]\nsimulate.type = \"EL3102\"\n"
         );
-        let Configuration { mut plan, simulation } = parse(&config, "text.toml").unwrap();
+        let Configuration { mut plan, simulation, .. } = parse(&config, "text.toml").unwrap();
         let (bus, options) = (plan.buses.remove(0), WorldOptions::default());
         let mut machine = Machine::on(bus, simulation.build(), plan.cycle, options);
         let io = machine.sim.device::<Terminals>("io").unwrap();

@@ -2,11 +2,13 @@
 
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    AxisPlan, CallTicket, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
+    AxisPlan, CallTicket, Command, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout,
+    Unit, Units,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
@@ -28,6 +30,7 @@ use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
 use crate::virtual_time::lenze::tap::TapWire;
+use crate::virtual_time::replay::Log;
 use crate::virtual_time::support::{self, MASTER};
 
 /// Axes of a machine.
@@ -82,6 +85,18 @@ pub enum Kind {
     Kollmorgen,
     /// Drives in turn on one half-duplex wire.
     Lenze,
+    /// A LinMot, a Unidrive and a MOONS', each on a bus of its own.
+    Mixed,
+}
+
+impl Kind {
+    /// That of an axis.
+    pub fn of(self, index: usize) -> Kind {
+        match self {
+            Kind::Mixed => [Kind::LinMot, Kind::Unidrive, Kind::Moons][index],
+            kind => kind,
+        }
+    }
 }
 
 /// A machine to be built.
@@ -95,6 +110,38 @@ pub struct Shape {
     pub other: bool,
     /// Parameters are written as well where the master does not refuse it: with power off, and in native mode.
     pub free_writes: bool,
+    /// These axes are a stop group, and the load of these is held by its drive alone: a bit for each.
+    pub group: u8,
+    pub held: u8,
+    /// So are LinMots whose track ends before their range does.
+    pub short: u8,
+    pub period_ns: u64,
+}
+
+impl Shape {
+    /// The plain one of a protocol.
+    pub fn of(kind: Kind) -> Shape {
+        Shape {
+            kind,
+            hold: false,
+            other: false,
+            free_writes: true,
+            group: 0,
+            held: 0,
+            short: 0,
+            period_ns: MS,
+        }
+    }
+
+    /// How the axis with this place in the machine is other than usual.
+    fn apply(self, index: usize, axis: &mut AxisPlan) {
+        let has = |bits: u8| bits >> index & 1 != 0;
+        axis.stop.group = has(self.group).then_some(1);
+        if has(self.held) {
+            axis.load = Load::Vertical(HeldBy::Drive);
+            (axis.stop.then, axis.stop.on_timeout) = (StopThen::Hold, StopTimeout::Hold);
+        }
+    }
 }
 
 /// How an axis is judged, in its units.
@@ -357,10 +404,11 @@ pub struct Machine {
     addresses: Vec<SocketAddrV4>,
     /// Calls under way: a ticket that is dropped would cancel its call.
     pub calls: Vec<CallTicket>,
+    log: Option<Log>,
 }
 
 /// A stop that ends soon, so that a sequence sees its end; jogs without a button to hold; a small event queue.
-fn shorten(axis: &mut AxisPlan, shape: Shape, velocity: f64, deceleration: f64) {
+fn shorten(axis: &mut AxisPlan, index: usize, shape: Shape, velocity: f64, deceleration: f64) {
     axis.limits.velocity = Some(velocity);
     axis.profile = Profile { velocity, acceleration: deceleration, deceleration };
     axis.stop = StopPlan {
@@ -376,6 +424,7 @@ fn shorten(axis: &mut AxisPlan, shape: Shape, velocity: f64, deceleration: f64) 
     axis.enable_timeout = Duration::from_millis(1_500);
     axis.home_timeout = Duration::from_millis(1_500);
     axis.event_queue = EVENTS;
+    shape.apply(index, axis);
 }
 
 /// Of every axis.
@@ -385,7 +434,7 @@ const EVENTS: usize = 48;
 
 fn linmot(index: usize, shape: Shape) -> LinUdpDrive {
     let mut drive = support::drive(index);
-    shorten(&mut drive.axis, shape, 200.0, 4_000.0);
+    shorten(&mut drive.axis, index, shape, 200.0, 4_000.0);
     drive.axis.limits.acceleration = None;
     drive.reply_tag = if shape.other { ReplyTag::Count } else { ReplyTag::default() };
     drive
@@ -395,7 +444,7 @@ fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
     let address = Ipv4Addr::new(10, 0, 3, 1 + index as u8);
     let mut drive = UnidriveDrive::new(format!("u{index}"), address);
     drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
-    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    shorten(&mut drive.axis, index, shape, 8.0, 160.0);
     drive.via = if shape.other { Via::Menu0 { first: 11 } } else { Via::Direct };
     drive.reply_within_ns = 5 * MS;
     drive
@@ -403,7 +452,7 @@ fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
 
 fn moons(index: usize, shape: Shape) -> MoonsDrive {
     let mut drive = MoonsDrive::new(format!("m{index}"), Ipv4Addr::new(10, 0, 6, 2 + index as u8));
-    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    shorten(&mut drive.axis, index, shape, 8.0, 160.0);
     drive.axis.limits.position = Some((-5.0, 5.0));
     if shape.other {
         drive.explicit = Explicit::Connected;
@@ -421,7 +470,7 @@ fn moons(index: usize, shape: Shape) -> MoonsDrive {
 fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     let (outputs, velocity) = [(0x1701, 20.0), (0x1702, 20.0), (0x1703, 5.0)][usize::from(place)];
     let mut drive = kollmorgen::with(place, Family::S700, outputs, 0x1B03);
-    shorten(&mut drive.axis, shape, velocity, 400.0);
+    shorten(&mut drive.axis, place.into(), shape, velocity, 400.0);
     let limits = &mut drive.axis.limits;
     limits.torque = Some(150.0);
     if outputs == 0x1701 {
@@ -432,7 +481,7 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
 
 fn lenze(index: usize, shape: Shape) -> LenzeDrive {
     let mut drive = LenzeDrive::new(format!("l{index}"), FIRST_LENZE + index as u8);
-    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    shorten(&mut drive.axis, index, shape, 8.0, 160.0);
     if shape.other {
         (drive.profile, drive.enable_bit) = (DriveProfile::Profidrive, None);
         drive.parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
@@ -450,23 +499,51 @@ fn profibus(shape: Shape) -> ProfibusPlan {
     plan.in_turn(plan.least_divisor(CyclePlan::default().grid()).expect("there is one"))
 }
 
-/// The bus of a machine, on drives that are there already or on new ones.
-fn bus(
+/// The buses of a machine, on drives that are there already or on new ones.
+fn buses(
     shape: Shape,
     taps: &mut Vec<Tap>,
     line: &mut Option<TapLine>,
     wire: &mut Option<TapWire>,
-) -> Box<dyn BusPlan> {
-    let places = 0..AXES;
-    let fresh = taps.is_empty();
+) -> Vec<Box<dyn BusPlan>> {
     match shape.kind {
+        Kind::Mixed => (0..AXES)
+            .map(|index| {
+                let shape = Shape { kind: shape.kind.of(index), ..shape };
+                bus(shape, index..index + 1, taps, line, wire)
+            })
+            .collect(),
+        _ => vec![bus(shape, 0..AXES, taps, line, wire)],
+    }
+}
+
+/// A bus with the axes of these places.
+fn bus(
+    shape: Shape,
+    places: Range<usize>,
+    taps: &mut Vec<Tap>,
+    line: &mut Option<TapLine>,
+    wire: &mut Option<TapWire>,
+) -> Box<dyn BusPlan> {
+    let fresh = taps.len() <= places.start;
+    match shape.kind {
+        Kind::Mixed => unreachable!("each of its axes has a bus of its own"),
         Kind::LinMot => {
-            let drives: Vec<_> = places.map(|index| linmot(index, shape)).collect();
+            let drives: Vec<_> = places.clone().map(|index| linmot(index, shape)).collect();
             if fresh {
                 // Short homing.
-                let settings = |drive| LinMotSettings { start_position: 10_000, ..support::simulated(drive) };
-                let drive = |drive| Tap::new(Drive::LinMot(LinMotSim::new(settings(drive)).into()));
-                taps.extend(drives.iter().map(drive));
+                let drive = |(drive, index): (&LinUdpDrive, usize)| {
+                    let mut settings = LinMotSettings {
+                        start_position: 10_000,
+                        stream_period_ns: shape.period_ns,
+                        ..support::simulated(drive)
+                    };
+                    if shape.short >> index & 1 != 0 {
+                        settings.range.1 = 700_000;
+                    }
+                    Tap::new(Drive::LinMot(LinMotSim::new(settings).into()))
+                };
+                taps.extend(drives.iter().zip(places).map(drive));
             }
             Box::new(LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives })
         }
@@ -532,29 +609,48 @@ fn drives(taps: &[Tap], line: Option<&TapLine>, wire: Option<&TapWire>) -> Simul
 }
 
 /// A master of such a machine, from `start` on.
-fn master(shape: Shape, bus: Box<dyn BusPlan>, drives: Simulated, start: Option<Time>) -> Simulation {
-    let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| bus.name().to_owned());
-    let cycle = CyclePlan { reference, ..CyclePlan::default() };
-    let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
+fn master(
+    shape: Shape,
+    buses: Vec<Box<dyn BusPlan>>,
+    drives: Simulated,
+    start: Option<Time>,
+    log: Option<&Log>,
+) -> Simulation {
     let options = WorldOptions::default();
     let options = WorldOptions { start: start.unwrap_or(options.start), ..options };
-    Master::from_plan(plan).simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"))
+    let mut setup = Master::from_plan(plan_of(shape, buses));
+    if let Some(log) = log {
+        setup = log.of(setup);
+    }
+    setup.simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn plan_of(shape: Shape, buses: Vec<Box<dyn BusPlan>>) -> Plan {
+    let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| buses[0].name().to_owned());
+    let cycle = CyclePlan { reference, period_ns: shape.period_ns, ..CyclePlan::default() };
+    Plan { source: None, cycle, buses, groups: Vec::new() }
+}
+
+/// The plan of such a machine.
+pub fn plan(shape: Shape) -> Plan {
+    plan_of(shape, buses(shape, &mut Vec::new(), &mut None, &mut None))
 }
 
 impl Machine {
     /// How the axes of such a machine are judged.
     pub fn scales(kind: Kind) -> Vec<Scale> {
-        let shape = Shape { kind, hold: false, other: false, free_writes: true };
-        let bus = bus(shape, &mut Vec::new(), &mut None, &mut None);
-        bus.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
+        let plan = plan(Shape::of(kind));
+        plan.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
     }
 
-    pub fn new(shape: Shape) -> Machine {
+    /// A machine, whose inputs are in `log`.
+    pub fn new(shape: Shape, log: Option<Log>) -> Machine {
         let (mut taps, mut line, mut wire) = (Vec::new(), None, None);
-        let bus = bus(shape, &mut taps, &mut line, &mut wire);
-        let plans: Vec<AxisPlan> = bus.axes().into_iter().cloned().collect();
+        let buses = buses(shape, &mut taps, &mut line, &mut wire);
+        let plans: Vec<AxisPlan> = buses.iter().flat_map(|bus| bus.axes()).cloned().collect();
         Machine {
-            sim: master(shape, bus, drives(&taps, line.as_ref(), wire.as_ref()), None),
+            sim: master(shape, buses, drives(&taps, line.as_ref(), wire.as_ref()), None, log.as_ref()),
+            log,
             shape,
             scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
             plans,
@@ -575,9 +671,15 @@ impl Machine {
             connected.into_iter().for_each(|from| tap.disconnected(now, from));
         }
         self.wire.iter().flat_map(|wire| &wire.drives).for_each(|drive| drive.lock().died += 1);
-        let bus = bus(self.shape, &mut self.taps, &mut self.line, &mut self.wire);
+        let buses = buses(self.shape, &mut self.taps, &mut self.line, &mut self.wire);
         let drives = drives(&self.taps, self.line.as_ref(), self.wire.as_ref());
-        self.sim = master(self.shape, bus, drives, Some(now + ms * MS));
+        self.sim = master(self.shape, buses, drives, Some(now + ms * MS), self.log.as_ref());
+    }
+
+    /// One turn of the loop.
+    pub fn step(&mut self) {
+        self.sim.step();
+        self.log.iter().for_each(Log::drain);
     }
 
     /// The master's computer sleeps, and the drives with it.
@@ -682,6 +784,18 @@ impl Machine {
         }
     }
 
+    /// A fault by which the drive reacts to the silence of its master, where it has one.
+    pub fn silence(&self, index: usize) {
+        match self.taps.get(index) {
+            Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(Trip(252)),
+            None if self.wire.is_none() => {
+                let fault = fieldbeat::internals::bus::ethercat::faults::Fault::SYNCHRONISATION;
+                self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
+            }
+            _ => self.provoke(index),
+        }
+    }
+
     /// Loses the next datagrams: requests, replies. Frames of a segment are all drives'.
     pub fn lose(&self, index: usize, requests: u32, replies: u32) {
         match self.taps.get(index) {
@@ -719,13 +833,13 @@ impl Machine {
         let Some(bytes) = kept.get(back).cloned() else { return };
         drop(shared);
         let at = self.world().now() + us * 1_000;
-        match self.shape.kind {
+        match self.shape.kind.of(index) {
             Kind::LinMot => self.world().inject(self.addresses[index], MASTER, &bytes, at),
             Kind::Moons => {
                 let [scanner, drive] = self.packets_of(index);
                 self.world().inject(drive, scanner, &bytes, at);
             }
-            Kind::Unidrive | Kind::Kollmorgen | Kind::Lenze => {}
+            Kind::Unidrive | Kind::Kollmorgen | Kind::Lenze | Kind::Mixed => {}
         }
     }
 
@@ -751,7 +865,7 @@ impl Machine {
         };
         let Some(bytes) = tap.lock().replies.get(back).cloned() else { return };
         let at = self.world().now() + us * 1_000;
-        match self.shape.kind {
+        match self.shape.kind.of(index) {
             Kind::Moons => {
                 let [scanner, drive] = self.packets_of(index);
                 self.world().inject(scanner, drive, &bytes, at);
@@ -783,7 +897,8 @@ impl Machine {
 
     /// Lets so many slots pass before the next cycle.
     pub fn skip(&self, slots: u32) {
-        self.world().delay_next_wake(u64::from(slots) * MS + MS / 2);
+        let period_ns = self.shape.period_ns;
+        self.world().delay_next_wake(u64::from(slots) * period_ns + period_ns / 2);
     }
 
     pub fn post(&mut self, index: usize, command: Command) -> Result<u64, fieldbeat::axis::AxisError> {
@@ -803,8 +918,8 @@ fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
         torques: false,
         homes: true,
     };
-    match (kind, index) {
-        (Kind::LinMot, _) => scale,
+    match (kind.of(index), index) {
+        (Kind::LinMot | Kind::Mixed, _) => scale,
         (Kind::Moons, _) => Scale { near: 0.02, still: 0.3, ..scale },
         (Kind::Unidrive | Kind::Lenze, _) => Scale { positions: false, homes: false, ..scale },
         // A position controller of 60 Hz comes to rest for a while.

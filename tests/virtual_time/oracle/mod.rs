@@ -42,14 +42,14 @@ const ROUNDS: usize = 12;
 const TRIES: usize = 600;
 
 /// The machine of a seed, and its rounds.
-fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
+pub fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
     let kinds = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons, Kind::Lenze];
     let only = variable::<String>("ORACLE_KIND");
     let named = only.and_then(|name| kinds.into_iter().find(|kind| format!("{kind:?}") == name));
     let kind = named.unwrap_or(kinds[(seed % 5) as usize]);
     let bits = seed / 5;
     let (hold, other) = (bits & 1 != 0, bits & 2 != 0);
-    let shape = Shape { kind, hold, other, free_writes: !without.free_writes };
+    let shape = Shape { hold, other, free_writes: !without.free_writes, ..Shape::of(kind) };
     let scales = Machine::scales(kind);
     let mut random = Rng::with_seed(seed);
     (shape, (0..ROUNDS).map(|_| steps::round(&mut random, shape, &scales, without)).collect())
@@ -173,7 +173,7 @@ fn shown(rounds: &[Round]) -> String {
     rounds.iter().map(|round| format!("[\n{}]\n", round.iter().map(step).collect::<String>())).collect()
 }
 
-fn variable<T: std::str::FromStr>(name: &str) -> Option<T> {
+pub fn variable<T: std::str::FromStr>(name: &str) -> Option<T> {
     env::var(name).ok()?.parse().ok()
 }
 

@@ -9,6 +9,7 @@ use fieldbeat::time::MS;
 use super::judge::{Breach, GRACE, Slots, Watch};
 use super::machine::{AXES, Kind, Machine, Shape};
 use super::steps::{Choice, Op, Round, Step, writes};
+use crate::virtual_time::replay::Log;
 
 /// Turns after the last step of a round in which what it began goes on.
 const TAIL: u64 = 60;
@@ -112,8 +113,8 @@ type Judged = Result<(), Found>;
 
 impl Run {
     /// A machine whose axes are ready.
-    pub fn new(shape: Shape, story: bool) -> Result<Run, Found> {
-        let machine = Machine::new(shape);
+    pub fn new(shape: Shape, story: bool, log: Option<Log>) -> Result<Run, Found> {
+        let machine = Machine::new(shape, log);
         let watches = (0..AXES).map(|axis| Watch::new(machine.scales[axis], &machine.plans[axis])).collect();
         let mut run = Run {
             machine,
@@ -139,7 +140,7 @@ impl Run {
     /// All rounds, each from axes that are ready.
     pub fn rounds(shape: Shape, rounds: &[Round], story: bool) -> (Result<(), Found>, Tally, Option<String>) {
         let mut tally = Tally::default();
-        let mut run = match Run::new(shape, story) {
+        let mut run = match Run::new(shape, story, None) {
             Ok(run) => run,
             Err(found) => return (Err(found), tally, None),
         };
@@ -157,7 +158,7 @@ impl Run {
                 Ok(false) => {
                     tally.add(run.tally);
                     let before = run.story.take();
-                    match Run::new(shape, false) {
+                    match Run::new(shape, false, None) {
                         Ok(fresh) => run = Run { story: before, ..fresh },
                         Err(found) => return (Err(found), tally, None),
                     }
@@ -166,6 +167,22 @@ impl Run {
         }
         tally.add(run.tally);
         (Ok(()), tally, run.story)
+    }
+
+    /// The rounds of one machine whose inputs are in `log`, up to the first one that it does not get over.
+    pub fn recorded(shape: Shape, rounds: &[Round], log: &Log) -> Tally {
+        let mut run = match Run::new(shape, false, Some(log.clone())) {
+            Ok(run) => run,
+            Err(found) => panic!("{found:?}"),
+        };
+        for (index, round) in rounds.iter().enumerate() {
+            run.round = index;
+            run.tally.sequences += AXES as u64;
+            if !matches!(run.round(round), Ok(true)) {
+                break;
+            }
+        }
+        run.tally
     }
 
     /// One round; whether its axes are ready for another.
@@ -210,7 +227,7 @@ impl Run {
             self.go_on(axis)?;
         }
         let before = *self.machine.sim.status();
-        self.machine.sim.step();
+        self.machine.step();
         let after = *self.machine.sim.status();
         self.turn += 1;
         self.tally.turns += 1;

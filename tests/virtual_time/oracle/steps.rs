@@ -144,6 +144,7 @@ impl Choice {
 /// Parameters that an application might write, wisely or not: address and value.
 pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
     match kind {
+        Kind::Mixed => &[],
         Kind::LinMot => &[
             // Run mode: motion commands, table, one that refuses motions; a variable; the predefined profile.
             ("0x1450", "1"),

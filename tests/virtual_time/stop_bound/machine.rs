@@ -91,7 +91,7 @@ pub struct Machine {
     quiet: bool,
     /// Every axis may be stopped.
     all: bool,
-    pub table: Table,
+    table: Table,
 }
 
 impl Machine {
@@ -171,6 +171,12 @@ impl Machine {
             table: Table::new(),
             b,
         }
+    }
+
+    /// What came of its faults. A task that panicked is never dropped: it must not keep the world.
+    pub fn into_table(self) -> Table {
+        self.task.lock().unwrap().world = None;
+        self.table
     }
 
     fn axes(&self) -> std::ops::Range<usize> {

@@ -136,7 +136,7 @@ fn campaign(machines: u64, faults_each: u64) -> Table {
                 eprintln!("the machine of seed {seed}, in cycle {}", machine.now());
                 std::panic::resume_unwind(panic);
             }
-            for (fault, tally) in machine.table {
+            for (fault, tally) in machine.into_table() {
                 table.entry(fault).or_default().add(tally);
             }
         }

@@ -713,3 +713,30 @@ fn unidrives_at_every_eighth_cycle_beside_linmots_in_every_one_lose_nothing() {
         assert!(c.sent > 300 && c.sent - c.answered <= 1, "drive {index}: {c:?}");
     }
 }
+
+#[test]
+fn a_drive_that_is_found_running_fails_no_run_and_neither_does_its_group() {
+    let causes = |b: &Bench| [0, 1].map(|index| b.feedback(index).stopped);
+    for is_provoked in [false, true] {
+        let mut b = Bench::new(2, Via::Direct, |index, drive| {
+            drive.plan.axis.stop.group = Some(1);
+            // The other one is online by then.
+            drive.simulate.boot_ns = index as u64 * S;
+            drive.simulate.start = if index == 1 { Start::Running(200.0) } else { Start::Idle };
+        });
+        b.online();
+        b.run(200);
+        assert_eq!(causes(&b), [Some(StopCause::Group), Some(StopCause::FoundRunning)]);
+        assert!(!b.sim.summary().has_failed());
+        if is_provoked {
+            // Somebody goes on with it, and it trips.
+            b.done(1, Command::Reset);
+            b.done(1, Command::Enable);
+            b.tap(1).drive.provoke(Trip::OVER_VOLTS);
+            b.run(50);
+            assert_eq!(causes(&b), [Some(StopCause::Group), Some(StopCause::DriveFault)]);
+            let summary = b.sim.summary();
+            assert!(summary.drives.iter().all(|drive| drive.failed_by().is_some()) && summary.has_failed());
+        }
+    }
+}

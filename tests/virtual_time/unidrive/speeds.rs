@@ -102,7 +102,7 @@ fn the_summary_holds_what_there_is_and_makes_nothing_of_what_there_is_not() {
     end.drives[1].feedback.status.fault = 0xABC;
     let granted =
         Granted { policy: "SCHED_OTHER", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
-    let summary = Summary::of(&plan, &end, &Measured::new(2, &plan.cycle, false), &granted, None);
+    let summary = Summary::of(&plan, &end, &Measured::new(&plan.units(), &plan.cycle, false), &granted, None);
     let object = serde_json::to_value(&summary).unwrap();
     let of = |key: &str| [0, 1].map(|index: usize| object["drives"][index][key].clone());
     assert_eq!(of("position"), [Value::Null, Value::Null]);

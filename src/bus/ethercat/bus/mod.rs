@@ -34,10 +34,11 @@ use super::wire::frame::{FRAME_MAX, PASSED};
 use crate::axis::acyclic::{self, AcyclicEnds, Commanding};
 use crate::axis::cell;
 use crate::axis::{Feedback, Observer};
+use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Bus, BusClock, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Carriers, Frames, Lock};
 use crate::rt::Regions;
-use crate::time::US;
+use crate::time::{Time, US};
 
 /// Masters that are started one after the other use different logical addresses, so that settings that an earlier
 /// one has left in a slave take no part.
@@ -99,6 +100,7 @@ impl EthercatBus {
         carriers: &dyn Carriers,
     ) -> Result<EthercatBus, OpenError> {
         let (mut net, lock) = open(plan, carriers)?;
+        let log = carriers.log();
         let mut plan = plan.clone();
         for drive in &mut plan.drives {
             drive.slave.start_up = start_up(drive, period_ns);
@@ -125,7 +127,7 @@ impl EthercatBus {
             .enumerate()
             .map(|(index, drive)| {
                 let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-                let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns);
+                let (station, native, acyclic) = Station::new(drive, interval_ns, turn_ns, &log);
                 let (slave, offsets) = offsets_of(Owner::Drive(index));
                 ends.push(native, acyclic);
                 outgoing.push(Outgoing { frame: offsets.frame as u16, range: offsets.outputs, built: false });
@@ -137,9 +139,9 @@ impl EthercatBus {
             let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
             DeviceEnd {
-                service: Service::new(slave, Some(calls), turn_ns),
+                service: Service::new(slave, Some(calls.logged(&log)), turn_ns),
                 reached,
-                port,
+                port: port.logged(&log),
                 offsets: offsets_of(Owner::Device(index)).1,
                 operational: false,
                 counters: Arc::default(),
@@ -265,6 +267,21 @@ impl Bus for EthercatBus {
         if self.is_back() {
             self.finish(cycle, slots);
         }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let received_at = self.drives.get(index)?.station.profile.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || {
+            let Outgoing { frame, range, .. } = self.outgoing.get(index)?;
+            Some(self.image.frames().get(usize::from(*frame))?.sent_outputs(range))
+        })
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -7,15 +7,18 @@ use std::sync::Arc;
 use super::EthercatBus;
 use crate::axis::acyclic::Notation;
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use crate::bus::desired::Capabilities;
 use crate::bus::ethercat::counters::OWN;
+use crate::bus::ethercat::fields::layout;
+use crate::bus::ethercat::image::Image;
 use crate::bus::ethercat::object::Objects;
 use crate::bus::ethercat::other::listen;
-use crate::bus::ethercat::plan::{EthercatPlan, KollmorgenDrive};
+use crate::bus::ethercat::plan::{EthercatPlan, KollmorgenDrive, Owner};
 use crate::bus::ethercat::scan::{Busy, Shown, require_idle};
 use crate::bus::ethercat::wire::frame::ETHERTYPE;
 use crate::bus::ethercat::{PROTOCOL, faults, profile};
+use crate::bus::native::NativeLayout;
 use crate::bus::variant::Variant;
 use crate::bus::{Bus, BusPlan, OpenError, OwnCounter};
 use crate::errors::no_descriptor;
@@ -55,6 +58,19 @@ fn remedy(source: &std::io::Error) -> &'static str {
 }
 
 impl BusPlan for EthercatPlan {
+    /// By the place of its outputs in the frame.
+    fn drive_in(&self, frame: &[u8], at: usize) -> Option<usize> {
+        let slaves = self.slaves();
+        let clock = slaves.iter().any(|(_, slave)| slave.sync);
+        let (image, offsets) = Image::new(&slaves, 0, [0; 6], clock, self.lrw)?;
+        let number = image.frames().iter().position(|own| own.bytes().len() == frame.len())?;
+        let at = u16::try_from(at).ok()?;
+        slaves.iter().zip(offsets).find_map(|((owner, _), offsets)| match owner {
+            Owner::Drive(index) if offsets.frame == number && offsets.outputs.contains(&at) => Some(*index),
+            _ => None,
+        })
+    }
+
     fn name(&self) -> &str {
         &self.name
     }
@@ -103,6 +119,10 @@ impl BusPlan for EthercatPlan {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], KollmorgenDrive::shown)
     }
 
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        self.drives.get(index).map_or_else(NativeLayout::default, layout)
+    }
+
     fn own_counters(&self) -> &'static [OwnCounter] {
         &OWN
     }
@@ -113,6 +133,10 @@ impl BusPlan for EthercatPlan {
 
     fn fault_names(&self) -> FaultNames {
         |code| u16::try_from(code).ok().and_then(faults::name)
+    }
+
+    fn silence_faults(&self) -> SilenceFaults {
+        |code| code == u32::from(faults::Fault::SYNCHRONISATION.code)
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -4,6 +4,7 @@ use super::slave;
 use super::values::start;
 use crate::bus::ethercat::{Area, Device, SlavePlan, TERMINAL_MAX};
 use crate::keys::drive::name;
+use crate::keys::form::Form;
 use crate::keys::machine::Machine;
 use crate::keys::table::Table;
 
@@ -23,15 +24,16 @@ pub(super) fn device(table: &mut Table<'_>, machine: &mut Machine) -> Device {
 
 /// Where its process data of one direction are: a table, or a list of them; none if the key is absent.
 fn areas(table: &mut Table<'_>, key: &'static str) -> Vec<Area> {
-    let is_list = table.read(key, |value| match (value.as_table(), value.as_array()) {
-        (Some(_), _) => Ok(false),
-        (_, Some(list))
-            if !list.is_empty() && list.iter().all(|area| area.get_ref().as_table().is_some()) =>
-        {
-            Ok(true)
-        }
-        _ => Err("must be { start = 0x1000, length = 1 }, or a list of them".into()),
-    });
+    let is_list =
+        table.read(key, Form::Table.or(Form::Tables), |value| match (value.as_table(), value.as_array()) {
+            (Some(_), _) => Ok(false),
+            (_, Some(list))
+                if !list.is_empty() && list.iter().all(|area| area.get_ref().as_table().is_some()) =>
+            {
+                Ok(true)
+            }
+            _ => Err("must be { start = 0x1000, length = 1 }, or a list of them".into()),
+        });
     let read = |mut table: Table<'_>| {
         let area = area(&mut table);
         table.finish();

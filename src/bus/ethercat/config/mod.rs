@@ -6,18 +6,21 @@ mod values;
 use std::ops::RangeInclusive;
 
 use device::device;
-use values::{identity, layout, mailbox, shown, start, start_up};
+use values::{identity, layout, layout_form, mailbox, shown, start, start_up, start_up_form};
 
 use super::PROTOCOL;
 use super::cia402::Mode;
 use super::object::Family;
 use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlavePlan, Watchdog};
 use crate::axis::Unit;
+use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
 use crate::keys::bus::{drive_tables, drive_tables_if_any};
 use crate::keys::drive::{Counts, axis};
+use crate::keys::form::Form;
 use crate::keys::machine::Machine;
 use crate::keys::table::{POSITIVE, Table, integer, time};
+use crate::keys::value::SOMETHING;
 use crate::time::{MS, S, US};
 
 /// The last place of a slave.
@@ -29,6 +32,12 @@ const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * 100 * US;
 const SDO_TIMEOUTS: RangeInclusive<u64> = 10 * MS..=60 * S;
 /// The range of `state_timeout`.
 const STATE_TIMEOUTS: RangeInclusive<u64> = 100 * MS..=60 * S;
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "interface = \"local:x\"\n[[bus.drive]]\nname = \"x\"\nmailbox = {}\n\
+     [[bus.device]]\nname = \"y\"\n\
+     outputs = {}\ninputs = {}\nmailbox = {}\nsimulate = { behind = {}, outputs = {}, inputs = {} }\n\
+     [[bus.device]]\nname = \"z\"\noutputs = [{}]\ninputs = [{}]\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -70,9 +79,10 @@ fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
         "interface",
         "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this computer",
     );
-    let interface = table.text("interface", "the name of a network interface, like \"eth1\"", |text| {
-        (!text.is_empty()).then(|| text.to_owned())
-    })?;
+    let interface =
+        table.text("interface", SOMETHING, "the name of a network interface, like \"eth1\"", |text| {
+            (!text.is_empty()).then(|| text.to_owned())
+        })?;
     machine.claim_interface(table, "interface", &interface);
     Some(interface)
 }
@@ -118,7 +128,9 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
         -128..=127,
         "the method of homing of object 6098h; leave it out for the drive's own",
     );
-    drive.show = table.read("monitor", shown).unwrap_or(drive.show);
+    drive.show = table
+        .read("monitor", Form::False.or(Form::Text(None).list(1, MONITOR_CHANNELS)), shown)
+        .unwrap_or(drive.show);
     table.later("simulate");
     drive
 }
@@ -134,9 +146,9 @@ pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
     let hint = "the time that the slave may take to enter a state, from its description (ESI)";
     slave.state_timeout_ns =
         table.time("state_timeout", STATE_TIMEOUTS, hint).unwrap_or(slave.state_timeout_ns);
-    slave.start_up = table.read("start_up", start_up).unwrap_or_default();
+    slave.start_up = table.read("start_up", start_up_form(), start_up).unwrap_or_default();
     let hint = "the slave stops by itself after this time without outputs; or \"off\"";
-    let watchdog = table.read("watchdog", |value| match value.as_str() {
+    let watchdog = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
         Some("off") => Ok(Watchdog::Off),
         _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Watchdog::After),
     });
@@ -147,7 +159,7 @@ fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
     let family = drive.family;
     let [outputs, inputs] = table.table("pdo", |table| {
         [("outputs", 0x1600), ("inputs", 0x1A00)]
-            .map(|(key, free)| table.read(key, |value| layout(value, family, free)))
+            .map(|(key, free)| table.read(key, layout_form(), |value| layout(value, family, free)))
     });
     drive.outputs = outputs.unwrap_or_else(|| drive.outputs.clone());
     drive.inputs = inputs.unwrap_or_else(|| drive.inputs.clone());
@@ -183,7 +195,9 @@ const MODES: [Mode; 9] = [
 
 /// A number, as a drive shows it or as its bits, or the name with dashes.
 fn mode(table: &mut Table<'_>) -> Option<Mode> {
-    table.read("mode", |value| {
+    let names = MODES.map(mode_name);
+    let form = Form::integer(-128..=255).or(Form::words(names.iter().map(String::as_str)));
+    table.read("mode", form, |value| {
         let named = |name: &str| MODES.into_iter().find(|mode| mode_name(*mode) == name);
         let mode = match (integer(value), value.as_str()) {
             (Some(number), _) => {

@@ -6,6 +6,7 @@ use crate::axis::acyclic::Notation;
 use crate::bus::ethercat::object::pdo::{self, Entry, Layout};
 use crate::bus::ethercat::object::{Family, Object, Objects, Target, Type, catalogue, string};
 use crate::bus::ethercat::{Area, Expected, Start};
+use crate::keys::form::Form;
 use crate::keys::table::{Table, integer};
 use crate::keys::value::closest;
 
@@ -24,6 +25,19 @@ fn number(value: &DeValue<'_>) -> Option<i128> {
     integer(value).or_else(hex)
 }
 
+/// What a number with `0x` looks like.
+const HEX: &str = "^0x[0-9A-Fa-f]+$";
+
+/// What [`number`] takes, up to `most`.
+fn number_form(most: i128) -> Form {
+    Form::integer(0..=most).or(Form::Text(Some(HEX)))
+}
+
+/// What [`word`] takes.
+fn word_form() -> Form {
+    number_form(u16::MAX.into())
+}
+
 fn word(value: &DeValue<'_>) -> Option<u16> {
     u16::try_from(number(value)?).ok()
 }
@@ -31,7 +45,8 @@ fn word(value: &DeValue<'_>) -> Option<u16> {
 /// Who a slave has to be; what the file leaves out is as in `default`.
 pub(super) fn identity(table: &mut Table<'_>, default: Expected) -> Expected {
     let mut read = |key, default| {
-        let value = table.read(key, |value| {
+        let form = number_form(u32::MAX.into()).or(Form::word("any"));
+        let value = table.read(key, form, |value| {
             let any = (value.as_str() == Some("any")).then_some(None);
             let given = || number(value).and_then(|number| u32::try_from(number).ok()).map(Some);
             any.or_else(given).ok_or("must be a number of 32 bits like 0x6A, or \"any\"".into())
@@ -63,7 +78,7 @@ pub(super) fn mailbox(table: &mut Table<'_>, default: Option<[Area; 2]>) -> Opti
 }
 
 fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
-    table.read(key, |value| {
+    table.read(key, word_form().list(2, 2), |value| {
         let pair = value.as_array().filter(|array| array.len() == 2);
         let words: Option<Vec<u16>> =
             pair.and_then(|pair| pair.iter().map(|value| word(value.get_ref())).collect());
@@ -76,7 +91,9 @@ fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
 
 /// Where something begins.
 pub(super) fn start(table: &mut Table<'_>, key: &'static str) -> Option<u16> {
-    table.read(key, |value| word(value).ok_or("must be an address of 16 bits, like 0x1100".into()))
+    table.read(key, word_form(), |value| {
+        word(value).ok_or("must be an address of 16 bits, like 0x1100".into())
+    })
 }
 
 const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is not \
@@ -119,6 +136,18 @@ pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<(Obje
     Ok(shown)
 }
 
+/// What [`index`] takes.
+fn index_form() -> Form {
+    Form::integer(0x1600..=0x17FF).or(Form::integer(0x1A00..=0x1BFF)).or(Form::Text(Some(HEX)))
+}
+
+/// What [`layout`] takes.
+pub(super) fn layout_form() -> Form {
+    let objects = || Form::Text(None).list(1, MOST_OBJECTS);
+    let whole = Form::Fields(vec![("pdo", index_form(), true), ("objects", objects(), false)]);
+    index_form().or(objects()).or(whole)
+}
+
 /// A PDO that is known of `family`, one with its objects, or objects to be mapped into the PDO `free`.
 pub(super) fn layout(value: &DeValue<'_>, family: Family, free: u16) -> Result<Layout, String> {
     if value.as_array().is_some() {
@@ -154,6 +183,12 @@ fn index(value: &DeValue<'_>) -> Result<u16, String> {
     index.ok_or(
         "must be the number of a PDO, \"0x1702\" or \"0x1B03\", or a list of objects to be mapped".into(),
     )
+}
+
+/// What [`start_up`] takes.
+pub(super) fn start_up_form() -> Form {
+    let value = Form::Text(None).or(Form::integer(..));
+    Form::Fields(vec![("object", Form::Text(None), true), ("value", value, true)]).list(0, MOST_START_UP)
 }
 
 /// What is written in PREOP.

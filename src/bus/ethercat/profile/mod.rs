@@ -273,6 +273,12 @@ impl Profile {
         }
     }
 
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
+    }
+
     /// Publishes the inputs to the application.
     #[inline]
     pub(super) fn publish(&mut self, at: Time, is_native: bool, inputs: &[u8]) {

@@ -14,7 +14,7 @@ use crate::time::{MS, Time};
 /// No master is expected to be slower than this.
 const LISTEN_NS: u64 = 100 * MS;
 /// A segment needs microseconds; the rest is for the two computers, one of which may be busy, or simulated.
-const BACK_WITHIN_NS: u64 = 50 * MS;
+const BACK_WITHIN_NS: u64 = 200 * MS;
 /// A frame may be lost, and so may its repetition.
 const ATTEMPTS: usize = 3;
 /// How often it checks whether to go on.

@@ -13,7 +13,7 @@ use crate::bus::ethercat::wire::sii::{self, Category, Fault, Identity, Protocols
 use crate::time::MS;
 
 /// The longest time of a command; 20 ms is usual, and this thread is a normal one.
-const WITHIN_NS: u64 = 100 * MS;
+const WITHIN_NS: u64 = 500 * MS;
 /// The most words of a category that are read.
 const WORDS_MAX: u16 = 1024;
 /// The offset of the name's text number in the general category, and the words up to it.

@@ -16,6 +16,7 @@ use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, Kollmorg
 use crate::bus::ethercat::wire::frame::{Builder, Command, datagrams, position};
 use crate::bus::ethercat::wire::registers::{Features, address};
 use crate::bus::ethercat::wire::sii::Identity;
+use crate::inputs::InputLog;
 use crate::sim::SimSegment;
 use crate::sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
 use crate::time::{MS, S, US};
@@ -508,7 +509,7 @@ fn a_segment_that_was_cut_off_as_a_whole_has_its_time_again() {
 fn a_place_beyond_all_addresses_is_no_panic() {
     let mut plan = drives(1);
     plan.drives[0].slave.place = u16::MAX;
-    let _ = crate::bus::ethercat::station::Station::new(&plan.drives[0], MS, 0);
+    let _ = crate::bus::ethercat::station::Station::new(&plan.drives[0], MS, 0, &InputLog::default());
     let slaves = plan.slaves();
     let (_, offsets) = Image::new(&slaves, 0x1000_0000, [0x10; 6], true, true).unwrap();
     let line = Segment::new(&plan, offsets, MS);

@@ -28,6 +28,7 @@ use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::units::Unwrap;
 use crate::axis::{self, State, Units};
 use crate::bus::{Exchange, Slot};
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::time::{MS, Time};
 
@@ -99,10 +100,16 @@ impl Station {
     /// The station of `drive` for an exchange every `interval_ns`, whose mailbox has the slot again within `turn_ns`,
     /// and the application's ends of its native process
     /// data and of its acyclic access.
-    pub fn new(drive: &KollmorgenDrive, interval_ns: u64, turn_ns: u64) -> (Station, Native, AcyclicEnds) {
+    pub fn new(
+        drive: &KollmorgenDrive,
+        interval_ns: u64,
+        turn_ns: u64,
+        log: &InputLog,
+    ) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(&drive.outputs, &drive.inputs);
         let outputs = drive.outputs.entries.iter().map(|entry| entry.object);
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
+        let (native, port) = (native.logged(log), port.logged(log));
         let units = drive.axis.units;
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;

@@ -88,7 +88,7 @@ impl Profile {
     }
 
     /// What goes with the command that begins.
-    pub(super) fn parameters(&self, holder: Holder, seen: &Seen, native: &NativePort) -> Outputs {
+    pub(super) fn parameters(&self, holder: Holder, seen: &Seen, native: &mut NativePort) -> Outputs {
         let Rules { units, homing, .. } = &self.rules;
         let before = self.outputs;
         if holder == Holder::Native {

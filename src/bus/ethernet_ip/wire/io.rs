@@ -97,6 +97,12 @@ impl Outgoing {
         self.bytes[field::OUTPUTS].copy_from_slice(&outputs.bytes());
     }
 
+    /// The outputs in a copy of a packet; `None`: a heartbeat.
+    #[inline]
+    pub fn outputs(copy: &[u8]) -> Option<&[u8]> {
+        copy.get(field::OUTPUTS)
+    }
+
     /// The packet.
     #[inline]
     pub fn bytes(&self) -> &[u8] {

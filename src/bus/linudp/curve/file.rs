@@ -11,6 +11,7 @@ use std::path::Path;
 use super::{Curve, CurveError, CurveKind, Dimension, NAME_SIZE};
 use crate::keys::error::ConfigErrors;
 use crate::keys::file::{self, whole_file};
+use crate::keys::form::Form;
 use crate::keys::page::{Page, Place};
 use crate::keys::table::{Table, integer, number};
 use crate::keys::value;
@@ -121,7 +122,7 @@ fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(
     head.require("kind", "\"time\" or \"cam\"");
     head.require("length", "from the first setpoint to the last, in the unit of the first column");
     let hint = "at most 22 printable ASCII characters";
-    let name = head.text("name", hint, |name| Curve::name_bytes(name).ok());
+    let name = head.text("name", None, hint, |name| Curve::name_bytes(name).ok());
     let name_bytes = head.bytes::<NAME_SIZE>("name_bytes");
     if head.gives("name") && head.gives("name_bytes") {
         head.fault("name_bytes", "cannot be used together with name; keep one");
@@ -162,7 +163,7 @@ fn dimension(head: &mut Table<'_>, key: &'static str) -> Option<Dimension> {
 
 fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
     let longest = value::decimal(u32::MAX.into(), decimals);
-    head.read("length", |value| {
+    head.read("length", Form::number(0.0..), |value| {
         let counts = number(value).and_then(|value| counts(value, decimals));
         counts.and_then(|counts| u32::try_from(counts).ok()).ok_or_else(|| {
             let whole = if decimals == 0 { "whole " } else { "" };
@@ -172,7 +173,7 @@ fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
 }
 
 fn wizard_parameters(head: &mut Table<'_>) -> Option<[u32; 7]> {
-    head.read("wizard_parameters", |value| {
+    head.read("wizard_parameters", Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
         let elements = value.as_array().map(|array| array.iter().map(|element| integer(element.get_ref())));
         elements
             .and_then(Iterator::collect::<Option<Vec<i128>>>)

@@ -27,6 +27,7 @@ use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::{Link, Units};
 use crate::bus::desired::Power;
 use crate::bus::{Cycle, Exchange, Slot};
+use crate::inputs::InputLog;
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -66,9 +67,10 @@ pub struct Station {
 
 impl Station {
     /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
-    pub fn new(drive: &LinUdpDrive) -> (Station, Native, AcyclicEnds) {
+    pub fn new(drive: &LinUdpDrive, log: &InputLog) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native();
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
+        let (native, port) = (native.logged(log), port.logged(log));
         let (mut usual, shown) = (ResponseDef::CYCLIC, drive.monitor != MonitorPlan::Off);
         if shown {
             usual = usual.with(ResponseDef::MONITOR);
@@ -93,6 +95,12 @@ impl Station {
             monitor: drive.monitor,
         };
         (station, application, ends)
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -213,7 +221,7 @@ impl Station {
                 if suspect {
                     slot.counters.suspect += 1;
                 }
-                self.read(at, &view, suspect, slot);
+                self.read(sent_at, at, &view, suspect, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),
         }
@@ -225,11 +233,12 @@ impl Station {
         match self.identity.unrequested(view, in_window) {
             Unrequested::Second { suspect } => {
                 slot.counters.late += 1;
-                if let Exchange::Answered { suspect, .. } = &mut slot.exchange {
+                let mut sent_at = at;
+                if let Exchange::Answered { sent_at: sent, suspect, .. } = &mut slot.exchange {
                     // The feedback is fresh again. The exchange stays without a round-trip sample.
-                    *suspect = true;
+                    (sent_at, *suspect) = (*sent, true);
                 }
-                self.read(at, view, suspect, slot);
+                self.read(sent_at, at, view, suspect, slot);
             }
             Unrequested::Late => slot.counters.late += 1,
             Unrequested::Duplicate => slot.counters.duplicate += 1,

@@ -21,7 +21,9 @@ pub(super) struct Track {
 /// Positions of one reply, unwrapped, 0.1 um.
 #[derive(Clone, Copy, Debug)]
 struct Counts {
-    at: Time,
+    /// When the request left. The drive takes the positions when it has the request; the reply may be received any time
+    /// later, where this computer is late.
+    sent_at: Time,
     actual: i64,
     demand: i64,
 }
@@ -29,21 +31,29 @@ struct Counts {
 impl Track {
     /// The positions of the next reply.
     #[inline]
-    fn next(&mut self, at: Time, front: &Front, units: &Units) -> Counts {
+    fn next(&mut self, sent_at: Time, front: &Front, units: &Units) -> Counts {
         // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
         match units.modulo {
-            None => Counts { at, actual: front.actual.into(), demand: front.demand.into() },
+            None => Counts { sent_at, actual: front.actual.into(), demand: front.demand.into() },
             Some(_) => {
-                Counts { at, actual: self.actual.next(front.actual), demand: self.demand.next(front.demand) }
+                let (actual, demand) = (self.actual.next(front.actual), self.demand.next(front.demand));
+                Counts { sent_at, actual, demand }
             }
         }
     }
 }
 
 impl Station {
-    /// The values of an accepted reply.
+    /// The values of an accepted reply to the request that left at `sent_at`.
     #[inline(always)]
-    pub(super) fn read(&mut self, at: Time, view: &ResponseView<'_>, suspect: bool, slot: &mut Slot) {
+    pub(super) fn read(
+        &mut self,
+        sent_at: Time,
+        at: Time,
+        view: &ResponseView<'_>,
+        suspect: bool,
+        slot: &mut Slot,
+    ) {
         let front = view.front();
         let rehomed = front.status.homed() != self.inputs.status.homed();
         let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
@@ -52,14 +62,14 @@ impl Station {
             self.watch_start(&front, slot);
         }
         let Slot { status: report, notices, evidence, .. } = &mut *slot;
-        let counts = self.track.next(at, &front, &self.units);
+        let counts = self.track.next(sent_at, &front, &self.units);
         // A homing gives the positions another origin: that was no motion.
         if let Some(last) = self.track.last
-            && at > last.at
+            && sent_at > last.sent_at
             && !suspect
             && !rehomed
         {
-            let rate = self.units.distance(1e9 / at.since(last.at) as f64);
+            let rate = self.units.distance(1e9 / sent_at.since(last.sent_at) as f64);
             report.velocity = (counts.actual - last.actual) as f64 * rate;
             evidence.demand_velocity = (counts.demand - last.demand) as f64 * rate;
         }

@@ -8,6 +8,7 @@ use crate::bus::linudp::StreamCommand;
 use crate::bus::linudp::profile::capabilities;
 use crate::bus::linudp::wire::{MainState, Response, StateVar, StatusWord};
 use crate::drive::machine::{Machine, NumberedRow};
+use crate::inputs::InputLog;
 use crate::time::MS;
 
 /// A station, and a drive of a few lines that says what it is made to say.
@@ -21,7 +22,7 @@ struct Bench {
 
 impl Bench {
     fn new(drive: &LinUdpDrive) -> Bench {
-        let (station, ..) = Station::new(drive);
+        let (station, ..) = Station::new(drive, &InputLog::default());
         let cycle = Cycle { index: 0, grid: Time(MS), period_ns: MS, deadline: Time(MS + MS / 2) };
         let machine = Machine::new(&drive.axis, capabilities(drive), MS);
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
@@ -156,7 +157,7 @@ fn a_stop_in_place_of_a_stream_that_never_left_is_a_stop() {
 
 #[test]
 fn every_fourth_probe_that_goes_out_has_all_blocks() {
-    let (mut station, ..) = Station::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+    let (mut station, ..) = Station::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST), &InputLog::default());
     let (mut slot, mut out) = (Slot::default(), [0; 64]);
     let cycle = Cycle { index: 0, grid: Time(0), period_ns: 1_000_000, deadline: Time(500_000) };
     for probe in 1..=12 {

@@ -11,6 +11,7 @@ use super::{self as table, Entry, NAME_SIZE, PARAMETERS_SIZE, RESERVED_SIZE};
 use crate::bus::linudp::motion::{CATALOGUE, CommandInfo, EntryId, Field, Kind};
 use crate::keys::error::ConfigErrors;
 use crate::keys::file;
+use crate::keys::form::Form;
 use crate::keys::page::{Page, Place};
 use crate::keys::table::{Table, integer, number};
 use crate::keys::value;
@@ -123,7 +124,8 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
     if !root.gives("entry") {
         root.fault("entry", "missing; a command table has an [[entry]] for each entry, or is entry = []");
     }
-    let empty = root.read("entry", |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
+    let empty = root
+        .read("entry", Form::Tables, |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
     let tables = if empty == Some(true) { Vec::new() } else { root.tables("entry") };
     for mut table in tables {
         table.require("id", "the number of the entry, 1 to 255");
@@ -158,21 +160,23 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
 /// The command by its name or number. Without it nobody knows which other keys are right.
 fn command(table: &mut Table<'_>) -> Option<Command> {
     table.require("command", "a name like \"vai-go-to\", or the number of a command without one");
-    table.read("command", |value| match (value.as_str(), integer(value)) {
-        (Some(name), _) => CommandInfo::named(name).map(Command::Named).ok_or_else(|| {
-            let names = CATALOGUE.iter().map(|info| info.name);
-            let meant = value::closest(name, names).map(|name| format!("did you mean \"{name}\"? "));
-            let meant = meant.unwrap_or_default();
-            format!("no such command; {meant}one without a name is given by its number, like 0x010")
-        }),
-        (None, Some(id @ 0..=0xFFF)) => Ok(Command::Numbered(id as u16)),
-        _ => Err("must be a name like \"vai-go-to\", or a number up to 0xFFF".into()),
+    table.read("command", Form::Text(None).or(Form::integer(0..=0xFFF)), |value| {
+        match (value.as_str(), integer(value)) {
+            (Some(name), _) => CommandInfo::named(name).map(Command::Named).ok_or_else(|| {
+                let names = CATALOGUE.iter().map(|info| info.name);
+                let meant = value::closest(name, names).map(|name| format!("did you mean \"{name}\"? "));
+                let meant = meant.unwrap_or_default();
+                format!("no such command; {meant}one without a name is given by its number, like 0x010")
+            }),
+            (None, Some(id @ 0..=0xFFF)) => Ok(Command::Numbered(id as u16)),
+            _ => Err("must be a name like \"vai-go-to\", or a number up to 0xFFF".into()),
+        }
     })
 }
 
 fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<Entry> {
     let hint = "at most 15 printable ASCII characters";
-    let name = table.text("name", hint, |name| Entry::name_bytes(name).ok());
+    let name = table.text("name", None, hint, |name| Entry::name_bytes(name).ok());
     let name_bytes = table.bytes::<NAME_SIZE>("name_bytes");
     if table.gives("name") && table.gives("name_bytes") {
         table.fault("name_bytes", "cannot be used together with name; keep one");
@@ -212,7 +216,8 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
     let range = format!("{low} to {high} {}", kind.unit());
     let range = range.trim_end();
     table.require(field.name, &format!("a parameter of the command, {range}"));
-    table.read(field.name, |value| match kind.decimals() {
+    let form = if kind.decimals() == 0 { Form::integer(..) } else { Form::number(..) };
+    table.read(field.name, form, |value| match kind.decimals() {
         0 => (integer(value).and_then(|value| i64::try_from(value).ok()))
             .filter(|value| kind.check(*value).is_ok())
             .ok_or_else(|| format!("must be a whole number, {range}")),

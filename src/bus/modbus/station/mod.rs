@@ -33,6 +33,7 @@ use super::words::ControlWord;
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::bus::desired::Accepted;
 use crate::bus::{Cycle, Slot};
+use crate::inputs::InputLog;
 use crate::net::Broken;
 use crate::rt::Regions;
 use crate::time::Time;
@@ -86,6 +87,7 @@ pub struct Station {
     direct: Mapping,
     menu_0: Option<Mapping>,
     found: Arc<Found>,
+    log: InputLog,
     opened_before: bool,
     /// The control word that the drive accepted last, or had at first, on whatever connection.
     control_taken: Option<ControlWord>,
@@ -210,10 +212,12 @@ impl Station {
         drive: &UnidriveDrive,
         mappings: (Mapping, Option<Mapping>),
         found: Arc<Found>,
+        log: &InputLog,
     ) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(drive.map.also.len());
         let outputs = [drive.map.control.parameter, drive.map.reference.parameter];
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
+        let (native, port) = (native.logged(log), port.logged(log));
         let shown = drive.map.show.iter().enumerate();
         let station = Station {
             velocity_per_count: drive.velocity(drive.map.speed.value(1)),
@@ -222,6 +226,7 @@ impl Station {
             direct: mappings.0,
             menu_0: mappings.1,
             found,
+            log: log.source(),
             functions: ReadWrite::new(drive.functions),
             unwatched: drive.watchdog.timeout_ns.is_none()
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
@@ -248,6 +253,12 @@ impl Station {
         (station, application, ends)
     }
 
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
+    }
+
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.inbox);
@@ -262,7 +273,7 @@ impl Station {
     /// A new connection is there, with its handshake complete.
     pub fn connected(&mut self, slot: &mut Slot) {
         self.connected = true;
-        let finding = self.found.get();
+        let finding = self.found.get(&self.log);
         let velocity = f64::from(finding.speed) * self.velocity_per_count;
         let inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
         // A setting that is right already is not written again.

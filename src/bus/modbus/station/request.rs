@@ -10,7 +10,7 @@ use crate::bus::modbus::mapping::{Block, Role};
 use crate::bus::modbus::parameter::Width;
 use crate::bus::modbus::plan::REFERENCES_IN_A_ROW;
 use crate::bus::modbus::profile::Outputs;
-use crate::bus::modbus::wire::{ADU_MAX, Header, Registers, RegistersBuffer, Request, function};
+use crate::bus::modbus::wire::{ADU_MAX, HEADER, Header, Registers, RegistersBuffer, Request, function};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::time::Time;
 
@@ -289,6 +289,11 @@ impl Station {
             ..blocks
         };
         (length > 0).then_some(Template { blocks, only, length, control, reference, expected })
+    }
+
+    /// The request that was sent last, without its header, as long as no newer one is built.
+    pub(in crate::bus::modbus) fn sent_request(&self) -> &[u8] {
+        self.rooms[self.conn.room].get(HEADER..self.conn.open).unwrap_or_default()
     }
 
     /// The bytes for the wire for a slot that is due; empty: nothing can be sent.

@@ -43,6 +43,11 @@ impl Telegram {
         }
     }
 
+    /// The outputs from this byte on.
+    pub(super) fn outputs(&self, at: u8) -> &[u8] {
+        self.bytes.get(AT_DATA + usize::from(at)..self.bytes.len() - 2).unwrap_or_default()
+    }
+
     /// Changes the outputs from this byte on.
     pub(super) fn change(&mut self, at: u8, change: impl FnOnce(&mut [u8])) {
         let end = self.bytes.len() - 2;

@@ -246,3 +246,11 @@ pub enum Malformed {
     /// The last byte is not 16.
     End,
 }
+/// The station that a telegram is for; `None`: for none, or for all.
+pub fn destination(telegram: &[u8]) -> Option<u8> {
+    let address = match *telegram {
+        [SD1 | SD3 | SD4, address, ..] | [SD2, _, _, SD2, address, ..] => address & !EXTENSION,
+        _ => return None,
+    };
+    (address <= STATION_MAX).then_some(address)
+}

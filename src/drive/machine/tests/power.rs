@@ -92,6 +92,26 @@ fn an_enable_in_operation_is_done_by_a_report_from_after_it() {
 }
 
 #[test]
+fn a_stop_behind_an_enable_in_operation_leaves_it_in_operation() {
+    for can in kinds() {
+        for (turns, lost) in (0..6).flat_map(|turns| [(turns, false), (turns, true)]) {
+            let mut rig = Rig::enabled(can);
+            let before = rig.drive.powers.len();
+            rig.start(Command::Enable);
+            for _ in 0..turns {
+                if lost { rig.exchange(Fate::ReplyLost) } else { rig.turn() }
+            }
+            assert_eq!(rig.run(STOP), Ok(()), "{can:?}");
+            rig.turns(20);
+            let (state, sent) = (rig.state(), &rig.drive.powers[before..]);
+            assert_eq!((state, rig.power()), (Cia402::OperationEnabled, Power::EnableOperation), "{can:?}");
+            assert!(sent.iter().all(|power| *power == Power::EnableOperation), "{turns} {lost}: {sent:?}");
+            assert_eq!((rig.drive.point.position, rig.drive.is_moving()), (10.0, false), "{can:?}");
+        }
+    }
+}
+
+#[test]
 fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
     let named = Failure::DriveFault(5);
     for can in kinds() {
@@ -103,6 +123,14 @@ fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
         rig.drive.state = Cia402::ReadyToSwitchOn;
         assert_eq!(rig.finish(), Err(Failure::Inhibited), "{can:?}");
         assert_eq!(rig.power(), Power::SwitchOn, "{can:?}: where it was found");
+
+        // In operation it would come back by itself.
+        let mut rig = Rig::enabled(can);
+        rig.start(Command::Enable);
+        rig.drive.inhibited = true;
+        rig.drive.state = Cia402::SwitchOnDisabled;
+        assert_eq!(rig.finish(), Err(Failure::Inhibited), "{can:?}");
+        assert_eq!(rig.power(), Power::Off, "{can:?}");
 
         let mut rig = Rig::new(can);
         rig.drive.inhibited = true;
@@ -350,6 +378,7 @@ fn a_fault_that_stays_or_follows_a_reset_fails_it_once_its_code_is_known() {
         rig.turn();
         assert_eq!(rig.power(), Power::FaultReset, "{can:?}");
         if persists {
+            rig.turn();
             let since = rig.now;
             assert_eq!((rig.finish(), rig.now.since(since) / MS), (Err(Failure::DriveFault(7)), 501));
             continue;
@@ -362,6 +391,20 @@ fn a_fault_that_stays_or_follows_a_reset_fails_it_once_its_code_is_known() {
         rig.drive.fault.named = true;
         rig.turn();
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(9))), "{can:?}");
+    }
+}
+
+#[test]
+fn the_time_of_a_reset_begins_when_the_drive_has_it() {
+    for can in kinds() {
+        let mut rig = resetting(can, Resettable::Now);
+        rig.drive.persists = true;
+        rig.until("the edge", |rig| rig.power() == Power::FaultReset);
+        (0..1_000).for_each(|_| rig.exchange(Fate::RequestLost));
+        rig.turn();
+        assert_eq!(rig.end(), None, "its first report shows the fault that it is about to clear: {can:?}");
+        let since = rig.now;
+        assert_eq!((rig.finish(), rig.now.since(since) / MS), (Err(Failure::DriveFault(7)), 501), "{can:?}");
     }
 }
 

@@ -108,5 +108,5 @@ fn behind(table: &mut Table<'_>, names: &Names<'_>) -> Option<Behind> {
 fn named(table: &mut Table<'_>, key: &'static str, Names(names): &Names<'_>) -> Option<u16> {
     let known: Vec<&str> = names.iter().map(|(name, _)| *name).collect();
     let hint = format!("the name of a slave of this bus: {}", known.join(", "));
-    table.text(key, &hint, |text| names.iter().find(|(name, _)| *name == text).map(|(_, place)| *place))
+    table.text(key, None, &hint, |text| names.iter().find(|(name, _)| *name == text).map(|(_, place)| *place))
 }

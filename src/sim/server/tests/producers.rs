@@ -28,37 +28,58 @@ fn master(x: u8) -> (UdpSocket, TcpStream) {
     (packets, stream)
 }
 
-#[test]
-fn a_drive_speaks_by_itself_as_long_as_it_is_fed_and_ends_its_connection_by_itself() {
-    let server = start(Producer::new(ip(20, 10)));
-    let (packets, mut stream) = master(20);
-    let mut byte = [0];
+/// Has the connection opened, and the drive speak.
+fn open(stream: &mut TcpStream) {
     stream.write_all(b"O").unwrap();
+    let mut byte = [0];
     stream.read_exact(&mut byte).unwrap();
     assert_eq!(byte, *b"o");
-    // Four times as long as its watchdog: it is fed with each of them.
+}
+
+#[test]
+fn a_drive_speaks_by_itself_and_takes_what_it_is_fed() {
+    let server = start(Producer::new(ip(20, 10)).patient());
+    let (packets, mut stream) = master(20);
+    open(&mut stream);
+    let mut byte = [0];
     for count in 1..=200_u8 {
         let (length, from) = packets.recv_from(&mut byte).unwrap();
         assert_eq!((length, from, byte[0]), (1, Producer::packets(ip(20, 10)).into(), count));
         packets.send_to(&[1], Producer::packets(ip(20, 10))).unwrap();
     }
-    // Not fed any more.
-    assert_eq!(stream.read(&mut byte).unwrap(), 0);
-    packets.set_nonblocking(true).unwrap();
-    while packets.recv(&mut byte).is_ok() {}
-    thread::sleep(Duration::from_millis(20));
-    assert_eq!(packets.recv(&mut byte).unwrap_err().kind(), io::ErrorKind::WouldBlock);
-    // Another socket of it, at the address of the stream.
-    packets.set_nonblocking(false).unwrap();
+    // Another socket of it, at the address of the stream: what it sent by itself meanwhile comes first.
     packets.send_to(&[77], Producer::stream(ip(20, 10))).unwrap();
-    let (_, from) = packets.recv_from(&mut byte).unwrap();
-    assert_eq!((byte[0], from), (77, Producer::stream(ip(20, 10)).into()));
+    until("the answer", || {
+        let (_, from) = packets.recv_from(&mut byte).unwrap();
+        (byte[0], from) == (77, Producer::stream(ip(20, 10)).into())
+    });
+    until("all that it was fed", || {
+        server
+            .stats()
+            .iter()
+            .any(|stats| (stats.address, stats.received) == (Producer::packets(ip(20, 10)), 200))
+    });
     let stats = server.stop();
     let of = |address| stats.iter().filter(move |stats| stats.address == address);
     let packets: Vec<_> = of(Producer::packets(ip(20, 10))).collect();
     assert_eq!((packets.len(), packets[0].received, packets[0].unsent), (1, 200, 0));
     assert!(packets[0].answered >= 200, "{packets:?}");
     assert_eq!(of(Producer::stream(ip(20, 10))).map(|stats| stats.answered).collect::<Vec<_>>(), [1, 1]);
+}
+
+#[test]
+fn one_that_is_not_fed_is_silent_and_ends_its_connection_by_itself() {
+    let server = start(Producer::new(ip(24, 10)));
+    let (packets, mut stream) = master(24);
+    open(&mut stream);
+    assert_eq!(stream.read(&mut [0]).unwrap(), 0);
+    packets.set_nonblocking(true).unwrap();
+    while packets.recv(&mut [0]).is_ok() {}
+    thread::sleep(Duration::from_millis(20));
+    assert_eq!(packets.recv(&mut [0]).unwrap_err().kind(), io::ErrorKind::WouldBlock);
+    let stats = server.stop();
+    let sent = stats.iter().find(|stats| stats.address == Producer::packets(ip(24, 10))).unwrap();
+    assert!((1..=Producer::WATCHDOG_NS / Producer::EVERY_NS + 1).contains(&sent.answered), "{sent:?}");
 }
 
 #[test]

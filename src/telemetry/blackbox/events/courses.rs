@@ -84,7 +84,7 @@ pub fn courses(header: &Header, records: &[Record], events: &[Event], cycles: u6
                 row.monitor =
                     channels.filter_map(|(channel, value)| channel.as_ref().map(|_| value)).collect();
             }
-            Record::Reference(_) | Record::Cycle(_) | Record::Skipped(_) => {}
+            _ => {}
         }
     }
     courses.into_iter().flatten().collect()

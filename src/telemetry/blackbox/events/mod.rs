@@ -79,7 +79,7 @@ pub fn events(header: &Header, records: &[Record]) -> Vec<Event> {
                 news.extend(emergency.map(News::change));
                 (drive.index, axis, news)
             }
-            Record::Monitor(_) => continue,
+            Record::Monitor(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => continue,
             Record::Reference(now) => {
                 let news = steered(header, led.replace(*now).as_ref(), now);
                 (now.index, the_reference, news.into_iter().collect())

@@ -1,7 +1,7 @@
 //! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and
 //! floats are little-endian, so that a file may be read on another machine than its own.
 
-mod record;
+pub(crate) mod record;
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;

@@ -8,10 +8,10 @@ use crate::cycle::record::{
 };
 
 /// Bytes of a record.
-pub(super) const RECORD: usize = 72;
+pub(crate) const RECORD: usize = 72;
 
 /// Appends the bytes of a record.
-pub(super) fn put(record: &Record, bytes: &mut Vec<u8>) {
+pub(crate) fn put(record: &Record, bytes: &mut Vec<u8>) {
     let end = bytes.len() + RECORD;
     // What is written is never refused.
     let _ = pass(&mut record.clone(), &mut Bytes::To(bytes));
@@ -19,7 +19,7 @@ pub(super) fn put(record: &Record, bytes: &mut Vec<u8>) {
 }
 
 /// A record; `None` if a number in it has no meaning here.
-pub(super) fn get(bytes: &[u8], axes: usize) -> Option<Record> {
+pub(crate) fn get(bytes: &[u8], axes: usize) -> Option<Record> {
     let mut record = match bytes.first()? {
         1 => Record::Drive(DriveRecord::default()),
         2 => Record::Cycle(CycleRecord::default()),
@@ -95,6 +95,8 @@ fn pass(record: &mut Record, bytes: &mut Bytes<'_>) -> Option<()> {
             bytes.all(&mut [&mut [0_u8; 6], &mut r.index, &mut error_ns, &mut r.step_ns])?;
             r.error_ns = is_known.then_some(error_ns);
         }
+        // Not kept.
+        Record::Command(_) | Record::Event(_) | Record::Native(_) => return None,
     }
     Some(())
 }

@@ -21,8 +21,10 @@ const CYCLE: Duration = Duration::from_millis(10);
 const CYCLES: usize = 3_000;
 /// So many cycles a speed is held.
 const HELD: usize = 50;
-/// The time of the watchdog of the outputs.
+/// The time of the watchdog of the outputs, 100 us ...
 const WATCHDOG: u16 = 0x0420;
+/// ... and what no busy computer is silent for.
+const PATIENT: u16 = 10_000;
 /// Counts of the velocity setpoint.
 const VELOCITY: i32 = 5_000;
 
@@ -55,9 +57,8 @@ async fn run(master: MainDevice<'static>, drives: usize, what: &str) -> Done<()>
         let identity = slave.identity();
         println!("identity {place} {:#x} {:#x}", identity.vendor_id, identity.product_id);
         println!("clock {place} {:?}", slave.dc_support());
-        if what == "hold-unwatched" {
-            slave.register_write(WATCHDOG, 0_u16).await?;
-        }
+        let watchdog = if what == "hold-unwatched" { 0 } else { PATIENT };
+        slave.register_write(WATCHDOG, watchdog).await?;
         if place == 0 {
             continue;
         }

@@ -10,6 +10,7 @@ use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
 use crate::drive::machine::Machine;
+use crate::inputs::InputLog;
 use crate::sim::ethercat::{Drive, DriveSettings};
 use crate::time::S;
 
@@ -65,7 +66,8 @@ impl Rig {
         let mut settings = DriveSettings::new(plan.family);
         settings.position = 123_456;
         change(&mut settings);
-        let (station, native, _) = Station::new(&plan, PERIOD * u64::from(plan.axis.divisor), 0);
+        let (station, native, _) =
+            Station::new(&plan, PERIOD * u64::from(plan.axis.divisor), 0, &InputLog::default());
         let mut rig = Rig {
             machine: Machine::new(&plan.axis, capabilities(&plan), PERIOD),
             drive: Drive::new(settings),

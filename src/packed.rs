@@ -1,7 +1,7 @@
 //! Structures as words, field by field, for the cells that carry them from the loop to its readers.
 
 /// A value as a fixed number of words.
-pub(crate) trait Part: Copy {
+pub trait Part: Copy {
     /// Their number.
     const WORDS: usize;
     /// Writes them to the begin of `words`.
@@ -10,9 +10,10 @@ pub(crate) trait Part: Copy {
     fn take(words: &[u64]) -> Self;
 }
 
+/// Values of one word.
 macro_rules! word {
     ($($type:ty: $put:expr, $take:expr;)+) => {
-        $(impl Part for $type {
+        $(impl $crate::packed::Part for $type {
             const WORDS: usize = 1;
 
             #[inline]
@@ -31,6 +32,9 @@ macro_rules! word {
 word! {
     u64: u64::from, u64::from;
     u32: u64::from, |word| word as u32;
+    u16: u64::from, |word| word as u16;
+    u8: u64::from, |word| word as u8;
+    i32: |number: i32| u64::from(number.cast_unsigned()), |word| (word as u32).cast_signed();
     bool: u64::from, |word| word != 0;
     i64: i64::cast_unsigned, u64::cast_signed;
     f64: f64::to_bits, f64::from_bits;
@@ -66,6 +70,22 @@ impl<T: Part> Part for Option<T> {
     }
 }
 
+/// Writes bytes to the begin of `words`, eight in each.
+pub(crate) fn put_bytes(bytes: &[u8], words: &mut [u64]) {
+    for (word, bytes) in words.iter_mut().zip(bytes.chunks(size_of::<u64>())) {
+        *word = bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
+    }
+}
+
+/// The bytes that [`put_bytes`] wrote.
+pub(crate) fn take_bytes<const N: usize>(words: &[u64]) -> [u8; N] {
+    let mut bytes = [0; N];
+    for (bytes, word) in bytes.chunks_mut(size_of::<u64>()).zip(words) {
+        bytes.copy_from_slice(&word.to_le_bytes()[..bytes.len()]);
+    }
+    bytes
+}
+
 /// The words of the field that this reads.
 pub(crate) const fn words_of<S, T: Part>(_: fn(&S) -> T) -> usize {
     T::WORDS
@@ -74,20 +94,20 @@ pub(crate) const fn words_of<S, T: Part>(_: fn(&S) -> T) -> usize {
 /// Structures as their fields, one behind the other.
 macro_rules! parts {
     ($($Name:ident { $($field:ident),+ })+) => {
-        $(impl $crate::axis::packed::Part for $Name {
-            const WORDS: usize = 0 $(+ $crate::axis::packed::words_of(|part: &$Name| part.$field))+;
+        $(impl $crate::packed::Part for $Name {
+            const WORDS: usize = 0 $(+ $crate::packed::words_of(|part: &$Name| part.$field))+;
 
             #[inline]
             fn put(&self, words: &mut [u64]) {
-                $(let (part, words) = words.split_at_mut($crate::axis::packed::words_of(|part: &$Name| part.$field));
+                $(let (part, words) = words.split_at_mut($crate::packed::words_of(|part: &$Name| part.$field));
                 self.$field.put(part);)+
                 let _ = words;
             }
 
             #[inline]
             fn take(words: &[u64]) -> $Name {
-                $(let (part, words) = words.split_at($crate::axis::packed::words_of(|part: &$Name| part.$field));
-                let $field = $crate::axis::packed::Part::take(part);)+
+                $(let (part, words) = words.split_at($crate::packed::words_of(|part: &$Name| part.$field));
+                let $field = $crate::packed::Part::take(part);)+
                 let _ = words;
                 $Name { $($field),+ }
             }
@@ -99,20 +119,20 @@ macro_rules! parts {
 macro_rules! packed {
     ($($Type:ty),+) => {
         $(impl $crate::axis::cell::Packed for $Type {
-            type Words = [u64; <$Type as $crate::axis::packed::Part>::WORDS];
+            type Words = [u64; <$Type as $crate::packed::Part>::WORDS];
 
             #[inline]
             fn pack(&self) -> Self::Words {
-                let mut words = [0; <$Type as $crate::axis::packed::Part>::WORDS];
-                $crate::axis::packed::Part::put(self, &mut words);
+                let mut words = [0; <$Type as $crate::packed::Part>::WORDS];
+                $crate::packed::Part::put(self, &mut words);
                 words
             }
 
             fn unpack(words: &Self::Words) -> $Type {
-                $crate::axis::packed::Part::take(words)
+                $crate::packed::Part::take(words)
             }
         })+
     };
 }
 
-pub(crate) use {packed, parts};
+pub(crate) use {packed, parts, word};

@@ -1,10 +1,11 @@
-//! The thread that empties the loop's ring: into histograms, the time line, the search for causes, and the black box.
+//! The thread that empties the loop's ring: into histograms, the time line, the search for causes, the black box, and
+//! the queues of further readers.
 
 use std::collections::VecDeque;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -13,10 +14,15 @@ use rtrb::Consumer;
 
 use super::causes::Causes;
 use super::histograms::Histograms;
+use super::motion::Motion;
+#[cfg(feature = "report")]
+use super::parts::Parts;
+use super::sink::{Feed, Recorded, Request, SinkThread};
+use super::tap::Taps;
 use super::timeline::Timeline;
-use crate::axis::{Emergency, StopCause};
+use crate::axis::{Emergency, StopCause, Units};
 use crate::cycle::record::Record;
-use crate::cycle::status::Numbers;
+use crate::cycle::status::{Numbers, Status};
 use crate::cycle::{CyclePlan, Plan};
 use crate::rt::Granted;
 use crate::rt::watch::ThreadWatch;
@@ -48,12 +54,19 @@ pub struct Measured {
     pub histograms: Histograms,
     /// The largest values over time.
     pub timeline: Timeline,
+    /// How the axes moved.
+    pub motion: Motion,
+    /// The histograms, part by part.
+    #[cfg(feature = "report")]
+    pub(crate) parts: Parts,
     /// Why cycles were late.
     pub causes: Causes,
     /// The newest emergencies of the drives, in their order.
     pub emergencies: VecDeque<DriveEmergency>,
     /// The files that the black box was written to, or could not be.
     pub black_boxes: Vec<Written>,
+    /// What was recorded, once the run has ended.
+    pub recordings: Vec<Recorded>,
     /// What failed of the program itself, each once.
     pub failures: Vec<Failure>,
     /// How many that were, those that made room for newer ones included.
@@ -89,15 +102,19 @@ pub struct DriveEmergency {
 }
 
 impl Measured {
-    /// Nothing yet, of so many axes in this cycle, with an in-loop task or none.
+    /// Nothing yet, of axes with these units in this cycle, with an in-loop task or none.
     #[doc(hidden)]
-    pub fn new(axes: usize, cycle: &CyclePlan, task: bool) -> Measured {
+    pub fn new(units: &[Units], cycle: &CyclePlan, task: bool) -> Measured {
         Measured {
-            histograms: Histograms::new(axes),
+            histograms: Histograms::new(units.len()),
             timeline: Timeline::default(),
+            motion: Motion::new(units),
+            #[cfg(feature = "report")]
+            parts: Parts::default(),
             causes: Causes::new(cycle, task),
             emergencies: VecDeque::new(),
             black_boxes: Vec::new(),
+            recordings: Vec::new(),
             failures: Vec::new(),
             files: 0,
             period_ns: cycle.period_ns,
@@ -110,7 +127,12 @@ impl Measured {
         self.histograms.enter(record, self.period_ns);
         self.timeline.enter(record);
         self.causes.record(record);
+        #[cfg(feature = "report")]
+        if let Record::Cycle(cycle) = record {
+            self.parts.look(cycle.index, &self.histograms);
+        }
         let Record::Drive(drive) = record else { return };
+        self.motion.enter(drive);
         if let Some(emergency) = drive.emergency() {
             self.note(drive.index, drive.axis.into(), emergency);
         }
@@ -219,19 +241,29 @@ impl fmt::Display for Written {
 
 /// What the thread fills, for any number of readers.
 #[derive(Debug)]
-pub struct Recording {
+pub struct Gathered {
     measured: Mutex<Measured>,
+    taps: Taps,
     end: AtomicBool,
-    black_box: AtomicBool,
+    black_box: Request,
+    /// A recording of what is newest is to be written.
+    record: Request,
+    /// Records that found no room in the ring, once the run has ended.
+    lost: AtomicU64,
     /// Why the run ended, if the program itself failed.
     conclusion: Mutex<Option<String>>,
 }
 
-impl Recording {
+impl Gathered {
     /// What was measured so far. The telemetry waits meanwhile, the loop does not.
     pub fn read(&self) -> MutexGuard<'_, Measured> {
         // A poisoned lock only means that a reader panicked; the numbers are whole.
         self.measured.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Further readers of the records.
+    pub fn taps(&self) -> &Taps {
+        &self.taps
     }
 
     /// Notes that a part of the program failed; `fails_run`: axes were stopped by it, or data was lost.
@@ -239,38 +271,55 @@ impl Recording {
         self.read().failed(what, fails_run);
     }
 
-    /// Asks for the black box to be written.
+    /// Asks for the black box to be written, and for what a recording holds in memory.
     pub fn write_black_box(&self) {
-        self.black_box.store(true, Ordering::Release);
+        self.black_box.make();
+        self.record.make();
+    }
+
+    /// Records that found no room in the ring, once the run has ended.
+    pub(super) fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    /// The same of the recording, once.
+    pub(super) fn take_record_request(&self) -> bool {
+        self.record.take()
     }
 }
 
 /// The thread.
 #[derive(Debug)]
-pub struct Recorder {
-    recording: Arc<Recording>,
+pub struct TelemetryThread {
+    gathered: Arc<Gathered>,
     thread: Option<JoinHandle<()>>,
+    sink: Option<SinkThread>,
 }
 
-impl Recorder {
-    /// Starts to empty `ring`. `prepare` runs first on the new thread (to keep it off the loop's core).
+impl TelemetryThread {
+    /// Starts to empty `ring` for all `taps`: one that is added later misses the first records. `prepare` runs first on
+    /// the new thread (to keep it off the loop's core).
     pub fn start(
         mut ring: Consumer<Record>,
         measured: Measured,
+        taps: Taps,
         mut watch: Option<ThreadWatch>,
         mut black_box: Option<Box<dyn Keep>>,
         prepare: impl FnOnce() + Send + 'static,
-    ) -> std::io::Result<Recorder> {
-        let recording = Arc::new(Recording {
+    ) -> std::io::Result<TelemetryThread> {
+        let gathered = Arc::new(Gathered {
             measured: Mutex::new(measured),
+            taps,
             end: AtomicBool::new(false),
-            black_box: AtomicBool::new(false),
+            black_box: Request::default(),
+            record: Request::default(),
+            lost: AtomicU64::new(0),
             conclusion: Mutex::default(),
         });
-        let shared = Arc::clone(&recording);
+        let shared = Arc::clone(&gathered);
         let thread = std::thread::Builder::new().name("fb-telemetry".into()).spawn(move || {
             prepare();
-            let recording = Arc::clone(&shared);
+            let gathered = Arc::clone(&shared);
             let work = move || {
             let mut late_at = None;
             let mut look = || {
@@ -289,6 +338,7 @@ impl Recorder {
             loop {
                 // Looked at before the ring is emptied, so that the last records are taken too.
                 let last = shared.end.load(Ordering::Acquire);
+                let mut batch = (!shared.taps.is_empty()).then(Vec::new);
                 {
                     let mut measured = shared.read();
                     while let Ok(record) = ring.pop() {
@@ -296,11 +346,15 @@ impl Recorder {
                         if let Some(black_box) = &mut black_box {
                             black_box.enter(&record);
                         }
+                        if let Some(batch) = &mut batch {
+                            batch.push(record);
+                        }
                     }
                 }
+                shared.taps.hand(batch.unwrap_or_default());
                 let wait = look();
                 if let Some(black_box) = &mut black_box {
-                    if shared.black_box.swap(false, Ordering::AcqRel) {
+                    if shared.black_box.take() {
                         black_box.request();
                     }
                     if let Some(why) = shared.conclusion.lock().unwrap_or_else(PoisonError::into_inner).take() {
@@ -320,15 +374,17 @@ impl Recorder {
                 std::thread::park_timeout(wait);
             }
             };
-            if catch_unwind(AssertUnwindSafe(work)).is_err() {
-                recording.failed(
-                    "internal error: the telemetry panicked; histograms, causes of late cycles and black box end \
-                     there; please report it",
+            let ended = catch_unwind(AssertUnwindSafe(work));
+            if ended.is_err() {
+                gathered.taps.end();
+                gathered.failed(
+                    "internal error: the telemetry panicked; histograms, causes of late cycles, black box and \
+                     recording end there; please report it",
                     true,
                 );
             }
         })?;
-        Ok(Recorder { recording, thread: Some(thread) })
+        Ok(TelemetryThread { gathered, thread: Some(thread), sink: None })
     }
 
     /// Room that the ring needs for cycles of so many records.
@@ -337,26 +393,44 @@ impl Recorder {
         cycles.saturating_mul(records_a_cycle).min(MOST_RECORDS)
     }
 
-    /// What it fills.
-    pub fn recording(&self) -> &Arc<Recording> {
-        &self.recording
+    /// It feeds a sink, which has begun.
+    pub fn feed(
+        mut self,
+        feed: Option<Feed>,
+        prepare: impl FnOnce() + Send + 'static,
+    ) -> std::io::Result<TelemetryThread> {
+        if let Some(Feed { path, sink, tap }) = feed {
+            self.sink = Some(SinkThread::start(sink, path, tap, Arc::clone(&self.gathered), prepare)?);
+        }
+        Ok(self)
     }
 
-    /// Takes the last records and ends the thread. `late` is the loop's own count of late cycles, `failed` why the loop
-    /// ended if it failed itself.
-    pub fn finish(&mut self, late: u64, failed: Option<String>) -> Measured {
+    /// What it fills.
+    pub fn gathered(&self) -> &Arc<Gathered> {
+        &self.gathered
+    }
+
+    /// Takes the last records and ends the thread. `status` has the loop's own counts, `failed` why the loop ended if
+    /// it failed itself.
+    pub fn finish(&mut self, status: &Status, failed: Option<String>) -> Measured {
         if let Some(why) = &failed {
-            self.recording.failed(why, true);
+            self.gathered.failed(why, true);
         }
-        *self.recording.conclusion.lock().unwrap_or_else(PoisonError::into_inner) = failed;
+        *self.gathered.conclusion.lock().unwrap_or_else(PoisonError::into_inner) = failed;
         self.end();
-        let mut measured = self.recording.read();
-        measured.causes.finish(late);
+        self.gathered.read().causes.finish(status.late);
+        self.gathered.lost.store(status.lost_records, Ordering::Relaxed);
+        // Its last records, and the causes that became known only now, are written before the numbers are taken.
+        self.gathered.taps.end();
+        let recorded = self.sink.take().map(SinkThread::finish).unwrap_or_default();
+        recorded.iter().filter_map(Recorded::failure).for_each(|what| self.gathered.failed(&what, true));
+        let mut measured = self.gathered.read();
+        measured.recordings = recorded;
         measured.clone()
     }
 
     fn end(&mut self) {
-        self.recording.end.store(true, Ordering::Release);
+        self.gathered.end.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
             let _ = thread.join();
@@ -364,9 +438,11 @@ impl Recorder {
     }
 }
 
-impl Drop for Recorder {
+impl Drop for TelemetryThread {
     fn drop(&mut self) {
         self.end();
+        self.gathered.taps.end();
+        self.sink.take().map(SinkThread::finish);
     }
 }
 
@@ -377,7 +453,7 @@ mod tests {
 
     #[test]
     fn the_newest_emergencies_are_kept_and_all_are_numbered() {
-        let mut measured = Measured::new(2, &CyclePlan::default(), false);
+        let mut measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
         for index in 0..100 {
             let one = Emergency { code: index as u16, register: 1 };
             let emergency = (index % 10 != 9).then_some(one.into());
@@ -415,10 +491,12 @@ mod tests {
     #[test]
     fn a_telemetry_thread_that_panics_is_a_failure_of_the_run_and_holds_up_no_end() {
         let (mut records, ring) = rtrb::RingBuffer::new(4);
-        let measured = Measured::new(1, &CyclePlan::default(), false);
-        let mut recorder = Recorder::start(ring, measured, None, Some(Box::new(Panics)), || {}).unwrap();
+        let measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
+        let mut telemetry =
+            TelemetryThread::start(ring, measured, Taps::default(), None, Some(Box::new(Panics)), || {})
+                .unwrap();
         records.push(Record::Drive(DriveRecord::default())).unwrap();
-        let measured = recorder.finish(0, Some("the loop panicked".to_owned()));
+        let measured = telemetry.finish(&Status::default(), Some("the loop panicked".to_owned()));
         let [first, second] = &measured.failures[..] else { panic!("{:?}", measured.failures) };
         let mut both = [first, second].map(|failure| (failure.fails_run, &*failure.what));
         both.sort();
@@ -428,7 +506,7 @@ mod tests {
 
     #[test]
     fn the_end_of_the_link_thread_is_reported_once() {
-        let mut measured = Measured::new(1, &CyclePlan::default(), false);
+        let mut measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
         for index in 0..3 {
             let stopped = Some(StopCause::LinkThread);
             measured.enter(&Record::Drive(DriveRecord { index, stopped, ..DriveRecord::default() }));
@@ -438,10 +516,10 @@ mod tests {
 
     #[test]
     fn the_ring_holds_a_second_within_bounded_memory() {
-        assert_eq!(Recorder::ring_size(9, MS), 9_000);
-        assert_eq!(Recorder::ring_size(4, 250_000), 16_000);
-        assert_eq!(Recorder::ring_size(2, 10 * S), 32);
-        assert_eq!(Recorder::ring_size(1_000, 100_000), 1 << 18);
-        assert_eq!(Recorder::ring_size(usize::MAX, 0), 1 << 18);
+        assert_eq!(TelemetryThread::ring_size(9, MS), 9_000);
+        assert_eq!(TelemetryThread::ring_size(4, 250_000), 16_000);
+        assert_eq!(TelemetryThread::ring_size(2, 10 * S), 32);
+        assert_eq!(TelemetryThread::ring_size(1_000, 100_000), 1 << 18);
+        assert_eq!(TelemetryThread::ring_size(usize::MAX, 0), 1 << 18);
     }
 }

@@ -1,0 +1,246 @@
+//! Whether a key is held, as far as a terminal reports it.
+//!
+//! A terminal with the keyboard protocol of kitty reports that a key goes down, repeats and goes up. Any other reports
+//! only that it was pressed: one that is held shows itself by presses that follow each other as fast as the keyboard
+//! repeats. There the key counts as held from its second repeat on, which has to come faster than fingers press, and as
+//! let go when the next repeat does not come.
+//!
+//! Whatever ended a hold, the key has to be let go before it can be held again: repeats that go on, or arrive in a
+//! burst after the connection to the terminal has hung, hold nothing.
+
+use std::time::Duration;
+
+/// A key that does not repeat for so long was let go. The slowest usual keyboards repeat every 92 ms.
+pub const GAP: Duration = Duration::from_millis(200);
+
+/// The second repeat of a key follows the first one within this time. Fingers are slower.
+const REPEAT: Duration = Duration::from_millis(110);
+
+/// The first repeat of a key comes within these times of its press: keyboards wait for 0.25 s to 1 s.
+const FIRST: std::ops::RangeInclusive<Duration> = Duration::from_millis(200)..=Duration::from_millis(1_200);
+
+/// A key that was let go does not come for so long.
+const PAUSE: Duration = Duration::from_millis(300);
+
+/// Forward or back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// Towards higher positions.
+    Forward,
+    /// Towards lower positions.
+    Back,
+}
+
+/// What the terminal reports of a run key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stroke {
+    /// It went down; or it repeats, where the terminal does not report that.
+    Down,
+    /// It repeats.
+    Repeat,
+    /// It went up.
+    Up,
+}
+
+/// The run keys.
+#[derive(Debug)]
+pub struct Hold {
+    /// The terminal reports repeats and releases.
+    has_releases: bool,
+    phase: Phase,
+}
+
+/// Times count from any begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// No key is down.
+    Up,
+    /// One was pressed.
+    Pressed { way: Way, at: Duration },
+    /// It has repeated once.
+    Repeated { way: Way, at: Duration },
+    /// It is held, up to this time unless it repeats.
+    Held { way: Way, until: Duration },
+    /// It has to be let go first; the last report of it.
+    Spent { at: Duration },
+}
+
+impl Hold {
+    /// No key is down.
+    pub fn new(has_releases: bool) -> Hold {
+        Hold { has_releases, phase: Phase::Up }
+    }
+
+    /// Whether the terminal reports releases.
+    pub fn has_releases(&self) -> bool {
+        self.has_releases
+    }
+
+    /// The terminal reports this of a run key.
+    pub fn stroke(&mut self, now: Duration, way: Way, stroke: Stroke) {
+        self.held(now);
+        self.phase =
+            if self.has_releases { self.exactly(now, way, stroke) } else { self.by_repeats(now, way) };
+    }
+
+    fn exactly(&self, now: Duration, way: Way, stroke: Stroke) -> Phase {
+        match (stroke, self.phase) {
+            (Stroke::Up, Phase::Held { way: held, .. }) if held != way => Phase::Spent { at: now },
+            (Stroke::Up, _) => Phase::Up,
+            // The other key as well.
+            (Stroke::Down, Phase::Held { .. }) => Phase::Spent { at: now },
+            (Stroke::Down, _) => Phase::Held { way, until: now + *FIRST.end() },
+            (Stroke::Repeat, Phase::Held { way: held, .. }) if held == way => {
+                Phase::Held { way, until: now + GAP }
+            }
+            (Stroke::Repeat, _) => Phase::Spent { at: now },
+        }
+    }
+
+    fn by_repeats(&self, now: Duration, way: Way) -> Phase {
+        let since = |at: Duration| now.saturating_sub(at);
+        match self.phase {
+            Phase::Up => Phase::Pressed { way, at: now },
+            Phase::Pressed { way: before, at } if before == way && FIRST.contains(&since(at)) => {
+                Phase::Repeated { way, at: now }
+            }
+            // Sooner than any keyboard repeats: one that does so already, or a burst.
+            Phase::Pressed { at, .. } if since(at) < *FIRST.start() => Phase::Spent { at: now },
+            Phase::Pressed { .. } => Phase::Pressed { way, at: now },
+            Phase::Repeated { way: before, at } if before == way && since(at) <= REPEAT && now > at => {
+                Phase::Held { way, until: now + GAP }
+            }
+            // A press like the first one.
+            Phase::Repeated { way: before, at } if before == way && since(at) > REPEAT => {
+                Phase::Repeated { way, at: now }
+            }
+            Phase::Held { way: before, .. } if before == way => Phase::Held { way, until: now + GAP },
+            Phase::Spent { at } if since(at) > PAUSE => Phase::Pressed { way, at: now },
+            Phase::Repeated { .. } | Phase::Held { .. } | Phase::Spent { .. } => Phase::Spent { at: now },
+        }
+    }
+
+    /// Whatever is held does not count any more, before it was let go.
+    pub fn end(&mut self, now: Duration) {
+        if self.phase != Phase::Up {
+            self.phase = Phase::Spent { at: now };
+        }
+    }
+
+    /// The way of the key that is held now.
+    pub fn held(&mut self, now: Duration) -> Option<Way> {
+        match self.phase {
+            Phase::Held { way, until } if now <= until => Some(way),
+            Phase::Held { until, .. } => {
+                self.phase = Phase::Spent { at: until.saturating_sub(GAP) };
+                None
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// What counts as held right after each of these presses, of a terminal that reports nothing else.
+    fn presses(at: &[u64]) -> Vec<bool> {
+        let mut hold = Hold::new(false);
+        let press = |at: &u64| {
+            hold.stroke(ms(*at), Way::Forward, Stroke::Down);
+            hold.held(ms(*at)).is_some()
+        };
+        at.iter().map(press).collect()
+    }
+
+    #[test]
+    fn a_key_is_held_from_its_second_repeat_on() {
+        assert_eq!(presses(&[0, 500, 533, 566]), [false, false, true, true]);
+        assert_eq!(presses(&[0, 250, 342, 434]), [false, false, true, true]);
+        // Let go, and pressed again.
+        assert_eq!(presses(&[0, 500, 533, 1_000, 1_500, 1_533]), [false, false, true, false, false, true]);
+    }
+
+    #[test]
+    fn single_presses_and_bursts_hold_nothing() {
+        for at in [
+            &[0, 300, 600, 900, 1_200, 1_500][..],
+            &[0, 2_000, 4_000, 6_000],
+            // Fingers in haste.
+            &[0, 120, 240, 360, 480, 600],
+            &[0, 150, 300, 450, 600, 750],
+            &[0, 210, 330, 450, 570, 690],
+            &[0, 0, 0, 0, 0, 0],
+            &[0, 5, 10, 15, 20, 25],
+            // After a key that was held, and a connection that hung for a second.
+            &[0, 33, 66, 1_000, 1_001, 1_002, 1_003],
+        ] {
+            assert!(!presses(at).contains(&true), "{at:?}");
+        }
+        // Repeats that hang for longer than the gap end it, although they go on.
+        let held = presses(&[0, 500, 533, 800, 833, 866, 899, 932]);
+        assert_eq!(held, [false, false, true, false, false, false, false, false]);
+    }
+
+    #[test]
+    fn what_ended_a_hold_has_to_be_let_go() {
+        for has_releases in [false, true] {
+            let mut hold = Hold::new(has_releases);
+            let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
+            hold.stroke(ms(0), Way::Back, Stroke::Down);
+            assert_eq!(hold.held(ms(0)).is_some(), has_releases);
+            for at in [500, 530, 560] {
+                hold.stroke(ms(at), Way::Back, repeat);
+            }
+            assert_eq!(hold.held(ms(600)), Some(Way::Back));
+            hold.end(ms(600));
+            for at in (610..3_000).step_by(30) {
+                hold.stroke(ms(at), Way::Back, repeat);
+                assert_eq!(hold.held(ms(at)), None, "{has_releases} {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_other_key_ends_a_hold_and_so_do_both() {
+        for has_releases in [false, true] {
+            let mut hold = Hold::new(has_releases);
+            let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
+            hold.stroke(ms(0), Way::Back, Stroke::Down);
+            for at in [500, 530, 560] {
+                hold.stroke(ms(at), Way::Back, repeat);
+            }
+            hold.stroke(ms(570), Way::Forward, Stroke::Down);
+            assert_eq!(hold.held(ms(570)), None);
+            for at in (600..1_000).step_by(30) {
+                hold.stroke(ms(at), Way::Forward, repeat);
+                hold.stroke(ms(at + 10), Way::Back, repeat);
+                assert_eq!(hold.held(ms(at + 10)), None, "{has_releases} {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn with_releases_it_begins_at_once_and_a_lost_release_ends_it_too() {
+        let mut hold = Hold::new(true);
+        hold.stroke(ms(0), Way::Forward, Stroke::Down);
+        assert_eq!(hold.held(ms(1_200)), Some(Way::Forward));
+        assert_eq!(hold.held(ms(1_201)), None, "it never repeats");
+        hold.stroke(ms(1_300), Way::Forward, Stroke::Repeat);
+        assert_eq!(hold.held(ms(1_300)), None);
+        hold.stroke(ms(1_400), Way::Forward, Stroke::Up);
+        hold.stroke(ms(1_500), Way::Forward, Stroke::Down);
+        hold.stroke(ms(2_000), Way::Forward, Stroke::Repeat);
+        assert_eq!(hold.held(ms(2_200)), Some(Way::Forward));
+        assert_eq!(hold.held(ms(2_201)), None, "it repeats no more");
+        hold.stroke(ms(2_300), Way::Forward, Stroke::Up);
+        hold.stroke(ms(2_400), Way::Forward, Stroke::Down);
+        hold.stroke(ms(2_420), Way::Forward, Stroke::Up);
+        assert_eq!(hold.held(ms(2_420)), None);
+    }
+}

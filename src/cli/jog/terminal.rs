@@ -1,0 +1,140 @@
+//! The terminal of the panel: taken over, and given back whatever happens.
+
+use std::io::{self, IsTerminal, Stdout, stdin, stdout};
+use std::mem::ManuallyDrop;
+use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::Receiver;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::termios::{FlushArg, tcflush};
+use ratatui::Terminal as Screen;
+use ratatui::backend::CrosstermBackend;
+use ratatui::crossterm::event::{
+    self, DisableBracketedPaste, DisableFocusChange, EnableBracketedPaste, EnableFocusChange, Event,
+    KeyboardEnhancementFlags, PopKeyboardEnhancementFlags, PushKeyboardEnhancementFlags,
+};
+use ratatui::crossterm::execute;
+use ratatui::crossterm::terminal::{
+    EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
+    supports_keyboard_enhancement,
+};
+
+use super::Stop;
+
+/// The terminal is the panel's.
+static IS_TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// Events that wait to be looked at.
+const MOST_EVENTS: usize = 1_024;
+
+/// Refuses to run without one.
+pub fn require() -> Result<(), Stop> {
+    if stdin().is_terminal() && stdout().is_terminal() {
+        return Ok(());
+    }
+    Err(Stop::usage("jog needs a terminal for its keys and its screen: run it in one, without a pipe"))
+}
+
+/// The terminal while the panel has it.
+pub struct Terminal {
+    /// What is drawn on. Never dropped: it would complain on a standard error that is gone, which is a panic.
+    pub screen: ManuallyDrop<Screen<CrosstermBackend<Stdout>>>,
+    /// It reports that keys go up.
+    pub has_releases: bool,
+    /// What it reports, each with when it was read.
+    pub events: Receiver<(Instant, Event)>,
+    _taken: Taken,
+}
+
+impl Terminal {
+    /// Takes it over.
+    pub fn take() -> Result<Terminal, Stop> {
+        if !stdin().is_terminal() || !stdout().is_terminal() {
+            return Err(Stop::usage(
+                "jog needs a terminal for keys and screen: run it in one, without a pipe",
+            ));
+        }
+        let failed =
+            |error: io::Error| Stop::failed(format!("cannot set up the terminal: {error}; try another one"));
+        give_back_on_panic();
+        IS_TAKEN.store(true, Ordering::SeqCst);
+        let taken = Taken;
+        enable_raw_mode().map_err(failed)?;
+        // What was typed before the panel was there is not meant for it.
+        tcflush(stdin(), FlushArg::TCIFLUSH).map_err(|error| failed(error.into()))?;
+        // Which keys are down, if it can tell.
+        let has_releases = supports_keyboard_enhancement().unwrap_or(false);
+        execute!(stdout(), EnterAlternateScreen, EnableFocusChange, EnableBracketedPaste).map_err(failed)?;
+        if has_releases {
+            let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES
+                | KeyboardEnhancementFlags::REPORT_EVENT_TYPES;
+            execute!(stdout(), PushKeyboardEnhancementFlags(flags)).map_err(failed)?;
+        }
+        let screen = ManuallyDrop::new(Screen::new(CrosstermBackend::new(stdout())).map_err(failed)?);
+        let events = read().map_err(failed)?;
+        Ok(Terminal { screen, has_releases, events, _taken: taken })
+    }
+
+    /// Whether somebody may still be at its other end.
+    pub fn is_there(&self) -> bool {
+        let input = stdin();
+        let mut looked = [PollFd::new(input.as_fd(), PollFlags::empty())];
+        let broken = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
+        let found = poll(&mut looked, PollTimeout::ZERO);
+        found.is_ok() && !looked[0].revents().is_some_and(|events| events.intersects(broken))
+    }
+}
+
+/// Gives the terminal back when it is dropped.
+struct Taken;
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        give_back();
+    }
+}
+
+/// As it was before. What fails, fails because it is gone.
+fn give_back() {
+    if IS_TAKEN.swap(false, Ordering::SeqCst) {
+        // A terminal that does not know the first one ignores it.
+        let _ = execute!(stdout(), PopKeyboardEnhancementFlags);
+        let _ = execute!(stdout(), DisableBracketedPaste, DisableFocusChange, LeaveAlternateScreen);
+        let _ = execute!(stdout(), ratatui::crossterm::cursor::Show);
+        let _ = disable_raw_mode();
+    }
+}
+
+/// The message of a panic is to be read.
+fn give_back_on_panic() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        // Those of other threads end no panel.
+        if std::thread::current().name() == Some("main") {
+            give_back();
+        }
+        before(panic);
+    }));
+}
+
+/// Reads on a thread of its own, so that a terminal that hangs holds nothing up. It ends with the process: a read that
+/// has begun cannot be ended.
+fn read() -> io::Result<Receiver<(Instant, Event)>> {
+    let (tell, events) = crossbeam_channel::bounded(MOST_EVENTS);
+    std::thread::Builder::new().name("fb-keys".into()).spawn(move || {
+        while let Ok(event) = event::read() {
+            // With no room the panel hangs, and what was typed meanwhile counts for nothing.
+            if let Err(crossbeam_channel::TrySendError::Disconnected(_)) =
+                tell.try_send((Instant::now(), event))
+            {
+                break;
+            }
+        }
+    })?;
+    Ok(events)
+}
+
+/// How long the panel waits for an event.
+pub const LOOK_EVERY: Duration = Duration::from_millis(10);

@@ -1,0 +1,132 @@
+//! Further readers of the loop's records: a recording, a display. Each has its own bounded queue, which the telemetry
+//! thread fills and never waits for.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+
+use crate::cycle::record::Record;
+
+/// The records of some cycles, in their order, shared by all readers.
+pub type Batch = Arc<[Record]>;
+
+/// The readers of one machine.
+#[derive(Clone, Debug, Default)]
+pub struct Taps(Arc<Mutex<Vec<Outlet>>>);
+
+/// The telemetry thread's end of one reader.
+#[derive(Debug)]
+struct Outlet {
+    batches: Sender<Batch>,
+    lost: Arc<AtomicU64>,
+}
+
+/// One reader's end. It gets each record from its begin on; dropping it ends that.
+#[derive(Debug)]
+pub struct Tap {
+    batches: Receiver<Batch>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Taps {
+    /// One more reader, with room for so many batches; the telemetry thread makes one each 20 ms or sooner.
+    pub fn add(&self, room: usize) -> Tap {
+        let (sender, batches) = bounded(room);
+        let lost = Arc::new(AtomicU64::new(0));
+        self.outlets().push(Outlet { batches: sender, lost: Arc::clone(&lost) });
+        Tap { batches, lost }
+    }
+
+    /// Whether nobody reads.
+    pub fn is_empty(&self) -> bool {
+        self.outlets().is_empty()
+    }
+
+    /// Hands these records to every reader. One without room loses them all, and knows how many.
+    pub fn hand(&self, records: Vec<Record>) {
+        if records.is_empty() {
+            return;
+        }
+        let batch: Batch = records.into();
+        self.outlets().retain(|outlet| match outlet.batches.try_send(Arc::clone(&batch)) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_)) => {
+                outlet.lost.fetch_add(batch.len() as u64, Ordering::Relaxed);
+                true
+            }
+            Err(TrySendError::Disconnected(_)) => false,
+        });
+    }
+
+    /// There are no more records: the end of its queue shows it to each reader.
+    pub fn end(&self) {
+        self.outlets().clear();
+    }
+
+    fn outlets(&self) -> std::sync::MutexGuard<'_, Vec<Outlet>> {
+        // A poisoned lock only means that somebody panicked between two whole steps.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Why there is no batch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoBatch {
+    /// None came within the time.
+    Yet,
+    /// The machine has ended, and all were taken.
+    AnyMore,
+}
+
+impl Tap {
+    /// The next records, waiting at most `limit` for them.
+    pub fn next(&self, limit: Duration) -> Result<Batch, NoBatch> {
+        self.batches.recv_timeout(limit).map_err(|error| match error {
+            RecvTimeoutError::Timeout => NoBatch::Yet,
+            RecvTimeoutError::Disconnected => NoBatch::AnyMore,
+        })
+    }
+
+    /// How many records were lost so far, since this reader was too slow.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cycle::record::CycleRecord;
+
+    fn record(index: u64) -> Record {
+        Record::Cycle(CycleRecord { index, ..CycleRecord::default() })
+    }
+
+    fn indices(batch: &[Record]) -> Vec<u64> {
+        batch.iter().map(Record::index).collect()
+    }
+
+    #[test]
+    fn every_reader_gets_all_records_in_order_and_a_slow_one_counts_what_it_lost() {
+        let taps = Taps::default();
+        assert!(taps.is_empty());
+        let (quick, slow) = (taps.add(8), taps.add(1));
+        assert!(!taps.is_empty());
+        for first in [1, 3, 5] {
+            taps.hand(vec![record(first), record(first + 1)]);
+        }
+        taps.hand(Vec::new());
+        let taken: Vec<_> = (0..3).flat_map(|_| indices(&quick.next(Duration::ZERO).unwrap())).collect();
+        assert_eq!(taken, [1, 2, 3, 4, 5, 6]);
+        assert_eq!((quick.lost(), quick.next(Duration::ZERO).unwrap_err()), (0, NoBatch::Yet));
+        assert_eq!((indices(&slow.next(Duration::ZERO).unwrap()), slow.lost()), (vec![1, 2], 4));
+        drop(slow);
+        taps.hand(vec![record(7)]);
+        taps.end();
+        assert_eq!(indices(&quick.next(Duration::ZERO).unwrap()), [7]);
+        assert_eq!(quick.next(Duration::ZERO).unwrap_err(), NoBatch::AnyMore);
+        assert!(taps.is_empty());
+    }
+}

@@ -1,0 +1,372 @@
+//! The panel as a person uses it, in a pseudo-terminal: keys that are held as a terminal reports them, and all the ways
+//! to go away from one in mid-motion.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::{AsFd, AsRawFd, FromRawFd};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::{JoinHandle, sleep};
+use std::time::Duration;
+
+use fieldbeat::internals::control::Operator;
+use nix::poll::{PollFd, PollFlags, poll};
+
+use super::operate::{SPEED, assert_rest, await_axis, config, is_left, moves, online, seen, socket_of};
+use super::support::{LONG, Machine, PROGRAM, directories_of, until};
+use super::{ask, master, serve};
+
+/// The right arrow key, as a terminal sends it.
+const RIGHT: &[u8] = b"\x1b[C";
+
+/// A panel in a terminal of its own.
+struct Panel {
+    child: Child,
+    /// The other end of its terminal.
+    end: Option<File>,
+    /// The reader of that end lets it go.
+    hangs_up: Arc<AtomicBool>,
+    reader: Option<JoinHandle<()>>,
+    text: Arc<Mutex<String>>,
+}
+
+impl Panel {
+    /// `fieldbeat jog CONFIG REST` in a terminal of 80x24, which is its controlling one.
+    fn start(config: &Path, rest: &[&str]) -> Panel {
+        let mut name = [0; 64];
+        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
+        // zero at their end, and reads a live value.
+        let (end, path) = unsafe {
+            let end = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
+            let end = File::from_raw_fd(end);
+            assert_eq!((libc::grantpt(end.as_raw_fd()), libc::unlockpt(end.as_raw_fd())), (0, 0));
+            assert_eq!(libc::ptsname_r(end.as_raw_fd(), name.as_mut_ptr(), name.len()), 0);
+            let size = libc::winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
+            assert_eq!(libc::ioctl(end.as_raw_fd(), libc::TIOCSWINSZ, &raw const size), 0);
+            (end, std::ffi::CStr::from_ptr(name.as_ptr()).to_str().unwrap().to_owned())
+        };
+        let open = || File::options().read(true).write(true).open(&path).unwrap();
+        let mut command = Command::new(PROGRAM);
+        command.arg("jog").arg(config).args(rest).env("TERM", "xterm-256color");
+        command.stdin(open()).stdout(open()).stderr(open());
+        directories_of(&mut command, nix::unistd::geteuid().as_raw());
+        // SAFETY: between fork and exec only system calls, which are async-signal-safe.
+        unsafe {
+            command.pre_exec(|| {
+                libc::signal(libc::SIGHUP, libc::SIG_DFL);
+                libc::setsid();
+                libc::ioctl(0, libc::TIOCSCTTY, 0);
+                Ok(())
+            });
+        }
+        let child = command.spawn().unwrap();
+        drop(command);
+        let (text, hangs_up) = (Arc::<Mutex<String>>::default(), Arc::<AtomicBool>::default());
+        let other = end.try_clone().unwrap();
+        let (into, ends) = (Arc::clone(&text), Arc::clone(&hangs_up));
+        let reader = std::thread::spawn(move || collect(other, &into, &ends));
+        Panel { child, end: Some(end), hangs_up, reader: Some(reader), text }
+    }
+
+    /// Nobody has the other end any more.
+    fn hang_up(&mut self) {
+        self.hangs_up.store(true, Ordering::Relaxed);
+        self.reader.take().unwrap().join().unwrap();
+        self.end = None;
+    }
+
+    fn text(&self) -> String {
+        self.text.lock().unwrap().clone()
+    }
+
+    /// Waits for a text on the screen. What is blank already is not drawn, so that blanks do not count.
+    #[track_caller]
+    fn await_text(&self, text: &str) {
+        let wanted: String = text.split(' ').collect();
+        assert!(until(LONG, || plain(&self.text()).contains(&wanted)), "no {text:?}: {}", self.text());
+    }
+
+    fn press(&mut self, keys: &[u8]) {
+        self.end.as_mut().unwrap().write_all(keys).unwrap();
+    }
+
+    /// Enables axis 0, and homes it unless it is. Where the host is so late that the panel takes a key for one that
+    /// stops, it begins anew.
+    #[track_caller]
+    fn enable(&mut self, watcher: &mut Operator) {
+        let mut proceed = || {
+            let axis = &seen(watcher).axes[0];
+            let key = match () {
+                () if !axis.commands.is_empty() || axis.stopping => return false,
+                () if axis.stopped.is_some() => b"r",
+                () if !axis.operational => b"e",
+                () if !axis.homed => b"h",
+                () => return true,
+            };
+            self.press(key);
+            // The panel learns of it, too.
+            sleep(Duration::from_millis(300));
+            false
+        };
+        assert!(until(LONG, &mut proceed), "{:?}: {}", seen(watcher).axes[0], self.text());
+    }
+
+    /// Holds a key as a keyboard does until the axis moves, and for some repeats more. Where the host is so late that
+    /// it looks as if it were let go, it is let go and held again.
+    #[track_caller]
+    fn hold_until_moving(&mut self, watcher: &mut Operator) {
+        let mut hold = || {
+            sleep(Duration::from_millis(600));
+            self.press(RIGHT);
+            sleep(Duration::from_millis(400));
+            (0..60).any(|_| {
+                self.press(RIGHT);
+                sleep(Duration::from_millis(30));
+                moves(&seen(watcher))
+            })
+        };
+        assert!(until(LONG, &mut hold), "it never moves: {}", self.text());
+    }
+
+    fn signal(&self, signal: i32) {
+        // SAFETY: takes two numbers; the child has not been waited for, so that its id is its own.
+        assert_eq!(unsafe { libc::kill(self.child.id() as i32, signal) }, 0);
+    }
+
+    /// Its end, and what it has written.
+    #[track_caller]
+    fn end(mut self) -> (ExitStatus, String) {
+        let mut status = None;
+        let ended = until(LONG, || {
+            status = self.child.try_wait().unwrap();
+            status.is_some()
+        });
+        assert!(ended, "still running: {}", self.text());
+        if self.end.is_some() {
+            // The reader ends with the last of what was written.
+            self.reader.take().unwrap().join().unwrap();
+        }
+        (status.unwrap(), self.text())
+    }
+}
+
+/// What was written without control sequences and blanks.
+fn plain(text: &str) -> String {
+    let mut plain = String::new();
+    let mut characters = text.chars();
+    while let Some(character) = characters.next() {
+        match character {
+            '\x1b' => {
+                // Up to its final byte.
+                let begins = characters.next() == Some('[');
+                let _ = begins && characters.any(|c| c.is_ascii_alphabetic());
+            }
+            c if !c.is_whitespace() => plain.push(c),
+            _ => {}
+        }
+    }
+    plain
+}
+
+/// All that comes, up to the end of the last process that has the terminal, or until it is to let go.
+fn collect(mut end: File, into: &Mutex<String>, ends: &AtomicBool) {
+    let mut bytes = [0; 4096];
+    while !ends.load(Ordering::Relaxed) {
+        let mut looked = [PollFd::new(end.as_fd(), PollFlags::POLLIN)];
+        if poll(&mut looked, 10_u8).unwrap() == 0 {
+            continue;
+        }
+        let Ok(count @ 1..) = end.read(&mut bytes) else { return };
+        let said = String::from_utf8_lossy(&bytes[..count]).into_owned();
+        // What a terminal without the keyboard protocol of kitty answers.
+        if said.contains("\x1b[c") {
+            let _ = end.write_all(b"\x1b[?62c");
+        }
+        into.lock().unwrap().push_str(&said);
+    }
+}
+
+impl Drop for Panel {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The terminal has its own screen again, and its cursor.
+#[track_caller]
+fn assert_given_back(text: &str) {
+    let left = text.rfind("\x1b[?1049l").unwrap_or_else(|| panic!("the screen is not given back: {text:?}"));
+    assert!(text[left..].contains("\x1b[?25h"), "no cursor: {text:?}");
+}
+
+/// The last lines say that axis 0 was left without power.
+#[track_caller]
+fn assert_left_off(text: &str) {
+    assert_given_back(text);
+    let last = text.rsplit("axis d0: ").next().unwrap();
+    assert!(last.starts_with("power off at "), "{text:?}");
+}
+
+/// How somebody goes away while the axis moves.
+#[derive(Clone, Copy, Debug)]
+enum Away {
+    LetsGo,
+    OtherKey,
+    LosesFocus,
+    Pastes,
+    Quits,
+    CtrlC,
+    HangsUp,
+    Killed,
+    Terminated,
+    Stopped,
+}
+
+#[test]
+fn whatever_ends_a_held_key_ends_the_motion() {
+    use Away::*;
+    let machine = Machine::new(155);
+    let config = config(&machine, "panel");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let mut watcher = Operator::remote(&path).unwrap();
+    await_axis(&mut watcher, online);
+    for away in [LetsGo, OtherKey, LosesFocus, Pastes, Quits, CtrlC, HangsUp, Killed, Terminated, Stopped] {
+        // All stands, and somebody else may take over.
+        await_axis(&mut watcher, |state| {
+            is_left(state) && state.axes.iter().all(|axis| axis.commands.is_empty())
+        });
+        let mut panel = Panel::start(&config, &["--axis", "d0", "--velocity", &SPEED.to_string()]);
+        panel.await_text("the master (pid");
+        panel.enable(&mut watcher);
+        panel.hold_until_moving(&mut watcher);
+        let ends = match away {
+            LetsGo => false,
+            OtherKey => {
+                panel.press(b"x");
+                panel.press(&RIGHT.repeat(20));
+                false
+            }
+            LosesFocus => {
+                panel.press(b"\x1b[O");
+                false
+            }
+            Pastes => {
+                panel.press(b"\x1b[200~eeehhh+++\x1b[201~");
+                false
+            }
+            Quits => {
+                panel.press(b"q");
+                true
+            }
+            CtrlC => {
+                panel.press(b"\x03");
+                true
+            }
+            HangsUp => {
+                panel.hang_up();
+                true
+            }
+            Killed => {
+                panel.signal(libc::SIGKILL);
+                true
+            }
+            Terminated => {
+                panel.signal(libc::SIGTERM);
+                true
+            }
+            Stopped => {
+                panel.signal(libc::SIGSTOP);
+                false
+            }
+        };
+        await_axis(&mut watcher, |state| state.jog.is_none() && !moves(state));
+        if matches!(away, Stopped) {
+            // What was typed meanwhile moves nothing.
+            await_axis(&mut watcher, is_left);
+            panel.press(&RIGHT.repeat(100));
+            panel.signal(libc::SIGCONT);
+        }
+        assert_rest(&mut watcher);
+        if !ends {
+            panel.press(b"q");
+        }
+        let (status, text) = panel.end();
+        await_axis(&mut watcher, is_left);
+        if matches!(away, Killed) {
+            assert_eq!(status.signal(), Some(libc::SIGKILL));
+            continue;
+        }
+        assert_eq!(status.code(), Some(if matches!(away, HangsUp) { 1 } else { 0 }), "{away:?}: {text}");
+        if matches!(away, HangsUp) {
+            // It has nobody to say it to.
+            continue;
+        }
+        assert_left_off(&text);
+    }
+}
+
+#[test]
+fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
+    let machine = Machine::new(156);
+    let config = config(&machine, "alone");
+    let _drives = serve(&config);
+    let mut panel = Panel::start(&config, &["--velocity", &SPEED.to_string()]);
+    panel.await_text("no master runs: this panel is the master");
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    panel.enable(&mut watcher);
+    panel.hold_until_moving(&mut watcher);
+    // A second panel is told who operates.
+    let second = Panel::start(&config, &[]);
+    let (status, text) = second.end();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(
+        text.contains(&format!("fieldbeat jog (pid {}) operates this master", panel.child.id())),
+        "{text}"
+    );
+    // It is asked in the motion; the key was let go meanwhile.
+    panel.hold_until_moving(&mut watcher);
+    panel.signal(libc::SIGHUP);
+    let (status, text) = panel.end();
+    assert_eq!(status.code(), Some(0), "{text}");
+    assert_left_off(&text);
+}
+
+#[test]
+fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
+    let machine = Machine::new(157);
+    let config = config(&machine, "refused");
+    ask("jog", &config, "").refused(&["jog needs a terminal"]);
+    ask("jog", &config, "--axis nobody").refused(&["has no axis nobody; it has d0, d1"]);
+    ask("jog", &config, "--velocity 0").refused(&["--velocity must be a number above 0"]);
+    ask("jog", &config, "--step nan").refused(&["--step must be a number above 0"]);
+    ask("jog", &config, "--velocity 3000").refused(&["--velocity 3000: axis d0 is limited to 2000 mm/s"]);
+    let _drives = serve(&config);
+    let closed = master(&config, &[]);
+    socket_of(&config);
+    let (status, text) = Panel::start(&config, &[]).end();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("start it with `fieldbeat run CONFIG --allow-control`"), "{text}");
+    assert!(!text.contains("\x1b[?1049h"), "{text}");
+    closed.signal(libc::SIGTERM);
+    closed.end();
+    // One that dies in the middle.
+    let open = master(&config, &["--allow-control"]);
+    socket_of(&config);
+    let panel = Panel::start(&config, &[]);
+    panel.await_text("any other stops");
+    open.kill();
+    let (status, text) = panel.end();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert_given_back(&text);
+    assert!(text.contains("the master has ended"), "{text}");
+    // Its own configuration is as wrong for a panel as for a master.
+    let wrong = machine.write("wrong.toml", "");
+    ask("jog", &wrong, "").refused(&["bus: missing"]);
+}

@@ -1,0 +1,335 @@
+//! A master that lets others operate its axes, and those who do: real processes and sockets. The rules themselves are
+//! held in virtual time, next to them.
+
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use fieldbeat::internals::control::{Ended, HOLD_EVERY, OperateError, OperationState, Operator, Order};
+use serde_json::{Value, json};
+
+use super::support::{LONG, Machine, Program, drive, until};
+use super::{master, serve};
+
+/// Lines for axes that jog without having been homed. The dead-man time of the loop is one that no host exceeds: what
+/// ends a jog here are the rules above it.
+pub const AXES: &str = "limits = { velocity = 2000, acceleration = 20000 }\nno_drive_watchdog = \"accept\"\n\
+                        leash = 20\njog_deadman = \"30s\"\nstop.timeout = \"20s\"";
+
+/// Of the jogs here, mm/s.
+pub const SPEED: f64 = 20.0;
+
+/// A configuration whose name is its own, so that its control socket is found by it.
+pub fn config(machine: &Machine, test: &str) -> PathBuf {
+    machine.config(&format!("{test}-{}.toml", std::process::id()), 2, "", AXES)
+}
+
+/// The control socket of the master of `config`, once it listens.
+pub fn socket_of(config: &Path) -> PathBuf {
+    let user = nix::unistd::geteuid();
+    let directory = std::env::temp_dir().join(format!("fieldbeat-tests-{user}/fieldbeat"));
+    let stem = config.file_stem().unwrap().to_string_lossy().into_owned();
+    let mut found = None;
+    let mut look = || {
+        let entries = std::fs::read_dir(&directory).into_iter().flatten().flatten().map(|entry| entry.path());
+        found = entries
+            .filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(&stem)))
+            .find(|path| UnixStream::connect(path).is_ok());
+        found.is_some()
+    };
+    assert!(until(LONG, &mut look), "no control socket");
+    found.unwrap()
+}
+
+/// How the axes are, as anybody may see it.
+pub fn seen(watcher: &mut Operator) -> OperationState {
+    watcher.state(u64::MAX).unwrap()
+}
+
+/// Waits until axis 0 is so, and meanwhile looks at it as its operator.
+#[track_caller]
+pub fn await_axis(watcher: &mut Operator, is: impl Fn(&OperationState) -> bool) {
+    let mut last = OperationState::default();
+    let mut look = || {
+        last = seen(watcher);
+        is(&last)
+    };
+    assert!(until(LONG, &mut look), "{last:?}");
+}
+
+pub fn online(state: &OperationState) -> bool {
+    state.axes[0].link == "online"
+}
+
+/// It follows a jog.
+pub fn moves(state: &OperationState) -> bool {
+    state.axes[0].velocity.is_some_and(|velocity| velocity.abs() > 0.5 * SPEED)
+}
+
+/// Its operator has left: it stands without power.
+pub fn is_left(state: &OperationState) -> bool {
+    state.operator.is_none() && !state.axes[0].powered && !moves(state)
+}
+
+/// It stands, and goes on standing.
+#[track_caller]
+pub fn assert_rest(watcher: &mut Operator) {
+    await_axis(watcher, |state| !moves(state) && state.axes[0].commands.is_empty());
+    let position = seen(watcher).axes[0].position.unwrap();
+    for _ in 0..100 {
+        std::thread::sleep(Duration::from_millis(10));
+        let state = seen(watcher);
+        assert!((state.axes[0].position.unwrap() - position).abs() < 0.5, "{position}: {state:?}");
+    }
+}
+
+/// Becomes the operator, and enables and homes axis 0.
+pub fn operator(path: &Path, name: &str) -> Operator {
+    let mut operator = Operator::remote(path).unwrap();
+    await_axis(&mut operator, online);
+    let mut proceed = || {
+        // The axes may still be stopped after their last operator.
+        if operator.take(name).is_err() {
+            return false;
+        }
+        let axis = &seen(&mut operator).axes[0];
+        let order = match () {
+            () if !axis.commands.is_empty() || axis.stopping => return false,
+            () if axis.stopped.is_some() => Order::Reset,
+            () if !axis.operational => Order::Enable,
+            () if !axis.homed => Order::Home,
+            () => return true,
+        };
+        let _ = operator.command(0, order);
+        std::thread::sleep(Duration::from_millis(50));
+        false
+    };
+    assert!(until(LONG, &mut proceed), "{:?}", seen(&mut operator));
+    operator
+}
+
+/// Orders it of axis 0. An operator who was held up for so long that it counts as gone comes again.
+fn order(operator: &mut Operator, name: &str, order: Order) -> u64 {
+    let mut ordered = None;
+    let mut command = || {
+        ordered = operator.command(0, order).ok();
+        if ordered.is_none() {
+            let _ = operator.take(name);
+        }
+        ordered.is_some()
+    };
+    assert!(until(LONG, &mut command), "it operates no more");
+    ordered.unwrap()
+}
+
+/// Jogs axis 0 until it moves: a host that is late ends the jog as the rules say, and it is begun again.
+pub fn jog_until_moving(operator: &mut Operator, watcher: &mut Operator) -> u64 {
+    let mut number = None;
+    let moving = || {
+        let held = number.is_some_and(|number| operator.hold(number).is_ok());
+        if !held {
+            number = operator.jog(0, SPEED).ok();
+        }
+        std::thread::sleep(HOLD_EVERY);
+        held && moves(&seen(watcher))
+    };
+    assert!(until(LONG, moving), "it never moves");
+    number.unwrap()
+}
+
+#[test]
+fn a_jog_that_is_not_held_ends_and_what_comes_for_it_later_does_not_move() {
+    let machine = Machine::new(150);
+    let config = config(&machine, "held");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let (mut operator, mut watcher) = (operator(&path, "first"), Operator::remote(&path).unwrap());
+    let number = jog_until_moving(&mut operator, &mut watcher);
+    // Silent: the jog, and then the operator.
+    await_axis(&mut watcher, |state| state.jog.is_none());
+    assert_rest(&mut watcher);
+    await_axis(&mut watcher, is_left);
+    for _ in 0..20 {
+        let late = operator.hold(number).unwrap_err();
+        assert!(matches!(&late, OperateError::Refused(why) if why.contains("silent for too long")), "{late}");
+    }
+    assert!(is_left(&seen(&mut watcher)));
+}
+
+#[test]
+fn there_is_one_operator_and_it_is_named_to_the_next() {
+    let machine = Machine::new(151);
+    let config = config(&machine, "one");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let (mut first, mut second) = (Operator::remote(&path).unwrap(), Operator::remote(&path).unwrap());
+    await_axis(&mut first, online);
+    // Alive meanwhile, on a host however slow.
+    let refused = until(LONG, || {
+        first.take("the first").unwrap();
+        second
+            .take("the second")
+            .is_err_and(|why| why.to_string() == "the first operates this master: end that first")
+    });
+    assert!(refused);
+    drop(first);
+    assert!(until(LONG, || second.take("the second").is_ok()));
+    assert_eq!(seen(&mut second).operator.as_deref(), Some("the second"));
+}
+
+#[test]
+fn a_client_that_ends_in_mid_motion_leaves_axes_that_stand_without_power() {
+    let machine = Machine::new(152);
+    let config = config(&machine, "ends");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let mut watcher = Operator::remote(&path).unwrap();
+    let mut first = operator(&path, "first");
+    jog_until_moving(&mut first, &mut watcher);
+    drop(first);
+    await_axis(&mut watcher, is_left);
+    // In a step, which ends by itself only after minutes.
+    let mut second = operator(&path, "second");
+    second.command(0, Order::Step { distance: 2_000.0, velocity: SPEED }).unwrap();
+    await_axis(&mut second, moves);
+    drop(second);
+    await_axis(&mut watcher, is_left);
+    assert_rest(&mut watcher);
+}
+
+/// One line each way; what comes at once is not what was answered one by one.
+#[test]
+fn a_burst_and_nonsense_end_the_motion() {
+    let machine = Machine::new(153);
+    let config = config(&machine, "burst");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let mut watcher = Operator::remote(&path).unwrap();
+    // Homed.
+    drop(operator(&path, "first"));
+    await_axis(&mut watcher, is_left);
+    for last in ["", "nonsense\n", "{\"ask\":\"operate\",\"beat\":1,\"request\":{\"act\":{\"fly\":{}}}}\n"] {
+        let mut stream = UnixStream::connect(&path).unwrap();
+        let mut ask = |beat: u64, request: Value| -> Value {
+            let question = json!({ "ask": "operate", "beat": beat, "request": request });
+            stream.write_all(format!("{question}\n").as_bytes()).unwrap();
+            let mut bytes = Vec::new();
+            let mut byte = [0];
+            while !bytes.ends_with(b"\n") {
+                stream.read_exact(&mut byte).unwrap();
+                bytes.push(byte[0]);
+            }
+            serde_json::from_slice::<Value>(&bytes).unwrap()["ok"].take()
+        };
+        let mut beat = 0;
+        assert!(until(LONG, || {
+            let answer = ask(0, json!({ "take": { "name": "raw" } }));
+            beat = answer["beat"].as_u64().unwrap();
+            answer["reply"]["Ok"] == "done"
+        }));
+        let enable = json!({ "act": { "command": { "axis": 0, "command": "enable" } } });
+        beat = ask(beat, enable)["beat"].as_u64().unwrap();
+        assert!(until(LONG, || {
+            let answer = ask(beat, json!({ "state": { "since": 0 } }));
+            beat = answer["beat"].as_u64().unwrap();
+            answer["reply"]["Ok"]["state"]["axes"][0]["operational"] == true
+        }));
+        let answer = ask(beat, json!({ "act": { "jog": { "axis": 0, "velocity": SPEED } } }));
+        let (beat, number) =
+            (answer["beat"].as_u64().unwrap(), answer["reply"]["Ok"]["jogs"].as_u64().unwrap());
+        let hold =
+            json!({ "ask": "operate", "beat": beat, "request": { "act": { "hold": { "jog": number } } } });
+        if last.is_empty() {
+            // As long as the answers have room: nobody takes them.
+            let burst = format!("{hold}\n").repeat(200);
+            let _ = stream.write_all(burst.as_bytes());
+        } else {
+            stream.write_all(last.as_bytes()).unwrap();
+        }
+        await_axis(&mut watcher, |state| state.jog.is_none());
+        assert_rest(&mut watcher);
+        drop(stream);
+        await_axis(&mut watcher, is_left);
+    }
+}
+
+#[test]
+fn a_master_that_was_not_told_so_lets_nobody_operate_and_one_that_has_ended_is_named() {
+    let machine = Machine::new(154);
+    let config = config(&machine, "not");
+    let _drives = serve(&config);
+    let closed = master(&config, &[]);
+    let path = socket_of(&config);
+    let refused = |error: OperateError| {
+        let why = error.to_string();
+        assert!(why.contains("start it with `fieldbeat run CONFIG --allow-control`"), "{why}");
+    };
+    refused(Operator::remote(&path).unwrap().take("x").unwrap_err());
+    refused(Operator::remote(&path).unwrap().stop().unwrap_err());
+    end(closed);
+    let open = master(&config, &["--allow-control"]);
+    let mut operator = operator(&socket_of(&config), "first");
+    open.kill();
+    let gone = until(LONG, || matches!(operator.stop(), Err(OperateError::Gone)));
+    assert!(gone, "{:?}", operator.stop());
+}
+
+fn end(program: Program) {
+    program.signal(libc::SIGTERM);
+    program.end();
+}
+
+#[test]
+fn a_run_fails_by_a_fault_that_its_operator_left_and_not_by_one_that_was_reset() {
+    let machine = Machine::new(158);
+    // It meets its mechanical end far inside of its limits.
+    let lines = format!("{AXES}\nsimulate = {{ range = [0, 60], home = 0, start = 10 }}");
+    let file = format!("fault-{}.toml", std::process::id());
+    let config = machine.config(&file, 2, "", &lines);
+    let _drives = serve(&config);
+    for is_reset in [true, false] {
+        let report = machine.path(&format!("report-{is_reset}"));
+        let report = ["--report", report.to_str().unwrap()];
+        let master = master(&config, &["--allow-control", "--json", report[0], report[1]]);
+        let path = socket_of(&config);
+        let mut operator = operator(&path, "panel");
+        order(&mut operator, "panel", Order::Step { distance: 300.0, velocity: 2.0 * SPEED });
+        await_axis(&mut operator, |state| state.axes[0].stopped.as_deref() == Some("drive fault"));
+        await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
+        if is_reset {
+            // Where the drive is not asked often enough it may fail, is told to have, and is ordered again.
+            let mut ends = Vec::new();
+            let is_done = until(LONG, || {
+                let id = order(&mut operator, "panel", Order::ResetFault);
+                await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
+                let notices = operator.state(0).unwrap().notices;
+                let end = notices.into_iter().filter_map(|notice| notice.end).find(|end| end.command == id);
+                ends.push(end.expect("whoever ordered it is told how it ended").how);
+                ends.last() == Some(&Ended::Done)
+            });
+            assert!(is_done, "{ends:?}");
+            await_axis(&mut operator, |state| state.axes[0].fault.is_none());
+            order(&mut operator, "panel", Order::Reset);
+            await_axis(&mut operator, |state| state.axes[0].stopped.is_none());
+        }
+        master.signal(libc::SIGTERM);
+        let ended = master.end();
+        let stopped = |name: &str| drive(&ended.json(), name)["stopped"].clone();
+        let page = std::fs::read_to_string(Path::new(report[1]).join("index.html")).unwrap();
+        assert_eq!(page.contains("stopped: d0 (drive fault, fault 0x"), !is_reset);
+        assert_eq!(page.contains("none was lost on the way or stopped"), is_reset);
+        if is_reset {
+            ended.expect(0);
+            assert_eq!((stopped("d0"), stopped("d1")), ("shutdown".into(), "shutdown".into()));
+        } else {
+            let line = ended.expect(1).err.lines().last().unwrap().to_owned();
+            assert!(line.contains("stopped: d0 (drive fault, fault 0x"), "{line}");
+            assert_eq!((stopped("d0"), stopped("d1")), ("drive fault".into(), "shutdown".into()));
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! Recordings: of a run that ends, of one that is killed, on a disk that is full, and of what is newest; and what
+//! `export` makes of them.
+
+use std::path::Path;
+use std::process::Command;
+
+use fieldbeat::internals::telemetry::recording::reading::{Entry, Reading, Wrong};
+use libc::{SIGINT, SIGUSR1};
+use serde_json::Value;
+
+use super::support::{LONG, Machine, PROGRAM, Program, drive, run, until};
+use super::{await_status, end_once_measured, limit_files, master, serve};
+
+/// All that can be read, and what is wrong with the rest.
+fn read(path: &Path) -> (Vec<Entry>, Option<Wrong>) {
+    let mut wrong = None;
+    let entries = Reading::open(path).unwrap().map_while(|entry| entry.map_err(|why| wrong = Some(why)).ok());
+    (entries.collect(), wrong)
+}
+
+fn count(entries: &[Entry], topic: &str) -> u64 {
+    entries.iter().filter(|entry| entry.topic.name == topic).count() as u64
+}
+
+#[test]
+fn a_recording_has_every_executed_cycle_and_is_exported() {
+    let machine = Machine::new(140);
+    let config = machine.plain(2);
+    let _sim = serve(&config);
+    let path = machine.path("run.mcap");
+    let file = path.to_str().unwrap();
+    let ended = end_once_measured(master(&config, &["--json", "--record", file]), &config);
+    let summary = ended.expect(0).json();
+    let [recorded] = &summary["recordings"].as_array().unwrap()[..] else { panic!("{summary}") };
+    assert_eq!((&recorded["lost"], &recorded["error"]), (&0.into(), &Value::Null));
+    let (entries, wrong) = read(&path);
+    assert!(wrong.is_none(), "{wrong:?}");
+    assert_eq!(recorded["messages"], entries.len() as u64);
+    let executed = summary["cycle"]["executed"].as_u64().unwrap();
+    for topic in ["/axes/d0", "/axes/d1", "/cycle"] {
+        assert_eq!(count(&entries, topic), executed, "{topic}");
+    }
+    assert_eq!(summary["late"]["count"], count(&entries, "/late"));
+
+    run(["export", file, "--csv"]).expect(0);
+    let table = std::fs::read_to_string(machine.path("run").join("axes_d0.csv")).unwrap();
+    assert_eq!(table.lines().count() as u64, executed + 1);
+    let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
+    assert_eq!(wide.lines().count() as u64, executed + 1);
+    assert!(wide.starts_with("time [s],cycle,d0.position [mm],"), "{wide}");
+    run(["export", file, "--perfetto"]).expect(0);
+    let trace: Value = serde_json::from_slice(&std::fs::read(machine.path("run.json")).unwrap()).unwrap();
+    let sends = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["name"] == "send");
+    assert_eq!(sends.count() as u64, executed);
+    // What is there is never replaced, and an export that fails leaves nothing in the way of the next one.
+    run(["export", file, "--perfetto", machine.path("run.json").to_str().unwrap()]).expect(2);
+    let tables = machine.path("run");
+    for entry in std::fs::read_dir(&tables).unwrap() {
+        let path = entry.unwrap().path();
+        if !path.ends_with("axes_d1.csv") {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    let ended = run(["export", file, "--csv"]);
+    ended.refused(&["axes_d1.csv", "name another place, or remove it"]);
+    assert_eq!(std::fs::read_dir(&tables).unwrap().count(), 1);
+    std::fs::remove_file(tables.join("axes_d1.csv")).unwrap();
+    run(["export", file, "--csv"]).expect(0);
+    let ended = run(["run", config.to_str().unwrap(), "--record", file]);
+    assert!(ended.expect(2).err.contains("exists already"), "{ended:?}");
+}
+
+#[test]
+fn a_killed_master_leaves_a_file_that_is_readable_up_to_its_last_second() {
+    let machine = Machine::new(141);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let path = machine.path("run.mcap");
+    let master = master(&config, &["--record", path.to_str().unwrap()]);
+    await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(100));
+    // Two chunks more: the first one may have been written before that.
+    let size = || std::fs::metadata(&path).map_or(0, |facts| facts.len());
+    for _ in 0..2 {
+        let before = size();
+        assert!(until(LONG, || size() > before));
+    }
+    master.kill();
+    let (entries, wrong) = read(&path);
+    assert!(matches!(wrong, Some(Wrong::Cut)), "{wrong:?}");
+    let cycles: Vec<u64> = (entries.iter().filter(|entry| entry.topic.name == "/cycle"))
+        .map(|entry| entry.number("cycle"))
+        .collect();
+    assert!(cycles.len() > 100 && cycles.is_sorted(), "{}", cycles.len());
+    let ended = run(["export", path.to_str().unwrap(), "--csv", "-"]);
+    assert!(ended.expect(1).err.contains("its end is missing"), "{ended:?}");
+    assert_eq!(ended.out.lines().count() as u64, count(&entries, "/axes/d0") + 1);
+    assert_eq!(ended.err.lines().count(), 1);
+}
+
+#[test]
+fn a_file_that_may_not_grow_fails_the_run_by_name_and_is_readable_up_to_there() {
+    let machine = Machine::new(142);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let path = machine.path("run.mcap");
+    let mut command = Command::new(PROGRAM);
+    command.arg("run").arg(&config).args(["--json", "--record"]).arg(&path);
+    let mut program = Program::spawn(limit_files(&mut command, 64 << 10));
+    program.await_text("is not complete");
+    program.signal(SIGINT);
+    let ended = program.end();
+    let summary = ended.expect(1).json();
+    let [recorded] = &summary["recordings"].as_array().unwrap()[..] else { panic!("{summary}") };
+    assert!(recorded["error"].as_str().unwrap().starts_with("File too large"), "{recorded}");
+    assert!(recorded["lost"].as_u64() > Some(0), "{recorded}");
+    // Meanwhile, and as the reason why the run has failed.
+    let lines: Vec<&str> = ended.err.lines().filter(|line| line.contains("is not complete")).collect();
+    let is_clear = |line: &&str| line.contains(path.to_str().unwrap()) && line.contains("free that disk");
+    assert!(lines.len() == 2 && lines.iter().all(is_clear), "{ended:?}");
+    // The drives went on.
+    assert_eq!(drive(&summary, "d0")["losses"], 0);
+    let (_, wrong) = read(&path);
+    assert!(matches!(wrong, Some(Wrong::Cut)), "{wrong:?}");
+}
+
+#[test]
+fn one_that_was_removed_meanwhile_fails_the_run_by_name() {
+    let machine = Machine::new(253);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let path = machine.path("run.mcap");
+    let master = master(&config, &["--json", "--record", path.to_str().unwrap()]);
+    await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(10));
+    std::fs::remove_file(&path).unwrap();
+    master.signal(SIGINT);
+    let ended = master.end();
+    let summary = ended.expect(1).json();
+    assert_eq!(summary["recordings"][0]["error"], "somebody removed it while it was written; record again");
+    assert!(ended.err.contains("run.mcap is not complete: somebody removed it"), "{ended:?}");
+}
+
+#[test]
+fn what_is_newest_is_written_on_request_and_at_the_end() {
+    let machine = Machine::new(143);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let path = machine.path("newest.mcap");
+    let arguments = ["--json", "--record", path.to_str().unwrap(), "--record-window", "1s"];
+    let master = master(&config, &arguments);
+    await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(100));
+    assert!(!path.exists());
+    master.signal(SIGUSR1);
+    let directory = path.parent().unwrap();
+    let requested = || {
+        let files = std::fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
+        files.into_iter().find(|path| path.to_str().unwrap().contains("newest-cycle-"))
+    };
+    assert!(until(LONG, || requested().is_some()));
+    master.signal(SIGINT);
+    let summary = master.end().expect(0).json();
+    let recorded = summary["recordings"].as_array().unwrap();
+    let why: Vec<&str> = recorded.iter().map(|one| one["why"].as_str().unwrap()).collect();
+    assert_eq!(why, ["requested", "end of the run"]);
+    for path in [&requested().unwrap(), &path] {
+        let (entries, wrong) = read(path);
+        assert!(wrong.is_none() && count(&entries, "/cycle") > 0, "{wrong:?}");
+    }
+}
+
+#[test]
+fn a_file_of_the_black_box_is_exported_too_and_what_is_none_is_refused() {
+    let machine = Machine::new(144);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let boxes = machine.path("boxes");
+    let mut master = master(&config, &["--json", "--black-box", boxes.to_str().unwrap()]);
+    await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(100));
+    master.signal(SIGUSR1);
+    master.await_text("(requested, cycle ");
+    master.signal(SIGINT);
+    let summary = master.end().expect(0).json();
+    let file = summary["black_boxes"][0]["path"].as_str().unwrap();
+    let path = machine.path("box.mcap");
+    run(["export", file, "--mcap", path.to_str().unwrap()]).expect(0);
+    let (entries, wrong) = read(&path);
+    assert!(wrong.is_none() && count(&entries, "/axes/d0") == count(&entries, "/cycle"), "{wrong:?}");
+    let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
+    assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
+
+    let text = machine.write("notes.txt", "mine");
+    let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);
+    for (file, words) in
+        [(&text, "not a recording"), (&damaged, "is damaged"), (&machine.path("none"), "No such file")]
+    {
+        let ended = run(["export", file.to_str().unwrap(), "--csv", machine.path("no").to_str().unwrap()]);
+        assert!(ended.expect(2).err.contains(words) && ended.err.lines().count() == 1, "{ended:?}");
+    }
+    assert!(!machine.path("no").exists());
+}
+
+#[test]
+fn native_process_data_of_chosen_drives_are_recorded_and_exported() {
+    let machine = Machine::new(197);
+    let config = machine.plain(3);
+    let path = machine.path("run.mcap");
+    let file = path.to_str().unwrap();
+    // Before anything is sent, and without a file that would be in the way of the next start.
+    let wrong = |arguments: &[&str]| run(["run", config.to_str().unwrap()].iter().chain(arguments));
+    let ended = wrong(&["--record", file, "--record-native", "d0,q"]);
+    let words = "there is no drive \"q\" whose native process data could be recorded; name all, or some of: d0, d1, d2";
+    assert!(ended.expect(2).err.contains(words) && ended.err.lines().count() == 1, "{ended:?}");
+    assert!(!path.exists());
+    let ended = wrong(&["--record-native", "d0"]);
+    assert!(ended.expect(2).err.contains("--record <FILE>"), "{ended:?}");
+
+    let _sim = serve(&config);
+    let arguments = ["--json", "--record", file, "--record-native", "d0", "--record-native", "d2,d0"];
+    let ended = end_once_measured(master(&config, &arguments), &config);
+    let summary = ended.expect(0).json();
+    assert_eq!(summary["recordings"][0]["lost"], 0);
+    let (entries, wrong) = read(&path);
+    assert!(wrong.is_none(), "{wrong:?}");
+    for name in ["d0", "d2"] {
+        let topic = format!("/axes/{name}/native");
+        let of = entries.iter().filter(|entry| entry.topic.name == topic);
+        let has = |field: &str| of.clone().filter(|entry| !entry.text(field).is_empty()).count() as u64;
+        let drive = drive(&summary, name);
+        assert_eq!(drive["sent"], has("outputs"), "{name}");
+        assert_eq!(drive["answered"], has("inputs"), "{name}");
+        assert_eq!(has("in_status_word"), has("inputs"), "{name}");
+    }
+    assert_eq!(count(&entries, "/axes/d1/native"), 0);
+
+    let tables = machine.path("tables");
+    run(["export", file, "--csv", tables.to_str().unwrap()]).expect(0);
+    let table = std::fs::read_to_string(tables.join("axes_d2_native.csv")).unwrap();
+    assert_eq!(table.lines().count() as u64, count(&entries, "/axes/d2/native") + 1);
+    let head = "time [s],cycle,monotonic_ns,received_at_ns,inputs,outputs,in_status_word,in_state_var,";
+    assert!(table.starts_with(head), "{}", table.lines().next().unwrap());
+}

@@ -1,0 +1,193 @@
+//! A recording with the wire, and `fieldbeat replay` of it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::support::{Ended, LONG, Machine, PROGRAM, Program, run, until};
+use super::{await_online, limit_files, master, serve};
+
+fn replay(file: &Path, rest: &[&str]) -> Ended {
+    run(["replay", file.to_str().unwrap()].into_iter().chain(rest.iter().copied()))
+}
+
+/// Options for a recording with the wire.
+fn with_wire(file: &Path) -> [&str; 3] {
+    ["--record", file.to_str().unwrap(), "--record-wire"]
+}
+
+/// A run of two drives, recorded for more than two chunks; ended by SIGINT, or killed.
+fn recorded(machine: &Machine, signal: i32) -> PathBuf {
+    let config = machine.plain(2);
+    let _sim = serve(&config);
+    let file = machine.path("x.mcap");
+    let running = master(&config, &with_wire(&file));
+    await_online(&config);
+    let size = || fs::metadata(&file).map_or(0, |facts| facts.len());
+    for _ in 0..2 {
+        let before = size();
+        assert!(until(LONG, || size() > before));
+    }
+    running.signal(signal);
+    let ended = running.end();
+    if signal == libc::SIGINT {
+        ended.expect(0);
+        let recording = ended.out.lines().find(|line| line.contains(file.to_str().unwrap())).unwrap();
+        assert!(recording.ends_with(" of them for `fieldbeat replay`"), "{recording}");
+    }
+    file
+}
+
+#[test]
+fn a_demo_with_all_protocols_is_repeated_bit_by_bit() {
+    let machine = Machine::new(242);
+    let file = machine.path("demo.mcap");
+    let demo = ["demo", "--for", "8s", "--drives", "2", "--json"];
+    let summary = run(demo.into_iter().chain(with_wire(&file))).json();
+    // On a busy computer drives may be lost; the record is one all the same.
+    let [recorded] = &summary["recordings"].as_array().unwrap()[..] else { panic!("{summary}") };
+    let wire = &recorded["wire"];
+    assert!(wire["bytes"].as_u64() > Some(10_000) && wire["cut_at"].is_null(), "{recorded}");
+    let ended = replay(&file, &["--json"]);
+    ended.expect(0);
+    let verdict = ended.json();
+    assert_eq!((&verdict["equal"], &verdict["difference"]), (&true.into(), &serde_json::Value::Null));
+    assert!(verdict["telegrams"].as_u64() > Some(100), "{verdict}");
+    let ended = replay(&file, &["--until", "100"]);
+    ended.expect(0);
+    assert!(ended.out.starts_with("cycles up to 1") && ended.out.contains("are equal"), "{}", ended.out);
+
+    // It is a recording like every other.
+    let name = file.to_str().unwrap();
+    let tables = machine.path("tables");
+    run(["export", name, "--csv", tables.to_str().unwrap()]).expect(0);
+    let rows = |table: &str| fs::read_to_string(tables.join(table)).unwrap().lines().count() as u64;
+    assert_eq!(rows("cycle.csv"), summary["cycle"]["executed"].as_u64().unwrap() + 1);
+    assert!(!tables.join("wire.csv").exists());
+    run(["export", name, "--perfetto", machine.path("trace.json").to_str().unwrap()]).expect(0);
+    let copy = run(["export", name, "--mcap", machine.path("copy.mcap").to_str().unwrap()]);
+    copy.refused(&["a recording needs no --mcap"]);
+}
+
+#[test]
+fn a_run_ended_in_order_or_killed_is_repeated() {
+    let machine = Machine::new(243);
+    let file = recorded(&machine, libc::SIGINT);
+    let ended = replay(&file, &[]);
+    ended.expect(0);
+    assert!(ended.out.contains("2 drives") && ended.err.is_empty(), "{}{}", ended.out, ended.err);
+    let beyond = replay(&file, &["--until", "99999999"]);
+    beyond.expect(1);
+    assert!(beyond.err.contains("before cycle 99999999: the run ended there"), "{}", beyond.err);
+
+    let machine = Machine::new(244);
+    let file = recorded(&machine, libc::SIGKILL);
+    let ended = replay(&file, &[]);
+    ended.expect(0);
+    assert!(ended.out.contains("are equal"), "{}", ended.out);
+    assert!(ended.err.contains("ends with cycle ") && ended.err.lines().count() == 1, "{}", ended.err);
+    let verdict = replay(&file, &["--json"]).expect(0).json();
+    assert_eq!((&verdict["equal"], &verdict["cut"]), (&true.into(), &"it ends within a record".into()));
+}
+
+#[test]
+fn files_that_are_none_are_refused_and_broken_ones_are_repeated_as_far_as_they_go() {
+    let machine = Machine::new(245);
+    let file = recorded(&machine, libc::SIGINT);
+    let whole = fs::read(&file).unwrap();
+
+    replay(&machine.path("none.mcap"), &[]).refused(&["cannot read", "none.mcap", "--record-wire"]);
+    replay(&machine.path(""), &[]).refused(&["cannot read", "--record-wire"]);
+    let other = machine.path("other.mcap");
+    // A metadata record of 1 GiB, as it says.
+    let long = [&whole[..8], &[12], &(1_u64 << 30).to_le_bytes()].concat();
+    for (bytes, why) in [
+        (long, "a length in it is broken"),
+        (b"[cycle]\nperiod = \"1ms\"\n".to_vec(), "it is no MCAP file"),
+        (Vec::new(), "it ends within a record"),
+        (whole[..20].to_vec(), "it ends within a record"),
+    ] {
+        fs::write(&other, bytes).unwrap();
+        replay(&other, &[]).refused(&["has no wire to repeat", why, "--record-wire"]);
+    }
+
+    // The version is written in clear.
+    let version = env!("CARGO_PKG_VERSION");
+    let find = |from: usize, text: &[u8]| {
+        from + text.len() + whole[from..].windows(text.len()).position(|bytes| bytes == text).unwrap()
+    };
+    let at = find(find(0, b"fieldbeat.wire"), b"version") + 4;
+    assert_eq!(&whole[at..at + version.len()], version.as_bytes());
+    let mut old = whole.clone();
+    old[at..at + version.len()].fill(b'9');
+    fs::write(&other, old).unwrap();
+    replay(&other, &[]).refused(&["was recorded by version 99999 (layout 2)", "repeat it with that one"]);
+
+    // A third is missing, or one byte of the last chunk is another one.
+    fs::write(&other, &whole[..whole.len() * 2 / 3]).unwrap();
+    let cut = replay(&other, &[]);
+    assert!(cut.err.contains("it ends within a record"), "{}", cut.err);
+    // Nor is there a cycle before the first chunk.
+    let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+    fs::write(&other, &whole[..summary.chunk_indexes[0].chunk_start_offset as usize + 20]).unwrap();
+    let empty = replay(&other, &["--json"]);
+    assert!(empty.expect(1).err.contains("has no cycle: it ends within a record"), "{empty:?}");
+    assert_eq!((&empty.json()["last"], &empty.json()["equal"]), (&serde_json::Value::Null, &false.into()));
+    let mut flipped = whole.clone();
+    let last = summary.chunk_indexes.last().unwrap();
+    flipped[(last.chunk_start_offset + last.chunk_length / 2) as usize] ^= 1;
+    fs::write(&other, flipped).unwrap();
+    let ended = replay(&other, &[]);
+    assert!(
+        ended.err.contains("has other bytes than were written") && ended.err.lines().count() == 1,
+        "{}",
+        ended.err
+    );
+}
+
+#[test]
+fn a_record_that_may_not_grow_is_reported_at_once_and_fails_the_run() {
+    let machine = Machine::new(250);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    let file = machine.path("x.mcap");
+    let mut command = Command::new(PROGRAM);
+    command.arg("run").arg(&config).args(with_wire(&file));
+    let mut program = Program::spawn(limit_files(&mut command, 64 << 10));
+    program.await_text("is not complete");
+    program.signal(libc::SIGINT);
+    let ended = program.end();
+    // Meanwhile, and as the reason why the run has failed.
+    let lines: Vec<&str> =
+        ended.expect(1).err.lines().filter(|line| line.contains("is not complete")).collect();
+    assert!(
+        lines.len() == 2 && lines.iter().all(|line| line.contains("x.mcap is not complete: File too large")),
+        "{ended:?}"
+    );
+}
+
+#[test]
+fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file() {
+    let machine = Machine::new(246);
+    let config = machine.plain(1);
+    let missing = machine.path("missing/x.mcap");
+    master(&config, &with_wire(&missing)).end().refused(&["cannot record to", "x.mcap"]);
+    master(&config, &["--record-wire"]).end().refused(&["--record <FILE>"]);
+    let file = machine.path("x.mcap");
+    let window = [&with_wire(&file)[..], &["--record-window", "1s"]].concat();
+    master(&config, &window).end().refused(&["leave out --record-window, or --record-wire"]);
+    assert!(!file.exists());
+
+    // Without the wire there is nothing to repeat.
+    let _sim = serve(&config);
+    let running = master(&config, &["--record", file.to_str().unwrap()]);
+    await_online(&config);
+    // Its address is taken meanwhile.
+    let second = machine.path("second.mcap");
+    master(&config, &with_wire(&second)).end().refused(&["is in use by another master", "end that one"]);
+    assert!(!second.exists());
+    running.signal(libc::SIGINT);
+    running.end().expect(0);
+    replay(&file, &[])
+        .refused(&["x.mcap has no wire to repeat; record the run with --record FILE --record-wire"]);
+}

@@ -1,0 +1,154 @@
+//! Random soak tests on every protocol: whatever befalls drives, wires, host and processes, nothing moves that must
+//! not. [`guard`] has the rules of an axis.
+//!
+//! A seed is a machine of three axes, their patterns, and what happens to them, over several processes of one test. A
+//! failure prints its seed and the steps that are left when all others are taken away.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the runs, and how a failure is made short |
+//! | `steps` | what may happen, and how it is drawn |
+//! | `run` | a test under way |
+//! | `guard` | the rules of an axis |
+//!
+//! | variable | what |
+//! |---|---|
+//! | `SOAK_SEED` | only this seed |
+//! | `SOAK_FROM`, `SOAK_SEQUENCES` | the first seed, and how many the long run has |
+
+mod guard;
+mod run;
+mod steps;
+
+use std::env;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use fieldbeat::internals::config::soak::Pattern;
+use fieldbeat::time::MS;
+
+use self::run::{Found, Judged, Run, Tally};
+use self::steps::{Op, Sequence, Step, drawn};
+use crate::virtual_time::oracle::machine::{AXES, Kind, Shape};
+use crate::virtual_time::oracle::variable;
+
+/// Runs that the shortening of a failure may take.
+const TRIES: usize = 200;
+
+fn judged(sequence: &Sequence, steps: &[Step]) -> (Judged, Tally, Vec<String>) {
+    let mut run = Run::new(sequence);
+    let judged = run.run(steps);
+    (judged, run.tally, run.story)
+}
+
+/// A failure as a person reads it: with the fewest steps that break the same rule.
+fn report(seed: u64, sequence: &Sequence, found: Found) -> String {
+    let (mut steps, mut best) = (sequence.steps.clone(), found);
+    let mut tries = 0;
+    let mut index = 0;
+    while index < steps.len() && tries < TRIES {
+        let mut fewer = steps.clone();
+        fewer.remove(index);
+        tries += 1;
+        match judged(sequence, &fewer).0 {
+            Err(found) if found.rule == best.rule => (steps, best, index) = (fewer, found, 0),
+            _ => index += 1,
+        }
+    }
+    let story = judged(sequence, &steps).2;
+    let shown: String = steps.iter().map(|step| format!("    {step:?}\n")).collect();
+    let Sequence { shape, patterns, before, .. } = sequence;
+    format!(
+        "SOAK_SEED={seed}: rule {:?} is broken: {}\n{shape:?}, before: {before:?}\n{patterns:?}\n\
+         the shortest sequence:\n{shown}what happened in it:\n{}",
+        best.rule,
+        best.text,
+        story.join("\n"),
+    )
+}
+
+/// So many seeds, on so many threads; panics with the first failure.
+fn campaign(sequences: u64, threads: usize) -> Tally {
+    let begun = Instant::now();
+    let only: Option<u64> = variable("SOAK_SEED");
+    let first = only.or(variable("SOAK_FROM")).unwrap_or(0);
+    let end = first + only.map_or(sequences, |_| 1);
+    let (next, failed) = (AtomicU64::new(first), Mutex::new(Vec::new()));
+    let most: usize = variable("SOAK_FAILURES").unwrap_or(1);
+    let sum = Mutex::new(Tally::default());
+    let work = || {
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= end || failed.lock().unwrap().len() >= most {
+                return;
+            }
+            let sequence = drawn(seed);
+            let (judged, tally, _) = judged(&sequence, &sequence.steps);
+            *sum.lock().unwrap() += tally;
+            if let Err(found) = judged {
+                let text = report(seed, &sequence, found);
+                eprintln!("{text}\n");
+                failed.lock().unwrap().push(text);
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        (0..threads).for_each(|_| drop(scope.spawn(work)));
+    });
+    let tally = sum.into_inner().unwrap();
+    println!("seeds {first} ... {}, {:.1?}: {tally:?}", end - 1, begun.elapsed());
+    if let Some(text) = failed.into_inner().unwrap().first() {
+        panic!("{text}");
+    }
+    tally
+}
+
+/// The STO opens at a drive that is found running: all others of its group were stopped already, for the tolerated
+/// reason.
+#[test]
+fn a_group_is_not_moved_again_of_which_a_drive_was_stopped_after_it_was_found_running() {
+    let shape = Shape { group: 0b111, period_ns: run::PERIOD_NS, ..Shape::of(Kind::Unidrive) };
+    let patterns = [191, 493, 725]
+        .map(|hold_ms| Pattern::Velocities { velocities: vec![4.0, -6.0, 1.0], hold_ns: hold_ms * MS });
+    let step = |at, op| Step { at, axis: 1, op };
+    let steps = vec![step(104, Op::Kill(1)), step(107, Op::Inhibit(50))];
+    let sequence = Sequence { shape, patterns: patterns.into(), before: None, steps };
+    if let (Err(found), _, story) = judged(&sequence, &sequence.steps) {
+        panic!("{found:?}\n{}", story.join("\n"));
+    }
+}
+
+/// What the pause caused comes again before the axis is enabled: something else causes it.
+#[test]
+fn a_fault_of_a_pause_that_comes_again_is_not_reset_again() {
+    let shape = Shape { period_ns: run::PERIOD_NS, ..Shape::of(Kind::Unidrive) };
+    let moving = Pattern::Velocities { velocities: vec![4.0, -6.0, 1.0], hold_ns: 300 * MS };
+    let step = |at, op| Step { at, axis: 1, op };
+    // From the reset until the axis is enabled.
+    for turns in 0..15 {
+        let steps = vec![step(104, Op::Kill(1)), step(105, Op::Relapse(turns))];
+        let sequence = Sequence { shape, patterns: vec![moving.clone(); AXES], before: None, steps };
+        let (result, tally, story) = judged(&sequence, &sequence.steps);
+        let story = story.join("\n");
+        assert!(result.is_ok(), "{result:?}\n{story}");
+        assert_eq!((tally.resets, tally.relapses, tally.given_up), (1, 1, 1), "{story}");
+    }
+}
+
+#[test]
+fn nothing_moves_that_must_not_in_random_soak_tests() {
+    let tally = campaign(24, 1);
+    if env::var("SOAK_SEED").is_err() {
+        // Each kind of event came about.
+        let Tally { stops, given_up, stayed, resets, later, .. } = tally;
+        assert!([stops, given_up, stayed, resets, later].iter().all(|count| *count > 1), "{tally:?}");
+    }
+}
+
+#[test]
+#[ignore = "many random soak tests: minutes in a release build"]
+fn nothing_moves_that_must_not_in_many_random_soak_tests() {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    campaign(variable("SOAK_SEQUENCES").unwrap_or(20_000), threads);
+}
