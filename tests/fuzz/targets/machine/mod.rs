@@ -424,7 +424,7 @@ impl Machine {
         let mut missed = 0;
         for ((watch, drive), refused) in self.watches.iter().zip(&end.drives).zip(refused) {
             watch.end(drive, refused);
-            missed += drive.counters.missed + drive.counters.unsent;
+            missed += drive.counters.missed;
         }
         assert_eq!(end.status.missed, missed);
         assert_eq!(end.status.planned, end.status.executed + end.status.skipped);
