@@ -23,9 +23,11 @@ use fieldbeat::internals::bus::ethercat::object::Objects;
 use fieldbeat::internals::cycle::engine::{Control, Engine};
 use fieldbeat::internals::cycle::status::Gauges;
 use fieldbeat::internals::cycle::task::Task;
+use fieldbeat::internals::inputs::{InputLog, recording};
+use fieldbeat::internals::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::internals::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
-use fieldbeat::internals::rt::{Clock, MonotonicClock, PollSet};
+use fieldbeat::internals::rt::{Clock, MonotonicClock, PollSet, Regions};
 use fieldbeat::internals::telemetry::TelemetryThread;
 use fieldbeat::internals::telemetry::tap::Taps;
 use fieldbeat::sim::SimPlan;
@@ -159,19 +161,52 @@ fn confine() {
 }
 
 /// A loop that runs under the filter, on a thread of its own.
-struct Confined {
+struct Confined<C> {
     /// Locked by that thread until the loop has ended.
-    engine: Arc<Mutex<Option<Engine<MonotonicClock>>>>,
+    engine: Arc<Mutex<Option<Engine<C>>>>,
     control: Control,
     gauges: Gauges,
     _recorder: TelemetryThread,
 }
 
-impl Confined {
-    fn start(plan: Plan, task: Task) -> (Confined, Vec<Axis>) {
+/// The task of a loop, and its begin under the filter.
+type Start<C> = fn(Plan, Task) -> (Confined<C>, Vec<Axis>);
+
+/// As an application starts it.
+fn plain(plan: Plan, task: Task) -> (Confined<MonotonicClock>, Vec<Axis>) {
+    Confined::start(&plan, MonotonicClock, &Os::default(), task)
+}
+
+/// Room for the log of seconds, in words.
+const LOG_WORDS: usize = 1 << 20;
+
+/// With all that can be recorded in addition: the log of its inputs, and native process data.
+fn recorded(mut plan: Plan, task: Task) -> (Confined<LoggedClock<MonotonicClock>>, Vec<Axis>) {
+    plan.cycle.record_native = vec!["all".to_owned()];
+    let (recording, mut reader) = recording::log(LOG_WORDS, &mut Regions::default());
+    let log = InputLog::recording(recording);
+    let os = Os::default();
+    let clock = LoggedClock::new(MonotonicClock, &log);
+    let started = Confined::start(&plan, clock, &LoggedCarriers::new(&os, &log), task);
+    std::thread::spawn(move || {
+        let mut words = Vec::new();
+        while reader.take(&mut words) {
+            LOGGED.fetch_add(words.len() as u64, Ordering::Relaxed);
+            words.clear();
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    });
+    started
+}
+
+/// Words of the log that were taken out.
+static LOGGED: AtomicU64 = AtomicU64::new(0);
+
+impl<C: Clock + Send + 'static> Confined<C> {
+    fn start(plan: &Plan, clock: C, carriers: &dyn Carriers, task: Task) -> (Confined<C>, Vec<Axis>) {
         let control = Control::default();
         let Assembly { engine, axes, gauges, records, .. } =
-            assemble(&plan, MonotonicClock, &Os::default(), Some(task), control.clone()).unwrap();
+            assemble(plan, clock, carriers, Some(task), control.clone()).unwrap();
         let measured = Measured::new(&plan.units(), &plan.cycle, true);
         let recorder = TelemetryThread::start(records, measured, Taps::default(), None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));
@@ -221,7 +256,7 @@ fn leave_no_core() {
 }
 
 /// What the child does: `crime` is committed on the loop's thread, should there be one.
-fn live(crime: Option<fn()>) {
+fn live<C: Clock + Send + 'static>(start: Start<C>, crime: Option<fn()>) {
     leave_no_core();
     let machine = Machine::new(1);
     let config = drives_and_errors(&machine, "250us", 10_000, 700);
@@ -236,7 +271,7 @@ fn live(crime: Option<fn()>) {
             crime();
         }
     };
-    let (confined, axes) = Confined::start(plan(&config), Box::new(task));
+    let (confined, axes) = start(plan(&config), Box::new(task));
     let mut adventures = Adventures::begin(&machine, &config, axes, ServerOptions::default());
     let goal = confined.executed() + CYCLES;
     while confined.executed() < goal || !adventures.have_done(10) {
@@ -278,20 +313,27 @@ fn child(name: &str, role: &str, shelter: &Machine) -> Ended {
 
 #[test]
 fn a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed() {
-    if role().is_some() {
-        return live(None);
+    match role().as_deref() {
+        None => {}
+        Some("recorded") => {
+            live(recorded, None);
+            return assert!(LOGGED.load(Ordering::Relaxed) > CYCLES);
+        }
+        Some(_) => return live(plain, None),
     }
     let name = "a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed";
-    let ended = child(name, "innocent", &Machine::new(2));
-    assert_ne!(
-        ended.signal,
-        Some(libc::SIGSYS),
-        "a call that is not listed; strace -f shows which: {ended:?}"
-    );
-    ended.expect(0);
-    let lived = ended.out.lines().find_map(|line| line.strip_prefix(LIVED)).unwrap();
-    assert!(lived.split(' ').next().unwrap().parse::<u64>().unwrap() >= CYCLES, "{ended:?}");
-    println!("{LIVED}{lived}");
+    for role in ["innocent", "recorded"] {
+        let ended = child(name, role, &Machine::new(2));
+        assert_ne!(
+            ended.signal,
+            Some(libc::SIGSYS),
+            "a call that is not listed; strace -f shows which: {ended:?}"
+        );
+        ended.expect(0);
+        let lived = ended.out.lines().find_map(|line| line.strip_prefix(LIVED)).unwrap();
+        assert!(lived.split(' ').next().unwrap().parse::<u64>().unwrap() >= CYCLES, "{ended:?}");
+        println!("{role}: {LIVED}{lived}");
+    }
 }
 
 /// The cycles that the loop of a line has to execute.
@@ -332,7 +374,7 @@ fn live_on_a_line() {
     };
     let serve =
         || SimServer::start(SimPlan::from(segment.clone()).build(), ServerOptions::default()).unwrap();
-    let (confined, mut axes) = Confined::start(plan(), Box::new(|_, _| {}));
+    let (confined, mut axes) = recorded(plan(), Box::new(|_, _| {}));
     let read = Objects.read("0x6041:0").unwrap();
     let (mut lives, mut answered) = (0, 0_u32);
     while confined.executed() < LINE_CYCLES || lives < 2 {
@@ -418,7 +460,7 @@ fn live_on_packets() {
     let serve =
         || SimServer::start(SimPlan::from(MoonsDrives::of(&bus)).build(), ServerOptions::default()).unwrap();
     let mut server = Some(serve());
-    let (confined, mut axes) = Confined::start(plan, Box::new(|_, _| {}));
+    let (confined, mut axes) = recorded(plan, Box::new(|_, _| {}));
     let read = bus.notation().read("AC").unwrap();
     let (mut lives, mut answered) = (0, 0_u32);
     while confined.executed() < PACKET_CYCLES || lives < 2 {
@@ -505,7 +547,7 @@ fn live_on_a_wire() {
         SimServer::start(simulated, ServerOptions::default()).unwrap()
     };
     let mut server = Some(serve());
-    let (confined, mut axes) = Confined::start(plan, Box::new(|_, _| {}));
+    let (confined, mut axes) = recorded(plan, Box::new(|_, _| {}));
     let read = bus.notation().read("C0061").unwrap();
     let (mut lives, mut answered) = (0, 0_u32);
     while confined.executed() < PACKET_CYCLES || lives < 2 {
@@ -707,7 +749,7 @@ const CRIMES: [(&str, fn()); 4] = [
 #[test]
 fn any_other_system_call_of_the_loop_would_be_its_end() {
     if let Some(role) = role() {
-        return live(CRIMES.iter().find(|(name, _)| *name == role).map(|(_, crime)| *crime));
+        return live(plain, CRIMES.iter().find(|(name, _)| *name == role).map(|(_, crime)| *crime));
     }
     for (crime, _) in CRIMES {
         let name = "any_other_system_call_of_the_loop_would_be_its_end";

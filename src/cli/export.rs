@@ -25,7 +25,7 @@ pub struct Export {
     #[arg(long, value_name = "DIR")]
     csv: Option<Option<PathBuf>>,
     /// A trace for Perfetto or chrome://tracing: the stages of each cycle, commands, events, late cycles. By default
-    /// FILE with the extension json.
+    /// FILE with the extension json; `-` prints it.
     #[arg(long, value_name = "OUT")]
     perfetto: Option<Option<PathBuf>>,
     /// A recording, from a file of the black box. By default FILE with the extension mcap.
@@ -71,8 +71,12 @@ impl Export {
         }
         let mut failed = None;
         let messages = messages.map_while(|message| message.map_err(|why| failed = Some(wrong(why))).ok());
+        let prints = |out: &Path| out == Path::new("-");
         match (self.csv, self.perfetto) {
-            (Some(Some(out)), _) if out == Path::new("-") => wide(messages),
+            (Some(Some(out)), _) if prints(&out) => printed(wide(messages)),
+            (None, Some(Some(out))) if prints(&out) => {
+                printed(events(io::stdout().lock(), messages).map(drop))
+            }
             (Some(directory), _) => per_topic(&place(directory, ""), messages),
             (None, Some(out)) => trace(&place(out, "json"), messages),
             (None, None) => Ok(()),
@@ -81,10 +85,15 @@ impl Export {
     }
 }
 
-/// One table on standard output. A reader that has gone away (`| head`) is no error.
-fn wide(mut messages: impl Iterator<Item = Entry>) -> Result<(), Stop> {
+/// One table of all axes on standard output.
+fn wide(mut messages: impl Iterator<Item = Entry>) -> io::Result<()> {
     let mut table = Wide::new(io::stdout().lock());
-    let written = messages.try_for_each(|message| table.enter(&message)).and_then(|()| table.finish());
+    messages.try_for_each(|message| table.enter(&message))?;
+    table.finish()
+}
+
+/// A reader that has gone away (`| head`) is no error.
+fn printed(written: io::Result<()>) -> Result<(), Stop> {
     match written {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             Err(Stop::failed(format!("cannot write to standard output: {error}; look at where it leads")))
@@ -112,7 +121,7 @@ fn per_topic(directory: &Path, mut messages: impl Iterator<Item = Entry>) -> Res
 fn trace(out: &Path, messages: impl Iterator<Item = Entry>) -> Result<(), Stop> {
     let refused = |why: io::Error| refused(out, &why);
     let file = File::create_new(out).map_err(refused)?;
-    match events(BufWriter::new(file), messages) {
+    match events(file, messages) {
         Ok(count) => {
             complain(&format!("{}: {count} events", out.display()));
             Ok(())
@@ -127,7 +136,7 @@ fn trace(out: &Path, messages: impl Iterator<Item = Entry>) -> Result<(), Stop> 
 
 /// Writes a trace. Returns how many events it has.
 fn events(out: impl Write, mut messages: impl Iterator<Item = Entry>) -> io::Result<u64> {
-    let mut trace = Trace::new(out)?;
+    let mut trace = Trace::new(BufWriter::new(out))?;
     let mut end_ns = 0;
     messages.try_for_each(|message| {
         end_ns = end_ns.max(message.utc_ns);

@@ -12,7 +12,7 @@ use fieldbeat::internals::soak::criteria::{Judged, judge};
 use fieldbeat::internals::soak::directory::{Directory, Writer, page, ran};
 use fieldbeat::internals::soak::progress::Progress;
 use fieldbeat::internals::telemetry::archive::Archive;
-use fieldbeat::internals::telemetry::compare::compare;
+use fieldbeat::internals::telemetry::compare::{compare, differences};
 use fieldbeat::internals::telemetry::report::earlier_run;
 use fieldbeat::time::{S, nanos};
 use fieldbeat::{Master, Plan};
@@ -270,6 +270,10 @@ fn lines(
         if compared.is_empty() {
             text += &format!("compared with {name}: one of the two is too short\n");
         }
+        let other = progress.run.as_ref().map(|this| differences(this, run)).unwrap_or_default();
+        if !other.is_empty() {
+            text += &format!("compared with {name}: the runs differ otherwise, too: {}\n", other.join("; "));
+        }
         for one in compared {
             let word = one.verdict.word();
             let (this, that) = (one.this.text(one.share), one.earlier.text(one.share));
@@ -292,8 +296,12 @@ fn object(
 ) -> Value {
     let compared: Vec<Value> = (earlier.iter())
         .map(|(name, run)| {
-            let quantities = progress.run.as_ref().map(|this| compare(this, run));
-            json!({ "with": name, "quantities": quantities.unwrap_or_default() })
+            let this = progress.run.as_ref();
+            json!({
+                "with": name,
+                "differences": this.map(|this| differences(this, run)).unwrap_or_default(),
+                "quantities": this.map(|this| compare(this, run)).unwrap_or_default(),
+            })
         })
         .collect();
     json!({

@@ -5,12 +5,13 @@
 //! each cycle, so that what the reader gets ends with a whole cycle. A log that finds no room ends with the last whole
 //! cycle, and stays ended: what follows could not be repeated.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use crossbeam::utils::CachePadded;
 
 use super::entry::{Head, Kind, MOST_BYTES, MOST_LOOKS, after_ns};
 use crate::rt::Regions;
+use crate::sync::{AtomicBool, AtomicU64};
 use crate::time::Time;
 
 /// The loop's end of the log.

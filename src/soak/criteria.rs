@@ -361,18 +361,22 @@ mod tests {
     #[test]
     fn a_tail_that_grows_drifts_and_noise_does_not() {
         let level = |ns: u64| Bins::from_list([(ns, 10_000)]);
-        let drifts = |last: u64| {
+        let drifts = |wake: u64, rtt: u64| {
             failed(|_, run| {
                 let parts = run.parts.len();
                 for (place, part) in run.parts.iter_mut().enumerate() {
-                    part.wake = level(if place < parts * 3 / 4 { 30_000 } else { last });
-                    part.rtt = vec![level(100_000)];
+                    let is_last = place >= parts * 3 / 4;
+                    part.wake = level(if is_last { wake } else { 30_000 });
+                    part.rtt = vec![level(if is_last { rtt } else { 100_000 })];
                 }
             })
         };
-        assert_eq!(drifts(49_000), Vec::<String>::new(), "63 %, but less than 20 us");
+        assert_eq!(drifts(49_000, 119_000), Vec::<String>::new(), "63 %, but less than 20 us; 19 %");
         let expected = "drift: 100.00 %, at most 50.00 %; wake-up latency: p99 30 us at first, 60 us at last";
-        assert_eq!(drifts(60_000), [expected]);
+        assert_eq!(drifts(60_000, 100_000), [expected]);
+        let expected =
+            "drift of x: 80.00 %, at most 50.00 %; round trip: p99 100 us at first, 180 us at last";
+        assert_eq!(drifts(30_000, 180_000), [expected]);
     }
 
     #[test]

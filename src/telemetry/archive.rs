@@ -89,7 +89,7 @@ pub struct Counts {
     pub overruns: u64,
     /// Late cycles.
     pub late: u64,
-    /// Exchanges missed by all drives, those without a connection included.
+    /// Exchanges missed by all drives.
     pub missed: u64,
     /// Telemetry records lost.
     pub lost_records: u64,

@@ -4,6 +4,8 @@
 //! They come from the parts of each run: the parts are drawn again and again, with replacement, and the quantile of
 //! each draw is taken (block bootstrap). Two runs differ where their intervals are apart.
 
+use std::collections::BTreeSet;
+
 use serde::Serialize;
 
 use super::archive::Archive;
@@ -127,6 +129,37 @@ pub fn compare(this: &Archive, earlier: &Archive) -> Vec<Compared> {
         compared.extend(of_histograms(&what, &ours, &theirs, &measures[..2]));
     }
     compared
+}
+
+/// In what else two runs differ: cycle, host, program and drives. A line each.
+pub fn differences(this: &Archive, earlier: &Archive) -> Vec<String> {
+    let facts = |run: &Archive| {
+        let computer = &run.host.computer;
+        let texts = [&computer.name, &computer.kernel, &computer.preemption, &computer.cpu];
+        let [host, kernel, preemption, processor] =
+            texts.map(|text| text.clone().unwrap_or_else(|| "unknown".to_owned()));
+        [
+            ("period", Ns(run.period_ns).to_string()),
+            ("late limit", Ns(run.late_ns).to_string()),
+            ("host", host),
+            ("kernel", kernel),
+            ("preemption", preemption),
+            ("processor", processor),
+            ("policy", run.host.policy.clone()),
+            ("fieldbeat", run.program.clone()),
+        ]
+    };
+    let drives = |run: &Archive| -> BTreeSet<String> {
+        run.drives.iter().map(|drive| format!("{} ({})", drive.name, drive.protocol)).collect()
+    };
+    let (ours, theirs) = (drives(this), drives(earlier));
+    let only =
+        |drives: &BTreeSet<String>, others| -> Vec<String> { drives.difference(others).cloned().collect() };
+    let lists = [("this", only(&ours, &theirs)), ("the earlier", only(&theirs, &ours))];
+    let changed = facts(this).into_iter().zip(facts(earlier)).filter(|(this, earlier)| this != earlier);
+    let changed = changed.map(|((what, this), (_, earlier))| format!("{what} {this}, was {earlier}"));
+    let listed = lists.into_iter().filter(|(_, drives)| !drives.is_empty());
+    changed.chain(listed.map(|(run, drives)| format!("only in {run} run: {}", drives.join(", ")))).collect()
 }
 
 fn of_histograms(what: &str, ours: &[Bins], theirs: &[Bins], measures: &[(&str, Measure)]) -> Vec<Compared> {
@@ -289,6 +322,23 @@ mod tests {
         assert_eq!(same.len(), 6, "{same:?}");
         assert!(same.iter().all(|one| one.verdict == Verdict::Same));
         assert_eq!(compare(&x, &y).len(), 4);
+    }
+
+    #[test]
+    fn other_machines_are_told_apart() {
+        let x = archive(&run("x", 20_000));
+        assert_eq!(differences(&x, &x), [""; 0]);
+        let mut y = archive(&run("y", 20_000));
+        (y.period_ns, y.host.computer.kernel) = (2 * x.period_ns, Some("6.1.0-rt".into()));
+        let kernel = x.host.computer.kernel.as_deref().unwrap_or("unknown");
+        let protocol = &x.drives[0].protocol;
+        let lines = [
+            format!("period {}, was {}", Ns(x.period_ns), Ns(y.period_ns)),
+            format!("kernel {kernel}, was 6.1.0-rt"),
+            format!("only in this run: x ({protocol})"),
+            format!("only in the earlier run: y ({protocol})"),
+        ];
+        assert_eq!(differences(&x, &y), lines);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use super::archive::{Archive, Drive};
-use super::compare::{Compared, Verdict, compare, percent, significant};
+use super::compare::{Verdict, compare, differences, percent, significant};
 use super::motion::Mark;
 use super::plots::chart::escape;
 use super::plots::{motion, percentiles, timeline, wake};
@@ -89,7 +89,7 @@ impl Page<'_> {
                  </header>\n";
         self.tables.iter().for_each(|table| html += &section(table));
         for (name, earlier) in self.earlier {
-            html += &section(&comparison(name, earlier, &compare(run, earlier)));
+            html += &section(&comparison(name, run, earlier));
         }
         html += "<h2>Timing</h2>\n";
         html += &wake::plot(run, self.earlier);
@@ -241,9 +241,10 @@ pub fn whole(ns: u64) -> String {
     }
 }
 
-fn comparison(name: &str, earlier: &Archive, compared: &[Compared]) -> Table {
+fn comparison(name: &str, run: &Archive, earlier: &Archive) -> Table {
+    let compared = compare(run, earlier);
     let count = |verdict| compared.iter().filter(|one| one.verdict == verdict).count();
-    let about = match compared {
+    let about = match &*compared {
         [] => String::from("One of the two is too short to be compared: it has too few parts."),
         compared => format!(
             "Of {}: {} worse, {} better, {} not different. Intervals of 95 % over the parts of each run; two runs \
@@ -268,9 +269,14 @@ fn comparison(name: &str, earlier: &Archive, compared: &[Compared]) -> Table {
         ];
         Row { good, cells }
     });
+    let differences = differences(run, earlier);
+    let other = match &*differences {
+        [] => String::new(),
+        lines => format!(" The runs differ otherwise, too: {}.", lines.join("; ")),
+    };
     Table {
         title: format!("Compared with {name}"),
-        about: format!("{} of {}. {about}", whole(earlier.length_ns()), earlier.at),
+        about: format!("{} of {}. {about}{other}", whole(earlier.length_ns()), earlier.at),
         columns: vec![" quantity", VERDICT, "this run", "earlier run"],
         rows: rows.collect(),
     }

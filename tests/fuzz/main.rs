@@ -84,6 +84,11 @@ fn files() {
 }
 
 #[test]
+fn recording() {
+    fuzz("recording", targets::recording, 300, 60);
+}
+
+#[test]
 fn config() {
     fuzz("config", targets::config, 150, 4_000);
 }

@@ -1,12 +1,16 @@
 //! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop
-//! takes their bells; and of an application that posts, cancels and polls calls while the loop takes and ends them.
+//! takes their bells; of an application that posts, cancels and polls calls while the loop takes and ends them; and of
+//! a log that is taken out while the loop fills it.
 
 use std::time::Duration;
 
 use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
-use fieldbeat_loom::axis::doorbell::Bells;
 use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
+use fieldbeat_loom::axis::doorbell::Bells;
 use fieldbeat_loom::calls;
+use fieldbeat_loom::inputs::entry::Kind;
+use fieldbeat_loom::inputs::recording::log;
+use fieldbeat_loom::rt::Regions;
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
@@ -218,5 +222,37 @@ fn what_ended_before_the_master_did_is_not_lost() {
         assert_eq!(end(&mut ticket), Ok(7));
         executor.join().unwrap();
         assert!(acyclic.post(Call::default(), Duration::ZERO).is_err());
+    });
+}
+
+/// With room for two cycles, so that the third one goes to the place of the first one, or ends the log.
+#[test]
+fn a_log_is_taken_out_in_whole_cycles_and_says_with_which_one_it_ends() {
+    bounded(3, || {
+        let (recording, mut reader) = log(4, &mut Regions::new());
+        let other = thread::spawn(move || {
+            let mut words = Vec::new();
+            let goes_on = reader.take(&mut words) && reader.take(&mut words);
+            (reader, words, goes_on)
+        });
+        for cycle in 1..=3 {
+            recording.cycle(cycle);
+            if cycle == 1 {
+                let mark = recording.mark();
+                recording.entry(Kind::Clock, &[], &[]);
+                recording.go_back(mark);
+            }
+            recording.publish();
+        }
+        recording.end();
+        let (mut reader, mut words, goes_on) = other.join().unwrap();
+        let before = words.len();
+        assert!(!reader.take(&mut words), "it is over");
+        assert!(goes_on || words.len() == before, "more came after its end");
+        let cycles = words.chunks_exact(2).map(|entry| entry[1]);
+        assert_eq!(
+            (words.len() % 2, cycles.collect::<Vec<_>>()),
+            (0, (1..reader.ended_at().unwrap_or(4)).collect())
+        );
     });
 }

@@ -1,4 +1,4 @@
-//! The feedback cell, the doorbell and the acyclic queue, built with the primitives of a model checker.
+//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
 //! access is a point at which another thread may run, and there is no memory to be locked.
@@ -71,8 +71,14 @@ pub mod rt {
     }
 }
 
+#[path = "."]
 pub mod inputs {
-    //! Queues, and no log of what is taken from them.
+    //! Queues, no log of what is taken from them, and the ring of that log by itself.
+
+    #[path = "../../src/inputs/entry.rs"]
+    pub mod entry;
+    #[path = "../../src/inputs/recording.rs"]
+    pub mod recording;
 
     use crate::sync::Consumer;
 

@@ -339,6 +339,23 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
 }
 
 #[test]
+fn alone_the_panel_names_what_its_black_box_wrote() {
+    let machine = Machine::new(115);
+    let config = config(&machine, "lost");
+    let drives = serve(&config);
+    let panel = Panel::start(&config, &[]);
+    panel.await_text("no master runs: this panel is the master");
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    drop(drives);
+    await_axis(&mut watcher, |state| state.axes[0].link == "lost");
+    panel.signal(libc::SIGTERM);
+    let (_, text) = panel.end();
+    assert_given_back(&text);
+    assert!(text.contains("fieldbeat: black box: ") && text.contains("link lost"), "{text:?}");
+}
+
+#[test]
 fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     let machine = Machine::new(157);
     let config = config(&machine, "refused");

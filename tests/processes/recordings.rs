@@ -52,6 +52,8 @@ fn a_recording_has_every_executed_cycle_and_is_exported() {
     let trace: Value = serde_json::from_slice(&std::fs::read(machine.path("run.json")).unwrap()).unwrap();
     let sends = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["name"] == "send");
     assert_eq!(sends.count() as u64, executed);
+    let printed = run(["export", file, "--perfetto", "-"]).expect(0).out.clone();
+    assert_eq!(printed, std::fs::read_to_string(machine.path("run.json")).unwrap());
     // What is there is never replaced, and an export that fails leaves nothing in the way of the next one.
     run(["export", file, "--perfetto", machine.path("run.json").to_str().unwrap()]).expect(2);
     let tables = machine.path("run");

@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use libc::SIGINT;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::support::{Ended, LONG, Machine, PROGRAM, Program, drive, period, run, until};
 use super::{ask, assert_powered_off, await_status, serve, simulation};
@@ -111,7 +111,8 @@ fn a_test_moves_its_axes_and_ends_with_a_verdict_and_a_page() {
     await_checkpoint(&other, |all| moves(all) >= 1 && all["axes"][1]["cycles"].as_u64() > Some(0));
     let ended = interrupt(program);
     ended.expect(0);
-    assert_eq!(ended.json()["compared"][0]["with"], "soak");
+    let compared = &ended.json()["compared"][0];
+    assert_eq!((&compared["with"], &compared["differences"]), (&"soak".into(), &json!([])));
 }
 
 #[test]

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use crossbeam_channel::RecvTimeoutError;
 use fieldbeat::internals::control::{HOLD_EVERY, OperateError, Operator, Order, Server, Station};
+use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::{Master, Plan};
 
 use self::panel::{Panel, Want, short};
@@ -21,7 +22,7 @@ use self::terminal::{LOOK_EVERY, Terminal};
 use super::handler::serve;
 use super::interrupt::Interrupt;
 use super::masters::Wanted;
-use super::{Stop, load, print, run};
+use super::{Stop, complain, load, print, run};
 
 /// How often the panel looks at the axes, and is drawn.
 const SHOW_EVERY: Duration = Duration::from_millis(50);
@@ -302,7 +303,8 @@ impl Reached {
     }
 
     fn alone(plan: Plan, interrupt: &Interrupt) -> Result<Reached, Stop> {
-        let master = run::start(Master::from_plan(plan), interrupt)?;
+        let setup = Master::from_plan(plan).with_black_box(default_directory());
+        let master = run::start(setup, interrupt)?;
         let axes = run::all_axes(&master)?;
         let station = Station::start(axes, master.monitor()).map_err(Stop::failed)?;
         let mut operator = Operator::local(&station);
@@ -352,7 +354,7 @@ impl Reached {
             print(format_args!("axis {}: {power}{place}", facts.name))?;
         }
         if let Some(OwnMaster { master, .. }) = master {
-            drop(master.finish());
+            master.finish().measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
         }
         Ok(())
     }

@@ -102,7 +102,7 @@ fn the_panel_shows_what_is_known_in_80_by_24() {
         " position  100.000 mm   demand 100.125 mm",
         " limits    0 [----------|-----------------------------] 400 mm",
         " velocity  -12.500 mm/s   limit 2000 mm/s   current 0.250 A",
-        " inputs    STO closed   homed   not in target   not moving",
+        " inputs    STO not reported missing   homed   not in target   not moving",
         " fault     none   warnings none   stopped: no",
         " monitor   temperature 41.5 °C",
         "one operates",

@@ -168,7 +168,11 @@ fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec
         Line::from(vec![
             Span::raw(label("inputs")),
             alarm(
-                if state.inhibited { "STO missing".to_owned() } else { "STO closed".to_owned() },
+                if state.inhibited {
+                    "STO missing".to_owned()
+                } else {
+                    "STO not reported missing".to_owned()
+                },
                 state.inhibited,
             ),
             Span::raw(format!(

@@ -3,8 +3,8 @@
 use super::request::{AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Order};
 use crate::axis::command::Jog;
 use crate::axis::{
-    Abort, Axis, AxisError, Command, CommandId, EventKind, MonitorChannel, Move, Outcome, Profile, StopThen,
-    Target,
+    Abort, Axis, AxisError, Command, CommandId, EventKind, Link, MonitorChannel, Move, Outcome, Profile,
+    StopThen, Target,
 };
 
 /// An axis and what is under way.
@@ -149,7 +149,9 @@ impl Operated {
     pub fn state(&self) -> AxisState {
         let feedback = self.axis.feedback();
         let status = &feedback.status;
-        let known = |value: f64| value.is_finite().then_some(value);
+        // A drive that has not answered yet stands nowhere.
+        let seen = feedback.link != Link::Unseen;
+        let known = |value: f64| (seen && value.is_finite()).then_some(value);
         AxisState {
             cycle: feedback.cycle,
             age: feedback.age,

@@ -185,6 +185,16 @@ impl Bench {
 const SPEED: f64 = 4.0;
 
 #[test]
+fn a_drive_that_has_not_answered_stands_nowhere() {
+    let text = std::fs::read_to_string("rt-config/linmot.toml").unwrap();
+    let plan: Plan = crate::config::parse(&text, "linmot").unwrap().plan;
+    let mut machine = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
+    let state = Operated::new(machine.take_axis(0), Vec::new()).state();
+    assert_eq!(state.link, Link::Unseen.to_string());
+    assert_eq!([state.position, state.demand, state.velocity, state.current], [None; 4]);
+}
+
+#[test]
 fn every_drive_jogs_while_it_is_held_and_stops_when_it_is_not() {
     for sample in ["linmot", "unidrive", "kollmorgen", "moons", "lenze"] {
         let mut bench = Bench::of(sample, |_| {}).ready();

@@ -15,6 +15,7 @@
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
 //! | `files` | the text of a curve or of a command table |
+//! | `recording` | damage to a recording with its log |
 //! | `config` | the text of a configuration |
 //! | `config_keys` | a program that changes the sample configurations key by key |
 //! | `machine` | a program for a whole machine in virtual time: a hostile drive, and an application in a hurry |
@@ -41,6 +42,7 @@ mod machine;
 mod modbus;
 mod modbus_wire;
 mod profibus_wire;
+mod recording;
 mod station;
 mod telegram;
 
@@ -57,5 +59,6 @@ pub use machine::machine;
 pub use modbus::modbus;
 pub use modbus_wire::modbus_wire;
 pub use profibus_wire::profibus_wire;
+pub use recording::recording;
 pub use station::station;
 pub use telegram::telegram;
