@@ -87,6 +87,29 @@ impl fmt::Display for Event {
     }
 }
 
+impl EventKind {
+    /// The code that its drive may have a name for.
+    pub(crate) fn fault(&self) -> Option<u32> {
+        match *self {
+            EventKind::Ended { outcome, .. } => outcome.fault(),
+            EventKind::Fault(code) => Some(code).filter(|code| *code != 0),
+            EventKind::Emergency(emergency) => Some(emergency.code.into()),
+            _ => None,
+        }
+    }
+
+    /// In words, with the protocol's name for that code.
+    pub(crate) fn described(&self, name: Option<&str>) -> String {
+        match *self {
+            EventKind::Fault(code) if code != 0 => format!("fault {}", Fault { code, name }),
+            EventKind::Emergency(emergency) => {
+                emergency.described(Fault { code: emergency.code.into(), name })
+            }
+            _ => self.to_string(),
+        }
+    }
+}
+
 impl fmt::Display for EventKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {

@@ -77,6 +77,9 @@ impl Export {
             (None, Some(Some(out))) if prints(&out) => {
                 printed(events(io::stdout().lock(), messages).map(drop))
             }
+            (Some(None), _) if self.file.extension().is_none() => {
+                Err(Stop::usage(format!("{name} has no extension to leave out: name a directory, --csv DIR")))
+            }
             (Some(directory), _) => per_topic(&place(directory, ""), messages),
             (None, Some(out)) => trace(&place(out, "json"), messages),
             (None, None) => Ok(()),

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use fieldbeat::replay::{LogEnd, Recorded, Replay as Machine, ReplayError, Verdict};
+use fieldbeat::replay::{Difference, LogEnd, Recorded, Replay as Machine, ReplayError, Verdict};
 use serde_json::json;
 
 use super::output::both;
@@ -95,15 +95,14 @@ impl Replay {
 }
 
 fn object(verdict: &Verdict, cut: Option<&str>) -> serde_json::Value {
-    let difference = verdict.difference.as_ref().map(|difference| {
-        json!({ "cycle": difference.cycle, "drive": difference.drive, "what": difference.to_string() })
-    });
+    let where_it_is = |difference: &Difference| json!({ "cycle": difference.cycle, "drive": difference.drive, "what": difference.to_string() });
     json!({
-        "equal": verdict.is_equal(),
+        "equal": verdict.last.is_some() && verdict.is_equal(),
         "last": verdict.last,
         "telegrams": verdict.telegrams,
         "bytes": verdict.bytes,
-        "difference": difference,
+        "difference": verdict.difference.as_ref().map(where_it_is),
+        "other_inputs": verdict.other_inputs.as_ref().map(where_it_is),
         "cut": cut,
     })
 }

@@ -93,7 +93,8 @@ impl SoakTest {
         let _server = serving.serve(&master).map_err(not_begun)?;
         progress.begin();
         let core = master.granted().core;
-        let writer = Writer::start(directory.clone(), move || helper_thread(core)).map_err(Stop::failed)?;
+        let writer = Writer::start(directory.clone(), move || helper_thread(core));
+        let writer = writer.map_err(Stop::failed).map_err(not_begun)?;
         let handler = Handler::new(&master, &interrupt);
         let every_ns = nanos(self.checkpoint).max(S / 10);
         let mut test = Test { master, handler, soak, progress, is_resumed: !is_new, writer, every_ns };

@@ -211,12 +211,13 @@ impl Mover {
             self.phase = Phase::Waiting { since: Some(now) };
         }
         // A latch of before, such as that of a drive that was found running, does not show the stop of the group.
-        let why = if stopped.is_none() && self.waits() && group.stopped && !self.ending {
+        let why = if let Some(stopped) = stopped {
+            // The cause of the latch says more than the command that it ended. Nothing is commanded any more.
+            format!("{STOPPED}{stopped}")
+        } else if self.waits() && group.stopped && !self.ending {
             "its stop group is stopped".to_owned()
         } else {
-            match self.go_on(now, group) {
-                // The cause of the latch says more than the command that it ended.
-                _ if stopped.is_some() => format!("{STOPPED}{}", stopped?),
+            match self.go_on(now, group, cause.is_some()) {
                 Ok(()) => return self.said.take(),
                 Err(error) => error.to_string(),
             }
@@ -252,7 +253,8 @@ impl Mover {
         self.of_pause.is_some_and(|is_of_pause| is_of_pause(self.axis.feedback().status.fault))
     }
 
-    fn go_on(&mut self, now: u64, group: Seen) -> Result<(), AxisError> {
+    /// Goes on with an axis that is not stopped, or `is_stopped` for a tolerated reason.
+    fn go_on(&mut self, now: u64, group: Seen, is_stopped: bool) -> Result<(), AxisError> {
         if self.ending && !matches!(self.phase, Phase::Ending(..)) {
             if self.waits() {
                 self.phase = Phase::Ended;
@@ -276,7 +278,7 @@ impl Mover {
                     self.phase = Phase::Running(axis.post(Command::ResetFault)?, "reset fault", Next::Wait);
                 } else if !group.online && now.saturating_sub(since) <= ONLINE_WITHIN_NS {
                     // A drive of the group may still be found running, which stops them all.
-                } else if feedback.link == Link::Online && feedback.stopped.is_some() {
+                } else if feedback.link == Link::Online && is_stopped {
                     self.phase = Phase::Running(axis.post(Command::Reset)?, "reset", Next::Enable);
                 } else if feedback.link == Link::Online {
                     self.phase = Phase::Running(axis.post(Command::Enable)?, "enable", Next::Home);

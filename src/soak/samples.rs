@@ -62,7 +62,7 @@ impl Process {
     pub fn take(&mut self, sample: Sample) {
         // Samples are not taken to the nanosecond.
         let near_ns = self.spacing_ns - self.spacing_ns / 64;
-        let is_near = |[before, newest]: &[Sample; 2]| newest.at_ns - before.at_ns < near_ns;
+        let is_near = |[before, newest]: &[Sample; 2]| newest.at_ns.saturating_sub(before.at_ns) < near_ns;
         if self.samples.last_chunk().is_some_and(is_near) {
             self.samples.pop();
         } else if self.samples.len() >= MOST {
@@ -72,7 +72,7 @@ impl Process {
                 place % 2 == 1
             });
             if let [first, between @ .., last] = self.samples.as_slice() {
-                self.spacing_ns = (last.at_ns - first.at_ns) / (between.len() as u64 + 1);
+                self.spacing_ns = last.at_ns.saturating_sub(first.at_ns) / (between.len() as u64 + 1);
             }
         }
         self.samples.push(sample);
@@ -83,7 +83,8 @@ impl Process {
     pub fn growth(&self, warm_up_ns: u64) -> Option<Growth> {
         let warm = || self.samples.iter().filter(|sample| sample.at_ns >= warm_up_ns);
         let (first, last) = (warm().next()?.at_ns, warm().next_back()?.at_ns);
-        let quarter = (last - first) / 4;
+        // Those of a damaged checkpoint may not rise.
+        let quarter = last.checked_sub(first)? / 4;
         if warm().count() < 4 {
             return None;
         }

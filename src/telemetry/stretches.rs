@@ -1,6 +1,8 @@
 //! Values over the time of a run in bounded memory: one of each stretch of cycles. When the stretches grow too many,
 //! each two become one.
 
+use std::num::NonZeroU64;
+
 /// The most stretches: more than a plot is wide. Even, so that two always become one.
 pub const MOST: usize = 1024;
 
@@ -14,20 +16,21 @@ pub trait Merge: Copy + Default {
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "report", derive(serde::Serialize, serde::Deserialize))]
 pub struct Stretches<T> {
-    width: u64,
+    /// No file has a width of 0 that is taken for one.
+    width: NonZeroU64,
     list: Vec<T>,
 }
 
 impl<T: Merge> Default for Stretches<T> {
     fn default() -> Stretches<T> {
-        Stretches { width: 1, list: Vec::with_capacity(MOST) }
+        Stretches { width: NonZeroU64::MIN, list: Vec::with_capacity(MOST) }
     }
 }
 
 impl<T: Merge> Stretches<T> {
     /// How many cycles a stretch is long.
     pub fn width(&self) -> u64 {
-        self.width
+        self.width.get()
     }
 
     /// The stretches, in their order.
@@ -49,7 +52,7 @@ impl<T: Merge> Stretches<T> {
 
     /// Each two become one.
     fn halve(&mut self) {
-        self.width *= 2;
+        self.width = self.width.saturating_add(self.width.get());
         for pair in 0..self.list.len().div_ceil(2) {
             let mut both = self.list[2 * pair];
             both.merge(self.list.get(2 * pair + 1).copied().unwrap_or_default());
@@ -63,7 +66,7 @@ impl<T: Merge> Stretches<T> {
     #[cfg(feature = "report")]
     pub fn append(&mut self, begin: u64, later: &Stretches<T>) {
         for (place, stretch) in later.list.iter().enumerate() {
-            self.at(begin + place as u64 * later.width).merge(*stretch);
+            self.at(begin + place as u64 * later.width()).merge(*stretch);
         }
     }
 }
@@ -98,5 +101,7 @@ mod tests {
         *later.at(700) = 4;
         all.append(1_000, &later);
         assert_eq!((all.width(), all.list()[0], all.list()[500], all.list()[850]), (2, 1, 2, 4));
+        let damaged = r#"{ "width": 0, "list": [] }"#;
+        assert!(serde_json::from_str::<Stretches<u64>>(damaged).is_err());
     }
 }

@@ -14,7 +14,13 @@ pub type Batch = Arc<[Record]>;
 
 /// The readers of one machine.
 #[derive(Clone, Debug, Default)]
-pub struct Taps(Arc<Mutex<Vec<Outlet>>>);
+pub struct Taps(Arc<Mutex<Outlets>>);
+
+#[derive(Debug, Default)]
+struct Outlets {
+    list: Vec<Outlet>,
+    has_ended: bool,
+}
 
 /// The telemetry thread's end of one reader.
 #[derive(Debug)]
@@ -31,17 +37,21 @@ pub struct Tap {
 }
 
 impl Taps {
-    /// One more reader, with room for so many batches; the telemetry thread makes one each 20 ms or sooner.
+    /// One more reader, with room for so many batches; the telemetry thread makes one each 20 ms or sooner. After the
+    /// end it gets nothing, and learns that at once.
     pub fn add(&self, room: usize) -> Tap {
         let (sender, batches) = bounded(room);
         let lost = Arc::new(AtomicU64::new(0));
-        self.outlets().push(Outlet { batches: sender, lost: Arc::clone(&lost) });
+        let mut outlets = self.outlets();
+        if !outlets.has_ended {
+            outlets.list.push(Outlet { batches: sender, lost: Arc::clone(&lost) });
+        }
         Tap { batches, lost }
     }
 
     /// Whether nobody reads.
     pub fn is_empty(&self) -> bool {
-        self.outlets().is_empty()
+        self.outlets().list.is_empty()
     }
 
     /// Hands these records to every reader. One without room loses them all, and knows how many.
@@ -50,7 +60,7 @@ impl Taps {
             return;
         }
         let batch: Batch = records.into();
-        self.outlets().retain(|outlet| match outlet.batches.try_send(Arc::clone(&batch)) {
+        self.outlets().list.retain(|outlet| match outlet.batches.try_send(Arc::clone(&batch)) {
             Ok(()) => true,
             Err(TrySendError::Full(_)) => {
                 outlet.lost.fetch_add(batch.len() as u64, Ordering::Relaxed);
@@ -62,10 +72,10 @@ impl Taps {
 
     /// There are no more records: the end of its queue shows it to each reader.
     pub fn end(&self) {
-        self.outlets().clear();
+        *self.outlets() = Outlets { list: Vec::new(), has_ended: true };
     }
 
-    fn outlets(&self) -> std::sync::MutexGuard<'_, Vec<Outlet>> {
+    fn outlets(&self) -> std::sync::MutexGuard<'_, Outlets> {
         // A poisoned lock only means that somebody panicked between two whole steps.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -128,5 +138,6 @@ mod tests {
         assert_eq!(indices(&quick.next(Duration::ZERO).unwrap()), [7]);
         assert_eq!(quick.next(Duration::ZERO).unwrap_err(), NoBatch::AnyMore);
         assert!(taps.is_empty());
+        assert_eq!(taps.add(1).next(Duration::ZERO).unwrap_err(), NoBatch::AnyMore);
     }
 }

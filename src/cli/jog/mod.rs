@@ -13,7 +13,9 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use crossbeam_channel::RecvTimeoutError;
-use fieldbeat::internals::control::{HOLD_EVERY, OperateError, Operator, Order, Server, Station};
+use fieldbeat::internals::control::{
+    HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
+};
 use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::{Master, Plan};
 
@@ -333,16 +335,13 @@ impl Reached {
             (None, None) => return Ok(()),
         };
         let begun = Instant::now();
-        let runs = || master.as_ref().is_none_or(|own| own.master.is_running());
         let mut left = watcher.state(0);
-        while begun.elapsed() < PATIENCE
-            && match &left {
-                Ok(state) => {
-                    state.axes.iter().any(|axis| !axis.commands.is_empty() || (master.is_some() && runs()))
-                }
-                Err(_) => false,
-            }
-        {
+        let goes_on = |state: &OperationState| match &master {
+            // Its stop has bounds of its own.
+            Some(own) => own.master.is_running(),
+            None => begun.elapsed() < PATIENCE && state.axes.iter().any(|axis| !axis.commands.is_empty()),
+        };
+        while left.as_ref().is_ok_and(goes_on) {
             sleep(LOOK_EVERY);
             left = watcher.state(0);
         }

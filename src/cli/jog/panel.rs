@@ -5,8 +5,10 @@ use std::time::Duration;
 
 use fieldbeat::internals::control::{AxisFacts, AxisState, OperationState, Order};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::layout::Rect;
 
 use super::hold::{Hold, Stroke, Way};
+use super::view;
 
 /// A key that was read so long after it was pressed commands nothing any more, but a stop.
 const STALE: Duration = Duration::from_millis(300);
@@ -152,6 +154,9 @@ impl Panel {
     pub fn event(&mut self, at: Duration, now: Duration, event: &Event) -> Vec<Want> {
         match event {
             Event::Key(key) => self.key(at, now, *key),
+            Event::Resize(width, height) if !view::fits(Rect::new(0, 0, *width, *height)) => {
+                self.stop(now, "stopped: the terminal is too small")
+            }
             Event::FocusGained | Event::Resize(..) => Vec::new(),
             // Nobody looks; or what comes in was not typed.
             Event::FocusLost => self.stop(now, "stopped: the terminal has lost the focus"),

@@ -51,11 +51,7 @@ pub struct Terminal {
 impl Terminal {
     /// Takes it over.
     pub fn take() -> Result<Terminal, Stop> {
-        if !stdin().is_terminal() || !stdout().is_terminal() {
-            return Err(Stop::usage(
-                "jog needs a terminal for keys and screen: run it in one, without a pipe",
-            ));
-        }
+        require()?;
         let failed =
             |error: io::Error| Stop::failed(format!("cannot set up the terminal: {error}; try another one"));
         give_back_on_panic();

@@ -199,6 +199,8 @@ fn each_key_does_what_the_help_line_says() {
     let alt = Event::Key(KeyEvent::new(KeyCode::Char('e'), KeyModifiers::ALT));
     assert_eq!(panel.event(NO, NO, &alt), [Want::Stop]);
     assert_eq!(panel.event(NO, NO, &Event::FocusLost), [Want::Stop]);
+    assert_eq!(panel.event(NO, NO, &Event::Resize(80, 24)), []);
+    assert_eq!(panel.event(NO, NO, &Event::Resize(79, 24)), [Want::Stop]);
     assert_eq!(panel.event(NO, NO, &Event::Paste("eh+".to_owned())), [Want::Stop]);
     // One that was pressed long ago as well, and while it is not known what the panel did meanwhile.
     assert_eq!(panel.event(NO, Duration::from_millis(301), &key(KeyCode::Char('e'))), [Want::Stop]);

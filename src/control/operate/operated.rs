@@ -111,8 +111,9 @@ impl Operated {
     /// The next thing that happened to it, in words.
     pub fn next_event(&mut self) -> Option<(String, Option<CommandEnd>)> {
         let event = self.axis.event()?;
+        let name = event.kind.fault().and_then(|code| self.axis.fault(code).name);
         let EventKind::Ended { id, command, outcome } = event.kind else {
-            return Some((self.describe(event.kind), None));
+            return Some((event.kind.described(name), None));
         };
         self.open.retain(|(open, _)| *open != id);
         if self.stopping == Some(id) {
@@ -124,7 +125,6 @@ impl Operated {
         }
         // It was this stop that replaced it.
         let by_stop = matches!(outcome, Outcome::Aborted(Abort::Replaced(by)) if Some(by) == self.stopping);
-        let name = outcome.fault().and_then(|code| self.axis.fault(code).name);
         let how = match outcome {
             Outcome::Done => Ended::Done,
             Outcome::Failed(_) => Ended::Failed,
@@ -135,14 +135,6 @@ impl Operated {
             false => format!("{command} {}", outcome.described(name)),
         };
         Some((text, Some(CommandEnd { command: id.0, how })))
-    }
-
-    fn describe(&self, kind: EventKind) -> String {
-        match kind {
-            EventKind::Fault(code) if code != 0 => format!("fault {}", self.axis.fault(code)),
-            EventKind::Emergency(emergency) => emergency.described(self.axis.fault(emergency.code.into())),
-            kind => kind.to_string(),
-        }
     }
 
     /// How it is.

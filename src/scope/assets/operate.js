@@ -79,6 +79,8 @@ export class Operate {
   }
 
   command(command) {
+    // A key that is held down repeats its click: what it has given by then would go on after it was let go.
+    if ([...this.underWay, ...this.waiting].some(({ request }) => request.act)) return;
     this.ask({ act: { command: { axis: Number(get("operated").value), command } } });
   }
 

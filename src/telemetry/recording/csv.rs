@@ -39,8 +39,11 @@ impl<'a> PerTopic<'a> {
         let table = match self.tables.get_mut(&entry.topic.name) {
             Some(table) => table,
             None => {
-                let path = self.directory.join(file_name(&entry.topic.name));
-                // Two topics never share a file.
+                let mut path = self.directory.join(file_name(&entry.topic.name));
+                // Two topics never share a file: `/axes/x/native` and that of an axis `x_native`.
+                while self.made.contains(&path) {
+                    path.set_extension("2.csv");
+                }
                 let file = File::create_new(&path).map_err(|why| named(&path, &why))?;
                 self.made.push(path);
                 let mut table = Writer::from_writer(BufWriter::new(file));

@@ -243,7 +243,9 @@ impl EventText {
             EventKind::Fault(code) => ("fault", fault(code), code),
             EventKind::Warning(word) => ("warning", format!("{word:#06x}"), word),
             EventKind::Emergency(emergency) => {
-                ("emergency", fault(emergency.code.into()), emergency.code.into())
+                let code = emergency.code.into();
+                let name = name_of(code);
+                ("emergency", emergency.described(Fault { code, name: name.as_deref() }), code)
             }
             EventKind::Stopped(cause) => ("stopped", cause.to_string(), cause as u32),
             EventKind::HardwareEnable(closed) => {

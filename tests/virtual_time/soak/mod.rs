@@ -4,6 +4,7 @@ mod random;
 
 use std::path::Path;
 
+use fieldbeat::axis::{Link, StopCause};
 use fieldbeat::bus::modbus::Parameter;
 use fieldbeat::config::{Configuration, parse};
 use fieldbeat::internals::config::soak::SoakPlan;
@@ -237,6 +238,22 @@ fn a_group_moves_in_spite_of_a_drive_that_is_found_running_and_not_after_one_was
         assert_eq!((axis.cycles, axis.stops_of_pauses), (before.cycles, before.stops_of_pauses));
     }
     assert!(failed(&judged).contains(&"stops: 3, at most 0; x, y, u".to_owned()), "{:?}", failed(&judged));
+}
+
+/// Before its axes are enabled, too: what stopped them is not reset.
+#[test]
+fn axes_that_are_stopped_before_they_move_are_left_as_they_are() {
+    let text = machine(4, ALONE).replace("[cycle]\n", "[cycle]\noverrun = \"stop\"\n");
+    let mut test = Test::new(&text, 60 * S);
+    let online = |machine: &Simulation| (0..3).all(|axis| machine.feedback(axis).link == Link::Online);
+    assert!(test.machine.run_until(5_000, online));
+    test.machine.world().delay_next_wake(12 * MS);
+    test.machine.run(1);
+    let lines = ["x", "y", "u"].map(|axis| format!("axis {axis}: moves no longer: stopped: overrun"));
+    assert_eq!(test.run(5 * S), lines);
+    for axis in 0..3 {
+        assert_eq!(test.machine.feedback(axis).stopped, Some(StopCause::Overrun));
+    }
 }
 
 /// Its end may be an interruption: the test goes on later.
