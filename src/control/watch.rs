@@ -26,7 +26,7 @@ use crate::telemetry::Monitor;
 use crate::telemetry::blackbox::file::Header;
 use crate::telemetry::blackbox::file::record::{RECORD, get, put};
 use crate::telemetry::blackbox::{fault_codes, header};
-use crate::telemetry::causes::{Judged, Tally};
+use crate::telemetry::causes::Tally;
 use crate::telemetry::summary::Found;
 use crate::telemetry::tap::{NoBatch, Tap};
 use crate::time::nanos;
@@ -192,20 +192,13 @@ struct Stream<'a> {
     names: Vec<FaultNames>,
     /// The faults that were named: axis and code.
     named: Vec<(u16, u32)>,
-    /// Late cycles that were judged before, and reported.
-    judged: u64,
     bytes: Vec<u8>,
 }
 
 impl Stream<'_> {
     fn new(monitor: &Monitor, seat: Seat) -> Stream<'_> {
-        let mut judged = 0;
-        // Late cycles from before it came are not for it.
-        monitor.measured(|measured| {
-            let _ = measured.causes.judged_after(&mut judged);
-        });
         let names = monitor.plan().fault_names();
-        Stream { monitor, seat, names, named: Vec::new(), judged, bytes: Vec::new() }
+        Stream { monitor, seat, names, named: Vec::new(), bytes: Vec::new() }
     }
 
     fn run(mut self, send: &mut Sender<'_>) -> io::Result<()> {
@@ -287,22 +280,15 @@ impl Stream<'_> {
         happened.take(MOST_EVENTS).collect()
     }
 
-    fn news(&mut self, faults: Vec<(usize, u32, String)>, events: Vec<Happened>) -> News {
-        let status = self.monitor.status();
-        // Each look makes the telemetry wait for a moment: only where something new is to be found.
-        let late = if status.late == self.judged { Vec::new() } else { self.new_late() };
+    fn news(&self, faults: Vec<(usize, u32, String)>, events: Vec<Happened>) -> News {
+        let (late, status) = (self.new_late(), self.monitor.status());
         let (lost, dropped, late_count) = (self.seat.tap.lost(), status.lost_records, status.late);
         News { lost, dropped, late_count, faults, events, late }
     }
 
-    fn new_late(&mut self) -> Vec<Late> {
-        let (monitor, judged) = (self.monitor, &mut self.judged);
-        let newest: Vec<Judged> = monitor.measured(|measured| {
-            let new = measured.causes.judged_after(judged).copied();
-            new.take(MOST_LATE).collect()
-        });
+    fn new_late(&self) -> Vec<Late> {
         let plan = self.monitor.plan();
-        let late = newest.into_iter().map(|judged| {
+        let late = self.seat.tap.late().take(MOST_LATE).map(|judged| {
             let (cause, delay_ns) = (judged.cause, judged.lateness.ns());
             let tally = Tally { cause, count: 1, worst_ns: delay_ns, worst_cycle: judged.index };
             Late { cycle: judged.index, delay_ns, cause: Found::of(&tally, plan).to_string() }

@@ -6,6 +6,7 @@ mod event;
 use std::num::NonZeroU32;
 
 pub use self::event::EventRecord;
+use crate::axis::units::way;
 use crate::axis::{Command, CommandId, DriveStatus, Emergency, Link, QueuedCommand, Shown, State, StopCause};
 use crate::named::named;
 
@@ -134,6 +135,17 @@ impl From<ShortEmergency> for Emergency {
 }
 
 impl DriveRecord {
+    /// A value of a drive that has not answered yet is none.
+    pub(crate) fn reported(&self, value: f64) -> f64 {
+        if self.link == Link::Unseen { f64::NAN } else { value }
+    }
+
+    /// From the position to the demand: on a rotary axis, of this [`modulo`](crate::axis::Units::modulo), by the
+    /// shorter way.
+    pub(crate) fn following_error(&self, modulo: Option<f64>) -> f64 {
+        self.reported(way(modulo, self.position, self.demand))
+    }
+
     /// What was published, what was measured, and what it shows of a drive's status.
     #[inline]
     pub(crate) fn new(of: Published, measured: Measured, status: &DriveStatus) -> DriveRecord {

@@ -122,11 +122,10 @@ impl<'a> Attached<'a> {
             "states": State::ALL.map(State::name),
             "commands": Command::NAMES,
         }}));
-        let axes = header.axes.len();
         Attached {
             feed,
-            drives: vec![None; axes],
-            assembler: Assembler::new(axes),
+            drives: vec![None; header.axes.len()],
+            assembler: Assembler::new(&header.axes),
             header,
             cycle: CycleRecord::default(),
             events: Vec::new(),
@@ -222,8 +221,8 @@ impl<'a> Attached<'a> {
                 "fault": (drive.fault != 0).then(|| of.fault(drive.fault).to_string()),
                 "warning": (drive.warning != 0).then(|| format!("{:#06x}", drive.warning)),
                 "inhibited": drive.inhibited,
-                "position": drive.position,
-                "error": drive.demand - drive.position,
+                "position": drive.reported(drive.position),
+                "error": drive.following_error(of.modulo),
             })
         });
         status.collect()

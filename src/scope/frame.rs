@@ -2,8 +2,8 @@
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 1 | 1: the version of this layout |
-//! | 1 | 1: each value is a pair of least and greatest over several cycles; 0: each is of one cycle |
+//! | 1 | 2: the version of this layout |
+//! | 1 | the cycles of a sample: of several, each value is a pair of their least and greatest |
 //! | 2 | number of signals |
 //! | 4 | number of samples |
 //! | 4 each | the numbers of the signals, filled up to eight bytes |
@@ -39,9 +39,9 @@ impl Shown {
     }
 
     /// Cycles that are one sample.
-    fn thinning(&self, period_s: f64) -> usize {
+    fn thinning(&self, period_s: f64) -> u8 {
         match self.axes > MOST_WHOLE_AXES {
-            true => ((1.0 / ENVELOPES_A_SECOND / period_s) as usize).max(1),
+            true => ((1.0 / ENVELOPES_A_SECOND / period_s) as u8).max(1),
             false => 1,
         }
     }
@@ -51,14 +51,14 @@ impl Shown {
         let known: Vec<(usize, &[f64])> = (self.signals.iter())
             .filter_map(|signal| Some((*signal, block.columns.get(*signal)?.as_slice())))
             .collect();
-        let thinning = self.thinning(period_s);
-        let is_envelope = thinning > 1;
+        let each = self.thinning(period_s);
+        let (is_envelope, thinning) = (each > 1, usize::from(each));
         let samples = block.times.len().div_ceil(thinning);
         if known.is_empty() || samples == 0 {
             return None;
         }
         let mut bytes = Vec::with_capacity(16 + 4 * known.len() + 16 * samples * (known.len() + 1));
-        bytes.extend([1, u8::from(is_envelope)]);
+        bytes.extend([2, each]);
         bytes.extend((known.len() as u16).to_le_bytes());
         bytes.extend((samples as u32).to_le_bytes());
         known.iter().for_each(|(signal, _)| bytes.extend((*signal as u32).to_le_bytes()));
@@ -97,27 +97,27 @@ mod tests {
     }
 
     /// The numbers behind the head, and the head.
-    fn parsed(bytes: &[u8]) -> (bool, usize, Vec<u32>, Vec<f64>) {
-        assert_eq!((bytes[0], bytes.len() % 8), (1, 0));
+    fn parsed(bytes: &[u8]) -> (u8, usize, Vec<u32>, Vec<f64>) {
+        assert_eq!((bytes[0], bytes.len() % 8), (2, 0));
         let signals = usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
         let samples = u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
         let ids = bytes[8..].chunks_exact(4).take(signals);
         let ids = ids.map(|id| u32::from_le_bytes(id.try_into().unwrap())).collect();
         let numbers = bytes[8 + (4 * signals).next_multiple_of(8)..].chunks_exact(8);
-        (bytes[1] == 1, samples, ids, numbers.map(|n| f64::from_le_bytes(n.try_into().unwrap())).collect())
+        (bytes[1], samples, ids, numbers.map(|n| f64::from_le_bytes(n.try_into().unwrap())).collect())
     }
 
     #[test]
     fn up_to_four_axes_are_whole_and_more_are_envelopes() {
         let (block, of) = (block(25, 5), |axis: usize| count(axis));
         let whole = Shown::new((0..4).map(of).collect()).frame(&block, MS).unwrap();
-        let (envelope, samples, ids, numbers) = parsed(&whole);
-        assert_eq!((envelope, samples, ids.len(), numbers.len()), (false, 25, 4, 25 * 6));
+        let (each, samples, ids, numbers) = parsed(&whole);
+        assert_eq!((each, samples, ids.len(), numbers.len()), (1, 25, 4, 25 * 6));
         assert_eq!(numbers[2 * 25..2 * 25 + 3], block.columns[of(0)][..3]);
         let thin = Shown::new((0..5).map(of).collect()).frame(&block, MS).unwrap();
-        let (envelope, samples, ids, numbers) = parsed(&thin);
+        let (each, samples, ids, numbers) = parsed(&thin);
         // The last one is of five cycles.
-        assert_eq!((envelope, samples, ids[4] as usize, numbers.len()), (true, 3, of(4), 3 * (2 + 2 * 5)));
+        assert_eq!((each, samples, ids[4] as usize, numbers.len()), (10, 3, of(4), 3 * (2 + 2 * 5)));
         assert_eq!(numbers[..6], [0.0, 10.0 * MS, 20.0 * MS, 0.0, 10.0, 20.0]);
         let base = of(0) as f64 * 1000.0;
         assert_eq!(
@@ -136,8 +136,10 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_cycle_is_never_thinned() {
+    fn an_envelope_is_of_whole_cycles_and_a_slow_cycle_is_never_thinned() {
         let shown = Shown::new((0..8).map(count).collect());
-        assert!(!parsed(&shown.frame(&block(3, 8), 10.0 * MS).unwrap()).0);
+        for (period_ms, each) in [(0.05, 200), (0.25, 40), (4.0, 2), (8.0, 1), (10.0, 1)] {
+            assert_eq!(parsed(&shown.frame(&block(3, 8), period_ms * MS).unwrap()).0, each, "{period_ms} ms");
+        }
     }
 }

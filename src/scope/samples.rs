@@ -2,6 +2,7 @@
 
 use super::signals::{Values, count};
 use crate::cycle::record::Record;
+use crate::telemetry::blackbox::file::Axis;
 use crate::time::S;
 
 /// The samples of some cycles.
@@ -25,9 +26,9 @@ pub struct Assembler {
 }
 
 impl Assembler {
-    /// For so many axes.
-    pub fn new(axes: usize) -> Assembler {
-        let block = Block { columns: vec![Vec::new(); count(axes)], ..Block::default() };
+    /// For these axes.
+    pub fn new(axes: &[Axis]) -> Assembler {
+        let block = Block { columns: vec![Vec::new(); count(axes.len())], ..Block::default() };
         Assembler { values: Values::new(axes), index: 0, block }
     }
 
@@ -66,17 +67,18 @@ impl Assembler {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::Link;
     use crate::cycle::record::{CycleRecord, DriveRecord};
     use crate::time::Time;
 
     #[test]
     fn a_cycle_is_one_sample_though_its_records_come_in_two_batches() {
         let drive = |index, position| {
-            Record::Drive(DriveRecord { index, position, demand: 1.0, ..DriveRecord::default() })
+            Record::Drive(DriveRecord { index, position, link: Link::Online, ..DriveRecord::default() })
         };
         let cycle =
             |index| Record::Cycle(CycleRecord { index, grid: Time(index * S), ..CycleRecord::default() });
-        let mut assembler = Assembler::new(1);
+        let mut assembler = Assembler::new(&[Axis::default()]);
         let mut entered = |records: &[Record]| {
             records.iter().for_each(|record| assembler.enter(record));
             assembler.take()

@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use crate::axis::MONITOR_CHANNELS;
+use crate::axis::{Link, MONITOR_CHANNELS};
 use crate::cycle::record::{CycleRecord, DriveRecord, MonitorRecord, ReferenceRecord, Stage};
-use crate::telemetry::blackbox::file::Header;
+use crate::telemetry::blackbox::file::{Axis, Header};
 
 /// A signal. Its number is its place in the list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -71,22 +71,27 @@ fn us(ns: u32) -> f64 {
 
 /// The values of a cycle's signals, all of them NaN before.
 #[derive(Debug)]
-pub struct Values(Vec<f64>);
+pub struct Values {
+    all: Vec<f64>,
+    /// The length of a turn of each rotary axis.
+    modulos: Vec<Option<f64>>,
+}
 
 impl Values {
-    /// For so many axes.
-    pub fn new(axes: usize) -> Values {
-        Values(vec![f64::NAN; count(axes)])
+    /// For these axes.
+    pub fn new(axes: &[Axis]) -> Values {
+        let modulos = axes.iter().map(|axis| axis.modulo).collect();
+        Values { all: vec![f64::NAN; count(axes.len())], modulos }
     }
 
     /// Forgets the cycle before.
     pub fn clear(&mut self) {
-        self.0.fill(f64::NAN);
+        self.all.fill(f64::NAN);
     }
 
     /// The values, by the numbers of their signals.
     pub fn all(&self) -> &[f64] {
-        &self.0
+        &self.all
     }
 
     /// Those of the loop.
@@ -95,29 +100,30 @@ impl Values {
         let stages = record.stages_ns.map(us);
         let values = [us(record.wake_ns), us(record.jitter_ns)].into_iter().chain(stages);
         let values = values.chain([end, f64::from(record.missed)]);
-        self.0.iter_mut().zip(values).for_each(|(to, value)| *to = value);
+        self.all.iter_mut().zip(values).for_each(|(to, value)| *to = value);
     }
 
     /// That of the clock that leads the grid.
     pub fn reference(&mut self, record: &ReferenceRecord) {
-        self.0[PHASE] = record.error_ns.map_or(f64::NAN, |ns| f64::from(ns) / 1e3);
+        self.all[PHASE] = record.error_ns.map_or(f64::NAN, |ns| f64::from(ns) / 1e3);
     }
 
     /// Those of a drive.
     pub fn drive(&mut self, record: &DriveRecord) {
         let short = |ns: Option<std::num::NonZeroU32>| ns.map_or(f64::NAN, |ns| us(ns.get()));
+        let modulo = self.modulos.get(usize::from(record.axis)).copied().flatten();
         let values = [
-            record.demand,
-            record.position,
-            record.demand - record.position,
-            record.velocity.into(),
-            record.current.into(),
+            record.reported(record.demand),
+            record.reported(record.position),
+            record.following_error(modulo),
+            record.reported(record.velocity.into()),
+            record.reported(record.current.into()),
             f64::from(record.state as u8),
             f64::from(record.command),
             short(record.rtt_ns),
             short(record.age_ns),
             short(record.phase_ns),
-            f64::from(u8::from(record.link == crate::axis::Link::Online)),
+            f64::from(u8::from(record.link == Link::Online)),
         ];
         self.of_axis(record.axis, 0).iter_mut().zip(values).for_each(|(to, value)| *to = value);
     }
@@ -130,14 +136,14 @@ impl Values {
 
     fn of_axis(&mut self, axis: u16, from: usize) -> &mut [f64] {
         let begin = count(usize::from(axis));
-        self.0.get_mut(begin + from..begin + OF_AXIS).unwrap_or_default()
+        self.all.get_mut(begin + from..begin + OF_AXIS).unwrap_or_default()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::telemetry::blackbox::file::{Axis, Channel};
+    use crate::telemetry::blackbox::file::Channel;
 
     #[test]
     fn every_value_stands_at_the_number_of_its_signal() {
@@ -146,11 +152,18 @@ mod tests {
         let header = Header { axes: vec![axis("x"), Axis { monitor, ..axis("y") }], ..Header::default() };
         let signals = signals(&header);
         assert_eq!(signals.len(), count(2));
-        let mut values = Values::new(2);
+        let mut values = Values::new(&header.axes);
         let stages_ns = [1_000, 2_000, 3_000, 4_000, 5_000, 6_000];
         values.cycle(&CycleRecord { wake_ns: 9_000, stages_ns, missed: 3, ..CycleRecord::default() });
         values.reference(&ReferenceRecord { error_ns: Some(-500), ..ReferenceRecord::default() });
-        let drive = DriveRecord { axis: 1, demand: 5.0, position: 4.5, command: 4, ..DriveRecord::default() };
+        let drive = DriveRecord {
+            axis: 1,
+            link: Link::Online,
+            demand: 5.0,
+            position: 4.5,
+            command: 4,
+            ..DriveRecord::default()
+        };
         values.drive(&drive);
         let shown = [None, Some(70.0), None, None].into();
         values.monitor(&MonitorRecord { axis: 1, shown, ..MonitorRecord::default() });
@@ -180,5 +193,22 @@ mod tests {
         assert!(value(Some(0), "position").is_nan() && value(Some(1), "round trip").is_nan());
         values.clear();
         assert!(values.all().iter().all(|value| value.is_nan()));
+    }
+    #[test]
+    fn a_rotary_axis_is_followed_by_the_shorter_way_and_one_that_never_answered_has_no_values() {
+        let mut values = Values::new(&[Axis { modulo: Some(360.0), ..Axis::default() }, Axis::default()]);
+        let drive =
+            DriveRecord { demand: 1.0, position: 359.0, link: Link::Online, ..DriveRecord::default() };
+        for (demand, position, error) in [(1.0, 359.0, 2.0), (359.0, 1.0, -2.0), (90.0, 80.0, 10.0)] {
+            values.drive(&DriveRecord { demand, position, ..drive });
+            assert_eq!(values.all()[count(0) + 2], error);
+        }
+        values.drive(&DriveRecord { axis: 1, ..drive });
+        assert_eq!(values.all()[count(1) + 2], -358.0);
+        values.drive(&DriveRecord { link: Link::Unseen, ..drive });
+        let (reported, known) = values.all()[count(0)..].split_at(5);
+        assert!(reported.iter().all(|value| value.is_nan()));
+        // The state, and that no command runs.
+        assert_eq!(known[..2], [0.0, 0.0]);
     }
 }

@@ -80,7 +80,7 @@ pub struct Judged {
 }
 
 /// How many of the newest judgements are kept one by one.
-const MOST_JUDGED: usize = 1024;
+pub(crate) const MOST_JUDGED: usize = 1024;
 
 /// How long after a late wake-up a rise of the steal time still explains it: it is counted in ticks of 10 ms, and read
 /// some ten times a second.
@@ -383,6 +383,11 @@ impl Causes {
     /// others.
     pub fn newest(&self, count: usize) -> impl Iterator<Item = &Judged> {
         self.judged.iter().skip(self.judged.len().saturating_sub(count))
+    }
+
+    /// How many judgements there were.
+    pub(crate) fn judgements(&self) -> u64 {
+        self.judgements
     }
 
     /// The judgements after the first `seen`, as far as they are kept; counts on `seen`.

@@ -2,7 +2,6 @@
 //! stretch of cycles, and what happened to each axis meanwhile.
 
 use super::stretches::{Merge, Stretches};
-use crate::axis::units::way;
 use crate::axis::{Command, Link, State, StopCause, Units};
 use crate::drive::record::DriveRecord;
 
@@ -274,7 +273,7 @@ impl Motion {
             return;
         }
         let enabled = record.state == State::OperationEnabled;
-        let error = way(known.modulo, record.position, record.demand);
+        let error = record.following_error(known.modulo);
         let counts = enabled && error.is_finite() && record.command != Command::Home.code();
         if counts && motion.error_max.is_none_or(|largest| error.abs() > largest.value) {
             motion.error_max = Some(Largest { value: error.abs(), cycle: record.index });

@@ -113,7 +113,6 @@ impl SinkThread {
     ) -> std::io::Result<SinkThread> {
         let work = move || {
             prepare();
-            let mut judged = 0;
             loop {
                 let batch = match tap.next(LOOK_EVERY) {
                     Ok(batch) => Some(batch),
@@ -121,7 +120,7 @@ impl SinkThread {
                     Err(NoBatch::AnyMore) => break,
                 };
                 batch.iter().flat_map(|batch| batch.iter()).for_each(|record| sink.enter(record));
-                feed_late(&mut *sink, &mut judged, &gathered);
+                tap.late().for_each(|judged| sink.late(&judged));
                 if gathered.take_record_request() {
                     sink.request();
                 }
@@ -129,7 +128,7 @@ impl SinkThread {
                     gathered.failed(&what, true);
                 }
             }
-            feed_late(&mut *sink, &mut judged, &gathered);
+            tap.late().for_each(|judged| sink.late(&judged));
             let last = sink.look(tap.lost() + gathered.lost());
             let recorded = sink.finish();
             let failed = recorded.iter().filter_map(Recorded::failure).next();
@@ -155,15 +154,6 @@ impl SinkThread {
         };
         vec![Recorded { path: self.path, error: Some(error), ..Recorded::default() }]
     }
-}
-
-/// Gives `sink` the judgements after the first `seen`.
-fn feed_late(sink: &mut dyn Sink, seen: &mut u64, gathered: &Gathered) {
-    let newest: Vec<Judged> = {
-        let measured = gathered.read();
-        measured.causes.judged_after(seen).copied().collect()
-    };
-    newest.iter().for_each(|judged| sink.late(judged));
 }
 
 impl Recorded {

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 
+use super::causes::{Causes, Judged, MOST_JUDGED};
 use crate::cycle::record::Record;
 
 /// The records of some cycles, in their order, shared by all readers.
@@ -27,6 +28,9 @@ struct Outlets {
 struct Outlet {
     batches: Sender<Batch>,
     lost: Arc<AtomicU64>,
+    late: Sender<Judged>,
+    /// Judgements that it got, or that were made before it came.
+    judged: Option<u64>,
 }
 
 /// One reader's end. It gets each record from its begin on; dropping it ends that.
@@ -34,6 +38,7 @@ struct Outlet {
 pub struct Tap {
     batches: Receiver<Batch>,
     lost: Arc<AtomicU64>,
+    late: Receiver<Judged>,
 }
 
 impl Taps {
@@ -41,12 +46,14 @@ impl Taps {
     /// end it gets nothing, and learns that at once.
     pub fn add(&self, room: usize) -> Tap {
         let (sender, batches) = bounded(room);
+        let (judge, late) = bounded(MOST_JUDGED);
         let lost = Arc::new(AtomicU64::new(0));
         let mut outlets = self.outlets();
         if !outlets.has_ended {
-            outlets.list.push(Outlet { batches: sender, lost: Arc::clone(&lost) });
+            let lost = Arc::clone(&lost);
+            outlets.list.push(Outlet { batches: sender, lost, late: judge, judged: None });
         }
-        Tap { batches, lost }
+        Tap { batches, lost, late }
     }
 
     /// Whether nobody reads.
@@ -68,6 +75,16 @@ impl Taps {
             }
             Err(TrySendError::Disconnected(_)) => false,
         });
+    }
+
+    /// Hands the late cycles whose cause was found since the last call to every reader that has room for them.
+    pub fn hand_late(&self, causes: &Causes) {
+        for outlet in self.outlets().list.iter_mut() {
+            let judged = outlet.judged.get_or_insert_with(|| causes.judgements());
+            causes.judged_after(judged).for_each(|late| {
+                let _ = outlet.late.try_send(*late);
+            });
+        }
     }
 
     /// There are no more records: the end of its queue shows it to each reader.
@@ -99,6 +116,11 @@ impl Tap {
         })
     }
 
+    /// Late cycles whose cause was found, and that were not taken yet.
+    pub fn late(&self) -> impl Iterator<Item = Judged> {
+        self.late.try_iter()
+    }
+
     /// How many records were lost so far, since this reader was too slow.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
@@ -108,6 +130,7 @@ impl Tap {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cycle::CyclePlan;
     use crate::cycle::record::CycleRecord;
 
     fn record(index: u64) -> Record {
@@ -139,5 +162,26 @@ mod tests {
         assert_eq!(quick.next(Duration::ZERO).unwrap_err(), NoBatch::AnyMore);
         assert!(taps.is_empty());
         assert_eq!(taps.add(1).next(Duration::ZERO).unwrap_err(), NoBatch::AnyMore);
+    }
+
+    #[test]
+    fn a_reader_gets_the_late_cycles_that_are_judged_from_its_begin_on() {
+        let (taps, mut causes) = (Taps::default(), Causes::new(&CyclePlan::default(), false));
+        let mut late = |index| {
+            let wake_ns = 500_000;
+            causes.record(&Record::Cycle(CycleRecord { index, wake_ns, ..CycleRecord::default() }));
+            taps.hand_late(&causes);
+        };
+        late(1);
+        let tap = taps.add(1);
+        late(2);
+        late(3);
+        late(4);
+        let taken = || tap.late().map(|judged| judged.index).collect::<Vec<u64>>();
+        assert_eq!(taken(), [3, 4]);
+        assert!(taken().is_empty());
+        (0..2 * MOST_JUDGED as u64).for_each(&mut late);
+        // What had no room is left out.
+        assert_eq!(taken(), (0..MOST_JUDGED as u64).collect::<Vec<u64>>());
     }
 }

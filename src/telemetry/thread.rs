@@ -335,6 +335,8 @@ impl TelemetryThread {
                 if closely { EMPTY_CLOSELY_EVERY } else { EMPTY_EVERY }
             };
             look();
+            let hand_late = || shared.taps.hand_late(&shared.read().causes);
+            hand_late();
             loop {
                 // Looked at before the ring is emptied, so that the last records are taken too.
                 let last = shared.end.load(Ordering::Acquire);
@@ -353,6 +355,7 @@ impl TelemetryThread {
                 }
                 shared.taps.hand(batch.unwrap_or_default());
                 let wait = look();
+                hand_late();
                 if let Some(black_box) = &mut black_box {
                     if shared.black_box.take() {
                         black_box.request();
@@ -418,7 +421,11 @@ impl TelemetryThread {
         }
         *self.gathered.conclusion.lock().unwrap_or_else(PoisonError::into_inner) = failed;
         self.end();
-        self.gathered.read().causes.finish(status.late);
+        {
+            let causes = &mut self.gathered.read().causes;
+            causes.finish(status.late);
+            self.gathered.taps.hand_late(causes);
+        }
         self.gathered.lost.store(status.lost_records, Ordering::Relaxed);
         // Its last records, and the causes that became known only now, are written before the numbers are taken.
         self.gathered.taps.end();

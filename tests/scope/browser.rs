@@ -4,12 +4,13 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use fieldbeat::time::MS;
 use libc::SIGINT;
 use serde_json::{Value, json};
 
 use crate::peer::Peer;
 use crate::program::address;
-use crate::support::{LONG, Machine, Program, checkout, served, simulated, until};
+use crate::support::{LONG, Machine, Program, carried, checkout, served, simulated, until};
 
 const BROWSER: &str = "/usr/bin/chromium";
 
@@ -53,8 +54,13 @@ struct Running {
 
 impl Running {
     fn start(test: u8, drives: usize, control: bool) -> Running {
+        Running::with(test, drives, control, "")
+    }
+
+    /// `cycle` are lines of `[cycle]`.
+    fn with(test: u8, drives: usize, control: bool, cycle: &str) -> Running {
         let machine = Machine::new(test);
-        let config = machine.config("m.toml", drives, "", Machine::LOST_SOON);
+        let config = machine.config("m.toml", drives, cycle, Machine::LOST_SOON);
         let served = served(|| simulated(&config));
         let name = config.to_str().unwrap();
         let (run, page): (&[&str], &[&str]) =
@@ -226,16 +232,114 @@ fn read_mcap(path: &Path) -> Value {
 fn more_than_four_axes_are_envelopes_and_are_so_marked() {
     let mut running = Running::start(42, 5, false);
     let browser = &mut running.browser;
-    assert_eq!(browser.ask("eval document.querySelector('#resolution').textContent"), "each cycle");
-    browser.ask(
-        "eval (scope.plots[0].change(scope.machine.signals.flatMap( \
-             (signal, id) => signal.name === 'position' ? [id] : [])), true)",
-    );
-    browser.wait("document.querySelector('#resolution').textContent.includes('least and greatest')");
+    let show = |axes: usize| {
+        format!(
+            "eval (scope.plots[0].change(scope.machine.signals.flatMap( \
+             (signal, id) => signal.name === 'position' ? [id] : []).slice(0, {axes})), true)"
+        )
+    };
+    let says = |text: &str| format!("document.querySelector('#resolution').textContent === '{text}'");
+    let head = |browser: &mut Browser, file: &Path| {
+        browser.ask(&format!("save #csv {}", file.display()));
+        std::fs::read_to_string(file).unwrap().lines().next().unwrap().to_owned()
+    };
+    browser.wait(&says("each cycle"));
+    browser.ask(&show(5));
+    // Of whole cycles within 10 ms; a single one is no envelope.
+    let period_ms = carried() / MS;
+    let (cycles, is_envelope) = (10 / period_ms, 10 / period_ms > 1);
+    let several = format!("least and greatest of {} ms", cycles * period_ms);
+    browser.wait(&says(if is_envelope { &several } else { "each cycle" }));
     browser.wait(
         "scope.plots[0].uplot.data.length === 6 && scope.plots[0].uplot.data[5].some((y) => y !== null)",
     );
+    let file = running.machine.path("seen.csv");
+    assert_eq!(head(browser, &file).contains("d4 position [mm] min\""), is_envelope);
+    // And back: as soon as none of the envelopes is seen any more.
+    browser.ask(&show(4));
+    browser.wait(&says("each cycle"));
+    browser.wait("!scope.store.hasEnvelopes(...scope.view.range)");
+    let head = head(browser, &file);
+    assert!(head.contains("d3 position [mm]\"") && !head.contains("d4") && !head.contains("min"), "{head}");
     running.end();
+}
+
+#[test]
+#[ignore = "needs chromium, node and playwright-core"]
+fn lost_frames_and_late_cycles_are_shown() {
+    // Each cycle is late, with such a bound.
+    let mut running = Running::with(45, 4, false, "late = \"1us\"");
+    let browser = &mut running.browser;
+    let late = "document.querySelectorAll('#late li:not(.none)').length";
+    browser.wait(&format!("{late} > 10"));
+    assert!(
+        browser.number("parseInt(document.querySelector('#late-count').textContent)") >= browser.number(late)
+    );
+    browser.wait("[...document.querySelectorAll('#late li')].every((line) => line.lastChild.textContent)");
+    assert_eq!(browser.ask("eval document.querySelector('#lost').hidden"), true);
+    // All signals, and nobody who reads them.
+    browser.ask(
+        "eval (scope.machine.signals.forEach((_, id) => id % 8 || scope.addPlot( \
+             [0, 1, 2, 3, 4, 5, 6, 7].map((more) => id + more).filter((id) => scope.machine.signals[id]?.name))), \
+             scope.changed(), true)",
+    );
+    let lost = "document.querySelector('#lost')";
+    let is_lost = [5, 10, 20, 40].into_iter().any(|seconds| {
+        browser.ask(&format!(
+            "eval (() => {{ const begun = Date.now(); while (Date.now() - begun < {seconds}000); \
+             return (globalThis.ended = Date.now()); }})()"
+        ));
+        // Whatever came meanwhile has been read.
+        browser.wait(
+            "Number(BigInt(scope.machine.epoch_ns) / 1000000n) + scope.store.newestTime * 1000 > ended + 100",
+        );
+        browser.ask(&format!("eval {lost}.textContent")).as_str().unwrap().contains("frames lost")
+    });
+    assert!(is_lost);
+    assert_eq!(browser.ask(&format!("eval {lost}.hidden")), false);
+    running.end();
+}
+
+/// Pictures of the page are kept below `target/scope`.
+#[test]
+#[ignore = "needs chromium, node and playwright-core"]
+fn the_page_fits_a_telephone_and_a_desk_in_both_schemes() {
+    let mut running = Running::start(46, 2, true);
+    let browser = &mut running.browser;
+    browser.wait("scope.plots[0].uplot.data[0].length > 100");
+    let pictures = checkout("target/scope");
+    std::fs::create_dir_all(&pictures).unwrap();
+    for (width, height) in [(400, 800), (1280, 900)] {
+        for scheme in ["light", "dark"] {
+            let file = pictures.join(format!("{width}x{height}-{scheme}.png"));
+            browser.ask(&format!("look {} {width} {height} {scheme}", file.display()));
+            let what = format!("{width}x{height} {scheme}");
+            assert_eq!(browser.number("innerWidth"), f64::from(width), "{what}");
+            let widest = browser.number("document.documentElement.scrollWidth");
+            assert!(widest <= f64::from(width), "{what}: {widest}");
+            for button in ["#run", "#stop"] {
+                let places = browser.ask(&format!(
+                    "eval (() => {{ const {{ left, right }} = document.querySelector('{button}') \
+                     .getBoundingClientRect(); return [left, right]; }})()"
+                ));
+                let [left, right] = [0, 1].map(|place| places[place].as_f64().unwrap());
+                assert!(
+                    0.0 <= left && left < right && right <= f64::from(width),
+                    "{what} {button}: {places}"
+                );
+            }
+        }
+    }
+    running.end();
+}
+
+#[test]
+#[ignore = "needs node"]
+fn trigger_and_cursors_find_what_they_are_set_to() {
+    let mut node = Command::new("node");
+    node.arg("--test").arg(checkout("tests/scope/assets.mjs"));
+    let output = node.output().unwrap_or_else(|error| panic!("{node:?}: {error}; .ci/run installs it"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
 }
 
 /// From here on the page counts the stops that it sends, and reads nothing until `readOn`.

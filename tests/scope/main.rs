@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `guests` | requests and browsers that mean no good, against a master in this process |
 //! | `program` | `fieldbeat scope` and `--scope` as a user runs them |
-//! | `browser` | the page in Chromium; `browser.cjs` drives it |
+//! | `browser` | the page in Chromium; `browser.cjs` drives it. Its trigger and cursors alone: `assets.mjs` |
 //! | `socket` | a websocket client that does what no browser would |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.

@@ -67,6 +67,19 @@ fn a_master_serves_its_own_page() {
 }
 
 #[test]
+fn a_demo_serves_its_page_up_to_its_end() {
+    // Ten seconds from when all are online, however long that takes on this host.
+    let mut demo = Program::start(["demo", "--drives", "2", "--scope", "0"]);
+    let mut socket = Socket::open(address(&mut demo), "").unwrap();
+    assert_eq!(socket.text("machine")["pid"], demo.pid());
+    socket.say(r#"{"show":[0]}"#).unwrap();
+    assert!(!socket.cycles().is_empty());
+    // The page ends with the program.
+    while socket.next().is_ok() {}
+    demo.end().expect(0);
+}
+
+#[test]
 fn what_cannot_be_served_is_refused_in_a_line() {
     let machine = Machine::new(22);
     let config = machine.plain(1);

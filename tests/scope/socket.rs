@@ -54,6 +54,14 @@ pub enum Message {
     Close(u16),
 }
 
+/// The cycles of samples.
+pub fn cycles(bytes: &[u8]) -> Vec<u64> {
+    let signals = usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
+    let count = u32::from_le_bytes(*bytes[4..].first_chunk().unwrap()) as usize;
+    let cycles = bytes[8 + (4 * signals).next_multiple_of(8) + 8 * count..].chunks_exact(8).take(count);
+    cycles.map(|cycle| f64::from_le_bytes(cycle.try_into().unwrap()) as u64).collect()
+}
+
 /// An open websocket.
 pub struct Socket(TcpStream);
 
@@ -135,11 +143,7 @@ impl Socket {
     pub fn cycles(&mut self) -> Vec<u64> {
         loop {
             if let Message::Samples(bytes) = self.next().unwrap() {
-                let signals = usize::from(u16::from_le_bytes([bytes[2], bytes[3]]));
-                let count = u32::from_le_bytes(*bytes[4..].first_chunk().unwrap()) as usize;
-                let cycles =
-                    bytes[8 + (4 * signals).next_multiple_of(8) + 8 * count..].chunks_exact(8).take(count);
-                return cycles.map(|cycle| f64::from_le_bytes(cycle.try_into().unwrap()) as u64).collect();
+                return cycles(&bytes);
             }
         }
     }

@@ -46,7 +46,8 @@ export class Cursors {
     if (!Number.isNaN(this.a)) this.measure();
   }
 
-  measure() {
+  /** The values at both and their differences, a row each below their heads. */
+  rows() {
     const { scope, a, b } = this;
     const { origin } = scope.view;
     const apart = b - a;
@@ -60,8 +61,12 @@ export class Cursors {
       const { unit } = scope.machine.signals[id];
       rows.push([scope.nameOf(id), scope.textAt(id, a), scope.textAt(id, b), `${digits(apart)} ${unit}`]);
     }
+    return rows;
+  }
+
+  measure() {
     const table = document.createElement("table");
-    for (const [place, cells] of rows.entries()) {
+    for (const [place, cells] of this.rows().entries()) {
       const row = table.insertRow();
       cells.forEach((text, column) => {
         const cell = document.createElement(place && column ? "td" : "th");

@@ -12,22 +12,23 @@ function save(bytes, type, ending) {
 
 const number = (value) => (Number.isNaN(value) ? "" : String(value));
 
-/** A column for each signal, of an envelope two. */
+/** A column for each signal, two where envelopes are seen. */
 export function csv(scope, ids) {
   const { view } = scope;
   const { data } = view;
+  const [first, last] = view.range;
+  const isEnvelope = data.hasEnvelopes(first, last);
   const columns = ids.flatMap((id) => {
     const unit = scope.machine.signals[id].unit;
     const name = unit ? `${scope.nameOf(id)} [${unit}]` : scope.nameOf(id);
     const least = (index) => data.min(id, index);
-    if (!data.isEnvelope(id)) return [[name, least]];
+    if (!isEnvelope) return [[name, least]];
     return [
       [`${name} min`, least],
       [`${name} max`, (index) => data.max(id, index)],
     ];
   });
   const lines = [["time [s]", "cycle", ...columns.map(([name]) => `"${name.replaceAll('"', '""')}"`)].join(",")];
-  const [first, last] = view.range;
   for (let index = first; index < last; index++) {
     const time = (data.time(index) - view.origin).toFixed(9);
     lines.push([time, data.cycle(index), ...columns.map(([, value]) => number(value(index)))].join(","));
@@ -39,6 +40,9 @@ export function csv(scope, ids) {
 export function toMcap(scope, ids) {
   const { view, machine } = scope;
   const { data } = view;
+  const [first, last] = view.range;
+  const isEnvelope = data.hasEnvelopes(first, last);
+  const names = (name) => (isEnvelope ? [`${name}_min`, `${name}_max`] : [name]);
   const groups = Map.groupBy(ids, (id) => machine.signals[id].axis);
   const topic = (axis) => (axis === null ? "/cycle" : `/axes/${machine.axes[axis].name}`);
   const key = (id) => {
@@ -57,7 +61,7 @@ export function toMcap(scope, ids) {
         of
           .flatMap((id) => {
             const about = { type: ["number", "null"], description: machine.signals[id].unit };
-            return names(data, id, key(id)).map((name) => [name, about]);
+            return names(key(id)).map((name) => [name, about]);
           })
           .concat([["cycle", { type: "integer" }]]),
       ),
@@ -65,13 +69,12 @@ export function toMcap(scope, ids) {
   }));
   const epoch = BigInt(machine.epoch_ns);
   const messages = [];
-  const [first, last] = view.range;
   for (let index = first; index < last; index++) {
     const time = epoch + BigInt(Math.round(data.time(index) * 1e9));
     channels.forEach(({ of }, channel) => {
       const value = { cycle: data.cycle(index) };
       for (const id of of) {
-        const [least, greatest] = names(data, id, key(id));
+        const [least, greatest] = names(key(id));
         value[least] = nullable(data.min(id, index));
         if (greatest) value[greatest] = nullable(data.max(id, index));
       }
@@ -82,4 +85,3 @@ export function toMcap(scope, ids) {
 }
 
 const nullable = (value) => (Number.isNaN(value) ? null : value);
-const names = (data, id, name) => (data.isEnvelope(id) ? [`${name}_min`, `${name}_max`] : [name]);

@@ -158,7 +158,7 @@ const link = new Link({
     // What is held is not overwritten.
     if (!scope.machine || (scope.view.held && !scope.view.shot)) return;
     store.enter(buffer);
-    panel.resolution([...store.columns.keys()].some((id) => store.isEnvelope(id)));
+    panel.resolution(store.width, scope.machine);
   },
   closed(why) {
     panel.status("gone", why);

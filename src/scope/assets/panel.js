@@ -118,7 +118,7 @@ export function lost({ frames = 0, records = 0, dropped = 0 }) {
 }
 
 /** Whether each cycle is shown, or what several of them have in common. */
-export function resolution(isEnvelope) {
-  const text = isEnvelope ? "least and greatest of 10 ms" : "each cycle";
+export function resolution(cycles, of) {
+  const text = cycles > 1 ? `least and greatest of ${+((cycles * of.period_ns) / 1e6).toFixed(3)} ms` : "each cycle";
   if (get("resolution").textContent !== text) get("resolution").textContent = text;
 }

@@ -31,7 +31,7 @@ function drawn(view, ids, width) {
   first = Math.max(first - 1, data.oldest);
   last = Math.min(last + 1, data.written);
   const each = Math.max(1, Math.ceil((last - first) / Math.max(width, 50)));
-  const isWhole = each === 1 && !ids.some((id) => data.isEnvelope(id));
+  const isWhole = each === 1 && !data.hasEnvelopes(first, last);
   const times = [];
   const values = ids.map(() => []);
   const put = (to, value) => to.push(Number.isNaN(value) ? null : value);
@@ -277,6 +277,7 @@ export class Plot {
     }
     if (cursors.on) {
       ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+      ctx.textAlign = "left";
       for (const [name, at] of [
         ["A", cursors.a],
         ["B", cursors.b],

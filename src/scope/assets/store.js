@@ -6,7 +6,7 @@ const ROOM = 1 << 17;
 class Column {
   constructor(room) {
     this.min = new Float64Array(room).fill(NaN);
-    // Of samples that are no envelopes the same array: an envelope makes it two.
+    // The same array, until an envelope makes it two.
     this.max = this.min;
   }
 
@@ -20,6 +20,8 @@ export class Store {
     this.room = room;
     this.times = new Float64Array(room);
     this.cycles = new Float64Array(room);
+    // The cycles of each sample; of several it is their envelope.
+    this.widths = new Uint8Array(room);
     this.columns = new Map();
     // All samples ever: the next one has the place written % room.
     this.written = 0;
@@ -39,8 +41,9 @@ export class Store {
   /** Takes in a frame. */
   enter(buffer) {
     const view = new DataView(buffer);
-    if (view.getUint8(0) !== 1) throw new Error("this page is of another version: reload it");
-    const isEnvelope = view.getUint8(1) === 1;
+    if (view.getUint8(0) !== 2) throw new Error("this page is of another version: reload it");
+    const width = view.getUint8(1);
+    const isEnvelope = width > 1;
     const signals = view.getUint16(2, true);
     const count = view.getUint32(4, true);
     let at = 8 + 8 * Math.ceil(signals / 2);
@@ -51,6 +54,7 @@ export class Store {
     };
     this.put(this.times, next());
     this.put(this.cycles, next());
+    this.put(this.widths, new Uint8Array(count).fill(width));
     const missing = new Set(this.columns.keys());
     for (let index = 0; index < signals; index++) {
       const id = view.getUint32(8 + 4 * index, true);
@@ -89,6 +93,7 @@ export class Store {
     };
     take(this.times, copy.times);
     take(this.cycles, copy.cycles);
+    take(this.widths, copy.widths);
     for (const [id, column] of this.columns) {
       const own = new Column(copy.room);
       take(column.min, own.min);
@@ -101,10 +106,15 @@ export class Store {
     return copy;
   }
 
-  /** Whether a signal has envelopes. */
-  isEnvelope(id) {
-    const column = this.columns.get(id);
-    return column !== undefined && column.max !== column.min;
+  /** The cycles of the newest sample. */
+  get width() {
+    return this.written ? this.widths[(this.written - 1) % this.room] : 1;
+  }
+
+  /** Whether there are envelopes from one sample up to before another. */
+  hasEnvelopes(from, to) {
+    for (let index = from; index < to; index++) if (this.widths[index % this.room] > 1) return true;
+    return false;
   }
 
   get oldest() {

@@ -127,6 +127,7 @@ pub(crate) fn header(plan: &Plan) -> Header {
             .map(|(axis, monitored)| Axis {
                 name: axis.name.clone(),
                 unit: axis.units.unit.to_string(),
+                modulo: axis.units.modulo,
                 monitor: monitored.map(|channel| channel.map(Channel::from)),
                 faults: BTreeMap::new(),
             })

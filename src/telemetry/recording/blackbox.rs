@@ -39,11 +39,34 @@ fn machine(header: &Header) -> Machine {
     let axes = header.axes.iter().map(|axis| AxisAbout {
         name: axis.name.clone(),
         about: of_axis(&axis.unit, None),
-        // It does not say which axes are rotary.
-        modulo: None,
+        modulo: axis.modulo,
         native: None,
         monitor: axis.monitor.clone().map(|channel| channel.map(|of| (of.name, of.unit))),
         faults: Faults::Listed(axis.faults.clone()),
     });
     Machine { about, axes: axes.collect(), period_ns: *period_ns }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Link;
+    use crate::cycle::record::{CycleRecord, DriveRecord};
+    use crate::telemetry::blackbox::file::Axis;
+    use crate::telemetry::recording::reading::Reading;
+    use crate::time::MS;
+
+    #[test]
+    fn the_error_of_a_rotary_axis_is_by_the_shorter_way() {
+        let axis = |modulo| Axis { name: "x".into(), modulo, ..Axis::default() };
+        let drive =
+            DriveRecord { link: Link::Online, position: 359.0, demand: 1.0, ..DriveRecord::default() };
+        let records = [Record::Drive(drive), Record::Cycle(CycleRecord::default())];
+        for (modulo, error) in [(Some(360.0), "2"), (None, "-358")] {
+            let header = Header { period_ns: MS, axes: vec![axis(modulo)], ..Header::default() };
+            let mut entries = Reading::of(convert(&header, &records).unwrap()).map(Result::unwrap);
+            let of_axis = entries.find(|entry| entry.topic.name == "/axes/x").unwrap();
+            assert_eq!(of_axis.texts().collect::<Vec<String>>()[2..5], ["359", "1", error]);
+        }
+    }
 }

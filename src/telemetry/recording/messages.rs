@@ -4,7 +4,6 @@
 use std::borrow::Cow;
 
 use super::schema::{Get, Names, Table, identifier};
-use crate::axis::units::way;
 use crate::axis::{
     Command, EventKind, Fault, Jog, Link, MONITOR_CHANNELS, Move, Outcome, State, StopCause, Target,
 };
@@ -63,28 +62,16 @@ pub struct AxisRecord {
     pub modulo: Option<f64>,
 }
 
-impl AxisRecord {
-    /// A value of a drive that has not answered yet is none.
-    fn reported(&self, value: f64) -> f64 {
-        if self.drive.link == Link::Unseen { f64::NAN } else { value }
-    }
-
-    /// On a rotary axis by the shorter way.
-    fn following_error(&self) -> f64 {
-        self.reported(way(self.modulo, self.drive.position, self.drive.demand))
-    }
-}
-
 /// `/axes/NAME`: one drive in an executed cycle.
 pub fn axis() -> Table<At<AxisRecord>> {
     table(
         "Axis",
         vec![
-            ("position".into(), Get::F64(|at| at.of.reported(at.of.drive.position))),
-            ("demand".into(), Get::F64(|at| at.of.reported(at.of.drive.demand))),
-            ("following_error".into(), Get::F64(|at| at.of.following_error())),
-            ("velocity".into(), Get::F32(|at| at.of.reported(at.of.drive.velocity.into()) as f32)),
-            ("current".into(), Get::F32(|at| at.of.reported(at.of.drive.current.into()) as f32)),
+            ("position".into(), Get::F64(|at| at.of.drive.reported(at.of.drive.position))),
+            ("demand".into(), Get::F64(|at| at.of.drive.reported(at.of.drive.demand))),
+            ("following_error".into(), Get::F64(|at| at.of.drive.following_error(at.of.modulo))),
+            ("velocity".into(), Get::F32(|at| at.of.drive.reported(at.of.drive.velocity.into()) as f32)),
+            ("current".into(), Get::F32(|at| at.of.drive.reported(at.of.drive.current.into()) as f32)),
             ("state".into(), Get::U32(|at| at.of.drive.state as u32)),
             ("state_name".into(), Get::Named(|at| at.of.drive.state as u32, &STATES)),
             ("link".into(), Get::U32(|at| at.of.drive.link as u32)),

@@ -36,7 +36,7 @@ const FRAME: u64 = 24;
 const MOST_HEADER: u64 = 16 << 20;
 
 /// What the records are of.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Version of the program that wrote it.
     pub program: String,
@@ -68,12 +68,15 @@ pub struct Header {
 }
 
 /// An axis.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
     /// Its name.
     pub name: String,
     /// Its user unit.
     pub unit: String,
+    /// On a rotary axis: the length of a turn. Older files do not have it.
+    #[serde(default)]
+    pub modulo: Option<f64>,
     /// The monitored variables of its drive, channel by channel.
     #[serde(default)]
     pub monitor: [Option<Channel>; MONITOR_CHANNELS],
@@ -272,7 +275,10 @@ mod tests {
         Header {
             why: "drive x: link lost".into(),
             cycle: 7,
-            axes: vec![axis("x"), Axis { monitor, faults: [(5, "too hot".into())].into(), ..axis("y") }],
+            axes: vec![
+                Axis { modulo: Some(360.0), ..axis("x") },
+                Axis { monitor, faults: [(5, "too hot".into())].into(), ..axis("y") },
+            ],
             ..Header::default()
         }
     }
