@@ -68,6 +68,15 @@ fn a_recording_has_every_executed_cycle_and_is_exported() {
     run(["export", file, "--csv"]).expect(0);
     let ended = run(["run", config.to_str().unwrap(), "--record", file]);
     assert!(ended.expect(2).err.contains("exists already"), "{ended:?}");
+
+    let mut other = std::fs::read(&path).unwrap();
+    let key = b"format\x01\0\0\x001";
+    let at = other.windows(key.len()).position(|bytes| bytes == key).unwrap();
+    other[at + key.len() - 1] = b'9';
+    let other = machine.write("other.mcap", other);
+    run(["export", other.to_str().unwrap(), "--csv"])
+        .refused(&["other.mcap: it was recorded by version ", " (format 9): export it with that one"]);
+    assert!(!machine.path("other").exists());
 }
 
 #[test]
@@ -185,7 +194,8 @@ fn a_file_of_the_black_box_is_exported_too_and_what_is_none_is_refused() {
     let (entries, wrong) = read(&path);
     assert!(wrong.is_none() && count(&entries, "/axes/d0") == count(&entries, "/cycle"), "{wrong:?}");
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
-    assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
+    let cycles = count(&entries, "/cycle");
+    assert_eq!(wide.lines().count() as u64, cycles + 1);
 
     let text = machine.write("notes.txt", "mine");
     let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);

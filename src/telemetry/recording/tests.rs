@@ -24,7 +24,7 @@ use crate::bus::native::{NativeField, NativeLayout};
 use crate::cycle::CyclePlan;
 use crate::cycle::record::{
     CommandRecord, CommandStep, CycleRecord, DriveRecord, EventRecord, Lateness, MonitorRecord, NativeRecord,
-    Record, Reply, SkippedRecord,
+    Record, ReferenceRecord, Reply, SkippedRecord,
 };
 use crate::cycle::status::Status;
 use crate::telemetry::causes::{Cause, Judged};
@@ -162,6 +162,41 @@ fn every_record_is_a_message_at_the_instant_of_its_cycle() {
     assert_eq!(of("/late"), [(instant(3), late.to_vec())]);
     let stages = ["10", "20", "30", "40", "50", "60"];
     assert_eq!(of("/cycle")[5].1[4..10], stages);
+}
+
+#[test]
+fn a_bus_clock_that_leads_is_a_topic_of_its_own() {
+    let silent = ReferenceRecord { index: 0, step_ns: 7, ..ReferenceRecord::default() };
+    let locked = ReferenceRecord { index: 1, error_ns: Some(-250), step_ns: -3, locked: true, counts: true };
+    let records = [Record::Reference(silent), cycle(0), Record::Reference(locked), cycle(1)];
+    let (messages, wrong) = messages(written(&records));
+    assert!(wrong.is_none(), "{wrong:?}");
+    let of = messages.into_iter().filter(|(topic, ..)| topic == "/reference");
+    let found: Vec<(u64, Vec<String>)> = of.map(|(_, at, texts)| (at, texts)).collect();
+    let expected = [
+        (1_005 * S, ["0", "5000000000", "0", "0", "7", "0"].map(str::to_owned).to_vec()),
+        (1_005 * S + MS, ["1", "5001000000", "1", "-250", "-3", "1"].map(str::to_owned).to_vec()),
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_recording_of_another_format_is_refused_and_one_of_none_is_read() {
+    let of = |format: Option<&str>| {
+        let mut machine = machine();
+        machine.about.remove("format");
+        machine.about.extend(format.map(|format| ("format".to_owned(), format.to_owned())));
+        let mut writer = Writer::new(Vec::new(), machine, UTC_NS).unwrap();
+        records(3).iter().for_each(|record| writer.enter(record).unwrap());
+        messages(writer.finish(0).unwrap())
+    };
+    let (read, wrong) = of(Some("2\x1b"));
+    let wrong = wrong.unwrap();
+    assert!(read.is_empty() && wrong.is_all(), "{wrong}");
+    let expected = "it was recorded by version 9 (format 2\\u{1b}): export it with that one, this is ";
+    assert!(wrong.to_string().starts_with(expected), "{wrong}");
+    assert_eq!(of(None).0, of(Some("1")).0);
+    assert!(of(None).1.is_none());
 }
 
 #[test]
