@@ -196,6 +196,16 @@ fn a_file_of_the_black_box_is_exported_too_and_what_is_none_is_refused() {
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     let cycles = count(&entries, "/cycle");
     assert_eq!(wide.lines().count() as u64, cycles + 1);
+    let (tables, trace) = (machine.path("tables"), machine.path("trace.json"));
+    run(["export", file, "--csv", tables.to_str().unwrap()]).expect(0);
+    for table in ["axes_d0.csv", "cycle.csv"] {
+        let text = std::fs::read_to_string(tables.join(table)).unwrap();
+        assert_eq!(text.lines().count() as u64, cycles + 1, "{table}");
+    }
+    run(["export", file, "--perfetto", trace.to_str().unwrap()]).expect(0);
+    let trace: Value = serde_json::from_slice(&std::fs::read(trace).unwrap()).unwrap();
+    let sends = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["name"] == "send");
+    assert_eq!(sends.count() as u64, cycles);
 
     let text = machine.write("notes.txt", "mine");
     let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);
