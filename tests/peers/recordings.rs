@@ -1,11 +1,14 @@
 //! What readers of others make of a recording: Foxglove's own library, as its viewer uses it, and the Python library of
 //! MCAP with the decoder of Protocol Buffers that comes with it. `.ci/run` installs them below `target/peers`.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use fieldbeat::axis::{Command as Order, Move, Profile, Target};
+use fieldbeat::axis::{Command as Order, Feedback, Move, Profile, Target};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, Native, NativeInputs};
+use fieldbeat::config::{Configuration, parse};
+use fieldbeat::internals::telemetry::recording::reading::{Reading, Wrong};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::recording::Recorder;
 use fieldbeat::time::{MS, Time};
@@ -23,26 +26,34 @@ const CYCLES: u64 = 180_000;
 /// Every so many cycles the values of all axes are compared one by one.
 const EVERY: u64 = 10_007;
 
-/// Reads a recording in its order; for each axis the number of its messages, the sum of its positions, the first and
-/// the last time, and what it was every so many cycles; of native process data the same, where there are inputs; and
-/// how many bytes the log of the loop has.
-const FOXGLOVE: &str = r#"
+/// The messages of a recording in its order.
+const READ: &str = r#"
 const { McapIndexedReader } = require("@mcap/core");
 const { FileHandleReadable } = require("@mcap/nodejs");
 const { protobufFromBinaryDescriptor } = require("@mcap/support");
 const { open } = require("node:fs/promises");
-(async () => {
-  const [path, every] = process.argv.slice(1);
+async function* read(path) {
   const reader = await McapIndexedReader.Initialize({ readable: new FileHandleReadable(await open(path, "r")) });
   const types = new Map();
   for (const channel of reader.channelsById.values()) {
     const schema = reader.schemasById.get(channel.schemaId);
     types.set(channel.id, protobufFromBinaryDescriptor(schema.data).lookupType(schema.name));
   }
-  const axes = {};
   for await (const message of reader.readMessages()) {
     const topic = reader.channelsById.get(message.channelId).topic;
-    const type = types.get(message.channelId);
+    yield { topic, type: types.get(message.channelId), message };
+  }
+}
+"#;
+
+/// For each axis the number of its messages, the sum of its positions, the first and the last time, and what it was
+/// every so many cycles; of native process data the same, where there are inputs; and how many bytes the log of the
+/// loop has.
+const FOXGLOVE: &str = r#"
+(async () => {
+  const [path, every] = process.argv.slice(1);
+  const axes = {};
+  for await (const { topic, type, message } of read(path)) {
     if (topic === "/wire") axes[topic] = (axes[topic] ?? 0) + type.decode(message.data).words.length;
     if (!topic.startsWith("/axes/")) continue;
     const decoded = type.toObject(type.decode(message.data), { defaults: true, longs: Number, enums: String });
@@ -93,6 +104,67 @@ with open(path, "rb") as file:
             axis["some"].append([decoded.cycle, decoded.position, decoded.demand, name])
 print(json.dumps(axes))
 "#;
+
+/// Of each topic the time of each message and all of its values, in the order of their fields: whole numbers and names
+/// as text, bytes in hexadecimal, nothing for what is not a number.
+const FOXGLOVE_ALL: &str = r#"
+const text = (field, value) => {
+  if (field.type === "double" || field.type === "float") return Number.isFinite(value) ? value : "";
+  if (field.type === "bytes") return Buffer.from(value).toString("hex");
+  return field.type === "bool" ? String(Number(value)) : String(value);
+};
+(async () => {
+  const all = {};
+  for await (const { topic, type, message } of read(process.argv[1])) {
+    const decoded = type.toObject(type.decode(message.data), { defaults: true, longs: String, enums: String });
+    const fields = [...type.fieldsArray].sort((one, other) => one.id - other.id);
+    const values = fields.map((field) => text(field, decoded[field.name]));
+    (all[topic] ??= []).push([message.logTime.toString(), ...values]);
+  }
+  console.log(JSON.stringify(all));
+})();
+"#;
+
+/// The same; with the word `cut` of a file without its end, up to where that reader fails.
+const PYTHON_ALL: &str = r#"
+import json, math, sys
+from mcap.exceptions import EndOfFile
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_protobuf.decoder import DecoderFactory
+path, is_cut = sys.argv[1], sys.argv[2:] == ["cut"]
+def text(field, value):
+    if field.enum_type is not None:
+        return field.enum_type.values_by_number[value].name
+    if isinstance(value, float):
+        return value if math.isfinite(value) else ""
+    if isinstance(value, bytes):
+        return value.hex()
+    return str(int(value)) if isinstance(value, bool) else str(value)
+topics = {}
+with open(path, "rb") as file:
+    make = NonSeekingReader if is_cut else make_reader
+    reader = make(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+    try:
+        for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=not is_cut):
+            values = [text(field, getattr(decoded, field.name)) for field in decoded.DESCRIPTOR.fields]
+            topics.setdefault(channel.topic, []).append([str(message.log_time), *values])
+    except EndOfFile:
+        if not is_cut:
+            raise
+print(json.dumps(topics))
+"#;
+
+fn python(script: &str) -> Command {
+    let mut python = Command::new(checkout("target/peers/python/bin/python"));
+    python.args(["-c", script]);
+    python
+}
+
+fn node(script: &str) -> Command {
+    let mut node = Command::new("node");
+    node.env("NODE_PATH", checkout("target/peers/node_modules")).args(["-e", &(READ.to_owned() + script)]);
+    node
+}
 
 /// What `command` prints, as JSON.
 fn tell(command: &mut Command) -> Value {
@@ -211,9 +283,147 @@ fn the_readers_of_others_find_every_value_of_an_hour() {
     let path = directory.path().join("hour.mcap");
     let expected = record(&path);
     let every = EVERY.to_string();
-    let mut python = Command::new(checkout("target/peers/python/bin/python"));
-    compare(&tell(python.args(["-c", PYTHON]).arg(&path).arg(&every)), &expected);
-    let mut node = Command::new("node");
-    node.env("NODE_PATH", checkout("target/peers/node_modules"));
-    compare(&tell(node.args(["-e", FOXGLOVE]).arg(&path).arg(&every)), &expected);
+    compare(&tell(python(PYTHON).arg(&path).arg(&every)), &expected);
+    compare(&tell(node(FOXGLOVE).arg(&path).arg(&every)), &expected);
+}
+
+/// Of each topic the time of each message and its values, as texts.
+type Topics = BTreeMap<String, Vec<Vec<String>>>;
+
+/// What our own reader finds, and what is wrong with the rest.
+fn own(bytes: Vec<u8>) -> (Topics, Option<Wrong>) {
+    let (mut topics, mut wrong) = (Topics::new(), None);
+    for entry in Reading::of(bytes).map_while(|entry| entry.map_err(|why| wrong = Some(why)).ok()) {
+        let values = std::iter::once(entry.utc_ns.to_string()).chain(entry.texts()).collect();
+        topics.entry(entry.topic.name.clone()).or_default().push(values);
+    }
+    (topics, wrong)
+}
+
+/// Another reader has found the same: numbers of 64 or 32 bits, or the same text.
+fn compare_all(found: &Value, own: &Topics) {
+    let same = |found: &Value, own: &String| match found {
+        Value::String(text) => text == own,
+        Value::Number(number) => {
+            let number = number.as_f64().unwrap();
+            own.parse() == Ok(number) || own.parse::<f32>().is_ok_and(|own| f64::from(own) == number)
+        }
+        _ => false,
+    };
+    let found = found.as_object().unwrap();
+    assert!(found.keys().eq(own.keys()), "{:?} {:?}", found.keys(), own.keys());
+    for (topic, own) in own {
+        let found = found[topic].as_array().unwrap();
+        assert_eq!(found.len(), own.len(), "{topic}");
+        for (found, own) in found.iter().zip(own) {
+            let found = found.as_array().unwrap();
+            let is_same =
+                found.len() == own.len() && found.iter().zip(own).all(|(one, other)| same(one, other));
+            assert!(is_same, "{topic}: {found:?} {own:?}");
+        }
+    }
+}
+
+const EVERYTHING: &str = r#"
+[cycle]
+period = "1ms"
+reference = "ethercat"
+[[bus]]
+protocol = "linudp-v2"
+bind = "10.0.0.1"
+[[bus.drive]]
+name = "x"
+address = "10.0.0.2"
+monitor = ["demand-current", "motor-temperature"]
+[[bus]]
+protocol = "ethercat"
+interface = "local:recordings"
+[[bus.drive]]
+name = "y"
+"#;
+
+/// Some seconds of an axis in motion and of one whose clock leads, with late cycles and slots that are skipped: the
+/// file has messages of every topic but the log of the loop, as many as the loop counts, and with the values that the
+/// application saw.
+fn record_everything(path: &Path) {
+    let Configuration { plan, simulation, .. } = parse(EVERYTHING, "m.toml").unwrap();
+    let recorder = Recorder::create(path).unwrap().with_native(["all"]);
+    let setup = Master::from_plan(plan).with_simulation(simulation).with_recorder(recorder);
+    let mut machine = setup.simulate(WorldOptions::default()).unwrap();
+    let (mut seen, mut events) = (BTreeMap::new(), 0);
+    for turn in 0..7_500 {
+        let order = match turn {
+            500 => Some(Order::Enable),
+            900 => Some(Order::Home),
+            6_000 => {
+                let profile = Profile { velocity: 50.0, acceleration: 500.0, deceleration: 500.0 };
+                Some(Order::Move(Move { target: Target::Relative(4.0), profile }))
+            }
+            _ => None,
+        };
+        if let Some(order) = order {
+            machine.axis(0).post(order).unwrap();
+        }
+        match turn {
+            7_000 => machine.world().delay_next_wake(200_000),
+            7_100 => machine.world().delay_next_wake(3 * MS),
+            _ => {}
+        }
+        machine.step();
+        for axis in 0..2 {
+            events += std::iter::from_fn(|| machine.axis(axis).event()).count() as u64;
+        }
+        let Feedback { cycle, status, .. } = machine.feedback(0);
+        let error = status.demand - status.position;
+        let values =
+            [error.to_string(), (status.velocity as f32).to_string(), (status.current as f32).to_string()];
+        seen.insert(cycle, values);
+    }
+    let status = *machine.status();
+    let [recorded] = &machine.finish_recording()[..] else { panic!("one file") };
+    assert!(recorded.failure().is_none(), "{recorded}");
+    let (own, wrong) = own(std::fs::read(path).unwrap());
+    assert!(wrong.is_none(), "{wrong:?}");
+    let count = |topic: &str| own.get(topic).map_or(0, Vec::len) as u64;
+    assert_eq!(recorded.messages, own.keys().map(|topic| count(topic)).sum::<u64>());
+    for topic in ["/axes/x", "/axes/y", "/cycle", "/reference"] {
+        assert_eq!(count(topic), status.executed, "{topic}");
+    }
+    let of = |topic: &str, column: usize| own[topic].iter().map(move |values| &*values[column]);
+    // Behind the time of the file, the cycle and the time of the loop.
+    let sum: u64 = of("/skipped", 3).map(|count| count.parse::<u64>().unwrap()).sum();
+    assert_eq!((sum, count("/late")), (status.skipped, status.late));
+    assert!(status.skipped > 0 && status.late > 1, "{status:?}");
+    let reported = of("/reference", 3).filter(|reported| *reported == "1").count() as u64;
+    assert_eq!(reported, status.reference.unwrap().samples);
+    assert!(reported > 0 && count("/axes/x/monitors") > 0 && count("/axes/x/native") > 0);
+    assert_eq!(count("/events"), events);
+    let begun: Vec<&str> = of("/commands", 9).collect();
+    assert_eq!(begun, ["enable", "enable", "home", "home", "move", "move"]);
+    for values in &own["/axes/x"] {
+        assert_eq!(values[5..8], seen[&values[1].parse().unwrap()], "{values:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs node with @mcap/core, @mcap/nodejs and @mcap/support, and python3 with mcap-protobuf-support"]
+fn the_readers_of_others_find_every_value_of_every_topic() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("all.mcap");
+    record_everything(&path);
+    let bytes = std::fs::read(&path).unwrap();
+    let (whole, _) = own(bytes.clone());
+    compare_all(&tell(python(PYTHON_ALL).arg(&path)), &whole);
+    compare_all(&tell(node(FOXGLOVE_ALL).arg(&path)), &whole);
+
+    // In the middle of the last chunk.
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let last = summary.chunk_indexes.iter().max_by_key(|index| index.chunk_start_offset).unwrap();
+    let cut = &bytes[..(last.chunk_start_offset + last.chunk_length / 2) as usize];
+    let (read, wrong) = own(cut.to_vec());
+    assert!(matches!(wrong, Some(Wrong::Cut)), "{wrong:?}");
+    let counts = ["/cycle", "/axes/x"].map(|topic| (read[topic].len(), whole[topic].len()));
+    assert!(counts.iter().all(|(read, whole)| *read > 1_000 && read < whole), "{counts:?}");
+    std::fs::write(&path, cut).unwrap();
+    compare_all(&tell(python(PYTHON_ALL).arg(&path).arg("cut")), &read);
 }

@@ -1,37 +1,46 @@
 //! `fieldbeat ethernet-ip scan`: of devices on this host, of addresses where nobody is, and of what is no address.
 
-use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::thread::{self, JoinHandle};
 
 use libc::SIGINT;
+use serde_json::Value;
 
 use super::bound;
-use super::support::{Machine, Program, run};
+use super::init::{check, init_by};
+use super::support::{CABLE_NET, Cable, LONG, Machine, PROGRAM, Program, run};
 
 /// A device that answers each of so many ListIdentity requests, twice.
 fn device(at: SocketAddrV4, serial: u32, requests: usize) -> JoinHandle<()> {
     let socket = bound(|| UdpSocket::bind(at));
+    answering(socket.try_clone().unwrap(), vec![(socket, serial)], requests)
+}
+
+/// Each device, by its socket and serial number, answers each of so many requests that come to `asked`, twice.
+fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) -> JoinHandle<()> {
     thread::spawn(move || {
         let mut request = [0; 64];
         for _ in 0..requests {
-            let (size, from) = socket.recv_from(&mut request).unwrap();
+            let (size, from) = asked.recv_from(&mut request).unwrap();
             assert_eq!((size, &request[..4]), (24, &[0x63, 0, 0, 0][..]), "ListIdentity without data");
-            let SocketAddr::V4(_) = from else { panic!("{from}") };
-            let name = b"STF10-IP";
-            let mut item = vec![1, 0, 0, 2, 0xAF, 0x12];
-            item.extend(at.ip().octets());
-            item.extend([0; 8]);
-            item.extend([60, 0, 43, 0, 0xB0, 0, 251, 3, 0, 0]);
-            item.extend(serial.to_le_bytes());
-            item.push(name.len() as u8);
-            item.extend(name);
-            item.push(3);
-            let mut answer = request[..24].to_vec();
-            answer[2] = item.len() as u8 + 6;
-            answer.extend([1, 0, 0x0C, 0, item.len() as u8, 0]);
-            answer.extend(item);
-            for _ in 0..2 {
-                socket.send_to(&answer, from).unwrap();
+            for (socket, serial) in &devices {
+                let SocketAddr::V4(at) = socket.local_addr().unwrap() else { panic!("{from}") };
+                let name = b"STF10-IP";
+                let mut item = vec![1, 0, 0, 2, 0xAF, 0x12];
+                item.extend(at.ip().octets());
+                item.extend([0; 8]);
+                item.extend([60, 0, 43, 0, 0xB0, 0, 251, 3, 0, 0]);
+                item.extend(serial.to_le_bytes());
+                item.push(name.len() as u8);
+                item.extend(name);
+                item.push(3);
+                let mut answer = request[..24].to_vec();
+                answer[2] = item.len() as u8 + 6;
+                answer.extend([1, 0, 0x0C, 0, item.len() as u8, 0]);
+                answer.extend(item);
+                for _ in 0..2 {
+                    socket.send_to(&answer, from).unwrap();
+                }
             }
         }
     })
@@ -84,6 +93,46 @@ fn who_does_not_answer_is_named() {
     scan.await_handler(SIGINT);
     scan.signal(SIGINT);
     scan.end().failed(&["interrupted"]);
+}
+
+#[test]
+#[ignore = "needs root and network namespaces (iproute2)"]
+fn a_broadcast_finds_the_drives_on_a_cable() {
+    let machine = Machine::new(171).on(CABLE_NET);
+    let cable = Cable::new(171, &[40, 41]);
+    let (asked, devices) = cable.among_drives(|| {
+        let open = |ip| UdpSocket::bind(SocketAddrV4::new(ip, 44_818)).unwrap();
+        (open(Ipv4Addr::BROADCAST), vec![(open(machine.ip(41)), 7), (open(machine.ip(40)), 0xC0FFEE)])
+    });
+    // A broadcast that was lost would not be waited for.
+    asked.set_read_timeout(Some(LONG)).unwrap();
+    // Each search asks twice.
+    let devices = answering(asked, devices, 4);
+    let bind = machine.ip(1).to_string();
+    let program = || Cable::command(&cable.master, PROGRAM);
+
+    let scan = Program::spawn(program().args(["ethernet-ip", "scan", "--bind", &bind, "--json"])).end();
+    let json = scan.expect(0).json();
+    let found: Vec<(&Value, &Value)> = (json["devices"].as_array().unwrap().iter())
+        .map(|device| (&device["address"], &device["serial"]))
+        .collect();
+    let [first, second] = [40, 41].map(|host| Value::from(machine.ip(host).to_string()));
+    assert_eq!(found, [(&first, &0xC0FFEE.into()), (&second, &7.into())]);
+
+    let file = machine.path("machine.toml");
+    let answers = format!("{bind}\nyes\n{}", "\n".repeat(30));
+    let ended = init_by(program(), &file, &["--protocol", "ethernet-ip"], answers);
+    ended.expect(0);
+    let lines: Vec<&str> = ended.out.lines().filter(|line| line.starts_with("  STF10-IP")).collect();
+    let expected = [40, 41].map(|host| format!("  STF10-IP at {}", machine.ip(host)));
+    assert_eq!(lines, expected, "{}", ended.out);
+    devices.join().unwrap();
+    let plan = fieldbeat::config::load(&file).unwrap_or_else(|why| panic!("{why}")).plan;
+    assert_eq!(plan.axes().len(), 2);
+    let text = std::fs::read_to_string(&file).unwrap();
+    let addresses: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("address = ")).collect();
+    assert_eq!(addresses, [first.to_string(), second.to_string()], "{text}");
+    check(&file).expect(0);
 }
 
 #[test]

@@ -17,7 +17,12 @@ const PROTOCOLS: [&str; 5] = ["linudp-v2", "modbus-tcp", "ethercat", "ethernet-i
 
 /// `fieldbeat init` with these arguments, and these lines as its answers.
 fn init(file: &Path, arguments: &[&str], answers: impl AsRef<[u8]>) -> Ended {
-    let mut child = Command::new(PROGRAM)
+    init_by(Command::new(PROGRAM), file, arguments, answers)
+}
+
+/// The same, started by `program`.
+pub fn init_by(mut program: Command, file: &Path, arguments: &[&str], answers: impl AsRef<[u8]>) -> Ended {
+    let mut child = program
         .arg("init")
         .arg(file)
         .args(arguments)
@@ -38,7 +43,7 @@ fn init(file: &Path, arguments: &[&str], answers: impl AsRef<[u8]>) -> Ended {
 }
 
 /// What `check` makes of a file.
-fn check(file: &Path) -> Ended {
+pub fn check(file: &Path) -> Ended {
     run(["check".as_ref(), file.as_os_str()])
 }
 

@@ -70,6 +70,15 @@ fn a_recording_has_every_executed_cycle_and_is_exported() {
     run(["export", file, "--csv"]).expect(0);
     let ended = run(["run", config.to_str().unwrap(), "--record", file]);
     assert!(ended.expect(2).err.contains("exists already"), "{ended:?}");
+
+    let mut other = std::fs::read(&path).unwrap();
+    let key = b"format\x01\0\0\x001";
+    let at = other.windows(key.len()).position(|bytes| bytes == key).unwrap();
+    other[at + key.len() - 1] = b'9';
+    let other = machine.write("other.mcap", other);
+    run(["export", other.to_str().unwrap(), "--csv"])
+        .refused(&["other.mcap: it was recorded by version ", " (format 9): export it with that one"]);
+    assert!(!machine.path("other").exists());
 }
 
 #[test]
@@ -187,7 +196,18 @@ fn a_file_of_the_black_box_is_exported_too_and_what_is_none_is_refused() {
     let (entries, wrong) = read(&path);
     assert!(wrong.is_none() && count(&entries, "/axes/d0") == count(&entries, "/cycle"), "{wrong:?}");
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
-    assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
+    let cycles = count(&entries, "/cycle");
+    assert_eq!(wide.lines().count() as u64, cycles + 1);
+    let (tables, trace) = (machine.path("tables"), machine.path("trace.json"));
+    run(["export", file, "--csv", tables.to_str().unwrap()]).expect(0);
+    for table in ["axes_d0.csv", "cycle.csv"] {
+        let text = std::fs::read_to_string(tables.join(table)).unwrap();
+        assert_eq!(text.lines().count() as u64, cycles + 1, "{table}");
+    }
+    run(["export", file, "--perfetto", trace.to_str().unwrap()]).expect(0);
+    let trace: Value = serde_json::from_slice(&std::fs::read(trace).unwrap()).unwrap();
+    let sends = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["name"] == "send");
+    assert_eq!(sends.count() as u64, cycles);
 
     let text = machine.write("notes.txt", "mine");
     let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);

@@ -1,7 +1,7 @@
 //! Reads the messages of a recording by the description that stands in the file, whichever version of the program wrote
 //! it.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::os::unix::fs::OpenOptionsExt;
@@ -16,6 +16,7 @@ use prost_reflect::{
 };
 use thiserror::Error;
 
+use super::machine::{FORMAT, MACHINE};
 use super::schema::PACKAGE;
 use crate::replay::layout::TOPIC;
 use crate::replay::records::{Records, Unsound};
@@ -81,6 +82,12 @@ pub enum Wrong {
     /// The same, but nobody knows where: its end says so.
     #[error("it is damaged ({0}): what can be read was exported")]
     Somewhere(String),
+    /// Its messages may mean something else: the version of the program that wrote it, and that of its format.
+    #[error(
+        "it was recorded by version {0} (format {1}): export it with that one, this is {this}",
+        this = env!("CARGO_PKG_VERSION")
+    )]
+    Format(String, String),
     /// By another tool.
     #[error("its chunks are compressed ({0}): `mcap decompress` reads them")]
     Compressed(String),
@@ -90,7 +97,7 @@ crate::errors::debug_as_display!(Wrong);
 impl Wrong {
     /// Nothing of it could be read.
     pub fn is_all(&self) -> bool {
-        matches!(self, Wrong::Io(_) | Wrong::Foreign | Wrong::Compressed(_))
+        matches!(self, Wrong::Io(_) | Wrong::Foreign | Wrong::Format(..) | Wrong::Compressed(_))
     }
 }
 
@@ -143,6 +150,7 @@ impl Topics {
         match record {
             Record::Schema { header, data } => self.channels.add_schema_from_slice(header, &data)?,
             Record::Channel(channel) => self.channels.add_channel(channel)?,
+            Record::Metadata(of) if of.name == MACHINE => require_format(&of.metadata)?,
             Record::Message { header, data } => return self.entry(&header, &data),
             _ => {}
         }
@@ -177,6 +185,18 @@ impl Topics {
         let decoded = DynamicMessage::decode(topic.descriptor.clone(), data);
         let decoded = decoded.map_err(|error| Wrong::Damaged(error.to_string()))?;
         Ok(Some(Entry { topic, utc_ns: header.log_time, message: decoded }))
+    }
+}
+
+/// Refuses what says to be of another format; files of others do not say it.
+fn require_format(about: &BTreeMap<String, String>) -> Result<(), Wrong> {
+    // For a line on a terminal, whoever wrote the file.
+    let text = |key: &str| about.get(key).map(|text| text.escape_debug().to_string());
+    match text("format") {
+        Some(format) if format != FORMAT => {
+            Err(Wrong::Format(text("program").unwrap_or("?".to_owned()), format))
+        }
+        _ => Ok(()),
     }
 }
 

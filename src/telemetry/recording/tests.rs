@@ -18,16 +18,20 @@ use super::whole::Whole;
 use super::window::Window;
 use super::writer::Writer;
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, Link, Move, Outcome, Profile, State, StopCause, Target,
+    self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target, Units,
 };
 use crate::bus::native::{NativeField, NativeLayout};
+use crate::cycle::CyclePlan;
 use crate::cycle::record::{
     CommandRecord, CommandStep, CycleRecord, DriveRecord, EventRecord, Lateness, MonitorRecord, NativeRecord,
-    Record, Reply, SkippedRecord,
+    Record, ReferenceRecord, Reply, SkippedRecord,
 };
+use crate::cycle::status::Status;
 use crate::telemetry::causes::{Cause, Judged};
 use crate::telemetry::failures::Failures;
-use crate::telemetry::sink::Sink;
+use crate::telemetry::sink::{Feed, Sink};
+use crate::telemetry::tap::Taps;
+use crate::telemetry::thread::{Failure, Measured, TelemetryThread};
 use crate::time::{MS, S, Time};
 
 /// The clock of the loop is so much behind UTC.
@@ -79,7 +83,7 @@ fn records(cycles: u64) -> Vec<Record> {
     let command = Command::Move(Move { target: Target::Relative(-4.0), profile });
     let step =
         |index, step| Record::Command(CommandRecord { index, axis: 0, group: Some(0), step, id, command });
-    let failure = Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
+    let failure = axis::Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
     let ended = EventKind::Ended { id, command: "move", outcome: Outcome::Failed(failure) };
     let mut records = Vec::new();
     for index in 0..cycles {
@@ -158,6 +162,41 @@ fn every_record_is_a_message_at_the_instant_of_its_cycle() {
     assert_eq!(of("/late"), [(instant(3), late.to_vec())]);
     let stages = ["10", "20", "30", "40", "50", "60"];
     assert_eq!(of("/cycle")[5].1[4..10], stages);
+}
+
+#[test]
+fn a_bus_clock_that_leads_is_a_topic_of_its_own() {
+    let silent = ReferenceRecord { index: 0, step_ns: 7, ..ReferenceRecord::default() };
+    let locked = ReferenceRecord { index: 1, error_ns: Some(-250), step_ns: -3, locked: true, counts: true };
+    let records = [Record::Reference(silent), cycle(0), Record::Reference(locked), cycle(1)];
+    let (messages, wrong) = messages(written(&records));
+    assert!(wrong.is_none(), "{wrong:?}");
+    let of = messages.into_iter().filter(|(topic, ..)| topic == "/reference");
+    let found: Vec<(u64, Vec<String>)> = of.map(|(_, at, texts)| (at, texts)).collect();
+    let expected = [
+        (1_005 * S, ["0", "5000000000", "0", "0", "7", "0"].map(str::to_owned).to_vec()),
+        (1_005 * S + MS, ["1", "5001000000", "1", "-250", "-3", "1"].map(str::to_owned).to_vec()),
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_recording_of_another_format_is_refused_and_one_of_none_is_read() {
+    let of = |format: Option<&str>| {
+        let mut machine = machine();
+        machine.about.remove("format");
+        machine.about.extend(format.map(|format| ("format".to_owned(), format.to_owned())));
+        let mut writer = Writer::new(Vec::new(), machine, UTC_NS).unwrap();
+        records(3).iter().for_each(|record| writer.enter(record).unwrap());
+        messages(writer.finish(0).unwrap())
+    };
+    let (read, wrong) = of(Some("2\x1b"));
+    let wrong = wrong.unwrap();
+    assert!(read.is_empty() && wrong.is_all(), "{wrong}");
+    let expected = "it was recorded by version 9 (format 2\\u{1b}): export it with that one, this is ";
+    assert!(wrong.to_string().starts_with(expected), "{wrong}");
+    assert_eq!(of(None).0, of(Some("1")).0);
+    assert!(of(None).1.is_none());
 }
 
 #[test]
@@ -521,9 +560,37 @@ fn a_recording_says_how_many_records_were_dropped() {
     whole.begin(UTC_NS);
     let records: Vec<Record> = [&native(7, 100, 60)[1..], &[cycle(7)]].concat();
     records.iter().for_each(|record| whole.enter(record));
-    whole.look(2);
+    let reported = whole.look(1).unwrap();
+    assert!(reported.contains("records are missing, since its disk or this host was too slow"), "{reported}");
+    assert_eq!(whole.look(2), None, "once");
     let [recorded] = &whole.finish()[..] else { panic!() };
-    assert_eq!((recorded.lost, &recorded.error), (2 + 3, &None));
+    assert_eq!((recorded.lost, &recorded.error, recorded.failure()), (2 + 3, &None, Some(reported)));
+}
+
+#[test]
+fn a_recording_that_was_too_slow_fails_the_run_in_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("x.mcap");
+    let mut whole = Whole::new(new_file(&path), path.clone(), machine(), None);
+    whole.begin(UTC_NS);
+    // A queue for one batch, from which nobody takes meanwhile.
+    let taps = Taps::default();
+    let tap = taps.add(1);
+    let records = records(6);
+    records.chunks(3).for_each(|batch| taps.hand(batch.to_vec()));
+    let (_, ring) = rtrb::RingBuffer::new(1);
+    let measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
+    let telemetry = TelemetryThread::start(ring, measured, taps, None, None, || {}).unwrap();
+    let feed = Feed { path: path.clone(), sink: Box::new(whole), tap };
+    let measured = telemetry.feed(Some(feed), || {}).unwrap().finish(&Status::default(), None);
+    let [recorded] = &measured.recordings[..] else { panic!("{:?}", measured.recordings) };
+    assert_eq!((recorded.messages, recorded.lost), (3, records.len() as u64 - 3));
+    let what = format!(
+        "recording {} is not complete: records are missing, since its disk or this host was too slow; record to \
+         another disk, or with a longer period",
+        path.display()
+    );
+    assert_eq!(measured.failures, [Failure { what, fails_run: true }]);
 }
 
 #[test]

@@ -162,7 +162,9 @@ impl Sink for Whole {
     fn request(&mut self) {}
 
     fn look(&mut self, lost: u64) -> Option<String> {
-        self.recorded.lost = lost;
+        if std::mem::replace(&mut self.recorded.lost, lost) == 0 && lost > 0 {
+            self.failure = self.recorded.failure();
+        }
         self.with(Writer::take_log);
         self.find_cut();
         self.failure.take()

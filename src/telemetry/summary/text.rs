@@ -193,7 +193,7 @@ impl Summary {
         write!(f, "host: {kernel}, {preemption}, {cpu}; steal {steal} ms; ")?;
         writeln!(f, "other threads had the loop's core for {} ms", host.taken_ms)?;
         for recorded in &self.recordings {
-            let is_bad = recorded.lost > 0 || recorded.error.is_some();
+            let is_bad = recorded.failure().is_some();
             writeln!(f, "{}", paint(&recorded.to_string(), BAD, is_bad && f.alternate()))?;
         }
         for written in &self.black_boxes {
