@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use super::protocol::{Exchange, LOOK_EVERY};
 use super::server::{PATIENCE_OF_STREAM, Sender};
 use super::{AskError, Conversation};
-use crate::axis::{EventKind, Fault, FaultNames};
+use crate::axis::{EventKind, FaultNames};
 use crate::cycle::record::{CommandRecord, CommandStep, Record};
 use crate::rt::MonotonicClock;
 use crate::rt::thread::helper_thread;
@@ -39,9 +39,6 @@ const ROOM: usize = 64;
 
 /// News come at least so often: whoever gets none knows that the master hangs.
 pub const NEWS_EVERY: Duration = Duration::from_millis(200);
-
-/// The most events in one frame: more cannot be read.
-const MOST_EVENTS: usize = 256;
 
 /// The most late cycles in one frame: more cannot be looked at.
 const MOST_LATE: usize = 64;
@@ -114,6 +111,8 @@ pub struct Late {
 #[derive(Debug)]
 pub struct Watch {
     monitor: Monitor,
+    /// The same in each conversation: it tells one master from the next.
+    epoch_ns: u64,
     watchers: Arc<AtomicUsize>,
     seat: Option<Seat>,
 }
@@ -134,14 +133,17 @@ impl Drop for Seat {
 impl Clone for Watch {
     /// For another conversation with the same master.
     fn clone(&self) -> Watch {
-        Watch { monitor: self.monitor.clone(), watchers: Arc::clone(&self.watchers), seat: None }
+        let (monitor, watchers) = (self.monitor.clone(), Arc::clone(&self.watchers));
+        Watch { monitor, epoch_ns: self.epoch_ns, watchers, seat: None }
     }
 }
 
 impl Watch {
     /// Of the machine behind `monitor`.
     pub fn new(monitor: &Monitor) -> Watch {
-        Watch { monitor: monitor.clone(), watchers: Arc::default(), seat: None }
+        let date = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, nanos);
+        let epoch_ns = date.saturating_sub(MonotonicClock::read().0);
+        Watch { monitor: monitor.clone(), epoch_ns, watchers: Arc::default(), seat: None }
     }
 
     /// The answer to `watch`; `None` to any other question.
@@ -157,9 +159,8 @@ impl Watch {
         }
         let watchers = Arc::clone(&self.watchers);
         self.seat = Some(Seat { tap: self.monitor.tap(ROOM), watchers });
-        let date = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, nanos);
-        let epoch_ns = date.saturating_sub(MonotonicClock::read().0);
-        Ok(About { pid: std::process::id(), epoch_ns, header: header(self.monitor.plan()) })
+        let header = header(self.monitor.plan());
+        Ok(About { pid: std::process::id(), epoch_ns: self.epoch_ns, header })
     }
 
     /// The stream that `records` begins; `None`: that is not asked, or nothing was announced.
@@ -266,18 +267,13 @@ impl Stream<'_> {
             }
             Record::Event(event) => {
                 let (axis, kind) = (usize::from(event.axis), event.kind()?);
-                let fault = |code| Fault::new(code, self.names.get(axis).copied().unwrap_or(|_| None));
-                let text = match kind {
-                    EventKind::Fault(code) if code != 0 => format!("fault {}", fault(code)),
-                    EventKind::Emergency(one) => one.described(fault(one.code.into())),
-                    kind => kind.to_string(),
-                };
+                let name = kind.fault().and_then(|code| self.names.get(axis).and_then(|names| names(code)));
                 let fault = matches!(kind, EventKind::Fault(1..) | EventKind::Stopped(_));
-                Some(Happened { cycle: event.index, axis, text, fault })
+                Some(Happened { cycle: event.index, axis, text: kind.described(name), fault })
             }
             _ => None,
         });
-        happened.take(MOST_EVENTS).collect()
+        happened.collect()
     }
 
     fn news(&self, faults: Vec<(usize, u32, String)>, events: Vec<Happened>) -> News {

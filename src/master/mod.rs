@@ -479,7 +479,7 @@ impl Setup {
             Feed::new(path, sink, &taps)
         });
         let started = TelemetryThread::start(records, measured, taps, watch, black_box, aside)
-            .and_then(|telemetry| telemetry.feed(feed, aside));
+            .and_then(|telemetry| telemetry.feed(feed, gauges.status.clone(), aside));
         let telemetry = match started {
             Ok(telemetry) => telemetry,
             Err(error) => {

@@ -25,9 +25,6 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// How often the state of the axes is sent.
 const STATUS_EVERY: Duration = Duration::from_millis(200);
 
-/// The most events in one message: more cannot be read.
-const MOST_EVENTS: usize = 256;
-
 /// Where the records come from.
 pub trait Source: Send + 'static {
     /// Attaches to the master; an error says in a line why there is none.
@@ -173,7 +170,7 @@ impl<'a> Attached<'a> {
                         1 => "1 slot skipped".to_owned(),
                         count => format!("{count} slots skipped"),
                     };
-                    self.event(Event { cycle: skipped.first, axis: None, text: what, fault: false });
+                    self.events.push(Event { cycle: skipped.first, axis: None, text: what, fault: false });
                 }
                 _ => {}
             }
@@ -194,12 +191,6 @@ impl<'a> Attached<'a> {
         if self.status_at.is_none_or(|at| at.elapsed() >= STATUS_EVERY) {
             self.status_at = Some(Instant::now());
             self.say(&json!({ "axes": self.status() }));
-        }
-    }
-
-    fn event(&mut self, event: Event) {
-        if self.events.len() < MOST_EVENTS {
-            self.events.push(event);
         }
     }
 
@@ -231,7 +222,7 @@ impl<'a> Attached<'a> {
     fn news(&mut self, news: News) {
         let News { lost, dropped, late_count, faults, events, late } = news;
         for Happened { cycle, axis, text, fault } in events {
-            self.event(Event { cycle, axis: Some(axis), text, fault });
+            self.events.push(Event { cycle, axis: Some(axis), text, fault });
         }
         for (axis, code, name) in faults {
             if let Some(axis) = self.header.axes.get_mut(axis) {

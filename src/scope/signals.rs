@@ -47,12 +47,27 @@ pub fn signals(header: &Header) -> Vec<Signal> {
             signal("sent", us()),
             signal("online", String::new()),
         ]);
-        // A channel without a variable keeps its number, and has no name.
-        all.extend((of.monitor.iter()).map(|channel| {
-            channel.as_ref().map_or_else(|| signal("", String::new()), |of| signal(&of.name, of.unit.clone()))
-        }));
+        let first = all.len() - OF_DRIVE;
+        for channel in &of.monitor {
+            let Some(of) = channel else {
+                // It keeps its number, and has no name.
+                all.push(signal("", String::new()));
+                continue;
+            };
+            let mut one = signal(&of.name, of.unit.clone());
+            // The page and its files know a signal by its name.
+            while all[first..].iter().any(|other| parts(&other.name).eq(parts(&one.name))) {
+                one.name.push_str(" 2");
+            }
+            all.push(one);
+        }
     }
     all
+}
+
+/// A name but for what keeps its parts apart, which a file has as underscores.
+fn parts(name: &str) -> impl Iterator<Item = &str> {
+    name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|part| !part.is_empty())
 }
 
 /// How many signals a machine of so many axes has.
@@ -147,11 +162,15 @@ mod tests {
 
     #[test]
     fn every_value_stands_at_the_number_of_its_signal() {
-        let monitor = [None, Some(Channel { name: "load".into(), unit: "%".into() }), None, None];
+        let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
+        let monitor = [None, channel("load", "%"), channel("current", "A"), channel("Current 2", "A")];
         let axis = |name: &str| Axis { name: name.into(), unit: "mm".into(), ..Axis::default() };
         let header = Header { axes: vec![axis("x"), Axis { monitor, ..axis("y") }], ..Header::default() };
         let signals = signals(&header);
         assert_eq!(signals.len(), count(2));
+        let second =
+            |name: &str| signals.iter().filter(|one| (one.axis, &*one.name) == (Some(1), name)).count();
+        assert_eq!(["current", "current 2", "Current 2"].map(second), [1; 3]);
         let mut values = Values::new(&header.axes);
         let stages_ns = [1_000, 2_000, 3_000, 4_000, 5_000, 6_000];
         values.cycle(&CycleRecord { wake_ns: 9_000, stages_ns, missed: 3, ..CycleRecord::default() });
@@ -194,6 +213,7 @@ mod tests {
         values.clear();
         assert!(values.all().iter().all(|value| value.is_nan()));
     }
+
     #[test]
     fn a_rotary_axis_is_followed_by_the_shorter_way_and_one_that_never_answered_has_no_values() {
         let mut values = Values::new(&[Axis { modulo: Some(360.0), ..Axis::default() }, Axis::default()]);

@@ -4,14 +4,16 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::causes::Judged;
 use super::tap::{NoBatch, Tap, Taps};
 use super::thread::Gathered;
+use crate::axis::cell::Reader;
 use crate::cycle::record::Record;
+use crate::cycle::status::Status;
 
 /// So many batches may wait: those of some five seconds in which a disk does not take them.
 const ROOM: usize = 256;
@@ -19,8 +21,9 @@ const ROOM: usize = 256;
 /// How often it is looked at without records.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// At the end a disk has so long.
+/// At the end a disk has so long, and in addition the time for what is in memory at this rate, bytes/s.
 const PATIENCE: Duration = Duration::from_secs(5);
+const SLOWEST: u64 = 1_000_000;
 
 /// What it does with them. The feature `record` has the one there is.
 pub trait Sink: fmt::Debug + Send {
@@ -39,6 +42,9 @@ pub trait Sink: fmt::Debug + Send {
     /// So many records were lost on the way to it so far; comes after each batch, and now and then without one. What
     /// the loop has logged is taken now. Returns what failed meanwhile.
     fn look(&mut self, lost: u64) -> Option<String>;
+
+    /// About how many bytes it holds in memory and writes at its end.
+    fn holds(&self) -> u64;
 
     /// There are no more records. Returns what it has written.
     fn finish(&mut self) -> Vec<Recorded>;
@@ -100,17 +106,21 @@ impl Feed {
 pub struct SinkThread {
     thread: JoinHandle<Vec<Recorded>>,
     path: PathBuf,
+    /// See [`Sink::holds`].
+    holds: Arc<AtomicU64>,
 }
 
 impl SinkThread {
-    /// Feeds `sink`, which writes to `path`, from `tap`. `prepare` runs first on the new thread.
+    /// Feeds a sink. `prepare` runs first on the new thread.
     pub fn start(
-        mut sink: Box<dyn Sink>,
-        path: PathBuf,
-        tap: Tap,
+        feed: Feed,
+        status: Reader<Status>,
         gathered: Arc<Gathered>,
         prepare: impl FnOnce() + Send + 'static,
     ) -> std::io::Result<SinkThread> {
+        let Feed { path, mut sink, tap } = feed;
+        let holds = Arc::<AtomicU64>::default();
+        let known = Arc::clone(&holds);
         let work = move || {
             prepare();
             loop {
@@ -124,9 +134,10 @@ impl SinkThread {
                 if gathered.take_record_request() {
                     sink.request();
                 }
-                if let Some(what) = sink.look(tap.lost()) {
+                if let Some(what) = sink.look(tap.lost() + status.read().lost_records) {
                     gathered.failed(&what, true);
                 }
+                known.store(sink.holds(), Ordering::Relaxed);
             }
             tap.late().for_each(|judged| sink.late(&judged));
             let last = sink.look(tap.lost() + gathered.lost());
@@ -138,19 +149,20 @@ impl SinkThread {
             recorded
         };
         let thread = std::thread::Builder::new().name("fb-record".into()).spawn(work)?;
-        Ok(SinkThread { thread, path })
+        Ok(SinkThread { thread, path, holds })
     }
 
     /// Waits for the end of the file, though not for ever: its tap has ended.
     pub fn finish(self) -> Vec<Recorded> {
         let begun = Instant::now();
-        while !self.thread.is_finished() && begun.elapsed() < PATIENCE {
+        let patience = PATIENCE + Duration::from_secs(self.holds.load(Ordering::Relaxed) / SLOWEST);
+        while !self.thread.is_finished() && begun.elapsed() < patience {
             std::thread::sleep(Duration::from_millis(2));
         }
         let error = match self.thread.is_finished().then(|| self.thread.join()) {
             Some(Ok(recorded)) => return recorded,
             Some(Err(_)) => "its writer panicked; please report it".to_owned(),
-            None => format!("its disk does not answer for {} s; look at that disk", PATIENCE.as_secs()),
+            None => format!("its disk does not answer for {} s; look at that disk", patience.as_secs()),
         };
         vec![Recorded { path: self.path, error: Some(error), ..Recorded::default() }]
     }

@@ -20,6 +20,7 @@ use super::parts::Parts;
 use super::sink::{Feed, Recorded, Request, SinkThread};
 use super::tap::Taps;
 use super::timeline::Timeline;
+use crate::axis::cell::Reader;
 use crate::axis::{Emergency, StopCause, Units};
 use crate::cycle::record::Record;
 use crate::cycle::status::{Numbers, Status};
@@ -396,14 +397,15 @@ impl TelemetryThread {
         cycles.saturating_mul(records_a_cycle).min(MOST_RECORDS)
     }
 
-    /// It feeds a sink, which has begun.
+    /// It feeds a sink, which has begun. `status` says how many records the loop has lost so far.
     pub fn feed(
         mut self,
         feed: Option<Feed>,
+        status: Reader<Status>,
         prepare: impl FnOnce() + Send + 'static,
     ) -> std::io::Result<TelemetryThread> {
-        if let Some(Feed { path, sink, tap }) = feed {
-            self.sink = Some(SinkThread::start(sink, path, tap, Arc::clone(&self.gathered), prepare)?);
+        if let Some(feed) = feed {
+            self.sink = Some(SinkThread::start(feed, status, Arc::clone(&self.gathered), prepare)?);
         }
         Ok(self)
     }

@@ -54,6 +54,9 @@ fn a_recording_has_every_executed_cycle_and_is_exported() {
     assert_eq!(sends.count() as u64, executed);
     let printed = run(["export", file, "--perfetto", "-"]).expect(0).out.clone();
     assert_eq!(printed, std::fs::read_to_string(machine.path("run.json")).unwrap());
+    let bare = machine.path("bare");
+    std::fs::copy(file, &bare).unwrap();
+    run(["export", bare.to_str().unwrap(), "--csv"]).refused(&["has no extension", "--csv DIR"]);
     // What is there is never replaced, and an export that fails leaves nothing in the way of the next one.
     run(["export", file, "--perfetto", machine.path("run.json").to_str().unwrap()]).expect(2);
     let tables = machine.path("run");

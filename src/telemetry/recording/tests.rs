@@ -17,6 +17,7 @@ use super::reading::{Reading, Wrong};
 use super::whole::Whole;
 use super::window::Window;
 use super::writer::Writer;
+use crate::axis::cell::cell;
 use crate::axis::{
     self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target, Units,
 };
@@ -331,6 +332,22 @@ fn tables_have_their_units_and_a_row_a_message() {
     );
 }
 
+#[test]
+fn topics_of_axes_with_unlucky_names_have_tables_of_their_own() {
+    let mut machine = machine();
+    machine.axes[0].name = "y_monitors".to_owned();
+    let mut writer = Writer::new(Vec::new(), machine, UTC_NS).unwrap();
+    records(6).iter().for_each(|record| writer.enter(record).unwrap());
+    let directory = tempfile::tempdir().unwrap();
+    let mut tables = PerTopic::new(directory.path()).unwrap();
+    for entry in Reading::of(writer.finish(0).unwrap()) {
+        tables.enter(&entry.unwrap()).unwrap();
+    }
+    assert_eq!(tables.finish().unwrap(), 7);
+    let lines = |name: &str| std::fs::read_to_string(directory.path().join(name)).unwrap().lines().count();
+    assert_eq!([lines("axes_y_monitors.csv"), lines("axes_y_monitors.2.csv")], [7, 2]);
+}
+
 /// It takes no byte, for this reason.
 struct Refusing(io::ErrorKind);
 
@@ -582,7 +599,8 @@ fn a_recording_that_was_too_slow_fails_the_run_in_one_line() {
     let measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
     let telemetry = TelemetryThread::start(ring, measured, taps, None, None, || {}).unwrap();
     let feed = Feed { path: path.clone(), sink: Box::new(whole), tap };
-    let measured = telemetry.feed(Some(feed), || {}).unwrap().finish(&Status::default(), None);
+    let (_, status) = cell(Status::default());
+    let measured = telemetry.feed(Some(feed), status, || {}).unwrap().finish(&Status::default(), None);
     let [recorded] = &measured.recordings[..] else { panic!("{:?}", measured.recordings) };
     assert_eq!((recorded.messages, recorded.lost), (3, records.len() as u64 - 3));
     let what = format!(

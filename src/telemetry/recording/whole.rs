@@ -170,6 +170,11 @@ impl Sink for Whole {
         self.failure.take()
     }
 
+    /// Nothing: it is written all the time.
+    fn holds(&self) -> u64 {
+        0
+    }
+
     fn finish(&mut self) -> Vec<Recorded> {
         self.with(Writer::end_log);
         if let Some(writer) = self.writer.take() {

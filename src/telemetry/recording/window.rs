@@ -18,6 +18,9 @@ const MOST_FAILURES: usize = 8;
 /// So much of what follows upon a failure is in its file: how the stop went.
 const AFTERMATH_NS: u64 = 200 * MS;
 
+/// About the size of a message in a file.
+const BYTES_OF_MESSAGE: u64 = 100;
+
 /// The newest records of a machine.
 #[derive(Debug)]
 pub struct Window {
@@ -135,6 +138,11 @@ impl Sink for Window {
     fn look(&mut self, lost: u64) -> Option<String> {
         self.lost = lost;
         self.failure.take()
+    }
+
+    /// In two files, if a failure was the last thing to happen.
+    fn holds(&self) -> u64 {
+        self.records.len() as u64 * BYTES_OF_MESSAGE * if self.due.is_some() { 2 } else { 1 }
     }
 
     fn finish(&mut self) -> Vec<Recorded> {
