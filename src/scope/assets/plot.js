@@ -277,6 +277,7 @@ export class Plot {
     }
     if (cursors.on) {
       ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+      ctx.textAlign = "left";
       for (const [name, at] of [
         ["A", cursors.a],
         ["B", cursors.b],
