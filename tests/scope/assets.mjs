@@ -89,6 +89,9 @@ test("a peak within an envelope triggers", () => {
   ]) {
     assert.equal(triggers({ edge, level }, values, 10), expected, edge);
   }
+  // Each of them crosses the level.
+  const crossing = after().map(() => [-9, 9]);
+  for (const edge of ["rising", "falling"]) assert.equal(triggers({ edge, level: 5 }, crossing, 10), 1, edge);
 });
 
 for (const [pre, before] of [
