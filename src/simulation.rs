@@ -218,7 +218,7 @@ impl Simulation {
             .map_err(StartError::Thread)?;
         let feed = sink.map(|(path, sink)| Feed::new(path, sink, &taps));
         let started = TelemetryThread::start(records, measured, taps, None, self.black_box, || {})
-            .and_then(|telemetry| telemetry.feed(feed, || {}));
+            .and_then(|telemetry| telemetry.feed(feed, self.gauges.status.clone(), || {}));
         let telemetry = match started {
             Ok(telemetry) => telemetry,
             Err(error) => {
