@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
-use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::net::{SocketAddrV4, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -80,10 +80,10 @@ impl Drop for Server {
 }
 
 /// What `GET path` is answered with, by a local server.
-fn get(port: u16, path: &str) -> Option<Value> {
-    let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).ok()?;
+fn get(server: SocketAddrV4, path: &str) -> Option<Value> {
+    let mut stream = TcpStream::connect(server).ok()?;
     // Of version 1.0, so that the answer ends with its connection.
-    write!(stream, "GET {path} HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\n\r\n").ok()?;
+    write!(stream, "GET {path} HTTP/1.0\r\nHost: {server}\r\n\r\n").ok()?;
     let mut answer = String::new();
     stream.read_to_string(&mut answer).ok()?;
     serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
@@ -95,8 +95,8 @@ fn encoded(text: &str) -> String {
 }
 
 /// The results of an expression; `None`: it was not answered.
-fn query(port: u16, expression: &str) -> Option<Vec<Value>> {
-    let answer = get(port, &format!("/api/v1/query?query={}", encoded(expression)))?;
+fn query(server: SocketAddrV4, expression: &str) -> Option<Vec<Value>> {
+    let answer = get(server, &format!("/api/v1/query?query={}", encoded(expression)))?;
     assert_eq!(answer["status"], "success", "{expression}: {answer}");
     answer["data"]["result"].as_array().cloned()
 }
@@ -105,8 +105,8 @@ fn query(port: u16, expression: &str) -> Option<Vec<Value>> {
 #[ignore = "needs prometheus"]
 fn prometheus_answers_every_query_of_the_dashboard() {
     let machine = Machine::new(91);
-    let free = || TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap().local_addr().unwrap().port();
-    let (metrics, port) = (free(), free());
+    // Of this machine alone: nobody else takes a port there meanwhile.
+    let [metrics, prometheus] = [9_464, 9_090].map(|port| SocketAddrV4::new(machine.ip(1), port));
     let mut demo = Program::start([
         "demo",
         "--for",
@@ -123,14 +123,14 @@ fn prometheus_answers_every_query_of_the_dashboard() {
         "prometheus.yml",
         format!(
             "global: {{ scrape_interval: 1s }}\nrule_files: [{}]\nscrape_configs:\n  - job_name: fieldbeat\n    \
-             static_configs: [{{ targets: [\"127.0.0.1:{metrics}\"] }}]\n",
+             static_configs: [{{ targets: [\"{metrics}\"] }}]\n",
             checkout("rt-config/grafana/alerts.yml").display()
         ),
     );
     let server = Command::new("prometheus")
         .arg(format!("--config.file={}", config.display()))
         .arg(format!("--storage.tsdb.path={}", machine.path("data").display()))
-        .arg(format!("--web.listen-address=127.0.0.1:{port}"))
+        .arg(format!("--web.listen-address={prometheus}"))
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
@@ -142,18 +142,21 @@ fn prometheus_answers_every_query_of_the_dashboard() {
         all.iter().fold(expression.to_owned(), |text, (name, value)| text.replace(name, value))
     };
     let rate = "rate(fieldbeat_cycles_executed_total[20s]) > 0";
-    let has = |expression: &str| query(port, expression).is_some_and(|results| !results.is_empty());
-    assert!(until(LONG, || has(rate)));
+    let await_some = |expression: &str| {
+        let has = || query(prometheus, expression).is_some_and(|results| !results.is_empty());
+        assert!(until(LONG, has), "{expression}: nothing");
+    };
+    await_some(rate);
     // A host that is never late would have no causes to count by.
     demo.hold();
     std::thread::sleep(Duration::from_millis(200));
     demo.signal(SIGCONT);
-    assert!(until(LONG, || has("fieldbeat_late_cycles_explained_total > 0")));
+    await_some("fieldbeat_late_cycles_explained_total > 0");
     let drives = ["a1", "a2", "k1", "k2", "l1", "l2", "m1", "m2", "u1", "u2"].map(String::from);
     for (title, expression, buckets) in queries(&dashboard()) {
         let mut results = Vec::new();
         until(LONG, || {
-            results = query(port, &filled(&expression)).unwrap_or_default();
+            results = query(prometheus, &filled(&expression)).unwrap_or_default();
             !results.is_empty()
         });
         assert!(!results.is_empty(), "{title}: {expression}: nothing");
@@ -175,9 +178,9 @@ fn prometheus_answers_every_query_of_the_dashboard() {
             );
         }
     }
-    let cycles = query(port, "fieldbeat_cycle_period_seconds").unwrap();
+    let cycles = query(prometheus, "fieldbeat_cycle_period_seconds").unwrap();
     assert_eq!(cycles[0]["value"][1], "0.016");
-    let rules = get(port, "/api/v1/rules").unwrap();
+    let rules = get(prometheus, "/api/v1/rules").unwrap();
     let rules = rules["data"]["groups"][0]["rules"].as_array().unwrap().clone();
     assert_eq!(rules.len(), 5, "{rules:?}");
     assert!(rules.iter().all(|rule| rule["health"] != "err"), "{rules:?}");
