@@ -95,7 +95,10 @@ impl Replay {
 }
 
 fn object(verdict: &Verdict, cut: Option<&str>) -> serde_json::Value {
-    let where_it_is = |difference: &Difference| json!({ "cycle": difference.cycle, "drive": difference.drive, "what": difference.to_string() });
+    let where_it_is = |difference: &Difference| {
+        let Difference { cycle, drive, .. } = difference;
+        json!({ "cycle": cycle, "drive": drive, "what": difference.to_string() })
+    };
     json!({
         "equal": verdict.last.is_some() && verdict.is_equal(),
         "last": verdict.last,

@@ -1,4 +1,5 @@
-//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model checker.
+//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model
+//! checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
 //! access is a point at which another thread may run, and there is no memory to be locked.
