@@ -22,6 +22,10 @@ use super::{ask, master, serve};
 /// The right arrow key, as a terminal sends it.
 const RIGHT: &[u8] = b"\x1b[C";
 
+/// What a terminal answers that has no keyboard protocol of kitty, and one that has it: it reports keys that go up.
+const PLAIN: &[u8] = b"\x1b[?62c";
+const KITTY: &[u8] = b"\x1b[?0u\x1b[?62c";
+
 /// A panel in a terminal of its own.
 struct Panel {
     child: Child,
@@ -36,6 +40,11 @@ struct Panel {
 impl Panel {
     /// `fieldbeat jog CONFIG REST` in a terminal of 80x24, which is its controlling one.
     fn start(config: &Path, rest: &[&str]) -> Panel {
+        Panel::start_in(PLAIN, config, rest)
+    }
+
+    /// The same in a terminal that answers so.
+    fn start_in(answer: &'static [u8], config: &Path, rest: &[&str]) -> Panel {
         let mut name = [0; 64];
         // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
         // zero at their end, and reads a live value.
@@ -67,7 +76,7 @@ impl Panel {
         let (text, hangs_up) = (Arc::<Mutex<String>>::default(), Arc::<AtomicBool>::default());
         let other = end.try_clone().unwrap();
         let (into, ends) = (Arc::clone(&text), Arc::clone(&hangs_up));
-        let reader = std::thread::spawn(move || collect(other, &into, &ends));
+        let reader = std::thread::spawn(move || collect(other, answer, &into, &ends));
         Panel { child, end: Some(end), hangs_up, reader: Some(reader), text }
     }
 
@@ -172,7 +181,7 @@ fn plain(text: &str) -> String {
 }
 
 /// All that comes, up to the end of the last process that has the terminal, or until it is to let go.
-fn collect(mut end: File, into: &Mutex<String>, ends: &AtomicBool) {
+fn collect(mut end: File, answer: &[u8], into: &Mutex<String>, ends: &AtomicBool) {
     let mut bytes = [0; 4096];
     while !ends.load(Ordering::Relaxed) {
         let mut looked = [PollFd::new(end.as_fd(), PollFlags::POLLIN)];
@@ -181,9 +190,8 @@ fn collect(mut end: File, into: &Mutex<String>, ends: &AtomicBool) {
         }
         let Ok(count @ 1..) = end.read(&mut bytes) else { return };
         let said = String::from_utf8_lossy(&bytes[..count]).into_owned();
-        // What a terminal without the keyboard protocol of kitty answers.
         if said.contains("\x1b[c") {
-            let _ = end.write_all(b"\x1b[?62c");
+            let _ = end.write_all(answer);
         }
         into.lock().unwrap().push_str(&said);
     }
@@ -333,6 +341,40 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
     // It is asked in the motion; the key was let go meanwhile.
     panel.hold_until_moving(&mut watcher);
     panel.signal(libc::SIGHUP);
+    let (status, text) = panel.end();
+    assert_eq!(status.code(), Some(0), "{text}");
+    assert_left_off(&text);
+}
+
+#[test]
+fn where_the_terminal_reports_keys_that_go_up_one_press_runs_and_its_end_stops() {
+    let machine = Machine::new(116);
+    let config = config(&machine, "kitty");
+    let _drives = serve(&config);
+    let mut panel = Panel::start_in(KITTY, &config, &["--velocity", &SPEED.to_string()]);
+    panel.await_text("no master runs: this panel is the master");
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    panel.enable(&mut watcher);
+    // Right goes down; it goes up alone, and while shift is down.
+    let down = b"\x1b[1;1:1C";
+    for up in [b"\x1b[1;1:3C", b"\x1b[1;2:3C"] {
+        // Without a repeat: a terminal that reports none would not run it. Where the host is late, once more.
+        let mut run = || {
+            panel.press(up);
+            sleep(Duration::from_millis(300));
+            panel.press(down);
+            (0..30).any(|_| {
+                sleep(Duration::from_millis(30));
+                moves(&seen(&mut watcher))
+            })
+        };
+        assert!(until(LONG, &mut run), "it never moves: {}", panel.text());
+        panel.press(up);
+        await_axis(&mut watcher, |state| state.jog.is_none() && !moves(state));
+        assert!(seen(&mut watcher).axes[0].operational, "it stays enabled: {}", panel.text());
+    }
+    panel.press(b"q");
     let (status, text) = panel.end();
     assert_eq!(status.code(), Some(0), "{text}");
     assert_left_off(&text);
