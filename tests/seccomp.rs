@@ -178,7 +178,7 @@ fn plain(plan: Plan, task: Task) -> (Confined<MonotonicClock>, Vec<Axis>) {
 }
 
 /// Room for the log of seconds, in words.
-const LOG_WORDS: usize = 1 << 20;
+const LOG_WORDS: usize = 1 << 22;
 
 /// With all that can be recorded in addition: the log of its inputs, and native process data.
 fn recorded(mut plan: Plan, task: Task) -> (Confined<LoggedClock<MonotonicClock>>, Vec<Axis>) {
@@ -191,6 +191,10 @@ fn recorded(mut plan: Plan, task: Task) -> (Confined<LoggedClock<MonotonicClock>
     std::thread::spawn(move || {
         let mut words = Vec::new();
         while reader.take(&mut words) {
+            if reader.ended_at().is_some() {
+                eprintln!("the log has ended: it was taken out too slowly");
+                std::process::exit(1);
+            }
             LOGGED.fetch_add(words.len() as u64, Ordering::Relaxed);
             words.clear();
             std::thread::sleep(std::time::Duration::from_millis(5));

@@ -40,9 +40,6 @@ const ROOM: usize = 64;
 /// News come at least so often: whoever gets none knows that the master hangs.
 pub const NEWS_EVERY: Duration = Duration::from_millis(200);
 
-/// The most late cycles in one frame: more cannot be looked at.
-const MOST_LATE: usize = 64;
-
 /// A longer frame is no frame of ours: the ring of the loop has some 19 MB.
 const LONGEST_FRAME: usize = 32 << 20;
 
@@ -284,7 +281,7 @@ impl Stream<'_> {
 
     fn new_late(&self) -> Vec<Late> {
         let plan = self.monitor.plan();
-        let late = self.seat.tap.late().take(MOST_LATE).map(|judged| {
+        let late = self.seat.tap.late().map(|judged| {
             let (cause, delay_ns) = (judged.cause, judged.lateness.ns());
             let tally = Tally { cause, count: 1, worst_ns: delay_ns, worst_cycle: judged.index };
             Late { cycle: judged.index, delay_ns, cause: Found::of(&tally, plan).to_string() }

@@ -137,7 +137,7 @@ pub fn differences(this: &Archive, earlier: &Archive) -> Vec<String> {
         let computer = &run.host.computer;
         let texts = [&computer.name, &computer.kernel, &computer.preemption, &computer.cpu];
         let [host, kernel, preemption, processor] =
-            texts.map(|text| text.clone().unwrap_or_else(|| "unknown".to_owned()));
+            texts.map(|text| plain(text.as_deref().unwrap_or("unknown")));
         [
             ("period", Ns(run.period_ns).to_string()),
             ("late limit", Ns(run.late_ns).to_string()),
@@ -145,12 +145,12 @@ pub fn differences(this: &Archive, earlier: &Archive) -> Vec<String> {
             ("kernel", kernel),
             ("preemption", preemption),
             ("processor", processor),
-            ("policy", run.host.policy.clone()),
-            ("fieldbeat", run.program.clone()),
+            ("policy", plain(&run.host.policy)),
+            ("fieldbeat", plain(&run.program)),
         ]
     };
     let drives = |run: &Archive| -> BTreeSet<String> {
-        run.drives.iter().map(|drive| format!("{} ({})", drive.name, drive.protocol)).collect()
+        run.drives.iter().map(|drive| plain(&format!("{} ({})", drive.name, drive.protocol))).collect()
     };
     let (ours, theirs) = (drives(this), drives(earlier));
     let only =
@@ -160,6 +160,11 @@ pub fn differences(this: &Archive, earlier: &Archive) -> Vec<String> {
     let changed = changed.map(|((what, this), (_, earlier))| format!("{what} {this}, was {earlier}"));
     let listed = lists.into_iter().filter(|(_, drives)| !drives.is_empty());
     changed.chain(listed.map(|(run, drives)| format!("only in {run} run: {}", drives.join(", ")))).collect()
+}
+
+/// A text of a file, fit for a terminal.
+fn plain(text: &str) -> String {
+    text.escape_debug().to_string()
 }
 
 fn of_histograms(what: &str, ours: &[Bins], theirs: &[Bins], measures: &[(&str, Measure)]) -> Vec<Compared> {
@@ -329,12 +334,12 @@ mod tests {
         let x = archive(&run("x", 20_000));
         assert_eq!(differences(&x, &x), [""; 0]);
         let mut y = archive(&run("y", 20_000));
-        (y.period_ns, y.host.computer.kernel) = (2 * x.period_ns, Some("6.1.0-rt".into()));
+        (y.period_ns, y.host.computer.kernel) = (2 * x.period_ns, Some("6.1.0-rt\x1b".into()));
         let kernel = x.host.computer.kernel.as_deref().unwrap_or("unknown");
         let protocol = &x.drives[0].protocol;
         let lines = [
             format!("period {}, was {}", Ns(x.period_ns), Ns(y.period_ns)),
-            format!("kernel {kernel}, was 6.1.0-rt"),
+            format!("kernel {kernel}, was 6.1.0-rt\\u{{1b}}"),
             format!("only in this run: x ({protocol})"),
             format!("only in the earlier run: y ({protocol})"),
         ];

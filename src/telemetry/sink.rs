@@ -140,7 +140,7 @@ impl SinkThread {
                 known.store(sink.holds(), Ordering::Relaxed);
             }
             tap.late().for_each(|judged| sink.late(&judged));
-            let last = sink.look(tap.lost() + gathered.lost());
+            let last = sink.look(tap.lost() + gathered.lost().max(status.read().lost_records));
             let recorded = sink.finish();
             let failed = recorded.iter().filter_map(Recorded::failure).next();
             if let Some(what) = last.or(failed) {

@@ -77,12 +77,14 @@ impl Taps {
         });
     }
 
-    /// Hands the late cycles whose cause was found since the last call to every reader that has room for them.
+    /// Hands the late cycles whose cause was found since the last call to every reader. One without room loses them, and
+    /// knows how many.
     pub fn hand_late(&self, causes: &Causes) {
         for outlet in self.outlets().list.iter_mut() {
             let judged = outlet.judged.get_or_insert_with(|| causes.judgements());
             causes.judged_after(judged).for_each(|late| {
-                let _ = outlet.late.try_send(*late);
+                let is_lost = outlet.late.try_send(*late).is_err();
+                outlet.lost.fetch_add(is_lost.into(), Ordering::Relaxed);
             });
         }
     }
@@ -121,7 +123,7 @@ impl Tap {
         self.late.try_iter()
     }
 
-    /// How many records were lost so far, since this reader was too slow.
+    /// How many records and late cycles were lost so far, since this reader was too slow.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
@@ -181,7 +183,8 @@ mod tests {
         assert_eq!(taken(), [3, 4]);
         assert!(taken().is_empty());
         (0..2 * MOST_JUDGED as u64).for_each(&mut late);
-        // What had no room is left out.
+        // What had no room is left out, and counted.
         assert_eq!(taken(), (0..MOST_JUDGED as u64).collect::<Vec<u64>>());
+        assert_eq!(tap.lost(), MOST_JUDGED as u64);
     }
 }

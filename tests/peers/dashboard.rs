@@ -106,7 +106,7 @@ fn query(server: SocketAddrV4, expression: &str) -> Option<Vec<Value>> {
 fn prometheus_answers_every_query_of_the_dashboard() {
     let machine = Machine::new(91);
     // Of this machine alone: nobody else takes a port there meanwhile.
-    let [metrics, prometheus] = [9_464, 9_090].map(|port| SocketAddrV4::new(machine.ip(1), port));
+    let [metrics, prometheus] = [19_464, 19_090].map(|port| SocketAddrV4::new(machine.ip(1), port));
     let mut demo = Program::start([
         "demo",
         "--for",

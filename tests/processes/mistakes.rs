@@ -167,7 +167,7 @@ fn a_mistake_in_the_arguments_is_one_line() {
 /// A limit of open files that leaves too few for the drives and sockets of two buses.
 #[test]
 fn a_process_without_descriptors_learns_which_limit_to_raise() {
-    let machine = Machine::new(236);
+    let machine = Machine::new(133);
     let first = std::fs::read_to_string(machine.plain(1)).unwrap();
     let second = format!(
         "[[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{}\"\n[[bus.drive]]\nname = \"e0\"\n\

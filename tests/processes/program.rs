@@ -207,7 +207,7 @@ fn check_as_json_is_one_object_with_the_plan_or_the_mistakes() {
     assert_eq!((&said["drives"][0]["name"], &said["errors"]), (&"a1".into(), &serde_json::json!([])));
     assert_eq!(said["source"], file.to_str().unwrap());
 
-    let machine = Machine::new(180);
+    let machine = Machine::new(128);
     let text = std::fs::read_to_string(machine.plain(1)).unwrap();
     let config = machine.write("m.toml", text.replace("d0", "d 0") + "divisor = 0\n");
     let ended = run(["check".as_ref(), config.as_os_str(), "--json".as_ref()]);
@@ -253,7 +253,7 @@ fn the_completions_of_bash_are_a_script_that_knows_all_commands() {
 #[test]
 fn the_manual_names_every_command_and_has_a_page_for_each() {
     let page = run(["man"]).expect(0).out.clone();
-    let machine = Machine::new(181);
+    let machine = Machine::new(131);
     let directory = machine.path("man1");
     run(["man".as_ref(), "--dir".as_ref(), directory.as_os_str()]).expect(0);
     for command in commands() {

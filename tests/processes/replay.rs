@@ -80,7 +80,7 @@ fn a_demo_with_all_protocols_is_repeated_bit_by_bit() {
 
 #[test]
 fn a_run_ended_in_order_or_killed_is_repeated() {
-    let machine = Machine::new(243);
+    let machine = Machine::new(119);
     let file = recorded(&machine, libc::SIGINT);
     let ended = replay(&file, &[]);
     ended.expect(0);
@@ -89,7 +89,7 @@ fn a_run_ended_in_order_or_killed_is_repeated() {
     beyond.expect(1);
     assert!(beyond.err.contains("before cycle 99999999: the run ended there"), "{}", beyond.err);
 
-    let machine = Machine::new(244);
+    let machine = Machine::new(120);
     let file = recorded(&machine, libc::SIGKILL);
     let ended = replay(&file, &[]);
     ended.expect(0);
@@ -174,7 +174,7 @@ fn the_first_telegram_that_differs_is_named_by_cycle_and_drive() {
 
 #[test]
 fn files_that_are_none_are_refused_and_broken_ones_are_repeated_as_far_as_they_go() {
-    let machine = Machine::new(245);
+    let machine = Machine::new(121);
     let file = recorded(&machine, libc::SIGINT);
     let whole = fs::read(&file).unwrap();
 
@@ -229,7 +229,7 @@ fn files_that_are_none_are_refused_and_broken_ones_are_repeated_as_far_as_they_g
 
 #[test]
 fn a_record_that_may_not_grow_is_reported_at_once_and_fails_the_run() {
-    let machine = Machine::new(250);
+    let machine = Machine::new(123);
     let config = machine.plain(1);
     let _sim = serve(&config);
     let file = machine.path("x.mcap");
@@ -250,7 +250,7 @@ fn a_record_that_may_not_grow_is_reported_at_once_and_fails_the_run() {
 
 #[test]
 fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file() {
-    let machine = Machine::new(246);
+    let machine = Machine::new(122);
     let config = machine.plain(1);
     let missing = machine.path("missing/x.mcap");
     master(&config, &with_wire(&missing)).end().refused(&["cannot record to", "x.mcap"]);

@@ -133,7 +133,7 @@ fn a_report_holds_summary_histograms_and_a_page() {
 
 #[test]
 fn a_run_is_compared_with_an_earlier_one() {
-    let machine = Machine::new(190);
+    let machine = Machine::new(130);
     let config = machine.plain(1);
     let _sim = serve(&config);
     let [first, second] = ["first", "second"].map(|name| machine.path(name));

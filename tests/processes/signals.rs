@@ -129,7 +129,7 @@ fn a_signal_at_any_moment_ends_the_demo_in_order() {
     use Stage::*;
     let stages = [Begun, Chosen, Running, SomeOnline, AllOnline, SomeEnabled, SettingOut, Swinging];
     for (stage, signal) in stages.into_iter().zip([SIGINT, SIGTERM, SIGHUP].into_iter().cycle()) {
-        let machine = Machine::new(180);
+        let machine = Machine::new(129);
         let mut demo = Demo::start(&machine);
         demo.reaches(stage);
         demo.program.signal(signal);
@@ -212,7 +212,7 @@ fn a_second_signal_shortens_the_waits_and_never_skips_the_stop() {
     // Whatever the second one finds: the first is hardly seen, or the axes ramp down.
     for (stage, between) in [(Stage::Begun, 0), (Stage::SomeEnabled, 5), (Stage::Swinging, 60)] {
         let are_off = || {
-            let machine = Machine::new(181);
+            let machine = Machine::new(132);
             let mut demo = Demo::start(&machine);
             demo.reaches(stage);
             demo.program.signal(SIGINT);

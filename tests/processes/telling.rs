@@ -134,7 +134,7 @@ fn answering(machine: &Machine, socket: &str, pid: u32, config: Option<&str>) ->
 
 #[test]
 fn the_demos_are_found_by_their_configuration_and_told_apart_by_their_process() {
-    let machine = Machine::new(182);
+    let machine = Machine::new(127);
     let demo = checkout("rt-config/demo.toml").to_str().unwrap().to_owned();
     let pid = |arguments: &[&str]| {
         status(&machine, &[arguments, &["--json"]].concat()).expect(0).json()["pid"].clone()
@@ -168,7 +168,7 @@ fn the_demos_are_found_by_their_configuration_and_told_apart_by_their_process() 
 
 #[test]
 fn the_master_of_another_configuration_is_named_as_such() {
-    let machine = Machine::new(183);
+    let machine = Machine::new(126);
     let config = machine.plain(1);
     let text = config.to_str().unwrap();
     let _other = answering(&machine, "press-01234567.sock", 21, Some("/etc/press.toml"));
@@ -346,7 +346,7 @@ fn what_a_drive_shows_besides_is_told_meanwhile_at_the_end_and_in_the_black_box(
 
 #[test]
 fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it() {
-    let machine = Machine::new(48);
+    let machine = Machine::new(124);
     // It meets its mechanical end far inside of its limits.
     let config = machine.config("m.toml", 2, "", "simulate = { range = [0, 60], home = 0, start = 10 }");
     let _sim = simulation(&config);

@@ -11,6 +11,7 @@ use fieldbeat::internals::cycle::record::Record;
 use fieldbeat::internals::scope::{Control, Endpoint, Server, Source};
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::MS;
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 use crate::socket::{Message, Socket, ask, cycles, get, status, upgrade};
 use crate::support::{LONG, Machine, carried, served, simulated, until};
@@ -183,6 +184,9 @@ fn of_four_hundred_browsers_thirty_two_are_served_and_the_others_are_told() {
 
 #[test]
 fn whoever_connects_and_says_nothing_makes_room_for_who_asks() {
+    // Both ends of each connection are this process'.
+    let (_, most) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
+    setrlimit(Resource::RLIMIT_NOFILE, most, most).unwrap();
     let running = Running::start(10, 1);
     let (address, _server) = running.serve();
     // More than there is room for.

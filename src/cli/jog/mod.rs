@@ -345,6 +345,10 @@ impl Reached {
             sleep(LOOK_EVERY);
             left = watcher.state(0);
         }
+        if master.is_some() {
+            // It may have ended since then.
+            left = watcher.state(0);
+        }
         let (Ok(facts), Ok(left)) = (watcher.axes(), left) else { return Ok(()) };
         for (facts, axis) in facts.iter().zip(&left.axes) {
             let place =

@@ -80,7 +80,8 @@ export class Operate {
 
   command(command) {
     // A key that is held down repeats its click: what it has given by then would go on after it was let go.
-    if ([...this.underWay, ...this.waiting].some(({ request }) => request.act)) return;
+    const isHeld = [...this.underWay, ...this.waiting].some(({ request }) => request.act);
+    if (isHeld && command !== "disable") return;
     this.ask({ act: { command: { axis: Number(get("operated").value), command } } });
   }
 

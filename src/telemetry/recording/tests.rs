@@ -461,9 +461,12 @@ fn a_short_window_has_the_failure_itself_in_its_file() {
     let mut window =
         Window::new(directory.path().join("x.mcap"), machine(), Failures::of_names(&["x", "y"]), 50);
     window.begin(UTC_NS);
-    // The second axis is stopped from cycle 0 on.
+    // The second axis is stopped from cycle 0 on. Some records of that cycle are lost.
+    assert_eq!(window.look(7), None);
     records(400).iter().for_each(|record| window.enter(record));
+    assert_eq!(window.look(7), None);
     let written = window.finish();
+    assert_eq!([written[0].lost, written[1].lost], [7, 0], "the file of the end begins later");
     assert_eq!(written[0].path, directory.path().join("x-cycle-0.mcap"));
     let (read, wrong) = messages(std::fs::read(&written[0].path).unwrap());
     assert!(wrong.is_none(), "{wrong:?}");

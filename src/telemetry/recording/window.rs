@@ -37,7 +37,9 @@ pub struct Window {
     /// Why and in which cycle it is to be written, and once which cycle has come.
     due: Option<(String, u64, u64)>,
     files_of_failures: usize,
+    /// Records lost so far, and how many of them were lost since which cycle, as far as they would be in it.
     lost: u64,
+    gaps: VecDeque<(u64, u64)>,
     written: Vec<Recorded>,
     /// What was not returned yet.
     failure: Option<String>,
@@ -60,6 +62,7 @@ impl Window {
             due: None,
             files_of_failures: 0,
             lost: 0,
+            gaps: VecDeque::new(),
             written: Vec::new(),
             failure: None,
         }
@@ -72,7 +75,8 @@ impl Window {
     }
 
     fn write(&mut self, path: PathBuf, why: String) {
-        let mut recorded = Recorded { path, why, lost: self.lost, ..Recorded::default() };
+        let lost = self.gaps.iter().map(|(_, lost)| lost).sum();
+        let mut recorded = Recorded { path, why, lost, ..Recorded::default() };
         let bytes = Writer::new(Vec::new(), self.machine.clone(), self.utc_ns).and_then(|mut writer| {
             self.records.iter().try_for_each(|record| writer.enter(record))?;
             self.judged.iter().try_for_each(|judged| writer.late(judged))?;
@@ -122,6 +126,9 @@ impl Sink for Window {
             while self.judged.front().is_some_and(|judged| judged.index < oldest) {
                 self.judged.pop_front();
             }
+            while self.gaps.front().is_some_and(|(cycle, _)| *cycle < oldest) {
+                self.gaps.pop_front();
+            }
             self.write_if_due();
         }
     }
@@ -136,7 +143,10 @@ impl Sink for Window {
     }
 
     fn look(&mut self, lost: u64) -> Option<String> {
-        self.lost = lost;
+        if let more @ 1.. = lost.saturating_sub(self.lost) {
+            self.gaps.push_back((self.newest, more));
+            self.lost = lost;
+        }
         self.failure.take()
     }
 
