@@ -77,8 +77,8 @@ impl Taps {
         });
     }
 
-    /// Hands the late cycles whose cause was found since the last call to every reader. One without room loses them, and
-    /// knows how many.
+    /// Hands the late cycles whose cause was found since the last call to every reader. One without room loses them,
+    /// and knows how many.
     pub fn hand_late(&self, causes: &Causes) {
         for outlet in self.outlets().list.iter_mut() {
             let judged = outlet.judged.get_or_insert_with(|| causes.judgements());
