@@ -68,7 +68,7 @@ fn a_master_serves_its_own_page() {
 
 #[test]
 fn a_demo_serves_its_page_up_to_its_end() {
-    // Ten seconds from when all are online, however long that takes on this host.
+    // Ten seconds from when all are online, or until this host was too busy for that.
     let mut demo = Program::start(["demo", "--drives", "2", "--scope", "0"]);
     let mut socket = Socket::open(address(&mut demo), "").unwrap();
     assert_eq!(socket.text("machine")["pid"], demo.pid());
@@ -76,7 +76,9 @@ fn a_demo_serves_its_page_up_to_its_end() {
     assert!(!socket.cycles().is_empty());
     // The page ends with the program.
     while socket.next().is_ok() {}
-    demo.end().expect(0);
+    let ended = demo.end();
+    // Where the host is too busy for its drives it says so.
+    assert!(matches!(ended.code, Some(0 | 1)) && ended.out.contains("cycles of"), "{ended:?}");
 }
 
 #[test]

@@ -339,7 +339,12 @@ impl Reached {
         let goes_on = |state: &OperationState| match &master {
             // Its stop has bounds of its own.
             Some(own) => own.master.is_running(),
-            None => begun.elapsed() < PATIENCE && state.axes.iter().any(|axis| !axis.commands.is_empty()),
+            // It learns that its operator has left, and then stops the axes and switches them off.
+            None if begun.elapsed() > PATIENCE => false,
+            None => {
+                state.operator.as_ref() == Some(&own_name())
+                    || state.axes.iter().any(|axis| !axis.commands.is_empty())
+            }
         };
         while left.as_ref().is_ok_and(goes_on) {
             sleep(LOOK_EVERY);
