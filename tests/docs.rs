@@ -286,7 +286,7 @@ fn no_command_and_no_option_is_left_out() {
             for option in
                 line.split_whitespace().filter(|word| word.starts_with("--") && line.trim().starts_with('-'))
             {
-                let option = option.trim_end_matches([',', ']']).split(['=', '[']).next().unwrap();
+                let option = option.trim_end_matches([',', ']', '.']).split(['=', '[']).next().unwrap();
                 assert!(
                     ["--help", "--version"].contains(&option) || page.contains(option),
                     "{path:?}: {option}"
