@@ -87,6 +87,7 @@ impl fmt::Display for Event {
     }
 }
 
+#[cfg(feature = "control")]
 impl EventKind {
     /// The code that its drive may have a name for.
     pub(crate) fn fault(&self) -> Option<u32> {

@@ -59,7 +59,7 @@ fn damage(bytes: &mut Vec<u8>, input: &mut Input<'_>) {
         }
         4 => {
             // Mostly words are words of the log.
-            let (at, from) = (at & !7, input.long() as usize % bytes.len() & !7);
+            let (at, from) = (at & !7, (input.long() as usize % bytes.len()) & !7);
             let length = (8 * input.below(16)).min(bytes.len() - at.max(from));
             bytes.copy_within(from..from + length, at);
         }
