@@ -332,7 +332,7 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
     await_axis(&mut watcher, online);
     panel.enable(&mut watcher);
     panel.hold_until_moving(&mut watcher);
-    // A second panel is told who operates.
+    // A second panel reports who operates.
     let second = Panel::start(&config, &[]);
     let (status, text) = second.end();
     assert_eq!(status.code(), Some(1), "{text}");

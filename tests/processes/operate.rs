@@ -302,14 +302,14 @@ fn a_run_fails_by_a_fault_that_its_operator_left_and_not_by_one_that_was_reset()
         await_axis(&mut operator, |state| state.axes[0].stopped.as_deref() == Some("drive fault"));
         await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
         if is_reset {
-            // Where the drive is not asked often enough it may fail, is told to have, and is ordered again.
+            // Where the drive is not asked often enough the reset may fail, is reported so, and is ordered again.
             let mut ends = Vec::new();
             let is_done = until(LONG, || {
                 let id = order(&mut operator, "panel", Order::ResetFault);
                 await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
                 let notices = operator.state(0).unwrap().notices;
                 let end = notices.into_iter().filter_map(|notice| notice.end).find(|end| end.command == id);
-                ends.push(end.expect("whoever ordered it is told how it ended").how);
+                ends.push(end.expect("the end is reported to whoever ordered it").how);
                 ends.last() == Some(&Ended::Done)
             });
             assert!(is_done, "{ends:?}");

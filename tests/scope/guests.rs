@@ -396,11 +396,11 @@ fn four_scopes_watch_one_master_and_a_fifth_is_told_why_it_does_not() {
     }
     let (address, _fifth) = running.serve();
     let mut socket = Socket::open(address, "").unwrap();
-    let told = until(LONG, || {
+    let is_reported = until(LONG, || {
         let Message::Text(text) = socket.next().unwrap() else { return false };
         text["waiting"].as_str().is_some_and(|why| why.contains("4 others watch"))
     });
-    assert!(told);
+    assert!(is_reported);
     // One of them ends, and its place is taken.
     drop(served.into_iter().next());
     socket.text("machine");

@@ -28,9 +28,9 @@ fn a_scope_waits_for_its_master_attaches_and_attaches_again() {
     let mut pids = Vec::new();
     for _ in 0..2 {
         let master = Program::start(arguments("run"));
-        let told = socket.text("machine");
-        assert_eq!(told["pid"], master.pid());
-        pids.push(told["pid"].clone());
+        let introduced = socket.text("machine");
+        assert_eq!(introduced["pid"], master.pid());
+        pids.push(introduced["pid"].clone());
         socket.say(r#"{"show":[0]}"#).unwrap();
         assert!(!socket.cycles().is_empty());
         let axes = socket.text("axes");
