@@ -25,6 +25,7 @@ use rtrb::Producer;
 
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
+use super::at_end::Requested;
 use super::bounds::Bounds;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
@@ -143,6 +144,8 @@ pub struct DriveController {
     losses: u64,
     /// The orderly end has begun.
     ends: bool,
+    /// What was requested of the drive since its axis was stopped.
+    requested: Requested,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -209,6 +212,7 @@ impl DriveController {
             seen: false,
             losses: 0,
             ends: false,
+            requested: Requested::default(),
             monitor: [None; MONITOR_CHANNELS],
         }
     }
