@@ -65,6 +65,8 @@ impl Requested {
 pub(super) struct Known {
     /// The standstill window, user units/s.
     pub standstill: f64,
+    /// It answered until its bus ended the link.
+    pub answers: bool,
     /// Something was requested of it.
     pub ours: bool,
     /// Power on was requested, and no later report shows that it is off.
@@ -93,8 +95,7 @@ impl AtEnd {
         let (state, powered) = (status.state, status.state.is_powered());
         // A velocity that is not known (NaN) says nothing. Without power no setpoint generator moves the axis.
         let moves = status.velocity.abs() > known.standstill || powered && status.moving;
-        let answers = matches!(feedback.link, Link::Online | Link::Qualifying);
-        let condition = match answers {
+        let condition = match known.answers {
             true if state == State::Unknown => known.ours.then_some(Condition::Unknown)?,
             true if moves => Condition::Moving,
             true if powered && known.holds => Condition::Held,
@@ -188,8 +189,14 @@ mod tests {
     use super::*;
     use crate::axis::DriveStatus;
 
-    const OURS: Known =
-        Known { standstill: 1.0, ours: true, may_rise: false, holds: false, requested: Requested(0) };
+    const OURS: Known = Known {
+        standstill: 1.0,
+        answers: true,
+        ours: true,
+        may_rise: false,
+        holds: false,
+        requested: Requested(0),
+    };
 
     fn seen(link: Link, state: State, velocity: f64) -> Feedback {
         let status = DriveStatus { state, velocity, ..DriveStatus::default() };
@@ -197,6 +204,7 @@ mod tests {
     }
 
     fn condition(known: Known, feedback: &Feedback) -> Option<Condition> {
+        let known = Known { answers: matches!(feedback.link, Link::Online | Link::Qualifying), ..known };
         AtEnd::of(known, feedback).map(|end| end.condition)
     }
 

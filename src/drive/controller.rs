@@ -146,6 +146,8 @@ pub struct DriveController {
     ends: bool,
     /// What was requested of the drive since its axis was stopped.
     requested: Requested,
+    /// Its link was up when the buses began to end.
+    answered: Option<bool>,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -213,6 +215,7 @@ impl DriveController {
             losses: 0,
             ends: false,
             requested: Requested::default(),
+            answered: None,
             monitor: [None; MONITOR_CHANNELS],
         }
     }

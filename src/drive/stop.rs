@@ -120,6 +120,7 @@ impl StopSequence {
     /// the end by power off, if a stop that does not end may.
     pub fn again(&mut self, now: Time, velocity: f64) -> Command {
         self.escalated = true;
+        self.seen_off = false;
         self.moved = self.moved.saturating_add(1);
         if self.moved >= MOST_MOVED && self.plan.on_timeout == StopTimeout::Disable {
             self.phase = Phase::Disabling { since: now };
@@ -248,8 +249,11 @@ impl StopSequence {
             }
             Phase::Disabling { since } => {
                 // A report from before the request is no answer.
-                self.seen_off = sight.fresh && !sight.powered && now > since;
-                if self.seen_off || late(since) || (gone && now.since(since) >= nanos(HURRIED)) {
+                let off = sight.fresh && !sight.powered && now > since;
+                self.seen_off |= off;
+                // The master's end waits for an axis that coasts, too; a velocity that is not known is none.
+                let coasts = self.ending && sight.velocity.abs() > self.plan.standstill;
+                if (off && !coasts) || late(since) || (gone && now.since(since) >= nanos(HURRIED)) {
                     self.phase = Phase::Off;
                 }
                 None
@@ -316,6 +320,37 @@ mod tests {
         assert!(!sequence.is_down());
         assert_eq!(sequence.step(Time(6), OFF), None);
         assert!(sequence.is_down());
+    }
+
+    #[test]
+    fn the_end_of_the_master_waits_for_an_axis_that_coasts_but_no_longer_than_its_time_out() {
+        let coasting = Sight { velocity: 50.0, ..OFF };
+        for ending in [false, true] {
+            let (mut sequence, _) =
+                StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+            if ending {
+                sequence.shut_down(Time(0), true);
+            }
+            sequence.step(Time(1), MOVING);
+            assert!(!sequence.is_down() && !sequence.is_seen_off());
+            sequence.step(Time(2), coasting);
+            assert_eq!(sequence.is_down(), !ending);
+            sequence.step(Time(3), OFF);
+            assert!(sequence.is_down() && sequence.is_seen_off());
+        }
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+        sequence.shut_down(Time(0), true);
+        sequence.step(Time(999), coasting);
+        assert!(!sequence.is_down());
+        sequence.step(Time(1_000), coasting);
+        assert!(sequence.is_down() && sequence.is_seen_off());
+        // It moves again: what was seen before is no proof.
+        for moved in 1..4 {
+            sequence.again(Time(1_000 + moved), 50.0);
+        }
+        sequence.step(Time(3_000), Sight { fresh: false, ..OFF });
+        assert!(sequence.is_down() && !sequence.is_seen_off());
     }
 
     #[test]

@@ -300,6 +300,11 @@ impl DriveController {
 }
 
 impl DriveController {
+    /// The buses begin to end their links.
+    pub fn note_end(&mut self) {
+        self.answered = Some(self.answers());
+    }
+
     /// How the drive is left, once the loop has ended.
     pub fn at_end(&self) -> Option<AtEnd> {
         let (seen_off, holds) = match self.duty.latch() {
@@ -308,6 +313,7 @@ impl DriveController {
         };
         let known = Known {
             standstill: self.plan.stop.standstill,
+            answers: self.answered.unwrap_or_else(|| self.answers()),
             ours: self.duty.claim() != Claim::Found,
             may_rise: self.rising > 0 && !seen_off,
             holds,
