@@ -36,6 +36,15 @@ fn config(machine: &Machine) -> PathBuf {
     )
 }
 
+/// The same two; the first turns when the master comes, and takes no stop.
+pub fn faulty(machine: &Machine, file: &str) -> PathBuf {
+    let config = config(machine);
+    let text = std::fs::read_to_string(&config).unwrap();
+    let text = text.replace("stop.deceleration = 500", "stop = { deceleration = 500, timeout = \"500ms\" }");
+    let faulty = "simulate = { zs = \"5s\", running = 20.0, ignores_stops = true }";
+    machine.write(file, text.replacen("simulate = { zs = \"5s\" }", faulty, 1))
+}
+
 /// What a drive holds, by a master of its own that moves nothing.
 fn register(config: &Path, name: &str, address: &str) -> i64 {
     let read = ask("param get", config, &format!("{name} {address} --json"));
@@ -207,11 +216,7 @@ fn a_controller_that_is_told_to_end_in_a_move_stops_and_switches_off() {
 fn a_drive_that_ignores_its_stops_is_named_with_what_was_tried_and_the_run_has_failed_although_it_was_ended()
 {
     let machine = Machine::new(160);
-    let config = config(&machine);
-    let text = std::fs::read_to_string(&config).unwrap();
-    let text = text.replace("stop.deceleration = 500", "stop = { deceleration = 500, timeout = \"500ms\" }");
-    let faulty = "simulate = { zs = \"5s\", running = 20.0, ignores_stops = true }";
-    let config = machine.write("faulty.toml", text.replacen("simulate = { zs = \"5s\" }", faulty, 1));
+    let config = faulty(&machine, "faulty.toml");
     let _sim = simulation(&config);
     let ended = end_once_online(master(&config, &["--json"]));
     assert_left(
