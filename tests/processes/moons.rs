@@ -40,7 +40,7 @@ fn config(machine: &Machine) -> PathBuf {
 pub fn faulty(machine: &Machine, file: &str) -> PathBuf {
     let config = config(machine);
     let text = std::fs::read_to_string(&config).unwrap();
-    let text = text.replace("stop.deceleration = 500", "stop = { deceleration = 500, timeout = \"500ms\" }");
+    let text = text.replace("stop.deceleration = 500", "stop = { deceleration = 5000, timeout = \"500ms\" }");
     let faulty = "simulate = { zs = \"5s\", running = 20.0, ignores_stops = true }";
     machine.write(file, text.replacen("simulate = { zs = \"5s\" }", faulty, 1))
 }
