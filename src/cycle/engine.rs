@@ -531,7 +531,9 @@ impl<C: Clock> Engine<C> {
         let status = Status { planned: self.grid.planned(), ..self.status };
         let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))
             .map(|((axis, controller), slot)| {
-                axis.info.with(*controller.feedback(), controller.numbers(slot))
+                let mut end = axis.info.with(*controller.feedback(), controller.numbers(slot));
+                end.at_end = controller.at_end();
+                end
             })
             .collect();
         let buses = self.buses.iter().map(|open| open.info.with(open.bus.unmatched())).collect();

@@ -25,6 +25,7 @@ use rtrb::Producer;
 
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
+use super::at_end::Requested;
 use super::bounds::Bounds;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
@@ -143,6 +144,10 @@ pub struct DriveController {
     losses: u64,
     /// The orderly end has begun.
     ends: bool,
+    /// What was requested of the drive since its axis was stopped.
+    requested: Requested,
+    /// Its link was up when the buses began to end.
+    answered: Option<bool>,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -209,6 +214,8 @@ impl DriveController {
             seen: false,
             losses: 0,
             ends: false,
+            requested: Requested::default(),
+            answered: None,
             monitor: [None; MONITOR_CHANNELS],
         }
     }

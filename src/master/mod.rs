@@ -21,7 +21,7 @@ use crate::axis::acyclic::{Acyclic, Parameters};
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
 use crate::cycle::engine::Control;
-use crate::cycle::status::Numbers;
+use crate::cycle::status::{AtEnd, Numbers};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::{self, Plan, PlanErrors};
 use crate::logged::{LoggedCarriers, LoggedClock};
@@ -345,7 +345,11 @@ impl Master {
             Some(Err(_)) => {
                 let failed =
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
-                (self.numbers(), Some(failed.to_owned()))
+                let mut end = self.numbers();
+                for drive in &mut end.drives {
+                    drive.at_end = AtEnd::abandoned(&drive.feedback);
+                }
+                (end, Some(failed.to_owned()))
             }
             None => (Numbers::default(), None),
         };

@@ -17,7 +17,7 @@ use nix::poll::{PollFd, PollFlags, poll};
 
 use super::operate::{SPEED, assert_rest, await_axis, config, is_left, moves, online, seen, socket_of};
 use super::support::{LONG, Machine, PROGRAM, directories_of, until};
-use super::{ask, master, serve};
+use super::{ask, master, moons, serve, simulation};
 
 /// The right arrow key, as a terminal sends it.
 const RIGHT: &[u8] = b"\x1b[C";
@@ -440,4 +440,20 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     // Its own configuration is as wrong for a panel as for a master.
     let wrong = machine.write("wrong.toml", "");
     ask("jog", &wrong, "").refused(&["bus: missing"]);
+}
+
+#[test]
+fn a_panel_with_a_master_of_its_own_names_a_drive_that_ignores_its_stop_and_has_failed() {
+    let machine = Machine::new(172);
+    let config = moons::faulty(&machine, "turns.toml");
+    let _sim = simulation(&config);
+    let mut panel = Panel::start(&config, &[]);
+    panel.await_text("no master runs: this panel is the master");
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    panel.press(b"q");
+    let (status, text) = panel.end();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("drive feeder still moves at the end (OperationEnabled at "), "{text}");
+    assert!(!text.contains("drive turret"), "{text}");
 }

@@ -123,6 +123,15 @@ fn simulation(config: &std::path::Path) -> Program {
     program
 }
 
+/// A run that has failed by the drives that it has left powered, moving or unknown, and says `parts`.
+#[track_caller]
+fn assert_left(ended: &Ended, parts: &[&str]) {
+    ended.expect(1);
+    for part in parts {
+        assert!(ended.err.contains(part), "no \"{part}\": {}", ended.err);
+    }
+}
+
 /// Waits until the master of `config` runs and `done` holds for its summary.
 #[track_caller]
 fn await_status(config: &std::path::Path, done: impl Fn(&Value) -> bool) {

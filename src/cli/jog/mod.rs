@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use crossbeam_channel::RecvTimeoutError;
 use fieldbeat::internals::control::{
-    HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
+    AxisFacts, HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
 };
 use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::{Master, Plan};
@@ -24,6 +24,7 @@ use self::terminal::{LOOK_EVERY, Terminal};
 use super::handler::serve;
 use super::interrupt::Interrupt;
 use super::masters::Wanted;
+use super::output::{both, judge_end};
 use super::{Stop, complain, load, print, run};
 
 /// How often the panel looks at the axes, and is drawn.
@@ -70,7 +71,7 @@ impl Jog {
         };
         let result = self.operate(&mut reached, selected, &interrupt);
         let ended = reached.leave();
-        super::output::both(result, ended)
+        both(result, ended)
     }
 
     /// The index of the axis to begin with, if the numbers can be right.
@@ -354,18 +355,25 @@ impl Reached {
             // It may have ended since then.
             left = watcher.state(0);
         }
-        let (Ok(facts), Ok(left)) = (watcher.axes(), left) else { return Ok(()) };
-        for (facts, axis) in facts.iter().zip(&left.axes) {
-            let place =
-                axis.position.map_or_else(String::new, |at| format!(" at {} {}", short(at), facts.unit));
-            let power = if axis.powered { axis.state.as_str() } else { "power off" };
-            print(format_args!("axis {}: {power}{place}", facts.name))?;
-        }
-        if let Some(OwnMaster { master, .. }) = master {
-            master.finish().measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
-        }
-        Ok(())
+        let shown = match (watcher.axes(), left) {
+            (Ok(facts), Ok(left)) => show_axes(&facts, &left),
+            _ => Ok(()),
+        };
+        let Some(OwnMaster { master, .. }) = master else { return shown };
+        let run = master.finish();
+        run.measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
+        both(shown, judge_end(&run))
     }
+}
+
+/// Prints how the axes are.
+fn show_axes(facts: &[AxisFacts], state: &OperationState) -> Result<(), Stop> {
+    for (facts, axis) in facts.iter().zip(&state.axes) {
+        let place = axis.position.map_or_else(String::new, |at| format!(" at {} {}", short(at), facts.unit));
+        let power = if axis.powered { axis.state.as_str() } else { "power off" };
+        print(format_args!("axis {}: {power}{place}", facts.name))?;
+    }
+    Ok(())
 }
 
 fn own_name() -> String {

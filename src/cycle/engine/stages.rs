@@ -140,6 +140,10 @@ impl<C: Clock> Engine<C> {
             down &= controller.shut_down(cycle, now, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
+            if self.buses_ending.is_none() {
+                // From here on a silent drive may be one whose link its bus has ended.
+                self.controllers.iter_mut().for_each(DriveController::note_end);
+            }
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
             for open in &mut self.buses {

@@ -340,6 +340,7 @@ impl DriveController {
         }
         self.machine.start(self.grid, command);
         self.duty.set_ordered(command);
+        self.requested.note(command);
         self.row_waits = false;
     }
 

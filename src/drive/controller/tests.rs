@@ -1,6 +1,7 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
 mod exchanges;
+mod stopping;
 
 use std::slice::{from_mut, from_ref};
 use std::time::Duration;

@@ -5,6 +5,7 @@ use super::duty::{Claim, Latch};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Abort, Command, EventKind, FoundRunning, Link, Outcome, QueuedCommand, State, StopCause};
 use crate::bus::{Cycle, Slot};
+use crate::drive::at_end::{AtEnd, Known, Requested};
 use crate::drive::bounds::Watched;
 use crate::drive::rest::Motion;
 use crate::drive::stop::{Sight, StopSequence};
@@ -252,6 +253,7 @@ impl DriveController {
     /// Latches without touching the drive.
     fn latch(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         self.duty.set_latch(Latch::Kept(cause));
+        self.requested = Requested::default();
         self.disarm();
         self.just_stopped = true;
         self.feedback.stopped = Some(cause);
@@ -294,6 +296,30 @@ impl DriveController {
             self.issue(command);
         }
         down
+    }
+}
+
+impl DriveController {
+    /// The buses begin to end their links.
+    pub fn note_end(&mut self) {
+        self.answered = Some(self.answers());
+    }
+
+    /// How the drive is left, once the loop has ended.
+    pub fn at_end(&self) -> Option<AtEnd> {
+        let (seen_off, holds) = match self.duty.latch() {
+            Latch::Down(_, sequence) => (sequence.is_seen_off(), sequence.holds_load()),
+            _ => (false, false),
+        };
+        let known = Known {
+            standstill: self.plan.stop.standstill,
+            answers: self.answered.unwrap_or_else(|| self.answers()),
+            ours: self.duty.claim() != Claim::Found,
+            may_rise: self.rising > 0 && !seen_off,
+            holds,
+            requested: self.requested,
+        };
+        AtEnd::of(known, &self.feedback)
     }
 }
 

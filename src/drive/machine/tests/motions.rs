@@ -521,3 +521,23 @@ fn a_jog_takes_other_velocities_and_stands_just_before_the_limit_by_the_reported
     rig.set(-80.0);
     assert!(matches!(rig.finish(), Err(Failure::Limit { value: 60.0, .. })));
 }
+
+#[test]
+fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_stops() {
+    for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.drive.mode = ModeIs::Other;
+        let from = rig.gone.len();
+        rig.until("its end", |rig| rig.end().is_some());
+        assert!(
+            matches!(rig.end(), Some(Err(Failure::Unsupported(why))) if why.contains("mode")),
+            "{:?}",
+            rig.end()
+        );
+        // The report is one exchange old.
+        assert!(rig.gone.len() - from <= 3, "{} exchanges", rig.gone.len() - from);
+        rig.turns(200);
+        assert!(!rig.drive.is_moving(), "{can:?}: {:?}", rig.drive.point);
+    }
+}
