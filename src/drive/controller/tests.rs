@@ -27,7 +27,7 @@ pub(in crate::drive) struct Alone {
     pub slot: Slot,
     pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
-    _setpoints: NewestIn,
+    pub setpoints: NewestIn,
     bells: Bells,
     pub events: Consumer<Event>,
     index: u64,
@@ -52,6 +52,11 @@ impl DriveController {
     /// The newest command of its drive machine.
     pub(in crate::drive) fn newest(&self) -> Option<Command> {
         self.machine.command()
+    }
+
+    /// The velocity or torque that its drive machine goes for.
+    pub(in crate::drive) fn level(&self) -> f64 {
+        self.machine.input.level
     }
 
     /// It has a row for the next send.
@@ -91,7 +96,7 @@ impl Alone {
         let mut regions = Regions::default();
         let (commands, posted) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
-        let (setpoints, setpoint_out) = newest();
+        let (setpoints, setpoint_out) = newest(4);
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
@@ -109,17 +114,7 @@ impl Alone {
         };
         let controller = DriveController::new(plan, can(), queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
-        Alone {
-            controller,
-            slot,
-            commands,
-            rows,
-            _setpoints: setpoints,
-            bells: Bells::new(1),
-            events,
-            index: 0,
-            id: 0,
-        }
+        Alone { controller, slot, commands, rows, setpoints, bells: Bells::new(1), events, index: 0, id: 0 }
     }
 
     /// One cycle up to the commands. The drive answers with the report in the slot.
