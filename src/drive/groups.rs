@@ -210,10 +210,18 @@ mod tests {
     }
 
     impl Machine {
-        /// So many that stop together.
         fn new(axes: usize) -> Machine {
+            Machine::in_groups(axes, None)
+        }
+
+        /// So many that stop together.
+        fn together(axes: usize) -> Machine {
+            Machine::in_groups(axes, Some(3))
+        }
+
+        fn in_groups(axes: usize, group: Option<u16>) -> Machine {
             let mut plan = plan();
-            plan.stop.group = Some(3);
+            plan.stop.group = group;
             let (controllers, (slots, ends)) = (0..axes)
                 .map(|_| Alone::new(plan.clone()).enabled())
                 .map(|Alone { controller, slot, commands, rows, setpoints, events, .. }| {
@@ -421,7 +429,7 @@ mod tests {
 
     #[test]
     fn setpoints_of_a_group_count_for_all_its_members_in_one_cycle_or_for_none() {
-        let mut m = Machine::new(3);
+        let mut m = Machine::together(3);
         m.post(&[(1, TURN), (0, TURN), (2, TURN)]);
         // For the commands that begin in this cycle, and for those that run.
         for (number, value) in [(1, 5.0), (2, 6.0), (4, 7.0)] {
@@ -449,7 +457,7 @@ mod tests {
 
     #[test]
     fn setpoints_for_commands_to_come_begin_with_them_and_never_at_one_member_alone() {
-        let mut m = Machine::new(2);
+        let mut m = Machine::together(2);
         m.post(&[(1, Command::Home)]);
         m.post(&[(0, TURN), (1, TURN)]);
         m.give(1, &[(0, 2, 5.0), (1, 3, 6.0)]);
@@ -467,7 +475,7 @@ mod tests {
 
     #[test]
     fn setpoints_that_a_member_cannot_take_renew_no_other() {
-        let mut m = Machine::new(2);
+        let mut m = Machine::together(2);
         let age = u64::from(m.controllers[0].plan().setpoint_age);
         m.post(&[(0, TURN), (1, TURN)]);
         m.turn();
@@ -491,7 +499,7 @@ mod tests {
             // It fails at one, while the others do it or have done it.
             for others_done in [false, true] {
                 for failure in [Failure::DriveFault(7), Failure::TimedOut(State::SwitchedOn)] {
-                    let mut m = Machine::new(3);
+                    let mut m = Machine::together(3);
                     m.post(&[(0, command), (1, command), (2, command)]);
                     m.turn();
                     if others_done {
@@ -507,21 +515,21 @@ mod tests {
                 }
             }
             // A stop of the application for one of them, at which the others go on.
-            let mut m = Machine::new(3);
+            let mut m = Machine::together(3);
             m.post(&[(0, command), (1, command), (2, command)]);
             m.turn();
             m.post(&[(0, RESET), (1, Command::QuickStop), (2, RESET)]);
             m.turn();
             failed(&m, 1);
             // For all of them, or with a motion for the others, it stops nobody else.
-            let mut m = Machine::new(2);
+            let mut m = Machine::together(2);
             m.post(&[(0, command), (1, command)]);
             m.turn();
             m.post(&[(0, Command::QuickStop), (1, Command::QuickStop)]);
             m.turn();
             assert_eq!(m.stopped(), [None; 2], "{command:?}");
         }
-        let mut m = Machine::new(2);
+        let mut m = Machine::together(2);
         m.post(&[(0, TURN), (1, TURN)]);
         m.turn();
         m.post(&[(0, Command::QuickStop), (1, TURN)]);
