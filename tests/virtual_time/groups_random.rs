@@ -3,19 +3,21 @@
 //!
 //! | variable | what |
 //! |---|---|
-//! | `GROUPS_SEEDS` | so many seeds on each wire |
+//! | `GROUPS_SEEDS` | so many seeds on each wire, and all delays of an enable |
 //! | `GROUPS_SEED` | only this seed |
 //! | `GROUPS_STORY` | print what happened |
 
 use std::collections::BTreeMap;
 
 use fastrand::Rng;
-use fieldbeat::axis::{Abort, Command, EventKind, Group, GroupCommand, GroupError, Link, Outcome};
+use fieldbeat::axis::{
+    Abort, AxisError, Command, EventKind, Group, GroupCommand, GroupError, Link, Move, Outcome, Target,
+};
+use fieldbeat::internals::replay::TaskOf;
 
-use super::oracle::machine::{AXES, Kind, Machine, Shape, plan};
+use super::oracle::machine::{AXES, Kind, Machine, Scale, Shape, plan};
 use super::oracle::variable;
 use super::replay::{Log, replay};
-use fieldbeat::internals::replay::TaskOf;
 
 /// A member that moves while another one is stopped or off comes to rest within so many turns in which its drive can be
 /// reached: the loop's reaction, then the ramp, the quick stop and power off, of 50 ms each.
@@ -290,9 +292,7 @@ struct Scales {
 
 impl Scales {
     fn of(m: &Machine) -> Scales {
-        let least = |value: fn(&super::oracle::machine::Scale) -> f64| {
-            m.scales.iter().map(value).fold(f64::INFINITY, f64::min)
-        };
+        let least = |value: fn(&Scale) -> f64| m.scales.iter().map(value).fold(f64::INFINITY, f64::min);
         Scales { velocity: least(|scale| scale.velocity), acceleration: least(|scale| scale.acceleration) }
     }
 }
@@ -333,7 +333,7 @@ fn no_member_on_linudp_moves_without_the_others() {
 
 #[test]
 fn no_member_on_ethercat_moves_without_the_others() {
-    seeds(Kind::Kollmorgen, 6);
+    seeds(Kind::Kollmorgen, 3);
 }
 
 #[test]
@@ -351,20 +351,59 @@ fn no_member_on_profibus_moves_without_the_others() {
     seeds(Kind::Lenze, 3);
 }
 
+/// A slave that was deaf is set up again, and is silent for that. A group that is enabled at any instant of that comes up
+/// as a whole, or not at all.
+#[test]
+fn a_group_that_is_enabled_while_a_slave_is_set_up_again_leaves_no_member_in_operation_alone() {
+    let mut run = Run::new(Kind::Kollmorgen, 1, None);
+    let every = if variable::<u64>("GROUPS_SEEDS").is_some() { 1 } else { 7 };
+    for delay in (0..40).chain([60, 100, 200, 400]).step_by(every) {
+        let up = (0..20).any(|_| {
+            (0..500).for_each(|_| run.step());
+            run.all(Command::ResetFault, false);
+            run.all(Command::Reset, false) && run.all(Command::Enable, false)
+        });
+        assert!(up, "before delay {delay}");
+        let acceleration = Scales::of(&run.m).acceleration;
+        run.group.post_all(Command::Velocity { acceleration }).unwrap();
+        for turn in 0..100 {
+            run.group.set_velocities(&[8.0; AXES]).unwrap();
+            if turn == 80 {
+                run.m.plug(0, false);
+                run.disturbed[0] = Some((run.turn + 10, Disturbance::Silent));
+            }
+            run.step();
+        }
+        let mut back = 0;
+        while !run.m.online() {
+            run.step();
+            back += 1;
+            assert!(back < 20_000, "delay {delay}");
+        }
+        (0..delay).for_each(|_| run.step());
+        run.note(format!("delay {delay}"));
+        run.all(Command::Reset, false);
+        run.all(Command::Enable, false);
+        (0..100).for_each(|_| run.step());
+        let stopped: Vec<bool> = (0..AXES).map(|index| run.m.sim.feedback(index).stopped.is_some()).collect();
+        let operational = (0..AXES).filter(|index| run.m.sim.feedback(*index).is_operational()).count();
+        if stopped.contains(&true) && stopped.contains(&false) && operational > 0 {
+            run.fails(&format!("delay {delay}: {stopped:?}"));
+        }
+    }
+}
+
 /// Drives that follow speeds only have no rows to be taken together.
 #[test]
 fn groups_on_modbus_and_profibus_refuse_rows_and_moves() {
     for kind in [Kind::Unidrive, Kind::Lenze] {
         let mut run = Run::new(kind, 0, None);
         let profile = run.group.axes()[0].profile();
-        let target = fieldbeat::axis::Target::Absolute(1.0);
-        for command in [Command::Follow, Command::Move(fieldbeat::axis::Move { target, profile })] {
+        let target = Target::Absolute(1.0);
+        for command in [Command::Follow, Command::Move(Move { target, profile })] {
             let refused = run.group.post_all(command).unwrap_err();
             assert!(refused.to_string().contains(command.name()), "{refused}");
-            assert!(
-                matches!(refused, GroupError::Axis(fieldbeat::axis::AxisError::Refused { .. })),
-                "{refused}"
-            );
+            assert!(matches!(refused, GroupError::Axis(AxisError::Refused { .. })), "{refused}");
         }
     }
 }

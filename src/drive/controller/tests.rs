@@ -539,6 +539,30 @@ fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() 
     }
 }
 
+#[test]
+fn an_expected_silence_spares_the_stop_group_only_while_the_axis_neither_is_in_operation_nor_is_to_be() {
+    for (enabled, command, along) in [
+        (false, None, Along::Nobody),
+        (false, Some(Command::ResetFault), Along::Nobody),
+        (false, Some(Command::Enable), Along::All),
+        (true, None, Along::All),
+        (true, Some(Command::Home), Along::All),
+    ] {
+        let mut x = Alone::new(plan());
+        x = if enabled { x.enabled() } else { x.online() };
+        if let Some(command) = command {
+            x.post(command);
+            x.turn();
+        }
+        assert_eq!(x.controller.take_along(), Along::Nobody);
+        x.slot.expected_silence = true;
+        x.slot.notices.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::LinkLost));
+        assert_eq!(x.controller.take_along(), along, "{enabled} {command:?}");
+    }
+}
+
 /// An axis that follows, with these rows: the stream, the position, the velocity.
 fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
     let mut x = Alone::new(plan).enabled();
