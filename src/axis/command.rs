@@ -74,9 +74,15 @@ pub struct StreamRow {
     pub row: Row,
 }
 
-/// One velocity or torque on its way to the loop.
+/// One velocity or torque on its way to the loop, alone or as one axis' part of those of a group.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Setpoint {
+    /// The place of its axis in the machine.
+    pub member: u32,
+    /// How many members have a part in the set; 1 = the axis alone.
+    pub parts: u32,
+    /// Counts the setpoints of the axis up: of two that come by different ways, the later one counts.
+    pub number: u64,
     /// The [`Command::Jog`], [`Command::Velocity`] or [`Command::Torque`] that it belongs to.
     pub of: CommandId,
     /// User units/s, or per cent of the rated torque.

@@ -96,8 +96,8 @@ named! {
         DeadMan = 14: "jog not renewed",
         /// The members of its group missed too many exchanges together.
         GroupLink = 15: "too many misses in its group",
-        /// A motion of its group failed at this axis.
-        GroupFailed = 16: "motion of its group failed",
+        /// An enable or a motion of its group failed at this axis, or was ended here alone.
+        GroupFailed = 16: "command of its group failed",
         /// It moved, with power on, although nothing commanded it.
         Uncommanded = 17: "motion without a command",
         /// A stop of the application took longer than the stop's time-out.

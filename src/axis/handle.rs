@@ -104,6 +104,8 @@ pub struct Axis {
     rolling: CommandId,
     /// The last torque.
     pressing: CommandId,
+    /// Setpoints that were given so far.
+    setpoints: u64,
     /// Commands whose ends were not taken out of the event queue yet: each has a place there.
     unended: usize,
     /// Events taken from the queue before the application took them, and how many of them are ends of commands.
@@ -221,6 +223,7 @@ impl Axis {
             next_id: CommandId(1),
             rolling: CommandId(0),
             pressing: CommandId(0),
+            setpoints: 0,
             unended: 0,
             kept: VecDeque::new(),
             kept_ends: 0,
@@ -386,7 +389,8 @@ impl Axis {
     /// It has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
-        self.give(Setpoint { of: self.rolling, value: velocity });
+        let setpoint = self.setpoint(self.rolling, velocity, 1);
+        self.give(&[setpoint]);
         Ok(())
     }
 
@@ -394,12 +398,31 @@ impl Axis {
     /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
-        self.give(Setpoint { of: self.pressing, value: torque });
+        let setpoint = self.setpoint(self.pressing, torque, 1);
+        self.give(&[setpoint]);
         Ok(())
     }
 
-    fn give(&mut self, setpoint: Setpoint) {
-        self.ends.setpoints.write(setpoint);
+    /// The command that takes its velocities, or its torques; id 0 = none.
+    pub(super) fn follows(&self, torques: bool) -> CommandId {
+        if torques { self.pressing } else { self.rolling }
+    }
+
+    /// It has no part in the velocities of its group, or in the torques, until it has a command that takes them.
+    pub(super) fn follows_no_more(&mut self, torques: bool) {
+        *if torques { &mut self.pressing } else { &mut self.rolling } = CommandId(0);
+    }
+
+    /// Its part of so many setpoints of one set.
+    pub(super) fn setpoint(&mut self, of: CommandId, value: f64, parts: usize) -> Setpoint {
+        self.setpoints += 1;
+        let (member, parts, number) = (self.index as u32, parts as u32, self.setpoints);
+        Setpoint { member, parts, number, of, value }
+    }
+
+    /// Hands the parts of one set over, through this axis.
+    pub(super) fn give(&mut self, parts: &[Setpoint]) {
+        self.ends.setpoints.write(parts);
         self.ends.bell.ring();
         self.pulse.beat();
     }

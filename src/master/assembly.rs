@@ -102,7 +102,7 @@ pub fn assemble<C: Clock>(
             let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
             let room = |queue: usize| queue.saturating_mul(members).max(most);
             let (posted_in, posted) = rt::ring(room(axis.command_queue) + URGENT_ROOM * most, &mut regions);
-            let (setpoint_in, setpoint_out) = newest::newest();
+            let (setpoint_in, setpoint_out) = newest::newest(most);
             let (row_in, row_out) = rt::ring(room(axis.stream_queue), &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());

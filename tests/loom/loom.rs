@@ -1,4 +1,5 @@
-//! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop
+//! What holds in every interleaving: of two writes and readers of a cell; of sets of setpoints that replace each other
+//! while the loop takes them; of applications that ring while the loop
 //! takes their bells; of an application that posts, cancels and polls calls while the loop takes and ends them; and of
 //! a log that is taken out while the loop fills it.
 
@@ -6,7 +7,9 @@ use std::time::Duration;
 
 use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
 use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
+use fieldbeat_loom::axis::command::{CommandId, Setpoint};
 use fieldbeat_loom::axis::doorbell::Bells;
+use fieldbeat_loom::axis::newest::{NewestOut, newest};
 use fieldbeat_loom::calls;
 use fieldbeat_loom::inputs::entry::Kind;
 use fieldbeat_loom::inputs::recording::log;
@@ -66,6 +69,34 @@ fn a_reader_never_sees_an_older_value_than_before() {
             writer.write(&Pair([value; 2]));
         }
         other.join().unwrap();
+    });
+}
+
+/// Set `number` of a group of two.
+fn set(number: u64) -> [Setpoint; 2] {
+    [0, 1].map(|member| Setpoint { member, parts: 2, number, of: CommandId(number), value: number as f64 })
+}
+
+#[test]
+fn the_setpoints_of_a_group_are_taken_whole_in_their_order_and_the_last_ones_once() {
+    bounded(3, || {
+        let (mut input, mut output) = newest(2);
+        let application = thread::spawn(move || (1..=3).for_each(|number| input.write(&set(number))));
+        let mut before = 0;
+        let mut look = |output: &mut NewestOut| {
+            if output.take() {
+                let parts = [0, 1].map(|place| output.part(place).unwrap());
+                let number = parts[0].number;
+                assert!(number > before && parts == set(number), "{parts:?} after {before}");
+                before = number;
+            }
+        };
+        look(&mut output);
+        look(&mut output);
+        application.join().unwrap();
+        look(&mut output);
+        assert_eq!(before, 3, "the newest is never lost");
+        assert!(!output.take());
     });
 }
 

@@ -1,4 +1,4 @@
-//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model
+//! The feedback cell, the newest setpoints, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model
 //! checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
@@ -16,10 +16,28 @@ pub mod axis {
     pub mod doorbell;
     #[path = "../../src/axis/feedback.rs"]
     pub mod feedback;
+    #[path = "../../src/axis/newest.rs"]
+    pub mod newest;
     #[path = "../../src/axis/pulse.rs"]
     pub mod pulse;
 
     pub use feedback::Feedback;
+
+    pub mod command {
+        //! What a setpoint is.
+
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct CommandId(pub u64);
+
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct Setpoint {
+            pub member: u32,
+            pub parts: u32,
+            pub number: u64,
+            pub of: CommandId,
+            pub value: f64,
+        }
+    }
 
     pub mod observer {
         //! What the queue needs of an axis.

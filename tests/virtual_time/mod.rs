@@ -14,6 +14,7 @@ mod faults;
 mod fuse;
 mod grid;
 mod groups;
+mod groups_random;
 mod kollmorgen;
 mod kollmorgen_found;
 mod latches;

@@ -176,7 +176,7 @@ impl<C: Clock> Engine<C> {
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
             self.panics.guard(next.index, stage, Part::Axis(axis), || {
                 controller.stop(&next, now, StopCause::Panic);
-                controller.take_group_stop();
+                controller.take_along();
             });
         }
         self.prepare_stop(&next);

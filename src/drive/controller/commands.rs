@@ -24,12 +24,14 @@ pub fn take_commands(controllers: &mut [DriveController], bells: &mut Bells) {
     }
 }
 
-/// Notes the axes that may have a newer setpoint; their commands are left where they are.
+/// Notes the axes that may have a newer setpoint; their commands are left where they are. Returns whether there may be
+/// one.
 #[inline]
-pub fn take_calls(controllers: &mut [DriveController], bells: &mut Bells) {
+pub fn take_calls(controllers: &mut [DriveController], bells: &mut Bells) -> bool {
     if bells.take() {
         bells.rung().for_each(|axis| controllers[axis].called = true);
     }
+    bells.take_rung()
 }
 
 #[inline(never)]
@@ -86,7 +88,6 @@ impl DriveController {
         self.waiting = None;
         self.commanded = slot.commanded;
         let held = self.held.take();
-        self.take_setpoints(cycle);
         let resets = |active: &QueuedCommand| matches!(active.command, Command::Reset);
         if self.machine.end().is_some() || self.duty.active().as_ref().is_some_and(resets) {
             self.end_active(cycle, now);
@@ -124,9 +125,9 @@ impl DriveController {
                 self.waiting = Some(next);
                 break;
             }
-            if next.call.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
-                // A command that takes a member out of a motion of its group stops the group: the others would go
-                // on without it.
+            if next.call.is_none() && self.acts_in_group().is_some() && self.admit(&next).is_ok() {
+                // A command that takes a member out of what its group does stops the group: the others would go on
+                // without it.
                 self.stop(cycle, now, StopCause::GroupFailed);
                 break;
             }
@@ -185,7 +186,7 @@ impl DriveController {
                 self.end(cycle, now, active, Outcome::Done);
             }
             Some(Err(failure)) => {
-                let grouped = self.moves_in_group().is_some();
+                let grouped = self.acts_in_group().is_some();
                 if matches!(failure, Failure::Unsupported(_) | Failure::DriveFault(_)) {
                     // Nothing was commanded, or a fault holds the power off.
                     self.rising = 0;
@@ -197,8 +198,9 @@ impl DriveController {
                 }
                 if matches!(failure, Failure::DriveFault(_)) {
                     self.stop_if_armed(cycle, now, StopCause::DriveFault);
-                } else if grouped {
-                    // The others would go on without it.
+                }
+                if grouped {
+                    // The others would go on without it, or be left in operation alone.
                     self.stop(cycle, now, StopCause::GroupFailed);
                 }
             }
@@ -410,7 +412,7 @@ impl DriveController {
         if let Some(queued) =
             self.task_command.or(*self.duty.active()).filter(|queued| takes(&queued.command))
         {
-            self.take_setpoint(cycle, Setpoint { of: queued.id, value });
+            self.take_setpoint(cycle, Setpoint { of: queued.id, value, ..Setpoint::default() });
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::duty::Claim;
 use super::watch::Braked;
-use super::{Closed, DriveController};
+use super::{Along, Closed, DriveController, acts};
 use crate::axis::{DriveStatus, EventKind, Link, State, StopCause};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
@@ -288,9 +288,14 @@ impl DriveController {
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
+                let rests = self.duty.claim() != Claim::Armed
+                    && !self.duty.active().is_some_and(|one| acts(&one.command));
                 self.stop(cycle, now, StopCause::LinkLost);
-                // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
-                self.just_stopped &= !slot.expected_silence;
+                if rests && slot.expected_silence {
+                    // Its stop group goes on: this silence was requested, and the drive holds or moves nothing, nor is
+                    // it to.
+                    self.along = Along::Nobody;
+                }
             }
             Link::Online => {
                 self.seen = true;

@@ -1,9 +1,11 @@
 //! The watch over an axis, and its stops: latched with their cause, braked, and begun again if it moves all the same.
 
-use super::DriveController;
 use super::duty::{Claim, Latch};
+use super::{Along, DriveController};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Abort, Command, EventKind, FoundRunning, Link, Outcome, QueuedCommand, State, StopCause};
+use crate::axis::{
+    Abort, Command, EventKind, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State, StopCause,
+};
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
 use crate::drive::bounds::Watched;
@@ -244,7 +246,7 @@ impl DriveController {
             _ => return,
         };
         self.rest.interrupt();
-        self.just_stopped = true;
+        self.along = Along::All;
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
         self.issue(Some(command));
@@ -255,27 +257,32 @@ impl DriveController {
         self.duty.set_latch(Latch::Kept(cause));
         self.requested = Requested::default();
         self.disarm();
-        self.just_stopped = true;
+        self.along = Along::All;
         self.feedback.stopped = Some(cause);
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
     }
 
     /// It is no longer expected to stay in operation.
-    pub(super) fn disarm(&mut self) {
+    pub(in crate::drive) fn disarm(&mut self) {
         if self.duty.claim() == Claim::Armed {
             self.duty.set_claim(Claim::Ours);
         }
     }
 
-    /// Whether it was stopped since its group was last checked.
-    pub fn just_stopped(&self) -> bool {
-        self.just_stopped
+    /// Whether others may have to stop because of it.
+    pub fn takes_along(&self) -> bool {
+        self.along != Along::Nobody
     }
 
-    /// The stop group to stop with it, once after each stop.
-    pub fn take_group_stop(&mut self) -> Option<u16> {
-        if std::mem::take(&mut self.just_stopped) { self.plan.stop.group } else { None }
+    /// Who has to stop because of it, once.
+    pub fn take_along(&mut self) -> Along {
+        std::mem::replace(&mut self.along, Along::Nobody)
+    }
+
+    /// The group call whose command has ended here before it was done.
+    pub fn left_call(&self) -> Option<GroupCall> {
+        self.left
     }
 
     /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
