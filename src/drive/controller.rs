@@ -135,6 +135,8 @@ pub struct DriveController {
     ahead: Setpoint,
     /// A call of the application that commands the drive is under way.
     commanded: bool,
+    /// Whether the application still has the axis.
+    owner: Owner,
     /// The enable that waits for its end, and since when.
     held: Option<(CommandId, Time)>,
     /// The drive was online at least once.
@@ -145,6 +147,16 @@ pub struct DriveController {
     ends: bool,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
+}
+
+/// Whether the application still has the axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Owner {
+    Here,
+    /// It has dropped it; what it has posted before may still wait in its queue.
+    Leaves,
+    /// All that it has posted before was taken, as far as there was room for it.
+    Gone,
 }
 
 /// How an exchange ended.
@@ -205,6 +217,7 @@ impl DriveController {
             level_at: 0,
             ahead: Setpoint::default(),
             commanded: false,
+            owner: Owner::Here,
             held: None,
             seen: false,
             losses: 0,
