@@ -3,7 +3,7 @@
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{sleep, spawn};
 
 use fieldbeat::axis::{Axis, Observer, StopCause};
@@ -21,7 +21,7 @@ const HOST: &str = "hosts::a_host_that_returns_ends_its_static_master_in_order";
 const UNDER_WAY: &str = "under way";
 
 /// A master that is never dropped, with its axes.
-static MASTER: OnceLock<(Master, Vec<Axis>)> = OnceLock::new();
+static MASTER: OnceLock<(Master, Mutex<Vec<Axis>>)> = OnceLock::new();
 
 /// A program with a master of its own, which sends its axes on a long way and then does `what`.
 fn play(role: &str) {
@@ -53,7 +53,7 @@ fn play(role: &str) {
     println!("{UNDER_WAY}");
     let observers: Vec<_> = axes.iter().map(Axis::observer).collect();
     match what {
-        "return" => assert!(MASTER.set((master, axes)).is_ok()),
+        "return" => assert!(MASTER.set((master, Mutex::new(axes))).is_ok()),
         "exit" => exit(3),
         "exit-in-call" => {
             spawn(|| {
@@ -93,7 +93,7 @@ fn play(role: &str) {
             assert_eq!(status, 0);
             sleep(200 * MS);
             println!("{:?}", observers.iter().map(|axis| axis.feedback().stopped).collect::<Vec<_>>());
-            assert!(MASTER.set((master, axes)).is_ok());
+            assert!(MASTER.set((master, Mutex::new(axes))).is_ok());
         }
         "panic" => panic!("with all that is dropped by it"),
         "drop-master" => {
@@ -114,7 +114,7 @@ fn play(role: &str) {
             assert!(until(LONG, || own.load(Ordering::Relaxed)));
             sleep(200 * MS);
             println!("{:?}", observers.iter().map(|axis| axis.feedback().stopped).collect::<Vec<_>>());
-            assert!(MASTER.set((master, axes)).is_ok());
+            assert!(MASTER.set((master, Mutex::new(axes))).is_ok());
         }
         "wait" | "asked-wait" => sleep(LONG),
         other => unreachable!("{other}"),
