@@ -1,7 +1,8 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted.
+//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process` ends
+//! what runs when the process ends.
 
 mod assembly;
 mod log;

@@ -281,3 +281,39 @@ fn await_signal(bell: c_int) {
     let _ = signals.thread_unblock();
     end_by(signal);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_used_again_as_new_and_never_while_somebody_has_a_handle_of_the_old_master() {
+        let first = Running::begin([Duration::from_secs(2), Duration::from_secs(5)].into_iter()).unwrap();
+        let (place, handle) = (first.0, first.control());
+        assert_eq!(place.longest_ns.load(Ordering::Relaxed), 6_000_000_000);
+        handle.stop();
+        drop(first);
+        let others: Vec<_> = (0..8).map(|_| Running::begin([Duration::MAX].into_iter()).unwrap()).collect();
+        for other in &others {
+            assert!(!std::ptr::eq(other.0, place) && !other.control().is_stopping());
+            assert_eq!(other.0.longest_ns.load(Ordering::Relaxed), 30_000_000_000);
+        }
+        drop(handle);
+        let free = place.take();
+        // Another test of this process may have been faster.
+        assert!(!free || !place.control.is_stopping());
+        drop(free.then(|| Running(place)));
+    }
+
+    #[test]
+    fn a_master_is_waited_for_by_all_threads_but_that_of_its_loop() {
+        let running = Running::begin(std::iter::empty()).unwrap();
+        assert!(running.0.runs());
+        running.is_on_this_thread();
+        assert!(!running.0.runs());
+        let place = running.0;
+        assert!(thread::spawn(|| place.runs()).join().unwrap());
+        place.process.store(0, Ordering::Relaxed);
+        assert!(!thread::spawn(|| place.runs()).join().unwrap(), "of a process that has forked this one");
+    }
+}
