@@ -104,9 +104,9 @@ impl DriveController {
             || self.duty.active().as_ref().is_some_and(resets);
     }
 
-    /// Ends what an application that has dropped the axis has left behind: what moves it or switches its power on, under
-    /// way or about to be, unless a stop or power off of its own comes behind that. What the in-loop task commands has
-    /// its owner. True while more may come that was posted before: the next cycle takes it.
+    /// Ends what an application that has dropped the axis has left behind: what moves it or switches its power on,
+    /// under way or about to be, unless a stop or power off of its own comes behind that. What the in-loop task
+    /// commands has its owner. True while more may come that was posted before: the next cycle takes it.
     #[cold]
     fn lose_owner(&mut self, cycle: &Cycle, now: Time) -> bool {
         let left = std::mem::replace(&mut self.owner, Owner::Gone);
