@@ -21,6 +21,9 @@ pub struct CommandId(pub u64);
 const OF_TASK: u64 = 1 << 63;
 
 impl CommandId {
+    /// Of no command: the setpoint with it says that the application has dropped the axis.
+    pub(crate) const NO_OWNER: CommandId = CommandId(u64::MAX);
+
     /// The `number`-th command of the in-loop task.
     pub fn of_task(number: u64) -> CommandId {
         CommandId(number | OF_TASK)

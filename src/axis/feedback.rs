@@ -110,6 +110,8 @@ named! {
         LinkThread = 21: "link thread ended",
         /// Another master commands the drive, or has frames on its segment.
         OtherMaster = 22: "another master",
+        /// The application dropped the [`Axis`](super::Axis), or its group, while the axis moved or was about to.
+        OwnerLost = 23: "axis dropped (on_owner_lost)",
     }
 }
 

@@ -69,6 +69,9 @@ impl Iterator for Samples {
 
 /// One axis of a running master: one owner commands it. Positions are in its units, mm or revolutions.
 ///
+/// An axis that is dropped while it moves is stopped: [`AxisPlan::on_owner_lost`]. Observers and parameters of it are
+/// no owners.
+///
 /// ```
 /// # use fieldbeat::{Master, Plan, Profile};
 /// # use std::time::Duration;
@@ -662,6 +665,15 @@ impl Axis {
             waited,
             state: self.feedback().status.state,
         }
+    }
+}
+
+/// Its last setpoint says that the axis has no owner any more. The bell orders it behind all that was posted before.
+impl Drop for Axis {
+    fn drop(&mut self) {
+        let last = self.setpoint(CommandId::NO_OWNER, 0.0, 1);
+        self.ends.setpoints.write(&[last]);
+        self.ends.bell.ring();
     }
 }
 

@@ -36,6 +36,8 @@ pub struct AxisPlan {
     pub underrun: Underrun,
     /// What to do with a drive that is found enabled or moving.
     pub on_found_running: FoundRunning,
+    /// What the axis does when the application drops its [`Axis`](super::Axis).
+    pub on_owner_lost: OwnerLost,
     /// What its load does when nothing holds it.
     pub load: Load,
     /// A cyclic velocity or torque setpoint older than so many cycles stops the axis.
@@ -96,6 +98,7 @@ impl AxisPlan {
             },
             underrun: Underrun::Stop,
             on_found_running: FoundRunning::Stop,
+            on_owner_lost: OwnerLost::Stop,
             load: Load::Level,
             setpoint_age: 10,
             jog_deadman: Some(Duration::from_millis(500)),
@@ -392,4 +395,15 @@ pub enum FoundRunning {
     Stop,
     /// Only read it; write nothing until the application commands the axis.
     Refuse,
+}
+
+/// What an axis does when the application drops its [`Axis`](super::Axis), or the [`Group`](super::Group) that has it.
+/// An axis that stands still, or runs a command of the in-loop task, goes on in either case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OwnerLost {
+    /// What runs or waits is aborted, and the axis is stopped as the stop plan says. A stop or power off that was
+    /// requested before goes on.
+    Stop,
+    /// What was commanded goes on to its end.
+    Finish,
 }

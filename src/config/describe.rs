@@ -1,6 +1,6 @@
 //! A plan in words: what `check` prints.
 
-use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
+use crate::axis::{AxisPlan, HeldBy, Load, OwnerLost, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
 use crate::cycle::bound::{Pace, Paced, bound, group, paced, silence};
 use crate::cycle::record::Record;
@@ -166,7 +166,9 @@ fn axis(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> 
     let (axis, period_ns) = (drive.axis, cycle.period_ns);
     let mut lines = vec![schedule(drive, period_ns), link(drive, all, cycle), stop(axis)];
     lines.extend(load(axis));
-    lines.extend([setpoints(axis, period_ns), limits(axis)]);
+    lines.push(setpoints(axis, period_ns));
+    lines.extend(owner(axis));
+    lines.push(limits(axis));
     lines
 }
 
@@ -275,6 +277,12 @@ fn setpoints(axis: &AxisPlan, period_ns: u64) -> String {
         Some(_) => format!("stopped by {velocity} and by {jog}"),
         None => format!("stopped by {velocity}; {jog}"),
     }
+}
+
+/// What is left out where a drop stops it.
+fn owner(axis: &AxisPlan) -> Option<String> {
+    (axis.on_owner_lost == OwnerLost::Finish)
+        .then(|| "a program that drops the axis lets it go on to the end of what was commanded".into())
 }
 
 fn limits(axis: &AxisPlan) -> String {

@@ -17,7 +17,7 @@ mod report;
 mod stages;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering, fence};
 
 use crossbeam::utils::CachePadded;
 use rtrb::Producer;
@@ -63,6 +63,17 @@ impl Control {
     /// Whether the end was requested.
     pub fn is_stopping(&self) -> bool {
         self.0.load(Ordering::Relaxed) != RUN
+    }
+
+    /// Requests nothing any more. False if others have handles of it, and nothing is changed.
+    pub fn renew(&self) -> bool {
+        let free = Arc::strong_count(&self.0) == 1;
+        if free {
+            // Behind what the last of the others has requested.
+            fence(Ordering::Acquire);
+            self.0.store(RUN, Ordering::Relaxed);
+        }
+        free
     }
 
     fn requested(&self) -> u8 {

@@ -140,6 +140,8 @@ pub struct DriveController {
     left: Option<GroupCall>,
     /// A call of the application that commands the drive is under way.
     commanded: bool,
+    /// Whether the application still has the axis.
+    owner: Owner,
     /// The enable that waits for its end, and since when.
     held: Option<(CommandId, Time)>,
     /// The drive was online at least once.
@@ -165,6 +167,16 @@ pub enum Along {
     WhoGoesOn,
     /// It was stopped: its stop group.
     All,
+}
+
+/// Whether the application still has the axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Owner {
+    Here,
+    /// It has dropped it; what it has posted before may still wait in its queue.
+    Leaves,
+    /// All that it has posted before was taken, as far as there was room for it.
+    Gone,
 }
 
 /// How an exchange ended.
@@ -227,6 +239,7 @@ impl DriveController {
             numbered: 0,
             left: None,
             commanded: false,
+            owner: Owner::Here,
             held: None,
             seen: false,
             losses: 0,

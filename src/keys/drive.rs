@@ -7,8 +7,8 @@ use super::machine::Machine;
 use super::table::{POSITIVE, Table, integer, time as time_of};
 use super::value::{SHORT_NAME, plain_name};
 use crate::axis::{
-    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
-    Underrun, Unit, Units,
+    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, OwnerLost, Profile, StopHow, StopPlan, StopThen,
+    StopTimeout, Underrun, Unit, Units,
 };
 use crate::time::{MS, S};
 
@@ -58,6 +58,9 @@ pub fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> Axi
         on_found_running: table
             .word("on_found_running", &[("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)])
             .unwrap_or(default.on_found_running),
+        on_owner_lost: table
+            .word("on_owner_lost", &[("stop", OwnerLost::Stop), ("finish", OwnerLost::Finish)])
+            .unwrap_or(default.on_owner_lost),
         load,
         setpoint_age: table
             .integer("setpoint_age", 1..=1_000_000, "the cycles for which a velocity setpoint is valid")

@@ -1,10 +1,12 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted.
+//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process` ends
+//! what runs when the process ends.
 
 mod assembly;
 mod log;
+mod process;
 
 use std::ops::Deref;
 use std::path::PathBuf;
@@ -17,6 +19,8 @@ use thiserror::Error;
 pub use self::assembly::{Assembly, Devices, assemble};
 use self::log::LogSink;
 pub use self::log::{LogBegin, MachineOf};
+use self::process::Running;
+pub use self::process::{ENDING, action_of};
 use crate::axis::acyclic::{Acyclic, Parameters};
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
@@ -63,6 +67,7 @@ pub struct Setup {
     machine: MachineOf,
     /// With the file that it writes.
     pub(crate) sink: Option<(PathBuf, Box<dyn Sink>)>,
+    stop_on_signals: bool,
 }
 
 impl std::fmt::Debug for Setup {
@@ -72,6 +77,11 @@ impl std::fmt::Debug for Setup {
 }
 
 /// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+///
+/// So does the end of the process by `exit` or by a return from `main`, if it is not dropped before, as in a `static`:
+/// a handler of `exit` (atexit(3)) waits for the loops of all masters. After the longest `stop.timeout` of its axes and
+/// a second, at most after 30 s, it shortens their waits, and 3 s later it gives up. The measurements are lost then:
+/// [`finish`](Master::finish) returns them. What else ends a process is in [`Setup::stop_on_signals`].
 ///
 /// ```
 /// # use fieldbeat::{Master, Plan};
@@ -212,6 +222,7 @@ impl Master {
             log_sink: None,
             machine: MachineOf::Code,
             sink: None,
+            stop_on_signals: false,
         }
     }
 
@@ -397,6 +408,19 @@ impl Setup {
         self
     }
 
+    /// Signals that would end the process end its running masters first: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGALRM,
+    /// SIGVTALRM, SIGPROF, SIGUSR2, SIGIO, SIGPWR, SIGSTKFLT, SIGXCPU and SIGABRT. All axes ramp down and are powered
+    /// off, then the process ends by the same signal. A second one shortens the waits. The wait is bounded as that of
+    /// `exit` is ([`Master`]).
+    ///
+    /// It holds from [`start`](Setup::start) on for as long as the process lives, for all masters in it. A signal that
+    /// the program handles or ignores when it calls `start` is left to the program, and a handler that it sets later
+    /// takes the place of this one. `abort` on the loop's own thread, by the in-loop task, is as SIGKILL.
+    pub fn stop_on_signals(mut self) -> Setup {
+        self.stop_on_signals = true;
+        self
+    }
+
     /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
     pub fn start(mut self) -> Result<Master, StartError> {
         self.plan.check()?;
@@ -435,9 +459,14 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, black_box, sink, .. } = self;
+        let Setup { plan, task, black_box, sink, stop_on_signals, .. } = self;
         let has_task = task.is_some();
-        let control = Control::default();
+        if stop_on_signals {
+            process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
+        }
+        let timeouts = plan.axes().into_iter().map(|axis| axis.stop.timeout);
+        let running = Running::begin(timeouts).map_err(StartError::Thread)?;
+        let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
         let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions: own } = assembly;
@@ -448,6 +477,9 @@ impl Setup {
             .name("fb-loop".into())
             .stack_size(STACK_BYTES)
             .spawn(move || {
+                // Until the engine is gone.
+                let running = running;
+                running.is_on_this_thread();
                 let entered = rt::thread::enter(&realtime, &regions);
                 let go = entered.is_ok();
                 let _ = report.send((entered, nix::unistd::gettid().as_raw()));

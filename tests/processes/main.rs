@@ -10,6 +10,7 @@
 //! | `links` | drives that are lost, come back, or were never there |
 //! | `churn` | drives that die and come back for long: memory and descriptors |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
+//! | `hosts` | the ends of programs with a master of their own |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `masters` | two masters on one segment or one drive |
 //! | `unmatched` | datagrams of people who have no business here |
@@ -41,6 +42,7 @@ mod ethercat;
 mod ethernet_ip;
 #[path = "../support/fuse.rs"]
 mod fuse;
+mod hosts;
 mod init;
 #[cfg(feature = "jog")]
 mod jog;

@@ -28,6 +28,7 @@ mod native;
 mod oracle;
 mod oracle_found;
 mod other_masters;
+mod owners;
 mod panics;
 mod powered;
 mod queues;

@@ -453,6 +453,28 @@ impl Bench {
         self.group.insert(Group::new(axes).unwrap_or_else(|refused| panic!("{refused}")))
     }
 
+    /// The application's end of an axis that has joined no group. Its events are not followed from here on.
+    pub fn take_axis(&mut self, index: usize) -> Axis {
+        assert!(!self.joined());
+        self.members.push(index);
+        self.sim.take_axis(index)
+    }
+
+    /// The application drops it.
+    pub fn drop_axis(&mut self, index: usize) {
+        drop(self.take_axis(index));
+    }
+
+    /// The application drops the group.
+    pub fn drop_group(&mut self) {
+        drop(self.group.take());
+    }
+
+    /// The application ends the group and keeps none of its axes but this one, by its place.
+    pub fn keep_member(&mut self, place: usize) -> Axis {
+        self.group.take().expect("axes have joined").into_axes().swap_remove(place)
+    }
+
     /// Whether some axes have.
     pub fn joined(&self) -> bool {
         self.group.is_some()

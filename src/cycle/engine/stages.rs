@@ -7,7 +7,7 @@ use crate::axis::{Link, StopCause};
 use crate::bus::Cycle;
 use crate::cycle::record::{Record, Reply};
 use crate::cycle::task::Axes;
-use crate::drive::controller::{take_calls, take_commands, take_rows};
+use crate::drive::controller::{DriveController, take_calls, take_commands, take_rows};
 use crate::drive::groups::take_group_stop;
 use crate::rt::Clock;
 use crate::time::Time;

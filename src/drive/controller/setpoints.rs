@@ -1,9 +1,11 @@
 //! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is
 //! none.
 
-use super::{DriveController, Queues};
+use super::{DriveController, Owner, Queues};
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
-use crate::axis::{Command, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun};
+use crate::axis::{
+    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
+};
 use crate::bus::{Cycle, Slot};
 use crate::drive::machine::NumberedRow;
 use crate::time::{Time, nanos};
@@ -104,6 +106,7 @@ impl DriveController {
     pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
         match *self.duty.active() {
             Some(active) if active.id == setpoint.of => self.set_level(cycle, setpoint.value),
+            _ if setpoint.of == CommandId::NO_OWNER => self.owner = Owner::Leaves,
             _ => self.ahead = setpoint,
         }
     }

@@ -379,6 +379,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
     (DRIVE, "stop.group", &["\"gantry\"", "\"gantyr\""]),
     (DRIVE, "underrun", &["\"stop\"", "\"hold\"", "{ extrapolate = 3 }", "{ extrapolate = 1000 }"]),
     (DRIVE, "on_found_running", &["\"stop\"", "\"refuse\""]),
+    (DRIVE, "on_owner_lost", &["\"stop\"", "\"finish\""]),
     (DRIVE, "enable_timeout", &["\"1ms\"", "\"5s\"", "\"600s\""]),
     (DRIVE, "home_timeout", &["\"1ms\"", "\"60s\"", "\"3600s\""]),
     (DRIVE, "command_queue", &["1", "64", "1000000"]),
