@@ -559,7 +559,7 @@ mod tests {
         assert!(!server.has_failed());
     }
 
-    /// Answers `slow` when it is let, or nobody waits for it; its end takes its time if it was asked to.
+    /// Answers `slow` when it is let, or nobody waits for it; its end takes its time on request.
     struct Busy {
         go: Arc<AtomicBool>,
         ending: Arc<AtomicUsize>,
@@ -621,7 +621,7 @@ mod tests {
                 assert_eq!(conversation.ask(&json!({ "ask": what }), LONG).unwrap(), what);
             }
         }
-        // A conversation that has begun with a look occupies no place by what it asks then.
+        // A conversation that has begun with a look occupies no place by what it requests then.
         let looks = Conversation::open(&path).unwrap();
         looks.ask(&json!({ "ask": "status" }), LONG).unwrap();
         let refused = std::thread::spawn(move || looks.ask(&json!({ "ask": "slow" }), LONG));

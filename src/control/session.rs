@@ -24,7 +24,9 @@ const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
 /// Legacies of one master that are left or carried out, at most: clients that come and go leave no more work than that.
 const MOST_LEGACIES: usize = 32;
 
-const TOO_MANY_LEGACIES: &str = "too much of what others have left to be done is still under way: check the links of the drives, and try again";
+/// What to do where there are as many.
+const TOO_MANY_LEGACIES: &str =
+    "what others have left to be done is still under way: check the links of the drives, and try again";
 
 /// The count of the legacies of one master.
 #[derive(Clone, Debug, Default)]

@@ -1,9 +1,9 @@
 //! Who is let in: whoever asks for this host by its own name or address, from a page of its own, and where others on
 //! the network can reach it, with the token of the printed address.
 //!
-//! The files of the page hold nothing of the machine, and are everybody's who may ask. The machine is behind the
-//! websocket, which needs the token. It stands behind the `#` of the address, which no browser sends to anybody; the page
-//! keeps it in memory and names it in a header. It is no cookie: a browser sends those to all ports of a host.
+//! The files of the page hold nothing of the machine, and are for everybody on that host. The machine is behind the
+//! websocket, which needs the token. It stands behind the `#` of the address, which no browser sends to anybody; the
+//! page keeps it in memory and names it in a header. It is no cookie: a browser sends those to all ports of a host.
 
 use std::fs::File;
 use std::io::{self, Read};

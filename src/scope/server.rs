@@ -202,14 +202,14 @@ struct App {
 /// A connection: what serves it, and whether it has said what it wants.
 struct Connection {
     task: AbortHandle,
-    has_asked: Arc<AtomicBool>,
+    has_requested: Arc<AtomicBool>,
 }
 
 /// What a request comes by.
 #[derive(Clone)]
 struct Origin {
     local: SocketAddr,
-    has_asked: Arc<AtomicBool>,
+    has_requested: Arc<AtomicBool>,
 }
 
 /// Makes room for one more, if there is none. False: all of them are being answered.
@@ -220,7 +220,7 @@ fn make_room(connections: &mut VecDeque<Connection>) -> bool {
     if connections.len() < MOST_CONNECTIONS {
         return true;
     }
-    let silent = connections.iter().position(|one| !one.has_asked.load(Ordering::Relaxed));
+    let silent = connections.iter().position(|one| !one.has_requested.load(Ordering::Relaxed));
     silent.and_then(|oldest| connections.remove(oldest)).map(|one| one.task.abort()).is_some()
 }
 
@@ -246,11 +246,11 @@ async fn listen(listener: TcpListener, app: App) -> io::Result<Infallible> {
             continue;
         }
         let Ok(local) = stream.local_addr() else { continue };
-        let has_asked = Arc::<AtomicBool>::default();
-        let origin = Origin { local, has_asked: Arc::clone(&has_asked) };
+        let has_requested = Arc::<AtomicBool>::default();
+        let origin = Origin { local, has_requested: Arc::clone(&has_requested) };
         let service = router.clone().layer(Extension(origin));
         let task = tokio::spawn(connection(stream, service)).abort_handle();
-        connections.push_back(Connection { task, has_asked });
+        connections.push_back(Connection { task, has_requested });
         // Before the next one is accepted: most have sent their request by now, and are not silent any more.
         tokio::task::yield_now().await;
     }
@@ -280,7 +280,7 @@ async fn guard(
     request: Request,
     next: Next,
 ) -> Response {
-    origin.has_asked.store(true, Ordering::Relaxed);
+    origin.has_requested.store(true, Ordering::Relaxed);
     let (head, body) = request.into_parts();
     let mut response = match app.rules.judge(&head, origin.local) {
         Err(refusal) => refuse(refusal),

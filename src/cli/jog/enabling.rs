@@ -1,6 +1,6 @@
-//! The enabling device: a button or a pedal at the computer, which has to be held while anything moves. It is read as the
-//! kernel reports it (evdev, <https://docs.kernel.org/input/input.html>), not as text of the terminal, so that its going
-//! up is seen on every terminal.
+//! The enabling device: a button or a pedal at the computer, which has to be held while anything moves. It is read as
+//! the kernel reports it (evdev, <https://docs.kernel.org/input/input.html>), not as text of the terminal, so that its
+//! going up is seen on every terminal.
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -66,8 +66,8 @@ impl Terminal {
         // What was typed before the panel was there is not meant for it.
         tcflush(stdin(), FlushArg::TCIFLUSH).map_err(|error| failed(error.into()))?;
         execute!(stdout(), EnterAlternateScreen, EnableFocusChange, EnableBracketedPaste).map_err(failed)?;
-        // Which keys are down, if it can tell. One that knows the question may still not do it: what it has set of it is
-        // read back.
+        // Which keys are down, if it can tell. One that knows the question may still not do it: what it has set of it
+        // is read back.
         let mut has_releases = false;
         if keyboard_flags().map_err(failed)?.is_some() {
             let flags = KeyboardEnhancementFlags::DISAMBIGUATE_ESCAPE_CODES

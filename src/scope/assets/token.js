@@ -1,5 +1,5 @@
-// The token of the address. It stands behind the "#", which no browser sends to a server, and is taken out of the address
-// at once, so that neither the history nor a copy of the address has it. It is kept in the memory of this page alone.
+// The token of the address. It stands behind the "#", which no browser sends to a server, and is taken out of the
+// address at once, so that neither the history nor a copy of it has it. It is kept in the memory of this page alone.
 
 let kept = null;
 
