@@ -38,9 +38,9 @@ use crate::cycle::record::Record;
 use crate::cycle::status::{Gauges, Numbers, Status};
 use crate::cycle::{Plan, PlanErrors};
 use crate::logged::{LoggedCarriers, LoggedClock};
-use crate::master::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble, utc_ns};
+use crate::master::{Assembly, Devices, LoopWatch, Master, MasterError, Setup, StartError, assemble, utc_ns};
 use crate::net::Carriers;
-use crate::rt::{Clock, Granted, Regions};
+use crate::rt::{Clock, Granted, Regions, Wires};
 use crate::sim::Simulated;
 use crate::sim::world::{World, WorldClock, WorldOptions};
 #[cfg(feature = "summary")]
@@ -236,6 +236,7 @@ impl Simulation {
             pulse,
             control,
             telemetry,
+            watch: LoopWatch::none(Wires::default()),
             thread: Some(thread),
         })
     }

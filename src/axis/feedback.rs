@@ -110,6 +110,8 @@ named! {
         LinkThread = 21: "link thread ended",
         /// Another master commands the drive, or has frames on its segment.
         OtherMaster = 22: "another master",
+        /// The loop's cycle did not end: the watch took the wires from it.
+        LoopStuck = 23: "loop stuck",
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod assembly;
 mod log;
+mod watch;
 
 use std::ops::Deref;
 use std::path::PathBuf;
@@ -17,7 +18,9 @@ use thiserror::Error;
 pub use self::assembly::{Assembly, Devices, assemble};
 use self::log::LogSink;
 pub use self::log::{LogBegin, MachineOf};
+pub(crate) use self::watch::LoopWatch;
 use crate::axis::acyclic::{Acyclic, Parameters};
+use crate::axis::handle;
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
 use crate::cycle::engine::Control;
@@ -71,7 +74,8 @@ impl std::fmt::Debug for Setup {
     }
 }
 
-/// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+/// A running machine. Dropping it stops all axes, powers them off and ends the loop. If the loop's cycle does not end,
+/// it returns without it, once the [watch](crate::cycle::WatchAfter) has done what can be done.
 ///
 /// ```
 /// # use fieldbeat::{Master, Plan};
@@ -100,6 +104,7 @@ pub struct Master {
     pub(crate) pulse: Pulse,
     pub(crate) control: Control,
     pub(crate) telemetry: TelemetryThread,
+    pub(crate) watch: LoopWatch,
     pub(crate) thread: Option<JoinHandle<Numbers>>,
 }
 
@@ -168,6 +173,9 @@ pub enum MasterError {
     /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
+    /// The loop's cycle does not end. Its watch has stopped what it can stop, and the run has failed.
+    #[error("{}; {}", handle::STUCK, handle::STUCK_REMEDY)]
+    Stuck,
 }
 crate::errors::debug_as_display!(MasterError);
 
@@ -282,6 +290,9 @@ impl Master {
                 missing.extend((feedback.link != Link::Online).then_some(index));
                 others.extend((feedback.stopped == Some(StopCause::OtherMaster)).then_some(name.as_str()));
             }
+            if self.watch.is_stuck() {
+                return Err(MasterError::Stuck);
+            }
             if !others.is_empty() {
                 return Err(MasterError::OtherMaster(others.join(", ")));
             }
@@ -328,18 +339,36 @@ impl Master {
         StopHandle(self.control.clone())
     }
 
-    /// Whether the loop still runs.
+    /// Whether the loop still runs, and is not stuck.
     pub fn is_running(&self) -> bool {
-        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) && !self.watch.is_stuck()
+    }
+
+    /// Waits for the end of the loop, or for all that its watch can do in its place. `None`: its thread is left behind.
+    fn join(&mut self) -> Option<std::thread::Result<Numbers>> {
+        let thread = self.thread.take()?;
+        while !thread.is_finished() {
+            if self.watch.is_over() {
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let end = thread.join();
+        self.watch.end();
+        Some(end)
     }
 
     /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
     /// [`Numbers::panic`], [`Measured::failures`].
+    ///
+    /// If its cycle does not end, this returns once the [watch](crate::cycle::WatchAfter) has done what can be done
+    /// without it, and the measurements say that the run has failed.
     pub fn finish(mut self) -> Run {
         self.stop();
-        let (end, failed) = match self.thread.take().map(JoinHandle::join) {
+        let (end, failed) = match self.join() {
             Some(Ok(end)) => {
-                let failed = end.panic.as_ref().map(ToString::to_string);
+                let stuck = self.watch.is_stuck().then(|| watch::STUCK.to_owned());
+                let failed = stuck.or_else(|| end.panic.as_ref().map(ToString::to_string));
                 (end, failed)
             }
             Some(Err(_)) => {
@@ -347,7 +376,7 @@ impl Master {
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
                 (self.numbers(), Some(failed.to_owned()))
             }
-            None => (Numbers::default(), None),
+            None => (self.numbers(), Some(watch::STUCK.to_owned())),
         };
         let measured = self.telemetry.finish(&end.status, failed);
         let (plan, granted) = (self.shared_plan(), self.granted().clone());
@@ -357,10 +386,8 @@ impl Master {
 
 impl Drop for Master {
     fn drop(&mut self) {
-        if let Some(thread) = self.thread.take() {
-            self.stop();
-            let _ = thread.join();
-        }
+        self.stop();
+        self.join();
     }
 }
 
@@ -436,7 +463,18 @@ impl Setup {
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
         let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions: own } = assembly;
+        let Assembly {
+            mut engine,
+            axes,
+            devices,
+            acyclics,
+            gauges,
+            records,
+            pulse,
+            wires,
+            last_resorts,
+            regions: own,
+        } = assembly;
         regions.extend(&own);
 
         let (report, reported) = crossbeam_channel::bounded(1);
@@ -469,6 +507,11 @@ impl Setup {
             Err(_) => return Err(StartError::Ended),
         };
         let core = granted.core;
+        let (after_ns, period_ns) = (plan.cycle.watch_after_ns(), plan.cycle.period_ns);
+        let watching = match after_ns {
+            Some(after_ns) => LoopWatch::start(wires, after_ns, period_ns, granted.clone(), last_resorts),
+            None => Ok(LoopWatch::none(wires)),
+        };
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
         let measured = Measured::new(&plan.units(), &plan.cycle, has_task);
@@ -480,8 +523,8 @@ impl Setup {
         });
         let started = TelemetryThread::start(records, measured, taps, watch, black_box, aside)
             .and_then(|telemetry| telemetry.feed(feed, gauges.status.clone(), aside));
-        let telemetry = match started {
-            Ok(telemetry) => telemetry,
+        let (telemetry, watching) = match started.and_then(|telemetry| Ok((telemetry, watching?))) {
+            Ok(started) => started,
             Err(error) => {
                 control.stop();
                 let _ = thread.join();
@@ -497,6 +540,7 @@ impl Setup {
             pulse,
             control,
             telemetry,
+            watch: watching,
             thread: Some(thread),
         })
     }
