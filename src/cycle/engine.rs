@@ -410,7 +410,10 @@ impl<C: Clock> Engine<C> {
 
         // 2 receive
         self.panics.stage = Some(Stage::Receive);
-        self.window.run(&mut self.clock, cycle, sent, &mut self.buses, &mut self.slots);
+        if !self.window.run(&mut self.clock, cycle, sent, &mut self.buses, &mut self.slots) {
+            // Of a cycle without replies nothing is concluded: the step ends the loop.
+            return (Flow::Continue, sent);
+        }
         let received = self.clock.now();
 
         // 3 evaluate, what was sent included

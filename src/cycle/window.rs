@@ -171,7 +171,7 @@ impl Window {
         regions.add(&*self.waits);
     }
 
-    /// Runs the window of `cycle`, which begins `now`.
+    /// Runs the window of `cycle`, which begins `now`. False: the wires were found taken in it.
     #[inline]
     pub fn run<C: Clock>(
         &mut self,
@@ -180,7 +180,7 @@ impl Window {
         now: Time,
         buses: &mut [OpenBus],
         slots: &mut [Slot],
-    ) {
+    ) -> bool {
         match self.polls {
             false => self.turns::<C, false>(clock, cycle, now, buses, slots),
             true => self.turns::<C, true>(clock, cycle, now, buses, slots),
@@ -196,7 +196,7 @@ impl Window {
         begin: Time,
         buses: &mut [OpenBus],
         slots: &mut [Slot],
-    ) {
+    ) -> bool {
         let mut begin = Some(begin);
         for (place, open) in buses.iter().enumerate() {
             self.note::<POLLS>(place, open, cycle, slots);
@@ -222,7 +222,7 @@ impl Window {
                 for (place, open) in buses.iter_mut().enumerate() {
                     if self.waits[place].poll_at <= now {
                         if open.exchange(slots, |bus, slots| bus.poll(cycle, now, slots)).is_none() {
-                            return;
+                            return false;
                         }
                         self.note::<POLLS>(place, open, cycle, slots);
                     }
@@ -258,7 +258,7 @@ impl Window {
                 };
                 if reads {
                     if open.exchange(slots, |bus, slots| bus.receive(cycle, slots)).is_none() {
-                        return;
+                        return false;
                     }
                     self.note::<POLLS>(place, open, cycle, slots);
                 }
@@ -268,9 +268,10 @@ impl Window {
                 self.learn(left == 0, cycle);
             }
             if over {
-                return;
+                break;
             }
         }
+        true
     }
 
     /// Notes what the bus waits for.

@@ -75,7 +75,7 @@ impl std::fmt::Debug for Setup {
 }
 
 /// A running machine. Dropping it stops all axes, powers them off and ends the loop. If the loop's cycle does not end,
-/// it returns without it, once the [watch](crate::cycle::WatchAfter) has done what can be done.
+/// it returns without it, once the [watch](crate::WatchAfter) has done what can be done.
 ///
 /// ```
 /// # use fieldbeat::{Master, Plan};
@@ -361,7 +361,7 @@ impl Master {
     /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
     /// [`Numbers::panic`], [`Measured::failures`].
     ///
-    /// If its cycle does not end, this returns once the [watch](crate::cycle::WatchAfter) has done what can be done
+    /// If its cycle does not end, this returns once the [watch](crate::WatchAfter) has done what can be done
     /// without it, and the measurements say that the run has failed.
     pub fn finish(mut self) -> Run {
         self.stop();

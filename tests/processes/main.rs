@@ -10,6 +10,7 @@
 //! | `links` | drives that are lost, come back, or were never there |
 //! | `churn` | drives that die and come back for long: memory and descriptors |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
+//! | `stuck` | loops whose cycle does not end, and the watch that stops their drives |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `masters` | two masters on one segment or one drive |
 //! | `unmatched` | datagrams of people who have no business here |
@@ -61,6 +62,7 @@ mod report;
 mod rights;
 mod signals;
 mod soak;
+mod stuck;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;
