@@ -455,6 +455,23 @@ mod tests {
     }
 
     #[test]
+    fn a_window_ends_at_once_when_the_wires_were_taken() {
+        // A reply is owed, or the bus wants to be polled at once: neither is waited for by a loop that may not look.
+        for (owed, poll_at) in [(1, None), (0, Some(Time(0))), (1, Some(Time(0)))] {
+            let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
+            let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
+            let mut slots = [Slot { exchange, ..Slot::default() }];
+            let open = open_bus(Box::new(Turns { poll_at }), 0..owed, poll_at.is_some());
+            assert!(open.gate.wires().take());
+            let mut clock = Steps { steps: Vec::new(), arrives: Time(50 * US), turns: 0 };
+            let mut buses = [open];
+            let mut window = Window::new(Wait::Poll, &buses);
+            assert!(!window.run(&mut clock, &cycle, Time(0), &mut buses, &mut slots));
+            assert_eq!(slots[0].exchange, exchange, "it was received");
+        }
+    }
+
+    #[test]
     fn a_turn_after_a_poll_is_none_in_which_nothing_came() {
         // Spins of 10 us up to the poll at 300 us, after which none follows in time. Each begins with a turn, but the
         // first one and that after the poll at 100 us; so does each poll.

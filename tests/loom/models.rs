@@ -1,4 +1,4 @@
-//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model
+//! The feedback cell, the doorbell, the acyclic queue, the word that owns the wires and the ring of the log, built with the primitives of a model
 //! checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
@@ -39,6 +39,10 @@ pub mod axis {
             pub fn feedback(&self) -> Feedback {
                 self.0.read()
             }
+
+            pub fn is_stuck(&self) -> bool {
+                false
+            }
         }
     }
 }
@@ -49,8 +53,13 @@ mod named;
 #[path = "../../src/time.rs"]
 pub mod time;
 
+#[path = "."]
 pub mod rt {
-    //! Rings, and no memory to be locked.
+    //! Rings, the word that owns the wires, and no memory to be locked.
+
+    #[path = "../../src/rt/wires.rs"]
+    mod wires;
+    pub use wires::Wires;
 
     use crate::sync::{Consumer, Producer};
 

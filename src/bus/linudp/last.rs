@@ -132,3 +132,91 @@ impl LastResort for LastStop {
         last.saturating_add(REPEATED_NS)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::net::Datagrams;
+    use crate::net::udp::Udp;
+    use crate::net::{SendMode, UdpOptions};
+    use crate::time::S;
+
+    /// Sheet, 2.3 and 3.1: a control word alone, and the status word in reply.
+    const ABORT: [u8; 10] = [0x01, 0, 0, 0, 0x01, 0, 0, 0, 0x2F, 0];
+    const SWITCH_OFF: [u8; 10] = [0x01, 0, 0, 0, 0x01, 0, 0, 0, 0x3E, 0];
+
+    /// A drive's socket, and the last resort of a master that has one drive with this stop plan.
+    struct Bench {
+        drive: UdpSocket,
+        master: Udp,
+        last: LastStop,
+        sent: PowerSent,
+    }
+
+    impl Bench {
+        fn new(how: StopHow, on_timeout: StopTimeout) -> Bench {
+            let drive = UdpSocket::bind("127.0.0.1:0").unwrap();
+            drive.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+            let options =
+                UdpOptions { peers: 1, waiting: 0, room: 128, send: SendMode::Batch, dscp: 0, groups: 0 };
+            let master = Udp::bind("127.0.0.1:0".parse().unwrap(), &options).unwrap();
+            let mut plan = LinUdpDrive::new("x", [127, 0, 0, 1].into());
+            plan.address.set_port(drive.local_addr().unwrap().port());
+            let stop = &mut plan.axis.stop;
+            (stop.how, stop.on_timeout, stop.timeout) = (how, on_timeout, Duration::from_secs(3));
+            let sent = PowerSent::default();
+            let last = LastStop::new(master.twin().unwrap(), [(&plan, sent.clone())].into_iter());
+            Bench { drive, master, last, sent }
+        }
+
+        /// What the drive gets so long after the wires were taken.
+        fn gets(&mut self, since_ns: u64) -> Vec<u8> {
+            self.last.send(since_ns);
+            let mut bytes = [0; 64];
+            let (length, from) = self.drive.recv_from(&mut bytes).unwrap();
+            let of_loop = self.master.twin().unwrap().local_addr().unwrap();
+            assert_eq!(from, of_loop, "a drive may obey this address only");
+            bytes[..length].to_vec()
+        }
+    }
+
+    #[test]
+    fn a_powered_drive_is_halted_and_held_and_then_switched_off_if_its_plan_says_so() {
+        let mut bench = Bench::new(StopHow::Ramp, StopTimeout::Disable);
+        bench.sent.note(Some(ControlWord::HOME));
+        assert_eq!(bench.gets(0), ABORT);
+        assert_eq!(bench.gets(3 * S - 1), ABORT);
+        assert_eq!(bench.gets(3 * S), SWITCH_OFF);
+        assert_eq!(bench.last.over_after_ns(), 3 * S + REPEATED_NS);
+
+        let mut bench = Bench::new(StopHow::Quick, StopTimeout::Hold);
+        bench.sent.note(Some(ControlWord::ON));
+        assert_eq!((bench.gets(0), bench.gets(3_600 * S)), (ABORT.to_vec(), ABORT.to_vec()));
+        assert_eq!(bench.last.over_after_ns(), 3 * S + REPEATED_NS);
+
+        let mut bench = Bench::new(StopHow::Coast, StopTimeout::Hold);
+        bench.sent.note(Some(ControlWord::ON));
+        assert_eq!(bench.gets(0), SWITCH_OFF);
+        assert_eq!(bench.last.over_after_ns(), REPEATED_NS);
+    }
+
+    #[test]
+    fn a_drive_that_is_off_is_not_switched_on_and_one_that_is_not_commanded_gets_nothing() {
+        let mut bench = Bench::new(StopHow::Ramp, StopTimeout::Hold);
+        bench.sent.note(None);
+        bench.last.send(0);
+        bench.drive.set_nonblocking(true).unwrap();
+        assert!(bench.drive.recv(&mut [0; 64]).is_err());
+        bench.drive.set_nonblocking(false).unwrap();
+        for word in [ControlWord::ON, ControlWord::ACKNOWLEDGE] {
+            bench.sent.note(Some(word));
+        }
+        assert_eq!(bench.gets(0), SWITCH_OFF);
+        // A request without a control word changes nothing.
+        bench.sent.note(Some(ControlWord::ON));
+        bench.sent.note(None);
+        assert_eq!(bench.gets(0), ABORT);
+    }
+}
