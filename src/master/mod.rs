@@ -367,9 +367,10 @@ impl Master {
         self.stop();
         let (end, failed) = match self.join() {
             Some(Ok(end)) => {
+                let panic = end.panic.as_ref().map(ToString::to_string);
                 let stuck = self.watch.is_stuck().then(|| watch::STUCK.to_owned());
-                let failed = stuck.or_else(|| end.panic.as_ref().map(ToString::to_string));
-                (end, failed)
+                let failed: Vec<String> = panic.into_iter().chain(stuck).collect();
+                (end, (!failed.is_empty()).then(|| failed.join("; ")))
             }
             Some(Err(_)) => {
                 let failed =
