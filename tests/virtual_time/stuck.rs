@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use fieldbeat::axis::{Abort, Outcome, StopCause};
+use fieldbeat::axis::{Abort, CommandId, Outcome, StopCause};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::internals::replay::TaskOf;
@@ -14,16 +14,15 @@ use fieldbeat::{CyclePlan, Flow, Master, Plan};
 use super::replay::{Log, replay};
 use super::support::{Bench, MASTER, Rig, drive, slowly_to};
 
-/// The step in which the loop finds them taken, after so many sends of its own.
+/// The step in which the loop finds them taken, after so many sends of its own. A command was posted before that.
 #[track_caller]
-fn ends(b: &mut Bench, sends: u64) {
-    let before = (b.sends() + sends, b.grid());
-    let moving = b.post(0, slowly_to(150.0));
+fn ends(b: &mut Bench, posted: CommandId, sends: u64) {
+    let before = b.sends() + sends;
     assert_eq!(b.step(), Flow::End);
-    assert_eq!(b.sends(), before.0);
+    assert_eq!(b.sends(), before);
     assert!(b.sim.wires().gave_way());
     let latched = Outcome::Aborted(Abort::Stopped(StopCause::LoopStuck));
-    assert_eq!(b.outcome(0, moving), Some(latched), "what was posted ends with it");
+    assert_eq!(b.outcome(0, posted), Some(latched), "what was posted ends with it");
     for index in [0, 1] {
         assert_eq!(b.feedback(index).stopped, Some(StopCause::LoopStuck));
     }
@@ -35,9 +34,10 @@ fn ends(b: &mut Bench, sends: u64) {
 fn a_loop_that_finds_its_wires_taken_sends_nothing_more_and_latches_every_axis() {
     let mut b = Rig::new(2).ready();
     b.run(10);
+    let posted = b.post(0, slowly_to(150.0));
     assert!(b.sim.wires().take());
     let looks = b.looks();
-    ends(&mut b, 0);
+    ends(&mut b, posted, 0);
     assert_eq!(b.looks(), looks, "it reads no replies either");
 }
 
@@ -54,8 +54,9 @@ fn a_task_that_returns_after_the_wires_were_taken_commands_nothing_more() {
         })
         .ready();
     b.run(10);
+    let posted = b.post(0, slowly_to(150.0));
     wires.set(b.sim.wires().clone()).unwrap();
-    ends(&mut b, 1);
+    ends(&mut b, posted, 1);
 }
 
 #[test]
