@@ -112,6 +112,8 @@ named! {
         OtherMaster = 22: "another master",
         /// The application dropped the [`Axis`](super::Axis), or its group, while the axis moved or was about to.
         OwnerLost = 23: "axis dropped (on_owner_lost)",
+        /// The loop's cycle did not end: the watch took the wires from it.
+        LoopStuck = 24: "loop stuck",
     }
 }
 

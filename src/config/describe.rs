@@ -126,6 +126,13 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     if let Some(limit) = cycle.heartbeat_ns {
         lines.push(format!("  a silence of the application of {} stops all enabled axes", Ns(limit)));
     }
+    lines.push(match cycle.watch_after_ns() {
+        Some(after) => format!(
+            "  a loop that gives no sign of life for {} is stuck: its watch takes the wires, and the run has failed",
+            Ns(after)
+        ),
+        None => "  nobody watches whether its cycle ends (watch_after = \"off\")".to_owned(),
+    });
     lines.push(format!(
         "  a cycle that is late by more than {} is counted with its cause",
         Ns(cycle.late_ns())

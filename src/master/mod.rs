@@ -7,6 +7,7 @@
 mod assembly;
 mod log;
 mod process;
+mod watch;
 
 use std::ops::Deref;
 use std::path::PathBuf;
@@ -21,7 +22,9 @@ use self::log::LogSink;
 pub use self::log::{LogBegin, MachineOf};
 use self::process::Running;
 pub use self::process::{ENDING, action_of};
+pub(crate) use self::watch::LoopWatch;
 use crate::axis::acyclic::{Acyclic, Parameters};
+use crate::axis::handle;
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
 use crate::cycle::engine::Control;
@@ -76,7 +79,8 @@ impl std::fmt::Debug for Setup {
     }
 }
 
-/// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+/// A running machine. Dropping it stops all axes, powers them off and ends the loop. If the loop's cycle does not end,
+/// it returns without it, once the [watch](crate::WatchAfter) has done what can be done.
 ///
 /// So does the end of the process by `exit` or by a return from `main`, if it is not dropped before, as in a `static`:
 /// a handler of `exit` (atexit(3)) waits for the loops of all masters. After the longest `stop.timeout` of its axes and
@@ -110,6 +114,7 @@ pub struct Master {
     pub(crate) pulse: Pulse,
     pub(crate) control: Control,
     pub(crate) telemetry: TelemetryThread,
+    pub(crate) watch: LoopWatch,
     pub(crate) thread: Option<JoinHandle<Numbers>>,
 }
 
@@ -178,6 +183,9 @@ pub enum MasterError {
     /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
+    /// The loop's cycle does not end. Its watch has stopped what it can stop, and the run has failed.
+    #[error("{}; {}", handle::STUCK, handle::STUCK_REMEDY)]
+    Stuck,
 }
 crate::errors::debug_as_display!(MasterError);
 
@@ -293,6 +301,9 @@ impl Master {
                 missing.extend((feedback.link != Link::Online).then_some(index));
                 others.extend((feedback.stopped == Some(StopCause::OtherMaster)).then_some(name.as_str()));
             }
+            if self.watch.is_stuck() {
+                return Err(MasterError::Stuck);
+            }
             if !others.is_empty() {
                 return Err(MasterError::OtherMaster(others.join(", ")));
             }
@@ -339,19 +350,38 @@ impl Master {
         StopHandle(self.control.clone())
     }
 
-    /// Whether the loop still runs.
+    /// Whether the loop still runs, and is not stuck.
     pub fn is_running(&self) -> bool {
-        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) && !self.watch.is_stuck()
+    }
+
+    /// Waits for the end of the loop, or for all that its watch can do in its place. `None`: its thread is left behind.
+    fn join(&mut self) -> Option<std::thread::Result<Numbers>> {
+        let thread = self.thread.take()?;
+        while !thread.is_finished() {
+            if self.watch.is_over() {
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let end = thread.join();
+        self.watch.end();
+        Some(end)
     }
 
     /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
     /// [`Numbers::panic`], [`Measured::failures`].
+    ///
+    /// If its cycle does not end, this returns once the [watch](crate::WatchAfter) has done what can be done
+    /// without it, and the measurements say that the run has failed.
     pub fn finish(mut self) -> Run {
         self.stop();
-        let (end, failed) = match self.thread.take().map(JoinHandle::join) {
+        let (end, failed) = match self.join() {
             Some(Ok(end)) => {
-                let failed = end.panic.as_ref().map(ToString::to_string);
-                (end, failed)
+                let panic = end.panic.as_ref().map(ToString::to_string);
+                let stuck = self.watch.is_stuck().then(|| watch::STUCK.to_owned());
+                let failed: Vec<String> = panic.into_iter().chain(stuck).collect();
+                (end, (!failed.is_empty()).then(|| failed.join("; ")))
             }
             Some(Err(_)) => {
                 let failed =
@@ -362,7 +392,7 @@ impl Master {
                 }
                 (end, Some(failed.to_owned()))
             }
-            None => (Numbers::default(), None),
+            None => (self.numbers(), Some(watch::STUCK.to_owned())),
         };
         let measured = self.telemetry.finish(&end.status, failed);
         let (plan, granted) = (self.shared_plan(), self.granted().clone());
@@ -372,10 +402,8 @@ impl Master {
 
 impl Drop for Master {
     fn drop(&mut self) {
-        if let Some(thread) = self.thread.take() {
-            self.stop();
-            let _ = thread.join();
-        }
+        self.stop();
+        self.join();
     }
 }
 
@@ -469,7 +497,18 @@ impl Setup {
         let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
         let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions: own } = assembly;
+        let Assembly {
+            mut engine,
+            axes,
+            devices,
+            acyclics,
+            gauges,
+            records,
+            pulse,
+            wires,
+            last_resorts,
+            regions: own,
+        } = assembly;
         regions.extend(&own);
 
         let (report, reported) = crossbeam_channel::bounded(1);
@@ -505,6 +544,11 @@ impl Setup {
             Err(_) => return Err(StartError::Ended),
         };
         let core = granted.core;
+        let (after_ns, period_ns) = (plan.cycle.watch_after_ns(), plan.cycle.period_ns);
+        let watching = match after_ns {
+            Some(after_ns) => LoopWatch::start(wires, after_ns, period_ns, granted.clone(), last_resorts),
+            None => Ok(LoopWatch::none(wires)),
+        };
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
         let measured = Measured::new(&plan.units(), &plan.cycle, has_task);
@@ -516,8 +560,8 @@ impl Setup {
         });
         let started = TelemetryThread::start(records, measured, taps, watch, black_box, aside)
             .and_then(|telemetry| telemetry.feed(feed, gauges.status.clone(), aside));
-        let telemetry = match started {
-            Ok(telemetry) => telemetry,
+        let (telemetry, watching) = match started.and_then(|telemetry| Ok((telemetry, watching?))) {
+            Ok(started) => started,
             Err(error) => {
                 control.stop();
                 let _ = thread.join();
@@ -533,6 +577,7 @@ impl Setup {
             pulse,
             control,
             telemetry,
+            watch: watching,
             thread: Some(thread),
         })
     }

@@ -790,6 +790,8 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
   an overrun skips slots and keeps the grid, more than 10 in a row or 20 of the last 100
         stop all axes
+  a loop that gives no sign of life for 500 ms is stuck: its watch takes the wires, and the run
+        has failed
   a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360

@@ -1,5 +1,5 @@
 //! What holds in every interleaving: of two writes and readers of a cell; of sets of setpoints that replace each other
-//! while the loop takes them; of applications that ring while the loop
+//! while the loop takes them; of a loop that sends while its wires are taken; of applications that ring while the loop
 //! takes their bells; of an application that posts, cancels and polls calls while the loop takes and ends them; and of
 //! a log that is taken out while the loop fills it.
 
@@ -13,7 +13,7 @@ use fieldbeat_loom::axis::newest::{NewestOut, newest};
 use fieldbeat_loom::calls;
 use fieldbeat_loom::inputs::entry::Kind;
 use fieldbeat_loom::inputs::recording::log;
-use fieldbeat_loom::rt::Regions;
+use fieldbeat_loom::rt::{Regions, Wires};
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
@@ -97,6 +97,47 @@ fn the_setpoints_of_a_group_are_taken_whole_in_their_order_and_the_last_ones_onc
         look(&mut output);
         assert_eq!(before, 3, "the newest is never lost");
         assert!(!output.take());
+    });
+}
+
+/// What the drive is sent: the newest request of all.
+const REQUEST: u64 = 1;
+const STOP: u64 = 2;
+
+#[test]
+fn behind_whatever_a_loop_sends_after_its_wires_were_taken_comes_a_stop() {
+    loom::model(|| {
+        let wires = Wires::default();
+        // Nothing but the word orders what both hand to the kernel.
+        let wire = Arc::new(AtomicU64::new(0));
+        let watch = {
+            let (wires, wire) = (wires.clone(), Arc::clone(&wire));
+            thread::spawn(move || {
+                if !wires.take() {
+                    return false;
+                }
+                while !wires.gave_way() {
+                    thread::yield_now();
+                }
+                wire.store(STOP, Ordering::Relaxed);
+                true
+            })
+        };
+        let mut taken = false;
+        for _ in 0..2 {
+            taken = wires.are_taken();
+            if taken {
+                break;
+            }
+            wire.store(REQUEST, Ordering::Relaxed);
+        }
+        if taken || !wires.end() {
+            wires.give_way();
+        }
+        let stopped = watch.join().unwrap();
+        let newest = wire.load(Ordering::Relaxed);
+        assert_eq!(newest, if stopped { STOP } else { REQUEST });
+        assert_eq!((wires.is_stuck(), wires.have_ended()), (stopped, !stopped));
     });
 }
 

@@ -11,6 +11,7 @@
 //! | `churn` | drives that die and come back for long: memory and descriptors |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
 //! | `hosts` | the ends of programs with a master of their own |
+//! | `stuck` | loops whose cycle does not end, and the watch that stops their drives |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `masters` | two masters on one segment or one drive |
 //! | `unmatched` | datagrams of people who have no business here |
@@ -63,6 +64,7 @@ mod report;
 mod rights;
 mod signals;
 mod soak;
+mod stuck;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;

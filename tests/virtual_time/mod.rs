@@ -42,6 +42,7 @@ mod shutdown;
 mod soak;
 mod stop_bound;
 mod streams;
+mod stuck;
 mod support;
 mod telemetry;
 mod torques;

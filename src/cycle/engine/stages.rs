@@ -151,7 +151,8 @@ impl<C: Clock> Engine<C> {
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
             for open in &mut self.buses {
-                done &= open.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+                done &=
+                    open.exchange(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots)).unwrap_or(true);
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;

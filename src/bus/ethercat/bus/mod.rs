@@ -37,7 +37,7 @@ use crate::axis::{Feedback, Observer};
 use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Bus, BusClock, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Carriers, Frames, Lock};
-use crate::rt::Regions;
+use crate::rt::{Regions, Wires};
 use crate::time::{Time, US};
 
 /// Masters that are started one after the other use different logical addresses, so that settings that an earlier
@@ -146,7 +146,7 @@ impl EthercatBus {
                 operational: false,
                 counters: Arc::default(),
                 terminals: Some(application),
-                acyclic: Some((ends, Observer(reader))),
+                acyclic: Some((ends, Observer::new(reader, Wires::default()))),
             }
         });
         let devices = devices.collect();
