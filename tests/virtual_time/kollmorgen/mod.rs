@@ -20,6 +20,7 @@ pub mod drives;
 mod foreign;
 mod left;
 mod long;
+mod returns;
 mod shifted;
 mod slaves;
 mod terminals;

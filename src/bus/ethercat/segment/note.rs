@@ -101,6 +101,13 @@ pub enum Note {
         /// The abort code, or a status of the master.
         abort: AbortCode,
     },
+    /// Its own value of an object in its outputs cannot be read.
+    OwnValue {
+        /// The object.
+        object: Object,
+        /// The abort code.
+        abort: AbortCode,
+    },
     /// Its watchdog does not read back as set.
     Watchdog,
     /// This one of its SyncManagers does not read back as set.
@@ -188,6 +195,7 @@ impl Note {
             }
             Note::Slow { to, within_ms } => number(0x87, to.number().into(), within_ms),
             Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
+            Note::OwnValue { object, abort } => number(0x94, object.key(), abort.0),
             Note::WaitsForLock(error) => {
                 number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
@@ -229,6 +237,7 @@ impl Note {
             },
             0x87 => Note::Slow { to: state(), within_ms: low },
             0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
+            0x94 => Note::OwnValue { object: object(), abort: AbortCode(low) },
             0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
             0x8a => Note::Differs { object: object(), found: low },
             0x8b => Note::Unanswered {
@@ -319,6 +328,12 @@ impl Note {
                 "it refuses what is written to {:#06x}:{}: abort code {:#010x} ({})",
                 object.index,
                 object.sub,
+                abort.0,
+                abort.name().unwrap_or("not known")
+            ),
+            Note::OwnValue { object: Object { index, sub }, abort } => format!(
+                "{index:#06x}:{sub} is in its outputs, and its own value of it cannot be read: abort code {:#010x} \
+                ({}); give the value in start_up",
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),

@@ -2,6 +2,7 @@
 
 use super::request::AL_LOOK;
 use super::setup::WATCHDOG_DIVIDER;
+use super::step::Resumes;
 use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::sii::Reading;
@@ -83,6 +84,7 @@ impl Slave {
             Step::SiiBack { refused } => self.leave_running(now, refused),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
+            Step::Check { resumes, part } => return self.was_checked(context, resumes, part, first.data),
             Step::Join => self.join(now),
             Step::Ports => self.enter(now, Step::Clear(0)),
             Step::Clear(done) => {
@@ -237,8 +239,8 @@ impl Slave {
             _ if status.error() && self.falls_again(now) => self.refuse(now, fallen),
             Some(AlState::Op | AlState::SafeOp) => {
                 self.note = fallen;
-                // By way of SAFEOP, where the grid has to be locked first.
-                self.enter(now, Step::acknowledged(AlState::SafeOp, self.acknowledgement(status, code)));
+                self.acknowledge = self.acknowledgement(status, code);
+                self.check(now, Resumes::SafeOp(self.acknowledge));
             }
             _ => self.start_over(now, 0, Note::Starting),
         }
