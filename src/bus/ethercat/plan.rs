@@ -205,7 +205,7 @@ pub enum Owner {
 
 impl Setpoint {
     /// The target that this object is; `None`: it is none.
-    pub const fn new(object: Object) -> Option<Setpoint> {
+    pub(super) const fn new(object: Object) -> Option<Setpoint> {
         Some(match object {
             Object { index: 0x60C1, sub: 1.. } | Object { index: 0x607A, sub: 0 } => {
                 Setpoint::Position(object)
@@ -218,7 +218,7 @@ impl Setpoint {
 
     /// A drive in this mode follows it from cycle to cycle (CiA 402-2; the vendor modes of S300 ... S700 are assumed to follow whichever
     /// target of their kind is in the process data).
-    pub const fn is_followed(self, mode: Mode) -> bool {
+    pub(super) const fn is_followed(self, mode: Mode) -> bool {
         match self {
             Setpoint::Position(Object { index: 0x60C1, .. }) => {
                 matches!(mode, Mode::INTERPOLATED | Mode::TRAJECTORY)

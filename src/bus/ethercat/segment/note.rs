@@ -148,12 +148,14 @@ pub enum Note {
     NotDone(Missing),
     /// The slave at this position runs on a time other than the segment's.
     OtherTime(u16),
+    /// Another master has changed its state or its settings, and it is set up again.
+    Intruded,
 }
 
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 13] = [
+    const PLAIN: [Note; 14] = [
         Note::None,
         Note::Absent,
         Note::NoClock,
@@ -167,6 +169,7 @@ impl Note {
         Note::AddressTwice,
         Note::Unarmed,
         Note::NoManagers,
+        Note::Intruded,
     ];
 
     fn pack(self) -> u64 {
@@ -380,6 +383,9 @@ impl Note {
                 raise sdo_timeout, or check that it has this object",
                 if writes { "written" } else { "read" }
             ),
+            Note::Intruded => {
+                "another master, or a tool, has changed its state or its settings: end that; it is set up again".into()
+            }
             Note::NotDone(Missing { register, is_write }) => {
                 let what = if is_write { "take what is written to" } else { "return what is read from" };
                 format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
@@ -469,6 +475,8 @@ mod tests {
             Note::Unanswered { object: Object::new(0x608F, 1), writes: false, within_ms: 2_000 },
             Note::Unanswered { object: Object::new(0x1C12, 1), writes: true, within_ms: 100 },
             Note::OtherTime(7),
+            Note::Intruded,
+            Note::OwnValue { object: Object::new(0x60E0, 0), abort: AbortCode(0x0602_0000) },
             Note::NotDone(Missing { register: 0x0910, is_write: true }),
         ];
         let notes = Notes::new(1);

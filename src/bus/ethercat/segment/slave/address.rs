@@ -137,7 +137,10 @@ impl Slave {
             self.unmapped(now, 0);
         }
         match () {
-            () if intruded => Happened::Intruded,
+            () if intruded => {
+                self.refused = Note::Intruded;
+                Happened::Intruded
+            }
             () if restarted => Happened::Restarted,
             () => Happened::Nothing,
         }

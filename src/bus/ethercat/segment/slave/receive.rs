@@ -203,7 +203,10 @@ impl Slave {
             }
             AlState::SafeOp => {
                 (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
-                self.remark = self.unarmed();
+                self.remark = match self.refused {
+                    Note::Intruded => Note::Intruded,
+                    _ => self.unarmed(),
+                };
                 let settles = self.plan.sync;
                 self.enter(now, if settles { Step::Settle { good: 0, next: now } } else { Step::Lock });
             }

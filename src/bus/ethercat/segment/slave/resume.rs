@@ -119,7 +119,7 @@ impl Slave {
             self.check_from(now, resumes, part + 1);
             return Happened::Nothing;
         }
-        self.ours = false;
+        (self.ours, self.refused) = (false, Note::Intruded);
         self.set_up(now, self.acknowledge);
         Happened::Intruded
     }
