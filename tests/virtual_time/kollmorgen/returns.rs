@@ -112,6 +112,8 @@ fn a_segment_that_a_tool_has_run_over_is_set_up_again_and_the_tool_is_named() {
         run_over(&mut machine, &frames);
         machine.until(what, 3_000, |machine| (0..2).all(|axis| machine.feedback(axis).stopped.is_some()));
         machine.until("standstill", 3_000, |machine| machine.drive(0, |drive| drive.rpm().abs() < 1.0));
+        // One in SAFEOP is online until its settings were read back.
+        machine.run(500);
         machine.online();
         // A slave whose frames it has taken away is lost before that is known.
         let stopped = [0, 1].map(|axis| machine.feedback(axis).stopped);
