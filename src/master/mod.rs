@@ -386,17 +386,22 @@ impl Master {
             Some(Err(_)) => {
                 let failed =
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
-                let mut end = self.numbers();
-                for drive in &mut end.drives {
-                    drive.at_end = AtEnd::abandoned(&drive.feedback);
-                }
-                (end, Some(failed.to_owned()))
+                (self.abandoned(), Some(failed.to_owned()))
             }
-            None => (self.numbers(), Some(watch::STUCK.to_owned())),
+            None => (self.abandoned(), Some(watch::STUCK.to_owned())),
         };
         let measured = self.telemetry.finish(&end.status, failed);
         let (plan, granted) = (self.shared_plan(), self.granted().clone());
         Run { end, measured, granted, plan, steal_ms: self.steal_ms() }
+    }
+
+    /// The newest numbers of a loop that has not come to its end: nobody knows how its drives were left.
+    fn abandoned(&self) -> Numbers {
+        let mut numbers = self.numbers();
+        for drive in &mut numbers.drives {
+            drive.at_end = AtEnd::abandoned(&drive.feedback);
+        }
+        numbers
     }
 }
 

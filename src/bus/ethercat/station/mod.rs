@@ -159,7 +159,7 @@ impl Station {
         if self.profile.desire(&slot.desired) {
             self.unsettle();
         }
-        self.profile.encode(grid, &slot.desired.setpoint, outputs);
+        self.profile.encode(grid, &slot.desired.setpoint, self.seen.last as i32, outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -237,6 +237,9 @@ impl Station {
         }
         if !self.requests.advance(self.profile.grid, self.profile.mode_wanted(), &mut self.service) {
             return;
+        }
+        if let Some(mode) = self.requests.carried() {
+            self.profile.carry_mode(mode);
         }
         if std::mem::take(&mut self.requests.refused) {
             self.profile.mode_refused();
