@@ -110,6 +110,8 @@ named! {
         LinkThread = 21: "link thread ended",
         /// Another master commands the drive, or has frames on its segment.
         OtherMaster = 22: "another master",
+        /// It did not follow its demand.
+        FollowingError = 23: "following error",
     }
 }
 
