@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use fieldbeat::Flow;
-use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
+use fieldbeat::axis::{
+    Abort, Command, CommandId, EventKind, Failure, FollowingError, Link, Outcome, StopCause,
+};
 use fieldbeat::bus::linudp::ErrorCode;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::internals::bus::linudp::wire::Request;
@@ -151,6 +153,21 @@ causes! {
             );
             let own = b.tape(0).last().state.and_then(|state| state.count()).unwrap_or(0);
             inject(b, Request { motion: Some(command.block((own + 7) & 0xF)), ..Request::default() });
+        },
+        ..CASE
+    },
+    FollowingError => Case {
+        // No motor follows so exactly.
+        rig: |rig| {
+            rig.each(|index, drive| {
+                let least = FollowingError::Most(1.0 / PER_MM);
+                drive.axis.limits.following_error = if index == 0 { least } else { FollowingError::Off };
+            })
+        },
+        lead: |b| {
+            b.ready();
+            // It begins to move in the cycles behind this.
+            b.post(0, slowly_to(100.0))
         },
         ..CASE
     },
