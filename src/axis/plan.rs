@@ -392,8 +392,8 @@ pub struct InPosition {
 }
 
 impl InPosition {
-    /// The default window is the way at the speed of standstill in this time, s.
-    const STANDSTILL_S: f64 = 0.1;
+    /// The default window is the way at the speed of standstill in a tenth of a second.
+    const PER_SECOND: f64 = 10.0;
     /// A position controller comes to rest some counts away.
     const COUNTS: f64 = 4.0;
 
@@ -401,7 +401,7 @@ impl InPosition {
     pub fn new(units: &Units, standstill: f64) -> InPosition {
         let counts = (InPosition::COUNTS / units.counts_per_unit).abs();
         InPosition {
-            window: Some((standstill * InPosition::STANDSTILL_S).max(counts)),
+            window: Some((standstill / InPosition::PER_SECOND).max(counts)),
             reports: 10,
             timeout: Duration::from_secs(1),
         }

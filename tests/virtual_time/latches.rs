@@ -3,9 +3,7 @@
 use std::time::Duration;
 
 use fieldbeat::Flow;
-use fieldbeat::axis::{
-    Abort, Command, CommandId, EventKind, Failure, FollowingError, Link, Outcome, StopCause,
-};
+use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
 use fieldbeat::bus::linudp::ErrorCode;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::internals::bus::linudp::wire::Request;
@@ -156,21 +154,6 @@ causes! {
         },
         ..CASE
     },
-    FollowingError => Case {
-        // No motor follows so exactly.
-        rig: |rig| {
-            rig.each(|index, drive| {
-                let least = FollowingError::Most(1.0 / PER_MM);
-                drive.axis.limits.following_error = if index == 0 { least } else { FollowingError::Off };
-            })
-        },
-        lead: |b| {
-            b.ready();
-            // It begins to move in the cycles behind this.
-            b.post(0, slowly_to(100.0))
-        },
-        ..CASE
-    },
     GroupFailed => Case {
         // One of them into its limit, where the protocol ends the jog.
         lead: |b| {
@@ -187,7 +170,7 @@ causes! {
         others: [Some(StopCause::Suspended); 2],
         ..CASE
     };
-    Uncommanded, StopTimeout, Panic, LinkThread
+    Uncommanded, StopTimeout, Panic, LinkThread, FollowingError
 }
 
 /// Asks axis 0, and its whole group where it has joined one.
