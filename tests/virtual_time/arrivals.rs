@@ -26,7 +26,7 @@ use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use crate::virtual_time::kollmorgen::{self, LINE, Machine};
 use crate::virtual_time::moons;
 use crate::virtual_time::oracle::variable;
-use crate::virtual_time::support::{self, Bench, MASTER, Rig, with};
+use crate::virtual_time::support::{self, MASTER};
 
 const AXES: usize = 3;
 /// Moves of one machine.
@@ -377,72 +377,6 @@ fn following_errors_stop_the_group_and_only_where_they_are_watched() {
         axis.in_position.window = None;
     });
     machine.done(0, turn(3.0));
-}
-
-/// LinMots the first of which stands between two stops, and watches its own lag at 5 mm.
-fn blocked_linmots(change: impl Fn(&mut AxisPlan)) -> Bench {
-    Rig::new(2)
-        .each(|index, drive| {
-            change(&mut drive.plan.axis);
-            drive.axis.limits.position = None;
-            if index == 0 {
-                drive.simulate.range = (99_990, 100_010);
-            }
-        })
-        .online()
-}
-
-#[test]
-fn a_linmot_that_does_not_follow_fails_or_is_stopped_and_is_never_done() {
-    let mut b = blocked_linmots(|_| ());
-    b.done(0, Command::Enable);
-    let failure = b.failed(0, with(Target::Relative(2.0), 100.0, 1_000.0));
-    let Failure::OutOfPosition { distance, window } = failure else { panic!("{failure:?}") };
-    assert!((distance + 2.0).abs() < 0.01 && window == 0.5, "{failure:?}");
-    assert_eq!(b.feedback(0).stopped, None);
-    let id = b.post(0, with(Target::Relative(50.0), 100.0, 1_000.0));
-    b.aborted(0, id);
-    assert_eq!(b.feedback(0).stopped, Some(StopCause::DriveFault), "it watches its own demand");
-}
-
-#[test]
-fn rows_and_targets_that_roll_are_the_masters_demand() {
-    // 100 mm/s for 50 ms would be as far as the drive allows: 1 mm is nearer.
-    let stream = |b: &mut Bench| {
-        let from = b.feedback(0).status.demand;
-        (0..200).for_each(|row| b.sim.axis(0).push_row(support::row(from + 0.02 * f64::from(row))).unwrap());
-        b.post(0, Command::Follow)
-    };
-    let rolls = |b: &mut Bench| b.post(0, support::jog(20.0));
-    let moves = |b: &mut Bench| b.post(0, with(Target::Relative(4.0), 20.0, 1_000.0));
-    // 20 mm/s over 50 ms and the window of arrival: 1.5 mm.
-    let derived = |axis: &mut AxisPlan| axis.limits.velocity = Some(20.0);
-    let given = |axis: &mut AxisPlan| axis.limits.following_error = FollowingError::Most(1.0);
-    for motion in [&stream as &dyn Fn(&mut Bench) -> _, &rolls] {
-        for change in [&derived as &dyn Fn(&mut AxisPlan), &given] {
-            let mut b = blocked_linmots(|axis| {
-                axis.profile.velocity = 20.0;
-                change(axis);
-            });
-            b.done(0, Command::Enable);
-            let id = motion(&mut b);
-            b.aborted(0, id);
-            assert_eq!(b.feedback(0).stopped, Some(StopCause::FollowingError));
-        }
-    }
-    // A move is the drive's own, unless the machine has its own limit.
-    for (change, stopped) in
-        [(&derived as &dyn Fn(&mut AxisPlan), None), (&given, Some(StopCause::FollowingError))]
-    {
-        let mut b = blocked_linmots(|axis| {
-            axis.profile.velocity = 20.0;
-            change(axis);
-        });
-        b.done(0, Command::Enable);
-        let id = moves(&mut b);
-        assert!(matches!(b.ended(0, id), Outcome::Failed(_) | Outcome::Aborted(_)));
-        assert_eq!(b.feedback(0).stopped, stopped);
-    }
 }
 
 #[test]
