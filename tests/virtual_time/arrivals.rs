@@ -8,14 +8,15 @@
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, Command, EventKind, Failure, FollowingError, Jog, Link, Move, Outcome, Profile, Row, StopCause,
-    StopThen, Target,
+    Abort, AxisPlan, Command, EventKind, Failure, FollowingError, Jog, Link, Move, Outcome, Profile, Row,
+    StopCause, StopThen, Target,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Object, Start, Type};
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::config::{Configuration, load};
+use fieldbeat::internals::bus::linudp::wire::Response;
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
@@ -26,7 +27,7 @@ use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use crate::virtual_time::kollmorgen::{self, LINE, Machine};
 use crate::virtual_time::moons;
 use crate::virtual_time::oracle::variable;
-use crate::virtual_time::support::{self, MASTER};
+use crate::virtual_time::support::{self, Bench, MASTER, Rig, with};
 
 const AXES: usize = 3;
 /// Moves of one machine.
@@ -201,10 +202,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                         runs[index] = runs[index].filter(|(last, _)| *last != id.0);
                     }
                     EventKind::Ended { outcome: Outcome::Aborted(why), .. } => {
-                        assert!(
-                            matches!(why, fieldbeat::axis::Abort::Replaced(_)),
-                            "{wire:?} {seed}: {why:?}"
-                        );
+                        assert!(matches!(why, Abort::Replaced(_)), "{wire:?} {seed}: {why:?}");
                         tally.replaced += 1;
                     }
                     EventKind::Ended { .. } | EventKind::Stopped(_) | EventKind::Fault(1..) => {
@@ -343,7 +341,7 @@ fn a_kollmorgen_that_does_not_follow_fails_or_is_stopped_and_is_never_done() {
     machine.done(1, turn(0.3));
     // The demand stands there: what is beyond it is found before the end.
     let end = machine.ended(0, turn(3.0));
-    assert_eq!(end, Outcome::Aborted(fieldbeat::axis::Abort::Stopped(StopCause::FollowingError)));
+    assert_eq!(end, Outcome::Aborted(Abort::Stopped(StopCause::FollowingError)));
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::FollowingError));
     machine.until("power off", 5_000, |machine| !machine.feedback(0).status.state.is_powered());
     assert!(machine.feedback(1).status.state.is_powered());
@@ -377,6 +375,63 @@ fn following_errors_stop_the_group_and_only_where_they_are_watched() {
         axis.in_position.window = None;
     });
     machine.done(0, turn(3.0));
+}
+
+/// A homed LinMot whose motor stays where it is, as it reports, from now on.
+fn blocked_linmot(change: impl Fn(&mut AxisPlan)) -> Bench {
+    let b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.limits.homing = Some(1_000.0);
+            change(&mut drive.plan.axis);
+        })
+        .ready();
+    let mut held = None;
+    b.tape(0).tamper = Some(Box::new(move |reply| {
+        let mut response = Response::parse(reply).unwrap();
+        response.actual = Some(*held.get_or_insert(response.actual.unwrap_or_default()));
+        response.emit(reply);
+    }));
+    b
+}
+
+#[test]
+fn a_linmot_that_does_not_follow_is_never_done() {
+    let mut b = blocked_linmot(|_| ());
+    for place in [2.0, 80.0] {
+        let failure = b.failed(0, with(Target::Absolute(place), 200.0, 1_000.0));
+        let Failure::OutOfPosition { distance, window } = failure else { panic!("{failure:?}") };
+        assert!((distance + place).abs() < 0.01 && window == 0.5, "{failure:?}");
+        assert_eq!(b.feedback(0).stopped, None, "the drive watches its own demand");
+    }
+}
+
+#[test]
+fn rows_and_targets_that_roll_are_the_masters_demand() {
+    let stream = |b: &mut Bench| {
+        (0..200).for_each(|row| b.sim.axis(0).push_row(support::row(0.02 * f64::from(row))).unwrap());
+        b.post(0, Command::Follow)
+    };
+    let rolls = |b: &mut Bench| b.post(0, support::jog(20.0));
+    let moves = |b: &mut Bench| b.post(0, with(Target::Absolute(4.0), 20.0, 1_000.0));
+    // 20 mm/s over 50 ms and the window of arrival: 1.5 mm.
+    let derived = |axis: &mut AxisPlan| (axis.limits.velocity, axis.profile.velocity) = (Some(20.0), 20.0);
+    let given = |axis: &mut AxisPlan| axis.limits.following_error = FollowingError::Most(1.0);
+    for motion in [&stream as &dyn Fn(&mut Bench) -> _, &rolls] {
+        for change in [&derived as &dyn Fn(&mut AxisPlan), &given] {
+            let mut b = blocked_linmot(change);
+            let id = motion(&mut b);
+            assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::FollowingError));
+        }
+    }
+    // A move is the drive's own, unless the machine has its own limit.
+    for (change, stopped) in
+        [(&derived as &dyn Fn(&mut AxisPlan), None), (&given, Some(StopCause::FollowingError))]
+    {
+        let mut b = blocked_linmot(change);
+        let id = moves(&mut b);
+        assert!(matches!(b.ended(0, id), Outcome::Failed(_) | Outcome::Aborted(_)));
+        assert_eq!(b.feedback(0).stopped, stopped);
+    }
 }
 
 #[test]
