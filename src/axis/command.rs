@@ -246,6 +246,17 @@ pub enum Failure {
         "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
     )]
     NotArrived,
+    /// The demand has arrived, and the actual position has not.
+    #[error(
+        "the axis did not come to rest at its target, it is {distance} away and in_position.window is {window}: look \
+         at what holds it and at its controller, or widen the window (\"off\": a move ends with its demand)"
+    )]
+    OutOfPosition {
+        /// From the target to the actual position, user units.
+        distance: f64,
+        /// The largest distance that counts as arrived.
+        window: f64,
+    },
     /// The motor turns although the setpoint is zero.
     #[error(
         "the drive moves at a setpoint of zero: look at its own references (presets, hard or jog speed, inputs)"

@@ -114,6 +114,8 @@ named! {
         OwnerLost = 23: "axis dropped (on_owner_lost)",
         /// The loop's cycle did not end: the watch took the wires from it.
         LoopStuck = 24: "loop stuck",
+        /// It did not follow its demand.
+        FollowingError = 25: "following error",
     }
 }
 

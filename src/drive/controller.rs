@@ -199,6 +199,7 @@ impl DriveController {
         silence: u64,
         probes: Probes,
     ) -> DriveController {
+        let bounds = Bounds::new(&plan, can.behind_ns);
         let machine = Machine::new(&plan, can, period_ns);
         let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
         let (divisor, phase) = (plan.divisor, plan.phase);
@@ -221,7 +222,7 @@ impl DriveController {
             fresh_at: 0,
             peaks: Peaks::default(),
             feedback: Feedback::default(),
-            bounds: Bounds::new(&plan),
+            bounds,
             rest: Rest::default(),
             row_seconds,
             machine,

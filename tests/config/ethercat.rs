@@ -353,7 +353,7 @@ held_by = "brake"
         .skip_while(|line| !line.starts_with("bus portal"))
         .take_while(|line| !line.starts_with("one master each"))
         .filter(|line| {
-            !["an exch", "link up", "stop: ", "stopped", "limits:"]
+            !["an exch", "link up", "stop: ", "stopped", "limits:", "a move is", "its following"]
                 .iter()
                 .any(|all| line.trim().starts_with(all))
         })

@@ -3,6 +3,7 @@
 //! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
 
 mod acyclic;
+mod arrivals;
 mod background;
 mod bring_up;
 mod carrier;

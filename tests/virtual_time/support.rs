@@ -237,9 +237,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 position: Some(RANGE),
                 velocity: Some(1_000.0),
                 acceleration: Some(20_000.0),
-                step: None,
-                torque: None,
-                homing: None,
+                ..Limits::default()
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
             stop: StopPlan {

@@ -160,6 +160,8 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
         still_reports: 2,
         stands_ns: 0,
         arrival: ARRIVAL / scale,
+        // A reply has both of one instant.
+        behind_ns: 0,
         ranges: Ranges {
             position: (ends[0].min(ends[1]), ends[0].max(ends[1])),
             velocity: least(VELOCITY),

@@ -164,7 +164,8 @@ impl DriveController {
         let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
         let led = !self.duty.is_under_torque();
         let position = if led { demand } else { position };
-        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity });
+        let behind = slot.evidence.demand - slot.evidence.position;
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity, behind });
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {

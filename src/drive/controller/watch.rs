@@ -4,7 +4,8 @@ use super::duty::{Claim, Latch};
 use super::{Along, DriveController};
 use crate::axis::command::NativeOwner;
 use crate::axis::{
-    Abort, Command, EventKind, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State, StopCause,
+    Abort, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State,
+    StopCause,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
@@ -42,7 +43,10 @@ impl DriveController {
             if follows.is_led && self.feedback.status.state == State::OperationEnabled {
                 // It is where it is expected, and what leads it is checked before it is sent.
                 self.rest.interrupt();
-                if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds) {
+                if self.bounds.strays(&self.plan.units) && self.is_to_follow() {
+                    self.breaks(cycle, now, StopCause::FollowingError);
+                } else if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds)
+                {
                     self.breaks(cycle, now, StopCause::Limit);
                 }
             } else {
@@ -54,6 +58,13 @@ impl DriveController {
         } else if self.duty.follows().stops {
             self.watch_stop(cycle, now, false);
         }
+    }
+
+    /// Its following error has a limit in this motion: one that was configured, or that of a demand of the master. The
+    /// drive watches its own demand.
+    #[cold]
+    fn is_to_follow(&self) -> bool {
+        self.plan.limits.following_error != FollowingError::Derived || self.machine.makes_demand()
     }
 
     /// The same of an axis in any state.
@@ -73,9 +84,10 @@ impl DriveController {
             let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
             self.find_running(cycle, now, braked);
         } else if self.duty.latch().is_open() {
-            // What no command has begun follows no setpoint, nor does what goes on under a stop.
+            // What no command has begun follows no setpoint, nor does what goes on under a stop, or strays from them.
             let follows = self.duty.active().is_some_and(|active| !stops(active));
-            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit)
+                || cause == StopCause::FollowingError;
             let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
             self.stop_by(braked, cycle, now, cause);
         } else {
