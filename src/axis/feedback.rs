@@ -110,6 +110,8 @@ named! {
         LinkThread = 21: "link thread ended",
         /// Another master commands the drive, or has frames on its segment.
         OtherMaster = 22: "another master",
+        /// Its reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
+        PositionJump = 23: "position jumped",
     }
 }
 

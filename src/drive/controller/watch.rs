@@ -194,7 +194,7 @@ impl DriveController {
         self.stop_by(Braked::BySetpoints, cycle, now, cause);
     }
 
-    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
+    pub(super) fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
         if !self.duty.latch().is_open() {
             return;
         }
@@ -206,10 +206,15 @@ impl DriveController {
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
-        if self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
+        if self.is_armed() {
             self.stop(cycle, now, cause);
         }
+    }
+
+    /// It is enabled, or about to be, or the application commands its drive.
+    pub(super) fn is_armed(&self) -> bool {
+        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
+        self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application)
     }
 
     /// Whether no position leads the drive, and its reported demand is meaningless.

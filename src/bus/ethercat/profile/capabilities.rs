@@ -53,6 +53,8 @@ pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive) -> Capabil
             homing: None,
         },
         switches_on_at_once: false,
+        // Inputs count by the index and the working counter of the frame that has just gone out.
+        power_reports: 1,
         still_reports: SETTLED,
         ..Capabilities::of(Generator::Master(quantity))
     }
