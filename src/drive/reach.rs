@@ -283,12 +283,13 @@ mod tests {
     #[test]
     fn the_speed_between_a_held_report_and_the_next_one_is_none() {
         let mut line = Line::new(&plan());
-        line.at(10.0);
+        line.reach.last.position = 10.0;
+        line.at(10.05);
         line.at(349.0);
         // As a station makes it of the two positions.
         (line.velocity, line.evidence.demand_velocity) = (-338_900.0, -338_900.0);
         assert_eq!(line.at(10.1), Weight::Counts);
-        assert!((line.velocity - 50.0).abs() < 1e-6 && (line.evidence.demand_velocity - 50.0).abs() < 1e-6);
+        assert!((line.velocity - 25.0).abs() < 1e-6 && (line.evidence.demand_velocity - 25.0).abs() < 1e-6);
         line.at(349.0);
         line.velocity = 338_900.0;
         assert_eq!(line.at(349.1), Weight::Jumped(349.1 - 10.1));
@@ -307,7 +308,7 @@ mod tests {
             );
         }
         let mut turns = plan();
-        (turns.units.unit, turns.units.counts_per_unit) = (Unit::Revolution, 65_536.0);
+        (turns.units.unit, turns.limits.velocity) = (Unit::Revolution, None);
         let mut line = Line::new(&turns);
         assert_eq!([0.0, 1.49, 3.1].map(|at| line.at(at)), [Weight::Counts, Weight::Counts, Weight::Held]);
     }

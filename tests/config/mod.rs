@@ -790,7 +790,7 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
@@ -803,7 +803,7 @@ bus portal: linudp-v2, 4 drives
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
         most 7.5 mm further
@@ -815,7 +815,7 @@ bus portal: linudp-v2, 4 drives
     limits: only the drive's own
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error

@@ -36,7 +36,7 @@ fn counters(b: Bench) -> Counters {
 
 #[test]
 fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
-    for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
+    for (monitor, turns) in [(MonitorPlan::Off, 8), (MonitorPlan::AsSet, 4)] {
         for misses in [1, turns - 1, turns, turns + 3] {
             let mut b = moving(Rig::new(1).each(|_, drive| {
                 drive.monitor = monitor;
