@@ -170,7 +170,7 @@ causes! {
         others: [Some(StopCause::Suspended); 2],
         ..CASE
     };
-    Uncommanded, StopTimeout, Panic, LinkThread
+    Uncommanded, StopTimeout, Panic, LinkThread, PositionJump
 }
 
 /// Asks axis 0, and its whole group where it has joined one.
