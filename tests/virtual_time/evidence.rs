@@ -177,8 +177,11 @@ fn no_reply_of_another_state_takes_the_power_of_a_moving_axis() {
     for tags in TAGS {
         let (mut b, turns) = far_away(tags);
         let now = b.tape(0).last();
-        let off = b.tape(0).received.iter().filter_map(|received| received.reply);
-        let off = off.clone().find(|reply| !reply.status.unwrap().operation_enabled()).unwrap();
+        let off = {
+            let tape = b.tape(0);
+            let mut replies = tape.received.iter().filter_map(|received| received.reply);
+            replies.find(|reply| !reply.status.unwrap().operation_enabled()).unwrap()
+        };
         // From before the last enable and the last power-on, in an error, and without the hardware enable.
         let error = StatusWord(now.status.unwrap().0 | 1 << 3);
         let olds = [
@@ -280,7 +283,9 @@ fn two_replies_in_a_row_from_another_place_are_one_and_the_axis_has_lost_its_ref
 fn lost_replies_are_no_jump_in_fast_moves() {
     for (seed, tag) in (0..3).flat_map(|seed| ReplyTag::WORDS.map(|(_, tag)| (seed, tag))) {
         let weather = FaultPlan { seed, drop: 0.01, ..FaultPlan::default() };
-        let mut b = Rig::new(1).each(move |_, drive| drive.reply_tag = tag).faults(weather).ready();
+        let rig =
+            Rig::new(1).each(move |_, drive| (drive.reply_tag, drive.axis.health.bucket) = (tag, 10_000));
+        let mut b = rig.faults(weather).ready();
         for n in 0..40 {
             let target = if n % 2 == 0 { 190.0 } else { 10.0 };
             let id = b.post(0, with(Target::Absolute(target), 900.0, 20_000.0));

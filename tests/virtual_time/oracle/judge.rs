@@ -52,8 +52,9 @@ const GOING_ON: usize = 5;
 /// As many in a row are certainly too many: the default is 10.
 const IN_A_ROW: u32 = 12;
 
-/// A place is out of reach behind 2 ms and two exchanges at twice the largest speed, or at 1 m/s (`drive/reach.rs`).
-const REACH_S: f64 = 0.004;
+/// A place is out of reach behind 2 ms, and some exchanges of which no report counted, at twice the largest speed or at
+/// 1 m/s (`drive/reach.rs`).
+const REACH_S: f64 = 0.006;
 const REACH_SPEED: f64 = 1_000.0;
 /// Positions change their origin around a homing.
 const REHOMED: u32 = 250;

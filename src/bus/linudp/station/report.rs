@@ -57,7 +57,8 @@ impl Station {
         let front = view.front();
         let rehomed = front.status.homed() != self.inputs.status.homed();
         let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
-        let settled = same && !suspect && !slot.anew && self.settled && self.profile.is_steady();
+        let settled =
+            same && !suspect && !slot.anew && !self.starts && self.settled && self.profile.is_steady();
         if !settled && !self.watch_start(&front, suspect, slot) {
             return;
         }
