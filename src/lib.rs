@@ -130,7 +130,7 @@ pub use bus::OpenError;
 pub use bus::contract::Cycle;
 pub use cycle::engine::Flow;
 pub use cycle::task::Axes;
-pub use cycle::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait};
+pub use cycle::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, WatchAfter};
 pub use master::{Master, MasterError, Setup, StartError, StopHandle};
 pub use rt::{Granted, Memory, Realtime, RealtimeError};
 pub use simulation::{SimulateError, Simulation};

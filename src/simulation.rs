@@ -38,9 +38,9 @@ use crate::cycle::record::Record;
 use crate::cycle::status::{Gauges, Numbers, Status};
 use crate::cycle::{Plan, PlanErrors};
 use crate::logged::{LoggedCarriers, LoggedClock};
-use crate::master::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble, utc_ns};
+use crate::master::{Assembly, Devices, LoopWatch, Master, MasterError, Setup, StartError, assemble, utc_ns};
 use crate::net::Carriers;
-use crate::rt::{Clock, Granted, Regions};
+use crate::rt::{Clock, Granted, Regions, Wires};
 use crate::sim::Simulated;
 use crate::sim::world::{World, WorldClock, WorldOptions};
 #[cfg(feature = "summary")]
@@ -62,6 +62,7 @@ pub struct Simulation {
     acyclics: Vec<Acyclic>,
     pulse: Pulse,
     control: Control,
+    wires: Wires,
     records: Consumer<Record>,
     measured: Measured,
     taps: Taps,
@@ -122,7 +123,7 @@ impl Setup {
         let clock = LoggedClock::new(world.clock(), &log);
         let logged = LoggedCarriers::new(&world, &log);
         let carriers: &dyn Carriers = if log.is_on() { &logged } else { &world };
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, .. } =
+        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, wires, .. } =
             assemble(&plan, clock, carriers, task, control.clone())?;
         engine.begin();
         if let Some((_, sink)) = &mut sink {
@@ -132,6 +133,7 @@ impl Setup {
             world,
             engine,
             observers: axes.iter().map(Axis::observer).collect(),
+            wires,
             measured: Measured::new(&plan.units(), &plan.cycle, has_task),
             taps: Taps::default(),
             telemetry_by: |work| work(),
@@ -236,6 +238,7 @@ impl Simulation {
             pulse,
             control,
             telemetry,
+            watch: LoopWatch::none(self.wires),
             thread: Some(thread),
         })
     }
@@ -291,6 +294,12 @@ impl Simulation {
     /// What the telemetry has measured so far. Without a kernel to query, causes other than the drives are unknown.
     pub fn measured(&self) -> &Measured {
         &self.measured
+    }
+
+    /// Who may use its wires: nobody watches the loop here.
+    #[doc(hidden)]
+    pub fn wires(&self) -> &Wires {
+        &self.wires
     }
 
     /// One more reader of the loop's records, from now on, with room for so many turns.

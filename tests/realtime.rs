@@ -144,7 +144,11 @@ fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
             let others = list(std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap().trim());
             assert!(others.len() == 1 || !thread.cores.contains(&core), "{name}: {threads:?}");
         }
-        assert_eq!(threads.len(), 5, "a thread that this test does not know: {threads:?}");
+        // The watch precedes the loop, from another core.
+        let watchdog = &threads["fb-watchdog"];
+        assert_eq!((watchdog.policy, watchdog.priority), (libc::SCHED_FIFO, 81), "{threads:?}");
+        assert!(watchdog.reset_on_fork && (!watchdog.cores.contains(&core) || watchdog.cores.len() == 1));
+        assert_eq!(threads.len(), 6, "a thread that this test does not know: {threads:?}");
     }
 }
 

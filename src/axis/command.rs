@@ -21,6 +21,9 @@ pub struct CommandId(pub u64);
 const OF_TASK: u64 = 1 << 63;
 
 impl CommandId {
+    /// Of no command: the setpoint with it says that the application has dropped the axis.
+    pub(crate) const NO_OWNER: CommandId = CommandId(u64::MAX);
+
     /// The `number`-th command of the in-loop task.
     pub fn of_task(number: u64) -> CommandId {
         CommandId(number | OF_TASK)
@@ -74,9 +77,15 @@ pub struct StreamRow {
     pub row: Row,
 }
 
-/// One velocity or torque on its way to the loop.
+/// One velocity or torque on its way to the loop, alone or as one axis' part of those of a group.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Setpoint {
+    /// The place of its axis in the machine.
+    pub member: u32,
+    /// How many members have a part in the set; 1 = the axis alone.
+    pub parts: u32,
+    /// Counts the setpoints of the axis up: of two that come by different ways, the later one counts.
+    pub number: u64,
     /// The [`Command::Jog`], [`Command::Velocity`] or [`Command::Torque`] that it belongs to.
     pub of: CommandId,
     /// User units/s, or per cent of the rated torque.
@@ -237,6 +246,17 @@ pub enum Failure {
         "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
     )]
     NotArrived,
+    /// The demand has arrived, and the actual position has not.
+    #[error(
+        "the axis did not come to rest at its target, it is {distance} away and in_position.window is {window}: look \
+         at what holds it and at its controller, or widen the window (\"off\": a move ends with its demand)"
+    )]
+    OutOfPosition {
+        /// From the target to the actual position, user units.
+        distance: f64,
+        /// The largest distance that counts as arrived.
+        window: f64,
+    },
     /// The motor turns although the setpoint is zero.
     #[error(
         "the drive moves at a setpoint of zero: look at its own references (presets, hard or jog speed, inputs)"

@@ -32,6 +32,8 @@ pub struct Bells {
     words: Words,
     /// Those that have rung and whose queues are not known to be empty since then.
     rung: Box<[u64]>,
+    /// A bell has rung since the last [`take_rung`](Self::take_rung).
+    any_rung: bool,
     log: InputLog,
 }
 
@@ -50,7 +52,7 @@ impl Bells {
     pub fn new(axes: usize) -> Bells {
         let count = axes.div_ceil(IN_WORD);
         let words = (0..count).map(|_| CachePadded::new(AtomicU64::new(0))).collect();
-        Bells { words, rung: vec![0; count].into(), log: InputLog::default() }
+        Bells { words, rung: vec![0; count].into(), any_rung: false, log: InputLog::default() }
     }
 
     /// What is taken is in this log.
@@ -81,10 +83,18 @@ impl Bells {
             // A bell that is missed by this look rings until the next one.
             let rings = word.load(Ordering::Relaxed) != 0;
             let taken = if rings { word.swap(0, Ordering::Acquire) } else { 0 };
-            *rung |= self.log.value(0, taken);
+            let taken = self.log.value(0, taken);
+            self.any_rung |= taken != 0;
+            *rung |= taken;
             any |= *rung;
         }
         any != 0
+    }
+
+    /// Whether any bell has rung since the last call, be it taken by that look or by another one before.
+    #[inline]
+    pub fn take_rung(&mut self) -> bool {
+        std::mem::take(&mut self.any_rung)
     }
 
     /// The axes whose bells have rung and were not silenced, in their order.

@@ -96,8 +96,8 @@ named! {
         DeadMan = 14: "jog not renewed",
         /// The members of its group missed too many exchanges together.
         GroupLink = 15: "too many misses in its group",
-        /// A motion of its group failed at this axis.
-        GroupFailed = 16: "motion of its group failed",
+        /// An enable or a motion of its group failed at this axis, or was ended here alone.
+        GroupFailed = 16: "command of its group failed",
         /// It moved, with power on, although nothing commanded it.
         Uncommanded = 17: "motion without a command",
         /// A stop of the application took longer than the stop's time-out.
@@ -110,8 +110,14 @@ named! {
         LinkThread = 21: "link thread ended",
         /// Another master commands the drive, or has frames on its segment.
         OtherMaster = 22: "another master",
+        /// The application dropped the [`Axis`](super::Axis), or its group, while the axis moved or was about to.
+        OwnerLost = 23: "axis dropped (on_owner_lost)",
+        /// The loop's cycle did not end: the watch took the wires from it.
+        LoopStuck = 24: "loop stuck",
+        /// It did not follow its demand.
+        FollowingError = 25: "following error",
         /// Its reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
-        PositionJump = 23: "position jumped",
+        PositionJump = 26: "position jumped",
     }
 }
 

@@ -1,16 +1,18 @@
 //! Several axes with one queue: commands and rows of all members take effect in the same cycle's send, all or none.
 //!
 //! A group takes its axes by value, so that no other owner commands them. Each member's command has its own id and
-//! its own end. What one member refuses is refused to all. A failed motion or homing of one member stops the others
-//! by their stop group, and so does a member that is stopped or taken out of a motion of the group. After a failed
-//! enable the members that came up stay up. A stop is never refused to one member because of another, and waits for
-//! none.
+//! its own end. What one member refuses is refused to all. No member is enabled, homes or moves without the others: an
+//! enable, a homing or a motion that fails at one member stops all of them by their stop group, and so does whatever
+//! else ends it there before it is done (a stop of the axis, or of the application), while another member goes on. A
+//! stop is never refused to one member because of another, and waits for none.
 
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::command::{Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, StreamRow, Target};
+use super::command::{
+    Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, Setpoint, StreamRow, Target,
+};
 use super::event::Event;
 use super::feedback::Feedback;
 use super::handle::{Axis, AxisError, longest};
@@ -55,7 +57,8 @@ pub struct GroupCommand {
 }
 
 impl GroupCommand {
-    /// The ids in the members' events.
+    /// The ids in the members' events, in the order of the group. An id of 0, which no command has, is that of a member
+    /// that was given none.
     pub fn ids(&self) -> &[CommandId] {
         &self.ids
     }
@@ -94,6 +97,14 @@ pub enum GroupError {
     /// A stream ends for all members or for none.
     #[error("some rows are the last one and some are not: mark all of them or none")]
     MixedEnd,
+    /// A part of the call was refused, and only its stops were given.
+    #[error("{refused}; the stops of the same call were given all the same")]
+    Partly {
+        /// The stops. Their ids say which members have one.
+        posted: GroupCommand,
+        /// Why the others have nothing.
+        refused: Box<GroupError>,
+    },
     /// A member refused, or did not carry it out. If it was refused, no member has begun it.
     #[error(transparent)]
     Axis(#[from] AxisError),
@@ -143,31 +154,76 @@ impl Group {
 
     /// Gives one command to each member and returns at once. They begin in one cycle, as soon as each member may;
     /// if one of them cannot, all of them fail.
+    ///
+    /// Stop, QuickStop and Disable wait for no other member and are refused with none: if another part of the call is
+    /// refused, they are given all the same, and the error is [`GroupError::Partly`]. A member that is stopped so,
+    /// while the others go on with what it was part of, stops them; give them a motion in the same call to replace it.
     pub fn post(&mut self, commands: &[Command]) -> Result<GroupCommand, GroupError> {
         self.count(commands.len())?;
-        if commands.contains(&Command::Follow) && commands.iter().any(|command| *command != Command::Follow) {
+        match self.post_parts(commands, &vec![true; commands.len()]) {
+            Err(refused) => Err(self.post_stops(commands, refused)),
+            posted => posted,
+        }
+    }
+
+    /// Posts the chosen parts of a call, all or none.
+    fn post_parts(&mut self, commands: &[Command], chosen: &[bool]) -> Result<GroupCommand, GroupError> {
+        let parts = || (0..commands.len()).filter(|place| chosen[*place]);
+        let follows = |place: &usize| commands[*place] == Command::Follow;
+        if parts().any(|place| follows(&place)) && !parts().all(|place| follows(&place)) {
             return Err(GroupError::MixedFollow);
         }
-        for (axis, command) in self.axes.iter_mut().zip(commands) {
-            axis.accepts(command)?;
+        for place in parts() {
+            self.axes[place].accepts(&commands[place])?;
         }
-        let together = || self.axes.iter().zip(commands).filter(|(_, command)| !command.is_urgent());
-        let lead = together().next().map_or(&self.axes[0], |(axis, _)| axis);
+        let together = || parts().filter(|place| !commands[*place].is_urgent());
+        let lead = &self.axes[together().next().or(parts().next()).unwrap_or_default()];
         let call = GroupCall {
-            parts: commands.len() as u32,
+            parts: parts().count() as u32,
             together: together().count() as u32,
             lead: lead.index() as u32,
             id: lead.next_id,
         };
-        let parts: Vec<QueuedCommand> = self
-            .axes
-            .iter()
-            .zip(commands)
-            .map(|(axis, command)| axis.command(*command, Some(call)))
+        let queued: Vec<QueuedCommand> =
+            parts().map(|place| self.axes[place].command(commands[place], Some(call))).collect();
+        self.axes[0].send(&queued)?;
+        let mut ids = vec![CommandId(0); commands.len()];
+        for (place, part) in parts().zip(&queued) {
+            ids[place] = self.axes[place].sent(part);
+        }
+        // Velocities are for the members that this call gives one, as long as another call does not, and so are torques.
+        for (torques, takes) in
+            [(false, Command::takes_velocities as fn(&Command) -> bool), (true, Command::takes_torques)]
+        {
+            if parts().any(|place| takes(&commands[place])) {
+                let others = parts().filter(|place| !takes(&commands[*place]));
+                others.for_each(|place| self.axes[place].follows_no_more(torques));
+            }
+        }
+        Ok(GroupCommand { command: parts().next().map_or("", |place| commands[place].name()), ids })
+    }
+
+    /// Posts the stops of a call that was refused, each that is not refused itself. Returns the error of the call.
+    fn post_stops(&mut self, commands: &[Command], refused: GroupError) -> GroupError {
+        let stops: Vec<bool> = (self.axes.iter_mut().zip(commands))
+            .map(|(axis, command)| command.is_urgent() && axis.accepts(command).is_ok())
             .collect();
-        self.axes[0].send(&parts)?;
-        let ids = self.axes.iter_mut().zip(&parts).map(|(axis, part)| axis.sent(part)).collect();
-        Ok(GroupCommand { command: commands.first().map_or("", Command::name), ids })
+        if !stops.contains(&true) {
+            return refused;
+        }
+        let posted = self.post_parts(commands, &stops).or_else(|_| {
+            // The queue of the group has no room: each member has one of its own.
+            let mut ids = vec![CommandId(0); commands.len()];
+            for (place, id) in ids.iter_mut().enumerate().filter(|(place, _)| stops[*place]) {
+                *id = self.axes[place].post(commands[place]).unwrap_or_default();
+            }
+            let first = ids.iter().position(|id| *id != CommandId(0)).ok_or(())?;
+            Ok::<_, ()>(GroupCommand { command: commands[first].name(), ids })
+        });
+        match posted {
+            Ok(posted) => GroupError::Partly { posted, refused: Box::new(refused) },
+            Err(()) => refused,
+        }
     }
 
     /// Gives the same command to each member.
@@ -176,27 +232,40 @@ impl Group {
     }
 
     /// The velocity setpoints of all members, user units/s, while they run [`Command::Velocity`] or [`Command::Jog`].
+    /// They take effect in the same cycle's send at all members, or at none: each of them has to run the command that
+    /// the last call with one gave it. A member that this call gave none ignores its value. The newest set counts; it
+    /// has to be renewed before it is older than `setpoint_age` or the dead-man time of a member.
     pub fn set_velocities(&mut self, velocities: &[f64]) -> Result<(), GroupError> {
         self.count(velocities.len())?;
         for (axis, velocity) in self.axes.iter().zip(velocities) {
             axis.accepts_velocity(*velocity)?;
         }
-        for (axis, velocity) in self.axes.iter_mut().zip(velocities) {
-            axis.set_velocity(*velocity)?;
-        }
+        self.give(velocities, false);
         Ok(())
     }
 
-    /// The torque setpoints of all members, per cent of the rated torque, while they run [`Command::Torque`].
+    /// The torque setpoints of all members, per cent of the rated torque, while they run [`Command::Torque`]; in the
+    /// same way as [velocities](Self::set_velocities).
     pub fn set_torques(&mut self, torques: &[f64]) -> Result<(), GroupError> {
         self.count(torques.len())?;
         for (axis, torque) in self.axes.iter().zip(torques) {
             axis.accepts_torque(*torque)?;
         }
-        for (axis, torque) in self.axes.iter_mut().zip(torques) {
-            axis.set_torque(*torque)?;
-        }
+        self.give(torques, true);
         Ok(())
+    }
+
+    /// Hands one set of setpoints over, through its first member.
+    fn give(&mut self, values: &[f64], torques: bool) {
+        let follows = |axis: &Axis| axis.follows(torques) != CommandId(0);
+        let count = self.axes.iter().filter(|axis| follows(axis)).count();
+        let parts: Vec<Setpoint> = (self.axes.iter_mut().zip(values))
+            .filter(|(axis, _)| follows(axis))
+            .map(|(axis, value)| axis.setpoint(axis.follows(torques), *value, count))
+            .collect();
+        if let Some(first) = self.axes.iter_mut().find(|axis| follows(axis)) {
+            first.give(&parts);
+        }
     }
 
     /// How many rows the streams have room for.
@@ -280,6 +349,9 @@ impl Group {
         let begun = Instant::now();
         let mut errors = Vec::new();
         for (axis, id) in self.axes.iter_mut().zip(&command.ids) {
+            if *id == CommandId(0) {
+                continue;
+            }
             let left = limit.saturating_sub(begun.elapsed());
             errors.extend(axis.wait(*id, command.command, left).err());
         }
@@ -291,8 +363,13 @@ impl Group {
 
     fn run_all(&mut self, command: Command, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
         let limit = self.axes.iter().map(limit).max().unwrap_or_default();
-        let command = self.post_all(command)?;
-        self.wait(&command, limit + GRACE)
+        match self.post_all(command) {
+            Err(GroupError::Partly { posted, refused }) => {
+                self.wait(&posted, limit + GRACE)?;
+                Err(GroupError::Partly { posted, refused })
+            }
+            posted => self.wait(&posted?, limit + GRACE),
+        }
     }
 
     fn count(&self, given: usize) -> Result<(), GroupError> {

@@ -12,7 +12,6 @@ use rtrb::{Consumer, Producer};
 use thiserror::Error;
 
 use super::acyclic::{Acyclic, Parameters};
-use super::cell::Reader;
 use super::command::{
     Abort, Command, CommandId, Failure, GroupCall, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
     StreamRow, Target,
@@ -69,6 +68,9 @@ impl Iterator for Samples {
 
 /// One axis of a running master: one owner commands it. Positions are in its units, mm or revolutions.
 ///
+/// An axis that is dropped while it moves is stopped: [`AxisPlan::on_owner_lost`]. Observers and parameters of it are
+/// no owners.
+///
 /// ```
 /// # use fieldbeat::{Master, Plan, Profile};
 /// # use std::time::Duration;
@@ -104,6 +106,8 @@ pub struct Axis {
     rolling: CommandId,
     /// The last torque.
     pressing: CommandId,
+    /// Setpoints that were given so far.
+    setpoints: u64,
     /// Commands whose ends were not taken out of the event queue yet: each has a place there.
     unended: usize,
     /// Events taken from the queue before the application took them, and how many of them are ends of commands.
@@ -128,7 +132,7 @@ pub struct AxisEnds {
     /// Events from the loop.
     pub events: Consumer<Event>,
     /// The newest feedback.
-    pub feedback: Reader<Feedback>,
+    pub feedback: Observer,
     /// Every cycle's feedback, where the plan requests it.
     pub samples: Option<Consumer<Feedback>>,
     /// The protocol's own process data.
@@ -195,8 +199,21 @@ pub enum AxisError {
         /// The axis.
         axis: String,
     },
+    /// The loop's cycle does not end. Its watch has stopped what it can stop, and the run has failed.
+    #[error("axis {axis}: {}; {}", STUCK, STUCK_REMEDY)]
+    Stuck {
+        /// The axis.
+        axis: String,
+    },
 }
 crate::errors::debug_as_display!(AxisError);
+
+/// What a loop that is stuck means.
+pub(crate) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were taken \
+                                from it";
+/// What to do about it.
+pub(crate) const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, a \
+                                       driver of the host), and start the program again";
 
 impl AxisError {
     /// It ended so only because another axis of its group did.
@@ -221,6 +238,7 @@ impl Axis {
             next_id: CommandId(1),
             rolling: CommandId(0),
             pressing: CommandId(0),
+            setpoints: 0,
             unended: 0,
             kept: VecDeque::new(),
             kept_ends: 0,
@@ -262,12 +280,12 @@ impl Axis {
 
     /// The newest feedback, with its cycle and age.
     pub fn feedback(&self) -> Feedback {
-        self.ends.feedback.read()
+        self.ends.feedback.feedback()
     }
 
     /// A reader of the newest feedback, for any number of threads.
     pub fn observer(&self) -> Observer {
-        Observer(self.ends.feedback.clone())
+        self.ends.feedback.clone()
     }
 
     /// The feedback of every cycle, if the plan gave the axis a sample queue; can be taken once.
@@ -350,9 +368,7 @@ impl Axis {
 
     /// Queues the parts of one call, all or none. The last places are reserved for calls that only stop.
     pub(super) fn send(&mut self, parts: &[QueuedCommand]) -> Result<(), AxisError> {
-        if self.ends.commands.is_abandoned() {
-            return Err(self.gone());
-        }
+        self.is_served()?;
         let urgent = parts.iter().all(|part| part.command.is_urgent());
         let kept = if urgent { 0 } else { URGENT_ROOM * parts.len() };
         let room = self.ends.commands.slots() >= parts.len() + kept;
@@ -386,7 +402,8 @@ impl Axis {
     /// It has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
-        self.give(Setpoint { of: self.rolling, value: velocity });
+        let setpoint = self.setpoint(self.rolling, velocity, 1);
+        self.give(&[setpoint]);
         Ok(())
     }
 
@@ -394,12 +411,31 @@ impl Axis {
     /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
-        self.give(Setpoint { of: self.pressing, value: torque });
+        let setpoint = self.setpoint(self.pressing, torque, 1);
+        self.give(&[setpoint]);
         Ok(())
     }
 
-    fn give(&mut self, setpoint: Setpoint) {
-        self.ends.setpoints.write(setpoint);
+    /// The command that takes its velocities, or its torques; id 0 = none.
+    pub(super) fn follows(&self, torques: bool) -> CommandId {
+        if torques { self.pressing } else { self.rolling }
+    }
+
+    /// It has no part in the velocities of its group, or in the torques, until it has a command that takes them.
+    pub(super) fn follows_no_more(&mut self, torques: bool) {
+        *if torques { &mut self.pressing } else { &mut self.rolling } = CommandId(0);
+    }
+
+    /// Its part of so many setpoints of one set.
+    pub(super) fn setpoint(&mut self, of: CommandId, value: f64, parts: usize) -> Setpoint {
+        self.setpoints += 1;
+        let (member, parts, number) = (self.index as u32, parts as u32, self.setpoints);
+        Setpoint { member, parts, number, of, value }
+    }
+
+    /// Hands the parts of one set over, through this axis.
+    pub(super) fn give(&mut self, parts: &[Setpoint]) {
+        self.ends.setpoints.write(parts);
         self.ends.bell.ring();
         self.pulse.beat();
     }
@@ -407,13 +443,13 @@ impl Axis {
     /// Whether `velocity` would be accepted now.
     pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
         check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
-        if self.ends.commands.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+        self.is_served()
     }
 
     /// Whether `torque` would be accepted now.
     pub(super) fn accepts_torque(&self, torque: f64) -> Result<(), AxisError> {
         check_torque(&self.plan, torque).map_err(|failure| self.refused("torque", failure))?;
-        if self.ends.commands.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+        self.is_served()
     }
 
     /// How many rows the stream has room for.
@@ -443,9 +479,7 @@ impl Axis {
 
     /// Queues the parts of one row, all or none.
     pub(super) fn send_row(&mut self, parts: &[StreamRow]) -> Result<(), AxisError> {
-        if self.ends.rows.is_abandoned() {
-            return Err(self.gone());
-        }
+        self.is_served()?;
         self.ends.rows.push_entire_slice(parts).map_err(|_| self.full("row", self.plan.stream_queue))
     }
 
@@ -531,6 +565,9 @@ impl Axis {
             if begun.elapsed() > limit {
                 return Err(self.timed_out("wait_online", limit));
             }
+            if self.ends.feedback.is_stuck() {
+                return Err(self.stuck());
+            }
             self.pulse.beat();
             sleep(LOOK_EVERY);
         }
@@ -570,6 +607,9 @@ impl Axis {
             if gone {
                 return Err(self.gone());
             }
+            if self.ends.feedback.is_stuck() {
+                return Err(self.stuck());
+            }
             if begun.elapsed() > limit {
                 return Err(self.timed_out(command, limit));
             }
@@ -580,7 +620,8 @@ impl Axis {
 
     /// Events come before the feedback of their cycle: the rest of the cycle lies between the two.
     fn await_feedback(&self, cycle: u64, begun: Instant, limit: Duration) {
-        while self.feedback().cycle < cycle && !self.ends.events.is_abandoned() && begun.elapsed() <= limit {
+        let comes = || !self.ends.events.is_abandoned() && !self.ends.feedback.is_stuck();
+        while self.feedback().cycle < cycle && comes() && begun.elapsed() <= limit {
             self.pulse.beat();
             sleep(LOOK_EVERY);
         }
@@ -632,6 +673,19 @@ impl Axis {
         AxisError::Gone { axis: self.plan.name.clone() }
     }
 
+    fn stuck(&self) -> AxisError {
+        AxisError::Stuck { axis: self.plan.name.clone() }
+    }
+
+    /// Whether there is a loop that takes what is queued.
+    fn is_served(&self) -> Result<(), AxisError> {
+        match () {
+            () if self.ends.commands.is_abandoned() => Err(self.gone()),
+            () if self.ends.feedback.is_stuck() => Err(self.stuck()),
+            () => Ok(()),
+        }
+    }
+
     fn timed_out(&self, command: &'static str, waited: Duration) -> AxisError {
         AxisError::TimedOut {
             axis: self.plan.name.clone(),
@@ -639,6 +693,15 @@ impl Axis {
             waited,
             state: self.feedback().status.state,
         }
+    }
+}
+
+/// Its last setpoint says that the axis has no owner any more. The bell orders it behind all that was posted before.
+impl Drop for Axis {
+    fn drop(&mut self) {
+        let last = self.setpoint(CommandId::NO_OWNER, 0.0, 1);
+        self.ends.setpoints.write(&[last]);
+        self.ends.bell.ring();
     }
 }
 

@@ -55,8 +55,8 @@ pub use limits::{Cannot, Lacks};
 pub use observer::Observer;
 pub(crate) use plan::is_plain_name;
 pub use plan::{
-    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
-    StopThen, StopTimeout, Underrun,
+    AxisPlan, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, MonitorChannel,
+    OwnerLost, PlanFault, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
 };
 pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

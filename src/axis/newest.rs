@@ -1,55 +1,66 @@
-//! The newest value from one thread to another: a triple buffer over atomic words, without `unsafe`.
+//! The newest setpoints from one thread to another: a triple buffer over atomic words, without `unsafe`.
 //!
-//! Both ends are wait-free. Unlike in a queue nothing is ever full: a value that the reader has not taken is replaced
-//! by the next one.
+//! Both ends are wait-free. Unlike in a queue nothing is ever full: a set that the reader has not taken is replaced by
+//! the next one. A set is the setpoint of one axis, or those of all members of a group: the reader gets all parts of
+//! one set, or none.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use crossbeam::utils::CachePadded;
 
 use super::command::{CommandId, Setpoint};
 use crate::rt::Regions;
+use crate::sync::AtomicU64;
 
-/// The value in the shared slot was not taken yet.
-const FRESH: u8 = 4;
-const INDEX: u8 = 3;
+/// The set in the shared slot was not taken yet.
+const FRESH: u64 = 4;
+const INDEX: u64 = 3;
 
-#[derive(Debug, Default)]
+/// A part: its axis and the number of parts, its number, its command, its value.
+type Part = [AtomicU64; 4];
+
+#[derive(Debug)]
 struct Shared {
-    /// Three setpoints: one belongs to the writer, one to the reader, one is shared.
-    slots: [[AtomicU64; 2]; 3],
+    /// Three sets: one belongs to the writer, one to the reader, one is shared.
+    sets: [Box<[Part]>; 3],
     /// The index of the shared one, with [`FRESH`].
-    state: AtomicU8,
+    state: AtomicU64,
 }
 
 /// The writing end.
 #[derive(Debug)]
 pub struct NewestIn {
     shared: Arc<CachePadded<Shared>>,
-    own: u8,
+    own: u64,
 }
 
 /// The reading end.
 #[derive(Debug)]
 pub struct NewestOut {
     shared: Arc<CachePadded<Shared>>,
-    own: u8,
+    own: u64,
 }
 
-/// Both ends; there is no value yet.
-pub fn newest() -> (NewestIn, NewestOut) {
-    let shared = Arc::new(CachePadded::new(Shared::default()));
-    // The shared slot is 0.
+/// Both ends of sets of at most so many parts; there is none yet.
+pub fn newest(most: usize) -> (NewestIn, NewestOut) {
+    let part = |_| std::array::from_fn(|_| AtomicU64::new(0));
+    let sets = std::array::from_fn(|_| (0..most).map(part).collect());
+    // The shared set is 0.
+    let shared = Arc::new(CachePadded::new(Shared { sets, state: AtomicU64::new(0) }));
     (NewestIn { shared: Arc::clone(&shared), own: 1 }, NewestOut { shared, own: 2 })
 }
 
 impl NewestIn {
-    /// Replaces the value.
-    pub fn write(&mut self, setpoint: Setpoint) {
-        let [of, value] = &self.shared.slots[usize::from(self.own)];
-        of.store(setpoint.of.0, Ordering::Relaxed);
-        value.store(setpoint.value.to_bits(), Ordering::Relaxed);
+    /// Replaces the set by these parts of one, which all name their number.
+    pub fn write(&mut self, parts: &[Setpoint]) {
+        for (words, part) in self.shared.sets[self.own as usize].iter().zip(parts) {
+            let Setpoint { member, parts, number, of, value } = *part;
+            let values = [u64::from(member) << 32 | u64::from(parts), number, of.0, value.to_bits()];
+            for (word, value) in words.iter().zip(values) {
+                word.store(value, Ordering::Relaxed);
+            }
+        }
         // Releases the words, and acquires those that the reader has read from the other slot.
         self.own = self.shared.state.swap(self.own | FRESH, Ordering::AcqRel) & INDEX;
     }
@@ -59,17 +70,29 @@ impl NewestOut {
     /// Adds what both ends share, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&**self.shared);
+        self.shared.sets.iter().for_each(|set| regions.add(&**set));
     }
 
-    /// The newest value, once.
-    pub fn take(&mut self) -> Option<Setpoint> {
+    /// Takes the newest set, once. Returns whether there is one.
+    pub fn take(&mut self) -> bool {
         if self.shared.state.load(Ordering::Relaxed) & FRESH == 0 {
-            return None;
+            return false;
         }
         self.own = self.shared.state.swap(self.own, Ordering::AcqRel) & INDEX;
-        let [of, value] = &self.shared.slots[usize::from(self.own)];
-        let value = f64::from_bits(value.load(Ordering::Relaxed));
-        Some(Setpoint { of: CommandId(of.load(Ordering::Relaxed)), value })
+        true
+    }
+
+    /// A part of the set that was taken last; `None` beyond the most that there can be.
+    pub fn part(&self, place: usize) -> Option<Setpoint> {
+        let words = self.shared.sets[self.own as usize].get(place)?;
+        let [of_set, number, of, value] = [0, 1, 2, 3].map(|word: usize| words[word].load(Ordering::Relaxed));
+        Some(Setpoint {
+            member: (of_set >> 32) as u32,
+            parts: of_set as u32,
+            number,
+            of: CommandId(of),
+            value: f64::from_bits(value),
+        })
     }
 }
 
@@ -77,35 +100,48 @@ impl NewestOut {
 mod tests {
     use super::*;
 
-    fn setpoint(n: u64) -> Setpoint {
-        Setpoint { of: CommandId(n), value: n as f64 }
+    /// Set `n` of three parts.
+    fn set(n: u64) -> [Setpoint; 3] {
+        [0, 1, 2].map(|member| Setpoint {
+            member,
+            parts: 3,
+            number: n,
+            of: CommandId(n + 1),
+            value: n as f64,
+        })
+    }
+
+    fn taken(output: &mut NewestOut) -> Option<[Setpoint; 3]> {
+        output.take().then(|| [0, 1, 2].map(|place| output.part(place).unwrap()))
     }
 
     #[test]
     fn only_the_newest_is_taken_and_once() {
-        let (mut input, mut output) = newest();
-        assert_eq!(output.take(), None);
+        let (mut input, mut output) = newest(3);
+        assert_eq!(taken(&mut output), None);
         for last in [1, 2, 3, 7, 100] {
-            (0..=last).for_each(|n| input.write(setpoint(n)));
-            assert_eq!([output.take(), output.take()], [Some(setpoint(last)), None]);
+            (0..=last).for_each(|n| input.write(&set(n)));
+            assert_eq!([taken(&mut output), taken(&mut output)], [Some(set(last)), None]);
         }
+        assert_eq!(output.part(3), None);
     }
 
     #[test]
-    fn a_reader_meets_whole_values_in_rising_order_and_the_last_one() {
-        let (mut input, mut output) = newest();
+    fn a_reader_meets_whole_sets_in_rising_order_and_the_last_one() {
+        let (mut input, mut output) = newest(3);
         const LAST: u64 = 200_000;
-        let writer = std::thread::spawn(move || (1..=LAST).for_each(|n| input.write(setpoint(n))));
+        let writer = std::thread::spawn(move || (1..=LAST).for_each(|n| input.write(&set(n))));
         let mut before = 0;
         while before < LAST {
-            if let Some(Setpoint { of, value }) = output.take() {
-                assert!(of.0 > before && value == of.0 as f64, "{of:?} {value} after {before}");
-                before = of.0;
+            if let Some(parts) = taken(&mut output) {
+                let number = parts[0].number;
+                assert!(number > before && parts == set(number), "{parts:?} after {before}");
+                before = number;
             } else {
                 std::thread::yield_now();
             }
         }
         writer.join().unwrap();
-        assert_eq!(output.take(), None);
+        assert!(!output.take());
     }
 }

@@ -14,7 +14,7 @@ parts! {
     GroupCall { parts, together, lead, id }
     StreamRow { stream, member, parts, row }
     Row { position, velocity, acceleration, last }
-    Setpoint { of, value }
+    Setpoint { member, parts, number, of, value }
     Posted { number, series, limit_ns, call }
     Call { service, address, value }
     Profile { velocity, acceleration, deceleration }

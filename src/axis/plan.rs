@@ -32,10 +32,14 @@ pub struct AxisPlan {
     pub health: Health,
     /// How the axis stops when the master stops it.
     pub stop: StopPlan,
+    /// When a move has arrived.
+    pub in_position: InPosition,
     /// What a stream that runs empty does.
     pub underrun: Underrun,
     /// What to do with a drive that is found enabled or moving.
     pub on_found_running: FoundRunning,
+    /// What the axis does when the application drops its [`Axis`](super::Axis).
+    pub on_owner_lost: OwnerLost,
     /// What its load does when nothing holds it.
     pub load: Load,
     /// A cyclic velocity or torque setpoint older than so many cycles stops the axis.
@@ -78,6 +82,7 @@ impl AxisPlan {
         };
         AxisPlan {
             name: name.into(),
+            in_position: InPosition::new(&units, standstill),
             units,
             limits: Limits::default(),
             profile: Profile { velocity, acceleration, deceleration: acceleration },
@@ -96,6 +101,7 @@ impl AxisPlan {
             },
             underrun: Underrun::Stop,
             on_found_running: FoundRunning::Stop,
+            on_owner_lost: OwnerLost::Stop,
             load: Load::Level,
             setpoint_age: 10,
             jog_deadman: Some(Duration::from_millis(500)),
@@ -169,6 +175,22 @@ impl AxisPlan {
                 wrong(key, "must be above 0; leave it out for no limit".into());
             }
         }
+        let count = (1.0 / units.counts_per_unit).abs();
+        let most = match self.limits.following_error {
+            FollowingError::Most(most) => Some(most),
+            FollowingError::Derived | FollowingError::Off => None,
+        };
+        for (key, window) in
+            [("in_position.window", self.in_position.window), ("limits.following_error", most)]
+        {
+            // Written so that no number is not wide enough.
+            if window.is_some_and(|window| !(window.is_finite() && window >= count)) {
+                wrong(
+                    key,
+                    format!("must be a count of the drive at least, {count} {}; or \"off\"", units.unit),
+                );
+            }
+        }
         let profile = [
             ("profile.velocity", self.profile.velocity, "velocity", self.limits.velocity),
             ("profile.acceleration", self.profile.acceleration, "acceleration", self.limits.acceleration),
@@ -197,6 +219,7 @@ impl AxisPlan {
             ("health.leak", self.health.leak),
             ("health.gate", self.health.gate),
             ("stop.standstill_for", self.stop.standstill_for),
+            ("in_position.for", self.in_position.reports.into()),
             ("setpoint_age", self.setpoint_age),
         ] {
             if value == 0 {
@@ -295,6 +318,42 @@ pub struct Limits {
     pub torque: Option<f64>,
     /// Largest speed while it homes, units/s; `None` = as `velocity`.
     pub homing: Option<f64>,
+    /// Largest distance between the demand and the actual position in a motion.
+    pub following_error: FollowingError,
+}
+
+/// A motor lags behind its demand by no more than the way in this time, s: a position controller without a feed-forward
+/// of the velocity has a gain of 20 1/s at least.
+const LAG_S: f64 = 0.05;
+
+impl AxisPlan {
+    /// The largest following error where the actual position of a report is that of `behind_ns` before its demand;
+    /// `None` = it is not watched.
+    pub(crate) fn most_following_error(&self, behind_ns: u64) -> Option<f64> {
+        match self.limits.following_error {
+            FollowingError::Off => None,
+            FollowingError::Most(most) => Some(most),
+            FollowingError::Derived => {
+                let lag_s = behind_ns as f64 * 1e-9 + LAG_S;
+                let counts = (InPosition::COUNTS / self.units.counts_per_unit).abs();
+                let margin = self.in_position.window.unwrap_or(0.0).max(counts);
+                self.limits.velocity.map(|velocity| velocity * lag_s + margin)
+            }
+        }
+    }
+}
+
+/// The largest following error of an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum FollowingError {
+    /// Where the demand is the master's and the velocity has a limit: the way at that limit in the age of the feedback
+    /// and 50 ms, and the window of [`InPosition`].
+    #[default]
+    Derived,
+    /// Not watched.
+    Off,
+    /// So many units, whatever makes the demand.
+    Most(f64),
 }
 
 impl Limits {
@@ -321,6 +380,34 @@ impl Default for Health {
     /// Lost after 5 misses (20 good exchanges in a row cancel one), up after 10 in a row, probed every 100 ms.
     fn default() -> Health {
         Health { bucket: 5, leak: 20, gate: 10, probe_interval: Duration::from_millis(100) }
+    }
+}
+
+/// When a move has arrived: its drive has it, its demand is at the target, and the actual position is near it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InPosition {
+    /// So near, units; `None` = the end of the demand is the end of the move.
+    pub window: Option<f64>,
+    /// In so many good exchanges in a row, at least 1.
+    pub reports: u16,
+    /// The longest time from the end of the demand until then; later the move fails.
+    pub timeout: Duration,
+}
+
+impl InPosition {
+    /// The default window is the way at the speed of standstill in a tenth of a second.
+    const PER_SECOND: f64 = 10.0;
+    /// A position controller comes to rest some counts away.
+    const COUNTS: f64 = 4.0;
+
+    /// The default of an axis that stands still below `standstill`, units/s.
+    pub fn new(units: &Units, standstill: f64) -> InPosition {
+        let counts = (InPosition::COUNTS / units.counts_per_unit).abs();
+        InPosition {
+            window: Some((standstill / InPosition::PER_SECOND).max(counts)),
+            reports: 10,
+            timeout: Duration::from_secs(1),
+        }
     }
 }
 
@@ -392,4 +479,15 @@ pub enum FoundRunning {
     Stop,
     /// Only read it; write nothing until the application commands the axis.
     Refuse,
+}
+
+/// What an axis does when the application drops its [`Axis`](super::Axis), or the [`Group`](super::Group) that has it.
+/// An axis that stands still, or runs a command of the in-loop task, goes on in either case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OwnerLost {
+    /// What runs or waits is aborted, and the axis is stopped as the stop plan says. A stop or power off that was
+    /// requested before goes on.
+    Stop,
+    /// What was commanded goes on to its end.
+    Finish,
 }

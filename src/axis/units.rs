@@ -72,6 +72,12 @@ impl Units {
         counts / self.counts_per_unit
     }
 
+    /// The distance between two positions whose 32-bit counts were unwrapped one by one: whole wrap-arounds are none.
+    pub(crate) fn unwrapped(&self, distance: f64) -> f64 {
+        let around = self.distance(WRAP).abs();
+        distance - (distance / around).round() * around
+    }
+
     /// The distance from one user position to another: on a rotary axis the shorter way, at most half a turn.
     pub fn way(&self, from: f64, to: f64) -> f64 {
         way(self.modulo, from, to)
@@ -89,6 +95,9 @@ pub(crate) fn way(modulo: Option<f64>, from: f64, to: f64) -> f64 {
         None => to - from,
     }
 }
+
+/// The counts after which a 32-bit count begins again.
+const WRAP: f64 = 4_294_967_296.0;
 
 /// Follows a 32-bit wire count over its wrap-around.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

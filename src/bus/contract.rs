@@ -18,6 +18,19 @@ use crate::net::LinkNotes;
 use crate::rt::Regions;
 use crate::time::Time;
 
+/// Stops the drives of a bus from another thread, once the wires were taken from a loop whose cycle does not end.
+///
+/// It shares no lock and no memory of a conversation with the loop, and what it sends holds whatever the loop has sent
+/// last: a request of the loop may be under way still, so the stop is repeated.
+pub trait LastResort: std::fmt::Debug + Send {
+    /// Sends the stop to every drive that the master commands; `since_ns` after the wires were taken. Never waits,
+    /// never allocates.
+    fn send(&mut self, since_ns: u64);
+
+    /// After so long all drives have been sent the last phase of their stop, ns.
+    fn over_after_ns(&self) -> u64;
+}
+
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 ///
 /// It carries five kinds of wire. What each of them makes of the exchange of a due slot, and the clauses for it alone:
@@ -87,6 +100,12 @@ pub trait Bus: Send {
     /// and again for a later slot if the first was passed over. What was replaced before its request left is never
     /// carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// What stops its drives without the loop, on a wire whose drives have no watchdog of their own for a silent master.
+    /// By default a bus has none: its drives stop by themselves once nothing is sent any more.
+    fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
+        None
+    }
 
     /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
     /// cycle, until it is true.

@@ -308,6 +308,8 @@ pub struct Capabilities {
     pub stands_ns: u64,
     /// The end of a move may be so far from its target, user units.
     pub arrival: f64,
+    /// The actual position of a report has followed the demand until so long before the demand of the same report, ns.
+    pub behind_ns: u64,
     /// What the wire can carry.
     pub ranges: Ranges,
 }
@@ -383,6 +385,7 @@ impl Capabilities {
             still_reports: 1,
             stands_ns: 0,
             arrival: f64::INFINITY,
+            behind_ns: 0,
             ranges: Ranges::UNLIMITED,
         }
     }

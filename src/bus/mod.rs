@@ -46,7 +46,7 @@ mod reader;
 pub(crate) mod tools;
 pub(crate) mod variant;
 
-pub(crate) use self::contract::{Bus, Cycle, Exchange, Notes, Slot};
+pub(crate) use self::contract::{Bus, Cycle, Exchange, LastResort, Notes, Slot};
 pub(crate) use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub(crate) use self::drives::Ends;
 pub use self::error::OpenError;

@@ -9,7 +9,8 @@ use fieldbeat::Master;
 use fieldbeat::axis::{Axis, Fault, Link, StopCause};
 use fieldbeat::internals::axis::feedback::FaultNames;
 use fieldbeat::internals::control::{
-    Answering, OperatorSession, Sender, Server, Session, Station, Watch, answer_operator, place,
+    Answering, Legacies, OperatorSession, Sender, Server, Session, Station, Urgency, Watch, answer_operator,
+    operator_urgency, place,
 };
 use fieldbeat::internals::rt::thread::helper_thread;
 use fieldbeat::telemetry::blackbox::Written;
@@ -336,10 +337,11 @@ pub fn serve(master: &Master, station: Option<Station>) -> Result<Server, String
     let core = master.granted().core;
     let acyclics = master.acyclics().to_vec();
     let watch = Watch::new(&monitor);
+    let legacies = Legacies::default();
     let open = move || Conversation {
         monitor: monitor.clone(),
         config: config.clone(),
-        session: Session::new(acyclics.clone()),
+        session: Session::new(acyclics.clone(), &legacies),
         watch: watch.clone(),
         operator: station.as_ref().map(Station::session),
     };
@@ -356,6 +358,14 @@ struct Conversation {
 }
 
 impl Answering for Conversation {
+    fn urgency(question: &Value) -> Urgency {
+        operator_urgency(question).unwrap_or(if Session::is_slow(question) {
+            Urgency::Slow
+        } else {
+            Urgency::Usual
+        })
+    }
+
     fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String> {
         if question["ask"] == "status" {
             return Ok(status(&self.monitor, self.config.as_deref()));
@@ -392,6 +402,21 @@ fn status(monitor: &Monitor, config: Option<&std::path::Path>) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stop_comes_first_and_the_calls_of_drives_last() {
+        let operate = |request: Value| json!({ "ask": "operate", "beat": 0, "request": request });
+        for (question, urgency) in [
+            (operate(json!("stop")), Urgency::Stop),
+            (operate(json!({ "take": { "name": "stop" } })), Urgency::Operate),
+            (json!({ "ask": "status", "request": "stop" }), Urgency::Usual),
+            (json!({ "ask": "claim", "drive": "x" }), Urgency::Usual),
+            (json!({ "ask": "calls", "drive": "x", "calls": [] }), Urgency::Slow),
+            (json!(["operate"]), Urgency::Usual),
+        ] {
+            assert_eq!(<Conversation as Answering>::urgency(&question), urgency, "{question}");
+        }
+    }
 
     #[test]
     fn a_reason_that_stands_is_reported_once_until_the_drive_was_online() {

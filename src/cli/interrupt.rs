@@ -10,30 +10,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::StopHandle;
+use fieldbeat::internals::master::{ENDING, action_of};
 use libc::c_int;
 use signal_hook::consts::{SIGTSTP, SIGTTIN, SIGTTOU, SIGUSR1, SIGXFSZ};
 
 use super::complain;
-
-/// What ends a process by default (signal(7)), without the real-time signals.
-const ENDING: [c_int; 14] = [
-    libc::SIGINT,
-    libc::SIGTERM,
-    libc::SIGHUP,
-    libc::SIGQUIT,
-    libc::SIGABRT,
-    libc::SIGALRM,
-    libc::SIGVTALRM,
-    libc::SIGPROF,
-    libc::SIGUSR2,
-    libc::SIGIO,
-    libc::SIGPWR,
-    libc::SIGSTKFLT,
-    // The limit of processor time (ulimit -t): the kernel repeats it each second, up to SIGKILL at the hard limit.
-    libc::SIGXCPU,
-    // Ignored from the start of every Rust program, and left so.
-    libc::SIGPIPE,
-];
 
 /// Set by the signals' handlers, which do nothing else.
 #[derive(Clone, Debug)]
@@ -50,10 +31,11 @@ impl Interrupt {
     /// Catches the signals from here on.
     pub fn catch() -> std::io::Result<Interrupt> {
         let interrupt = Interrupt { fresh: Arc::default(), ever: Arc::default(), black_box: Arc::default() };
-        for signal in ENDING.into_iter().chain(libc::SIGRTMIN()..=libc::SIGRTMAX()) {
+        let real_time = libc::SIGRTMIN()..=libc::SIGRTMAX();
+        for signal in ENDING.into_iter().chain([libc::SIGABRT]).chain(real_time) {
             // Under nohup the program shall outlive its terminal. The others are caught even if they were ignored: a
             // shell does so with SIGINT and SIGQUIT of what it puts into the background.
-            if [libc::SIGHUP, libc::SIGPIPE].contains(&signal) && is_ignored(signal) {
+            if [libc::SIGHUP, libc::SIGPIPE].contains(&signal) && action_of(signal) == libc::SIG_IGN {
                 continue;
             }
             signal_hook::flag::register(signal, Arc::clone(&interrupt.ever))?;
@@ -108,16 +90,6 @@ fn ignore(signal: c_int) -> std::io::Result<()> {
     match unsafe { libc::signal(signal, libc::SIG_IGN) } {
         libc::SIG_ERR => Err(std::io::Error::last_os_error()),
         _ => Ok(()),
-    }
-}
-
-/// Whether whoever started the program had it ignore `signal`.
-fn is_ignored(signal: c_int) -> bool {
-    let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
-    // SAFETY: a null action changes nothing, and `action` has room for the present one; all zero is a valid one.
-    unsafe {
-        libc::sigaction(signal, std::ptr::null(), action.as_mut_ptr());
-        action.assume_init().sa_sigaction == libc::SIG_IGN
     }
 }
 

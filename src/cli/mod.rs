@@ -1,6 +1,7 @@
 //! The command line: one file a command, no logic that a user of the library would want. Signals are handled here.
 //!
-//! Exit codes: 0 done, 1 the run failed, a drive was lost or the host is not ready, 2 bad arguments or configuration.
+//! Exit codes: 0 done, 1 the run failed, a drive was lost or left on, or the host is not ready, 2 bad arguments or
+//! configuration.
 
 mod blackbox;
 mod check;

@@ -5,7 +5,6 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use clap::Args;
-use fieldbeat::axis::{HeldBy, Load};
 use fieldbeat::doctor::{self, Subject, examine};
 use fieldbeat::internals::config::describe;
 use fieldbeat::internals::master::MachineOf;
@@ -121,7 +120,7 @@ impl Running {
     pub fn finish(self, master: Master) -> (Summary, Result<(), Stop>) {
         let run = master.finish();
         let summary = run.summary();
-        name_held_loads(&run);
+        name_held_loads(&summary);
         let printed = if self.json {
             serde_json::to_string(&summary).map_err(Stop::failed).and_then(print)
         } else {
@@ -153,12 +152,22 @@ pub fn texts(plan: &Plan) -> Vec<(String, String)> {
     vec![("Configuration".into(), describe(plan).join("\n")), ("Host".into(), host)]
 }
 
-/// Says which drives stay powered.
-pub fn name_held_loads(run: &Run) {
-    for (axis, drive) in run.plan.axes().into_iter().zip(&run.end.drives) {
-        if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.status.state.is_powered() {
-            complain(&format!("drive {} stays powered: only the drive holds its vertical load", axis.name));
+/// Says which drives stay powered as planned.
+pub fn name_held_loads(summary: &Summary) {
+    for drive in &summary.drives {
+        if let Some(held) = drive.held() {
+            complain(&format!("drive {} {held}", drive.name));
         }
+    }
+}
+
+/// How the drives of a master were left that has no summary: what is held as planned is said, and the rest is an error.
+pub fn judge_end(run: &Run) -> Result<(), Stop> {
+    let summary = run.summary();
+    name_held_loads(&summary);
+    match summary.left_on() {
+        Some(drives) => Err(Stop::failed(drives)),
+        None => Ok(()),
     }
 }
 

@@ -9,6 +9,7 @@ use fieldbeat::internals::bus::tools::{Drive, OwnMaster, Task};
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Wanted;
+use super::output::{both, judge_end};
 use super::{Stop, print, reach, run};
 
 /// A drive that is there answers sooner.
@@ -65,9 +66,9 @@ impl OwnMaster for Own<'_> {
             sleep(LOOK_EVERY);
         }
         let feedback = axis.feedback();
-        drop(master.finish());
+        let ended = judge_end(&master.finish());
         let name = axis.name();
-        match done {
+        let done = match done {
             Ok(()) => {
                 let position = feedback.status.position;
                 print(format_args!("drive {name}: {position:.4} {}", axis.plan().units.unit))
@@ -80,7 +81,8 @@ impl OwnMaster for Own<'_> {
                 Err(Stop::failed(format!("drive {name}: interrupted; ramped down and {left}")))
             }
             Err(stop) => Err(stop),
-        }
+        };
+        both(done, ended)
     }
 }
 

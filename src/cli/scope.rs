@@ -69,7 +69,13 @@ impl Scope {
 fn announce(endpoint: &Endpoint, say: impl Fn(&str) -> Result<(), Stop>) -> Result<(), Stop> {
     say(&format!("scope at {}", endpoint.url()))?;
     if !endpoint.address().ip().is_loopback() {
-        complain("whoever has this address, with its token, can watch the machine; nothing is encrypted");
+        complain(match endpoint.has_control() {
+            true => {
+                "whoever has this address, with its token, can MOVE the machine: enable, home and step its axes; \
+                 nothing is encrypted"
+            }
+            false => "whoever has this address, with its token, can watch the machine; nothing is encrypted",
+        });
     }
     Ok(())
 }

@@ -240,8 +240,8 @@ impl Test {
         self.progress.sample(self.now());
         self.handler.end(&self.master);
         let run = self.master.finish();
-        name_held_loads(&run);
         let summary = run.summary();
+        name_held_loads(&summary);
         let archive = Archive::of(&run.plan, &run.end, &run.measured, &summary);
         self.writer.look().iter().for_each(|line| complain(line));
         self.progress.files_lost += self.writer.take_lost();

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::bus::BusPlan;
-use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
+use crate::cycle::{CyclePlan, Guard, Overrun, Wait, WatchAfter};
 use crate::keys::form::Form;
 use crate::keys::table::{Table, time, within_times};
 use crate::keys::value::{SHORT_NAME, alternatives, plain_name};
@@ -55,6 +55,7 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             period_ns..=3600 * S,
             "the longest silence of the application while an axis is enabled; leave it out for no limit",
         ),
+        watch_after: watch_after(table, period_ns).unwrap_or(default.watch_after),
         late_ns: table.time(
             "late",
             US..=period_ns,
@@ -100,6 +101,15 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
         Some("off") => Ok(Guard::Off),
         Some("auto") => Ok(Guard::Auto),
         _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),
+    })
+}
+
+fn watch_after(table: &mut Table<'_>, period_ns: u64) -> Option<WatchAfter> {
+    let range = CyclePlan::watch_range_ns(period_ns);
+    table.read("watch_after", Form::Time.or(Form::words(["off"])), |value| match value.as_str() {
+        Some("off") => Ok(WatchAfter::Off),
+        _ => time(value, &range, "or \"off\"; the loop counts as stuck after so long without a sign of life")
+            .map(WatchAfter::Fixed),
     })
 }
 

@@ -1,7 +1,10 @@
 //! A plan in words: what `check` prints.
 
-use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
+use crate::axis::{
+    AxisPlan, FollowingError, HeldBy, InPosition, Load, OwnerLost, StopHow, StopThen, StopTimeout,
+};
 use crate::bus::BusPlan;
+use crate::bus::desired::{Capabilities, Generator, Velocities};
 use crate::cycle::bound::{Pace, Paced, bound, group, paced, silence};
 use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
@@ -22,11 +25,12 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         let mut own = bus.describe(plan.cycle.period_ns).into_iter();
         lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), taking_part([bus])));
         let mut before: Option<(&str, Vec<String>)> = None;
-        for drive in drives.by_ref().take(bus.axes().len()) {
+        for (index, drive) in drives.by_ref().take(bus.axes().len()).enumerate() {
+            let can = bus.capabilities(index, plan.cycle.period_ns);
             let paragraph = own.next().unwrap_or_default();
             let mut own_lines = paragraph.lines().map(str::to_owned);
             let first = own_lines.next().unwrap_or_default();
-            let rest: Vec<String> = own_lines.chain(axis(drive, &paced, &plan.cycle)).collect();
+            let rest: Vec<String> = own_lines.chain(axis(drive, &can, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -126,6 +130,13 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     if let Some(limit) = cycle.heartbeat_ns {
         lines.push(format!("  a silence of the application of {} stops all enabled axes", Ns(limit)));
     }
+    lines.push(match cycle.watch_after_ns() {
+        Some(after) => format!(
+            "  a loop that gives no sign of life for {} is stuck: its watch takes the wires, and the run has failed",
+            Ns(after)
+        ),
+        None => "  nobody watches whether its cycle ends (watch_after = \"off\")".to_owned(),
+    });
     lines.push(format!(
         "  a cycle that is late by more than {} is counted with its cause",
         Ns(cycle.late_ns())
@@ -162,12 +173,78 @@ fn frequency(period_ns: u64) -> String {
 }
 
 /// What every protocol's axis has: schedule, link, stop, limits.
-fn axis(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
+fn axis(drive: &Paced<'_>, can: &Capabilities, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
     let (axis, period_ns) = (drive.axis, cycle.period_ns);
     let mut lines = vec![schedule(drive, period_ns), link(drive, all, cycle), stop(axis)];
     lines.extend(load(axis));
-    lines.extend([setpoints(axis, period_ns), limits(axis)]);
+    lines.push(setpoints(axis, period_ns));
+    lines.extend(owner(axis));
+    lines.push(limits(axis));
+    if can.lacks.moves.is_none() {
+        lines.push(in_position(axis, period_ns));
+        lines.push(following_error(axis, can));
+    }
     lines
+}
+
+fn in_position(axis: &AxisPlan, period_ns: u64) -> String {
+    let InPosition { window, reports, timeout } = axis.in_position;
+    let Some(window) = window else {
+        return "a move is done at the end of its demand, wherever the axis is (in_position.window = \"off\")".into();
+    };
+    let exchange_ns = period_ns.saturating_mul(axis.divisor.into());
+    format!(
+        "a move is done within {window} {} of its target for {} ({}), without that {} behind the end of its demand it \
+         has failed",
+        axis.units.unit,
+        count(reports.into(), "exchange"),
+        Ns(exchange_ns.saturating_mul(reports.into())),
+        Ns(nanos(timeout)),
+    )
+}
+
+fn following_error(axis: &AxisPlan, can: &Capabilities) -> String {
+    let unit = axis.units.unit;
+    let by_master = match can.generator {
+        Generator::Master(_) => "",
+        // The drive watches its own.
+        Generator::Drive { velocities: Some(Velocities::Leash(_)) } if can.lacks.rows.is_some() => {
+            " of jogs and velocities"
+        }
+        Generator::Drive { velocities: Some(Velocities::Leash(_)) } => " of rows, jogs and velocities",
+        Generator::Drive { .. } if can.lacks.rows.is_none() => " of rows",
+        Generator::Drive { .. } => {
+            return match axis.limits.following_error {
+                FollowingError::Most(most) => format!("stopped by a following error above {most} {unit}"),
+                _ => {
+                    "its following error is watched by the drive; limits.following_error watches it here, too"
+                        .into()
+                }
+            };
+        }
+    };
+    match (axis.limits.following_error, axis.most_following_error(can.behind_ns)) {
+        (FollowingError::Off, _) => {
+            "its following error is not watched here (limits.following_error = \"off\")".into()
+        }
+        (_, None) => {
+            "its following error is not watched here: that needs limits.velocity or limits.following_error"
+                .into()
+        }
+        (FollowingError::Most(_), Some(most)) => format!("stopped by a following error above {most} {unit}"),
+        (FollowingError::Derived, Some(most)) => {
+            format!(
+                "stopped by a following error{by_master} above {} {unit} (limits.following_error)",
+                rounded(most)
+            )
+        }
+    }
+}
+
+/// Three digits are enough for what follows from a rule.
+fn rounded(value: f64) -> f64 {
+    let scale = 10_f64.powf(2.0 - value.abs().log10().floor());
+    if scale.is_finite() { (value * scale).round() / scale } else { value }
 }
 
 fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
@@ -277,6 +354,12 @@ fn setpoints(axis: &AxisPlan, period_ns: u64) -> String {
     }
 }
 
+/// What is left out where a drop stops it.
+fn owner(axis: &AxisPlan) -> Option<String> {
+    (axis.on_owner_lost == OwnerLost::Finish)
+        .then(|| "a program that drops the axis lets it go on to the end of what was commanded".into())
+}
+
 fn limits(axis: &AxisPlan) -> String {
     let (limits, unit) = (&axis.limits, axis.units.unit);
     let mut set = Vec::new();
@@ -297,6 +380,12 @@ mod tests {
     use super::*;
     use crate::axis::Units;
     use crate::time::MS;
+
+    #[test]
+    fn what_follows_from_a_rule_is_shown_with_three_digits() {
+        let shown = [62.5, 1_052.44, 0.012_345, 0.0, 7e-9].map(|value| rounded(value).to_string());
+        assert_eq!(shown, ["62.5", "1050", "0.0123", "0", "0.000000007"]);
+    }
 
     #[test]
     fn the_schedule_of_a_drive_says_when_its_exchanges_end_where_no_reply_ends_them_at_once() {

@@ -88,6 +88,7 @@ fn cycle(cycle: &CyclePlan) -> Value {
         "late_ns": cycle.late_ns(),
         "task_budget_ns": cycle.task_budget_ns,
         "heartbeat_ns": cycle.heartbeat_ns,
+        "watch_after_ns": cycle.watch_after_ns(),
         "reference": cycle.reference,
         "black_box_ns": cycle.black_box_ns,
     })

@@ -21,12 +21,12 @@ mod session;
 mod watch;
 
 pub use client::{AskError, Conversation, ask};
-pub use operate::answer as answer_operator;
 pub use operate::{
     Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
     OperateError, OperationState, Operator, OperatorSession, Order, Reply, Request, Station,
 };
+pub use operate::{answer as answer_operator, urgency as operator_urgency};
 pub use remote::Remote;
-pub use server::{Answering, Sender, ServeError, Server};
-pub use session::Session;
+pub use server::{Answering, Sender, ServeError, Server, Urgency};
+pub use session::{Legacies, Session};
 pub use watch::{About, Happened, Late, NEWS_EVERY, News, Part, Watch, Watched};

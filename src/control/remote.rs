@@ -129,7 +129,7 @@ mod tests {
     use crossbeam_channel::Receiver;
     use tempfile::TempDir;
 
-    use super::super::{Answering, Server, Session};
+    use super::super::{Answering, Legacies, Server, Session};
     use super::*;
     use crate::axis::acyclic::{Acyclic, Answer, both};
 
@@ -188,7 +188,8 @@ mod tests {
                 }
             });
             let shared = acyclic.clone();
-            let open = move || Only(Session::new(vec![shared.clone()]));
+            let legacies = Legacies::default();
+            let open = move || Only(Session::new(vec![shared.clone()], &legacies));
             let server = Some(Server::start(&path, || {}, open).unwrap());
             Master { acyclic, taken, end, drive: Some(drive), server, path, _directory: directory }
         }
@@ -276,6 +277,29 @@ mod tests {
         }
         assert_eq!(master.remote().run(&[call(8)], LIMIT).answers.len(), 1);
         assert_eq!(master.takes(), 8);
+    }
+
+    #[test]
+    fn clients_that_come_and_go_leave_so_much_to_be_done_and_no_more() {
+        let master = Master::start(8);
+        let leave = || {
+            let remote = master.remote();
+            let left = remote.bequeath(&[call(SILENT)]);
+            // Another one takes the place of the one before, and none frees it.
+            assert_eq!(left.is_ok(), remote.bequeath(&[call(SILENT)]).is_ok());
+            left.is_ok()
+        };
+        let kept: Vec<Remote> = (0..3).map(|_| master.remote()).collect();
+        for remote in &kept {
+            assert!(remote.bequeath(&[call(1)]).is_ok());
+        }
+        let left = (0..100).filter(|_| leave()).count();
+        assert_eq!(left, 32 - kept.len());
+        // They are all under way, and everybody else is answered.
+        drop(master.remote());
+        assert!(kept[0].bequeath(&[]).is_ok());
+        assert!(leave());
+        assert!(!leave());
     }
 
     #[test]

@@ -2,7 +2,9 @@
 //!
 //! Clients that have not sent a whole request yet cost a descriptor each, and no thread: [`Clients`] bounds them. The
 //! first request begins a conversation on a thread of its own. If there are too many conversations, the one that has
-//! been silent for longest ends.
+//! been silent for longest ends. Requests that may take long occupy half of the places at most, those of operators have
+//! some more of their own, and a client that has left has none, although its request may still be under way: so a stop
+//! waits for nobody.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -13,7 +15,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -36,7 +38,17 @@ pub(super) const PATIENCE_OF_STREAM: Duration = Duration::from_secs(10);
 const PAUSE: Duration = Duration::from_secs(10);
 
 /// Conversations at a time. For a further one the longest silent of them ends; while none is silent, it waits.
-const MOST_CONVERSATIONS: usize = 16;
+const MOST_CONVERSATIONS: usize = 32;
+
+/// Of these, those that do what may take long. All others are silent or answered within milliseconds, so that one of
+/// them makes room.
+const MOST_SLOW: usize = 16;
+
+/// Further conversations that begin with the request of an operator, and as many again that begin with a stop.
+const RESERVED: usize = 8;
+
+/// Conversations that are over and whose end takes its time do not count, up to so many of them.
+const MOST_ENDING: usize = 32;
 
 /// Whole requests that wait for a conversation to end; each has its descriptor.
 const MOST_WAITING: usize = 32;
@@ -84,17 +96,27 @@ pub struct Server {
 #[derive(Debug)]
 struct Conversation {
     begun: Instant,
-    /// Since when it waits for the next question, ms from its begin; 0: an answer is under way.
+    /// Since when it waits for the next question, or to be allowed to begin, ms from its begin; 0: an answer is under
+    /// way.
     silent_since: AtomicU64,
+    /// Its last question was an operator's: it makes room after all others.
+    operates: AtomicBool,
     /// It has to make room.
     dismissed: AtomicBool,
+    /// Its client is gone.
+    left: AtomicBool,
     ended: AtomicBool,
 }
 
 impl Conversation {
     fn new() -> Conversation {
-        let [dismissed, ended] = std::array::from_fn(|_| AtomicBool::new(false));
-        Conversation { begun: Instant::now(), silent_since: AtomicU64::new(0), dismissed, ended }
+        let [operates, dismissed, left, ended] = std::array::from_fn(|_| AtomicBool::new(false));
+        let silent_since = AtomicU64::new(0);
+        Conversation { begun: Instant::now(), silent_since, operates, dismissed, left, ended }
+    }
+
+    fn is_dismissed(&self) -> bool {
+        self.dismissed.load(Ordering::Relaxed)
     }
 
     /// For how long it has been silent.
@@ -107,6 +129,45 @@ impl Conversation {
         let now = u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX).max(1);
         self.silent_since.store(if silent { now } else { 0 }, Ordering::Relaxed);
     }
+}
+
+/// A whole request that waits for a conversation.
+struct Waiting {
+    urgency: Urgency,
+    client: Client<UnixStream>,
+}
+
+/// Enters what `arrived`: the most urgent first, and what has waited for longest first among equals. The last of those
+/// that have no room are hung up on.
+fn enter<A: Answering>(waiting: &mut VecDeque<Waiting>, arrived: Vec<Client<UnixStream>>) {
+    for client in arrived {
+        let urgency = question(&client.said).as_ref().map_or(Urgency::Usual, A::urgency);
+        let place = waiting.partition_point(|one| one.urgency <= urgency);
+        waiting.insert(place, Waiting { urgency, client });
+    }
+    waiting.truncate(MOST_WAITING);
+}
+
+/// Lets as many of the silent ones go as requests wait for a place, operators after all others.
+fn make_room(under_way: &[Arc<Conversation>], waiting: usize) {
+    let here = || under_way.iter().filter(|one| !one.left.load(Ordering::Relaxed));
+    let going = here().filter(|one| one.is_dismissed()).count();
+    for _ in going..waiting {
+        let silent = here().filter(|one| !one.is_dismissed() && one.silence().is_some());
+        let rank = |one: &&Arc<Conversation>| (!one.operates.load(Ordering::Relaxed), one.silence());
+        let Some(silent) = silent.max_by_key(rank) else { return };
+        silent.dismissed.store(true, Ordering::Relaxed);
+    }
+}
+
+/// How many conversations leave a place for a further one that begins like this.
+fn places(urgency: Urgency) -> usize {
+    MOST_CONVERSATIONS
+        + match urgency {
+            Urgency::Stop => 2 * RESERVED,
+            Urgency::Operate => RESERVED,
+            Urgency::Usual | Urgency::Slow => 0,
+        }
 }
 
 impl Server {
@@ -130,12 +191,14 @@ impl Server {
             .spawn(move || {
                 prepare();
                 let go_on = || !ending.load(Ordering::Acquire);
+                let slow = AtomicUsize::new(0);
                 let serve_one = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
                     // Whoever went away or sends nonsense is not answered, and that is all.
                     let work = AssertUnwindSafe(|| {
                         prepare();
                         let mut answering = open();
-                        let _ = converse(client, &go_on, &conversation, &mut answering);
+                        let _ = converse(client, &go_on, &conversation, &slow, &mut answering);
+                        conversation.left.store(true, Ordering::Relaxed);
                         answering.end(&go_on);
                     });
                     if catch_unwind(work).is_err() {
@@ -153,27 +216,24 @@ impl Server {
                             let is_whole = |said: &[u8]| said.contains(&b'\n');
                             let idle = under_way.is_empty() && waiting.is_empty();
                             let timeout = if idle { LOOK_IDLE_EVERY } else { LOOK_EVERY };
-                            waiting.extend(clients.turn(listening.as_fd(), timeout, accept, is_whole));
-                            waiting.truncate(MOST_WAITING);
+                            let arrived = clients.turn(listening.as_fd(), timeout, accept, is_whole);
+                            enter::<A>(&mut waiting, arrived);
                             under_way.retain(|one| !one.ended.load(Ordering::Relaxed));
-                            while under_way.len() < MOST_CONVERSATIONS
-                                && let Some(client) = waiting.pop_front()
+                            let left =
+                                under_way.iter().filter(|one| one.left.load(Ordering::Relaxed)).count();
+                            let mut taken = under_way.len() - left.min(MOST_ENDING);
+                            while waiting.front().is_some_and(|next| taken < places(next.urgency))
+                                && let Some(Waiting { client, .. }) = waiting.pop_front()
                             {
                                 let conversation = Arc::new(Conversation::new());
                                 let thread = std::thread::Builder::new().name("fb-session".into());
                                 let of_thread = Arc::clone(&conversation);
                                 if thread.spawn_scoped(scope, || serve_one(client, of_thread)).is_ok() {
                                     under_way.push(conversation);
+                                    taken += 1;
                                 }
                             }
-                            let longest =
-                                under_way.iter().filter(|one| !one.dismissed.load(Ordering::Relaxed));
-                            if !waiting.is_empty()
-                                && let Some(silent) = longest.max_by_key(|one| one.silence())
-                                && silent.silence().is_some()
-                            {
-                                silent.dismissed.store(true, Ordering::Relaxed);
-                            }
+                            make_room(&under_way, waiting.len());
                         }
                     });
                 });
@@ -232,8 +292,30 @@ fn is_socket(path: &Path) -> bool {
 /// Takes bytes, each time within a limit of time; an error: the other side is gone, too slow, or the server ends.
 pub type Sender<'a> = dyn FnMut(&[u8]) -> io::Result<()> + 'a;
 
+/// How soon a question is to be answered, the most urgent first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Urgency {
+    /// Before all others: a stop.
+    Stop,
+    /// Before what only looks: another request of an operator.
+    Operate,
+    /// Within milliseconds, or a stream.
+    Usual,
+    /// It may take long.
+    Slow,
+}
+
 /// What answers the questions of one conversation.
 pub trait Answering {
+    /// How soon `question` is to be answered.
+    fn urgency(question: &Value) -> Urgency
+    where
+        Self: Sized,
+    {
+        let _ = question;
+        Urgency::Usual
+    }
+
     /// The answer. One that takes long breaks off once `go_on` is false: nobody waits for it any more.
     fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String>;
 
@@ -243,7 +325,7 @@ pub trait Answering {
         None
     }
 
-    /// The conversation is over: does what has to be done then, while `go_on`.
+    /// The conversation is over: does what has to be done then, while `go_on`. Its client has left, and nobody waits.
     fn end(&mut self, go_on: &dyn Fn() -> bool) {
         let _ = go_on;
     }
@@ -262,53 +344,96 @@ fn hung_up(stream: &UnixStream) -> bool {
     found.is_ok_and(|found| found > 0)
 }
 
+/// The question in what was said: what follows its line is nobody's.
+fn question(said: &[u8]) -> serde_json::Result<Value> {
+    serde_json::from_slice(said.split(|byte| *byte == b'\n').next().unwrap_or_default())
+}
+
+/// One of the places for what may take long.
+struct Slow<'a>(&'a AtomicUsize);
+
+impl<'a> Slow<'a> {
+    fn begin(taken: &'a AtomicUsize) -> Option<Slow<'a>> {
+        let more = |taken| (taken < MOST_SLOW).then_some(taken + 1);
+        taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).ok().map(|_| Slow(taken))
+    }
+
+    /// Waits for one while `go_on`. Meanwhile the conversation counts as silent.
+    fn wait(
+        taken: &'a AtomicUsize,
+        conversation: &Conversation,
+        go_on: &dyn Fn() -> bool,
+    ) -> Option<Slow<'a>> {
+        let mut slow = Slow::begin(taken);
+        conversation.is_silent(slow.is_none());
+        while slow.is_none() && go_on() {
+            std::thread::sleep(LOOK_EVERY);
+            slow = Slow::begin(taken);
+        }
+        conversation.is_silent(false);
+        slow
+    }
+}
+
+impl Drop for Slow<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 /// Answers question after question, until the other side ends it.
-fn converse(
+fn converse<A: Answering>(
     client: Client<UnixStream>,
     go_on: &dyn Fn() -> bool,
     conversation: &Conversation,
-    answering: &mut impl Answering,
+    slow: &AtomicUsize,
+    answering: &mut A,
 ) -> io::Result<()> {
     let Client { stream, said: mut line, .. } = client;
     let stream = &stream;
     stream.set_nonblocking(false)?;
     let uid = getsockopt(stream, sockopt::PeerCredentials)?.uid();
     let ours = uid == 0 || uid == nix::unistd::geteuid().as_raw();
+    let is_here = || go_on() && !hung_up(stream);
+    let waits = || go_on() && !conversation.is_dismissed();
     loop {
         if line.is_empty() {
             return Ok(());
         }
-        // What follows a line is nobody's.
-        line.truncate(line.iter().position(|byte| *byte == b'\n').map_or(line.len(), |end| end + 1));
-        let question = serde_json::from_slice(&line);
+        let question = question(&line);
+        let urgency = question.as_ref().map_or(Urgency::Usual, A::urgency);
+        conversation.operates.store(urgency == Urgency::Operate, Ordering::Relaxed);
         if let (true, Ok(question)) = (ours, &question) {
-            let go_on = || go_on() && !hung_up(stream);
-            let mut send = |bytes: &[u8]| Exchange::new(stream, PATIENCE_OF_STREAM, &go_on)?.send(bytes);
+            let mut send = |bytes: &[u8]| Exchange::new(stream, PATIENCE_OF_STREAM, &is_here)?.send(bytes);
             if let Some(ended) = answering.stream(question, &mut send) {
                 return ended;
             }
         }
-        let reply = match ours {
-            true => match question {
-                Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
-                Err(_) if line.len() == LONGEST_QUESTION => {
-                    Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
+        let reply = match (ours, question) {
+            (true, Ok(question)) if urgency == Urgency::Slow => {
+                match Slow::wait(slow, conversation, &|| is_here() && !conversation.is_dismissed()) {
+                    Some(_slow) => answering.answer(&question, &is_here),
+                    None => Err("too many requests to drives are under way: try again".to_owned()),
                 }
-                Err(error) => Err(format!("not a JSON object in one line: {error}")),
-            },
-            false => Err("only the owner of this master has access".to_owned()),
+            }
+            (true, Ok(question)) => answering.answer(&question, &is_here),
+            (true, Err(_)) if line.len() == LONGEST_QUESTION => {
+                Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
+            }
+            (true, Err(error)) => Err(format!("not a JSON object in one line: {error}")),
+            (false, _) => Err("only the owner of this master has access".to_owned()),
         };
         let goes_on = reply.is_ok();
         let reply = match reply {
             Ok(value) => json!({ "ok": value }),
             Err(why) => json!({ "error": why }),
         };
-        Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
         if !goes_on {
-            return Ok(());
+            return Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"));
         }
+        // From here on it waits for its client, and makes room for who does not wait.
         conversation.is_silent(true);
-        let waits = || go_on() && !conversation.dismissed.load(Ordering::Relaxed);
+        Exchange::new(stream, PATIENCE, &waits)?.say(&format!("{reply}\n"))?;
         line = Exchange::new(stream, PAUSE, &waits)?.line(LONGEST_QUESTION)?;
         conversation.is_silent(false);
     }
@@ -432,6 +557,159 @@ mod tests {
         // The newest is none the worse for it.
         assert!(conversations.last().unwrap().ask(&question, LONG).is_ok());
         assert!(!server.has_failed());
+    }
+
+    /// Answers `slow` when it is let, or nobody waits for it; its end takes its time on request.
+    struct Busy {
+        go: Arc<AtomicBool>,
+        ending: Arc<AtomicUsize>,
+        ends_slowly: bool,
+    }
+
+    impl Answering for Busy {
+        fn urgency(question: &Value) -> Urgency {
+            match question["ask"].as_str() {
+                Some("stop") => Urgency::Stop,
+                Some("operate") => Urgency::Operate,
+                Some("slow") => Urgency::Slow,
+                _ => Urgency::Usual,
+            }
+        }
+
+        fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String> {
+            self.ends_slowly |= question["ends_slowly"] == true;
+            while question["ask"] == "slow" && go_on() && !self.go.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            Ok(question["ask"].clone())
+        }
+
+        fn end(&mut self, go_on: &dyn Fn() -> bool) {
+            self.ending.fetch_add(1, Ordering::Relaxed);
+            while self.ends_slowly && go_on() && !self.go.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.ending.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+
+    /// A server of them, what lets them go, and how many of them end.
+    fn busy(path: &Path) -> (Server, Arc<AtomicBool>, Arc<AtomicUsize>) {
+        let (go, ending) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
+        let (of_each, ends) = (Arc::clone(&go), Arc::clone(&ending));
+        let open = move || Busy { go: Arc::clone(&of_each), ending: Arc::clone(&ends), ends_slowly: false };
+        (Server::start(path, || {}, open).unwrap(), go, ending)
+    }
+
+    fn post(path: &Path, question: &Value) -> UnixStream {
+        let mut stream = connect(path, LONG).unwrap();
+        stream.write_all(format!("{question}\n").as_bytes()).unwrap();
+        stream
+    }
+
+    /// None of them ever gets its answer, and all others do.
+    #[test]
+    fn slow_requests_on_all_places_hold_up_neither_a_stop_nor_a_look() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let (_server, go, _) = busy(&path);
+        let slow: Vec<UnixStream> =
+            (0..2 * MOST_CONVERSATIONS).map(|_| post(&path, &json!({ "ask": "slow" }))).collect();
+        for _ in 0..20 {
+            for what in ["stop", "operate", "status"] {
+                let conversation = Conversation::open(&path).unwrap();
+                assert_eq!(conversation.ask(&json!({ "ask": what }), LONG).unwrap(), what);
+            }
+        }
+        // A conversation that has begun with a look occupies no place by what it requests then.
+        let looks = Conversation::open(&path).unwrap();
+        looks.ask(&json!({ "ask": "status" }), LONG).unwrap();
+        let refused = std::thread::spawn(move || looks.ask(&json!({ "ask": "slow" }), LONG));
+        let others: Vec<Conversation> = (0..2 * MOST_CONVERSATIONS)
+            .map(|_| {
+                let other = Conversation::open(&path).unwrap();
+                other.ask(&json!({ "ask": "status" }), LONG).unwrap();
+                other
+            })
+            .collect();
+        // It was silent for longest.
+        assert!(refused.join().unwrap().is_err());
+        drop(others);
+        // Those that were let begin are answered in the end.
+        go.store(true, Ordering::Relaxed);
+        let answered = slow.into_iter().filter(|stream| {
+            let mut text = String::new();
+            stream.set_read_timeout(Some(LONG)).unwrap();
+            let _ = io::BufRead::read_line(&mut io::BufReader::new(stream), &mut text);
+            text == "{\"ok\":\"slow\"}\n"
+        });
+        assert!(answered.count() >= MOST_SLOW);
+    }
+
+    #[test]
+    fn a_stop_comes_before_all_that_waits_and_silent_clients_make_room_for_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let mut waiting = VecDeque::new();
+        let mut clients = Clients::new(LONG, LONGEST_QUESTION);
+        let listener = UnixListener::bind(&path).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let mut sent = Vec::new();
+        let asks = ["slow", "status", "operate", "stop"];
+        for what in asks.iter().cycle().take(4 * MOST_WAITING) {
+            sent.push(post(&path, &json!({ "ask": what })));
+            let accept = || listener.accept().map(|(stream, _)| stream);
+            let arrived = clients.turn(listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
+            enter::<Busy>(&mut waiting, arrived);
+        }
+        // Only the most urgent are left, of a quarter of all.
+        assert_eq!(waiting.len(), MOST_WAITING);
+        assert!(waiting.iter().all(|one| one.urgency == Urgency::Stop));
+        // Whoever waits for longest goes, and an operator after all others.
+        let conversation = |silent_since: u64, operates: bool| {
+            let one = super::Conversation::new();
+            one.silent_since.store(silent_since, Ordering::Relaxed);
+            one.operates.store(operates, Ordering::Relaxed);
+            Arc::new(one)
+        };
+        let all = [(1, true), (3, false), (2, false), (0, false)].map(|(since, of)| conversation(since, of));
+        let going = || all.iter().map(|one| one.is_dismissed()).collect::<Vec<_>>();
+        std::thread::sleep(Duration::from_millis(5));
+        for expected in [[false, false, true, false], [false, true, true, false], [true, true, true, false]] {
+            let before = going().into_iter().filter(|going| *going).count();
+            make_room(&all, before + 1);
+            assert_eq!(going(), expected);
+        }
+        make_room(&all, 10);
+        assert_eq!(going(), [true, true, true, false], "it is at work");
+        // One that has left, and is still at work, makes no more room than it has made.
+        let mut more: Vec<_> = all.into_iter().collect();
+        more[..3].iter().for_each(|one| one.left.store(true, Ordering::Relaxed));
+        more.push(conversation(4, true));
+        make_room(&more, 1);
+        assert!(more[4].is_dismissed());
+    }
+
+    #[test]
+    fn a_client_that_has_left_has_no_place_although_its_request_is_still_under_way() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let (_server, go, ending) = busy(&path);
+        let leave = json!({ "ask": "leave", "ends_slowly": true });
+        for _ in 0..MOST_ENDING {
+            assert_eq!(ask(&path, &leave).unwrap(), "leave");
+        }
+        assert_eq!(ask(&path, &json!({ "ask": "status" })).unwrap(), "status");
+        // However many of them leave, so many are under way at most, and a stop has a place.
+        for _ in 0..4 * MOST_CONVERSATIONS {
+            drop(post(&path, &leave));
+        }
+        assert_eq!(ask(&path, &json!({ "ask": "stop" })).unwrap(), "stop");
+        let most = ending.load(Ordering::Relaxed);
+        assert!(most <= MOST_ENDING + MOST_CONVERSATIONS + 2 * RESERVED, "{most}");
+        go.store(true, Ordering::Relaxed);
+        let status = Conversation::open(&path).unwrap().ask(&json!({ "ask": "status" }), LONG);
+        assert_eq!(status.unwrap(), "status");
     }
 
     #[test]

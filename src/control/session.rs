@@ -1,6 +1,8 @@
 //! Acyclic access to the drives of a running master, for other processes: the master's side of one conversation.
 
 use std::any::Any;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -19,10 +21,39 @@ const LONGEST: Duration = Duration::from_secs(600);
 const LEGACY_LIMIT: Duration = Duration::from_secs(20);
 const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
 
+/// Legacies of one master that are left or carried out, at most: clients that come and go leave no more work than that.
+const MOST_LEGACIES: usize = 32;
+
+/// What to do where there are as many.
+const TOO_MANY_LEGACIES: &str =
+    "what others have left to be done is still under way: check the links of the drives, and try again";
+
+/// The count of the legacies of one master.
+#[derive(Clone, Debug, Default)]
+pub struct Legacies(Arc<AtomicUsize>);
+
+impl Legacies {
+    fn further(&self) -> Option<Counted> {
+        let more = |count| (count < MOST_LEGACIES).then_some(count + 1);
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).ok().map(|_| Counted(self.clone()))
+    }
+}
+
+/// One of them.
+#[derive(Debug)]
+struct Counted(Legacies);
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        self.0.0.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 /// The drives, and what this conversation has of them. All of that ends with it.
 #[derive(Debug)]
 pub struct Session {
     drives: Vec<Held>,
+    legacies: Legacies,
 }
 
 /// One drive.
@@ -31,14 +62,19 @@ struct Held {
     acyclic: Acyclic,
     claim: Option<Box<dyn Any + Send>>,
     /// What is carried out should the conversation end before it is taken back.
-    legacy: Vec<Call>,
+    legacy: Option<(Counted, Vec<Call>)>,
 }
 
 impl Session {
-    /// A session with these drives.
-    pub fn new(acyclics: Vec<Acyclic>) -> Session {
-        let held = |acyclic| Held { acyclic, claim: None, legacy: Vec::new() };
-        Session { drives: acyclics.into_iter().map(held).collect() }
+    /// A session with these drives of a master, whose sessions share `legacies`.
+    pub fn new(acyclics: Vec<Acyclic>, legacies: &Legacies) -> Session {
+        let held = |acyclic| Held { acyclic, claim: None, legacy: None };
+        Session { drives: acyclics.into_iter().map(held).collect(), legacies: legacies.clone() }
+    }
+
+    /// Whether an answer may take long: the calls of a drive take their time.
+    pub fn is_slow(question: &Value) -> bool {
+        question["ask"] == "calls"
     }
 
     /// Answers the questions that are about drives; `None` to any other.
@@ -74,9 +110,15 @@ impl Session {
                 Ok(condition) => json!({ "condition": condition }),
                 Err(error) => json!({ "failed": error }),
             }),
-            "bequeath" => calls_of(acyclic, question).map(|calls| {
-                held.legacy = calls;
-                json!({ "bequeathed": held.legacy.len() })
+            "bequeath" => calls_of(acyclic, question).and_then(|calls| {
+                let count = calls.len();
+                // Another one of this conversation takes the place of the one before.
+                let before = held.legacy.take().map(|(counted, _)| counted);
+                if count > 0 {
+                    let counted = before.or_else(|| self.legacies.further()).ok_or(TOO_MANY_LEGACIES)?;
+                    held.legacy = Some((counted, calls));
+                }
+                Ok(json!({ "bequeathed": count }))
             }),
             _ => calls_of(acyclic, question).map(|calls| {
                 let limit = question["limit_ms"].as_u64().map_or(Duration::ZERO, Duration::from_millis);
@@ -90,7 +132,8 @@ impl Session {
     pub fn end(&mut self, go_on: &dyn Fn() -> bool) {
         for held in &mut self.drives {
             let attended = Attended { acyclic: &held.acyclic, go_on };
-            for call in std::mem::take(&mut held.legacy) {
+            let Some((_counted, calls)) = held.legacy.take() else { continue };
+            for call in calls {
                 // The client has gone: there is nobody to report to.
                 let _ = attended.insist(call, LEGACY_LIMIT, LEGACY_PATIENCE);
             }

@@ -7,6 +7,7 @@
 //! | `report` | what a cycle publishes |
 //! | `native` | native process data for a recording |
 //! | `panics` | what follows from a panic on the loop's thread |
+//! | `stuck` | what follows when the wires were taken from the loop |
 //!
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
@@ -15,9 +16,10 @@ mod native;
 mod panics;
 mod report;
 mod stages;
+mod stuck;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering, fence};
 
 use crossbeam::utils::CachePadded;
 use rtrb::Producer;
@@ -33,7 +35,7 @@ use super::reference::Reference;
 use super::skips::Skips;
 use super::status::{AxisInfo, DriveNumbers, Numbers, Status};
 use super::task::Task;
-use super::window::{OpenBus, Window};
+use super::window::{Gate, OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::doorbell::Bells;
 use crate::axis::{Pulse, StopCause};
@@ -65,6 +67,17 @@ impl Control {
         self.0.load(Ordering::Relaxed) != RUN
     }
 
+    /// Requests nothing any more. False if others have handles of it, and nothing is changed.
+    pub fn renew(&self) -> bool {
+        let free = Arc::strong_count(&self.0) == 1;
+        if free {
+            // Behind what the last of the others has requested.
+            fence(Ordering::Acquire);
+            self.0.store(RUN, Ordering::Relaxed);
+        }
+        free
+    }
+
     fn requested(&self) -> u8 {
         self.0.load(Ordering::Relaxed)
     }
@@ -85,6 +98,8 @@ pub struct Channels {
     pub status: Writer<Status>,
     /// All that it takes from outside.
     pub log: InputLog,
+    /// Whether the wires are still its own.
+    pub gate: Gate,
 }
 
 impl Channels {
@@ -330,7 +345,13 @@ impl<C: Clock> Engine<C> {
     /// only stops.
     pub fn step(&mut self) -> Flow {
         self.channels.log.cycle(self.grid.index());
+        self.channels.gate.wires().turn();
         let flow = if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) };
+        let is_taken = match flow {
+            Flow::Continue => self.channels.gate.is_closed(),
+            Flow::End => !self.channels.gate.end(),
+        };
+        let flow = if is_taken { self.give_way() } else { flow };
         self.channels.log.whole();
         flow
     }
@@ -388,7 +409,7 @@ impl<C: Clock> Engine<C> {
         // 1 send
         self.panics.stage = Some(Stage::Send);
         for place in &self.send_order {
-            self.buses[*place].work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
+            self.buses[*place].exchange(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
@@ -400,7 +421,10 @@ impl<C: Clock> Engine<C> {
 
         // 2 receive
         self.panics.stage = Some(Stage::Receive);
-        self.window.run(&mut self.clock, cycle, sent, &mut self.buses, &mut self.slots);
+        if !self.window.run(&mut self.clock, cycle, sent, &mut self.buses, &mut self.slots) {
+            // Of a cycle without replies nothing is concluded: the step ends the loop.
+            return (Flow::Continue, sent);
+        }
         let received = self.clock.now();
 
         // 3 evaluate, what was sent included
@@ -531,7 +555,9 @@ impl<C: Clock> Engine<C> {
         let status = Status { planned: self.grid.planned(), ..self.status };
         let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))
             .map(|((axis, controller), slot)| {
-                axis.info.with(*controller.feedback(), controller.numbers(slot))
+                let mut end = axis.info.with(*controller.feedback(), controller.numbers(slot));
+                end.at_end = controller.at_end();
+                end
             })
             .collect();
         let buses = self.buses.iter().map(|open| open.info.with(open.bus.unmatched())).collect();

@@ -10,6 +10,7 @@
 //! | `window` | waiting for replies until the deadline |
 //! | `reference`, `phase_lock` | a bus clock that leads the grid |
 //! | `heartbeat` | watches the application's sign of life |
+//! | `watch` | whether the loop's cycle ends |
 //! | `task` | the application's code inside the cycle |
 //! | `status`, `record` | what the loop counts, and its records for the telemetry |
 //!
@@ -27,6 +28,7 @@ mod reference;
 pub mod skips;
 pub mod status;
 pub mod task;
+pub mod watch;
 pub mod window;
 
-pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, starvation};
+pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, WatchAfter, starvation};

@@ -1,5 +1,6 @@
 //! The machine as configured and checked: what `config/` builds from TOML and an embedder builds by hand.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use super::record::{NativeRecord, Record};
@@ -134,6 +135,13 @@ impl Plan {
         let rate = self.cycle.max_skip_rate;
         if !(0.0..=1.0).contains(&rate) {
             errors.push(format!("cycle: a max_skip_rate of {rate} is not a share, 0 ... 1"));
+        }
+        if let WatchAfter::Fixed(ns) = self.cycle.watch_after {
+            let range = CyclePlan::watch_range_ns(self.cycle.period_ns);
+            if !range.contains(&ns) {
+                let (least, most) = (Ns(*range.start()), Ns(*range.end()));
+                errors.push(format!("cycle: a watch_after of {} is outside {least} ... {most}", Ns(ns)));
+            }
         }
         if let Some(why) = self.black_box_fault() {
             errors.push(format!("cycle: {why}"));
@@ -350,6 +358,8 @@ pub struct CyclePlan {
     /// Longest silence of the application while an axis is enabled, ns; longer is a stop of all enabled axes.
     /// `None` = not watched.
     pub heartbeat_ns: Option<u64>,
+    /// After what time without a sign of life the loop counts as stuck.
+    pub watch_after: WatchAfter,
     /// A cycle that begins later, or spends longer in a stage, counts as late, ns. `None` = a tenth of the period.
     pub late_ns: Option<u64>,
     /// How far back the black box reaches, ns.
@@ -368,6 +378,21 @@ impl CyclePlan {
     /// The period and the window.
     pub fn grid(&self) -> Grid {
         Grid { period_ns: self.period_ns, deadline_ns: self.deadline_ns() }
+    }
+
+    /// After what time without a sign of life the loop counts as stuck, ns; `None` = it is not watched.
+    pub fn watch_after_ns(&self) -> Option<u64> {
+        match self.watch_after {
+            WatchAfter::Off => None,
+            WatchAfter::Auto => Some(WATCH_NS.max(WATCH_CYCLES.saturating_mul(self.period_ns))),
+            WatchAfter::Fixed(ns) => Some(ns),
+        }
+    }
+
+    /// The times after which a loop with this period may count as stuck, ns. A cycle alone takes up to two periods, the
+    /// wait for its grid point included.
+    pub(crate) fn watch_range_ns(period_ns: u64) -> RangeInclusive<u64> {
+        WATCH_LEAST_NS.max(WATCH_LEAST_CYCLES.saturating_mul(period_ns))..=WATCH_MOST_NS
     }
 
     /// The delay from which a cycle is late, ns.
@@ -394,11 +419,37 @@ impl Default for CyclePlan {
             memory: Memory::Process,
             task_budget_ns: None,
             heartbeat_ns: None,
+            watch_after: WatchAfter::Auto,
             late_ns: None,
             black_box_ns: 2 * S,
             record_native: Vec::new(),
         }
     }
+}
+
+/// The default time without a sign of life after which the loop counts as stuck, ns, and in cycles: a virtual host
+/// takes a processor away for up to some 100 ms, and so does a busy one from an ordinary thread.
+const WATCH_NS: u64 = 500 * MS;
+const WATCH_CYCLES: u64 = 20;
+/// The shortest and the longest such time, ns and in cycles.
+const WATCH_LEAST_NS: u64 = 20 * MS;
+const WATCH_LEAST_CYCLES: u64 = 5;
+const WATCH_MOST_NS: u64 = 60 * S;
+
+/// Whether a watch on another thread sees that the loop's cycle does not end, and after what time without a sign of
+/// life: a task that does not return, a bus that hangs, a thread that the host does not run.
+///
+/// Then it takes the wires from the loop: nothing more is sent by it, [feedback](crate::axis::Feedback) ages and shows
+/// [`StopCause::LoopStuck`](crate::axis::StopCause::LoopStuck), waiting calls return with the cause, and drives without a
+/// watchdog of their own are stopped by the watch. A loop that comes back latches all axes and ends; the run has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WatchAfter {
+    /// It is not watched.
+    Off,
+    /// 500 ms, or 20 cycles if they are longer.
+    Auto,
+    /// A fixed time, ns.
+    Fixed(u64),
 }
 
 /// How long before a grid point the loop wakes to spin up to it.

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use super::engine::LoopPanic;
 use crate::axis::cell::Reader;
-use crate::axis::{Feedback, MONITOR_CHANNELS, Observer};
+use crate::axis::{Feedback, MONITOR_CHANNELS, Observer, Unit};
 use crate::bus::{BusClock, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
+pub use crate::drive::at_end::{AtEnd, Condition, StopRequest};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
 use crate::packed::{packed, parts};
 
@@ -127,7 +128,17 @@ impl AxisInfo {
     pub fn with(&self, feedback: Feedback, numbers: DriveNumbers) -> DriveEnd {
         let DriveNumbers { counters, losses, peaks, monitor } = numbers;
         let (name, not_connected) = (self.name.clone(), self.not_connected());
-        DriveEnd { name, protocol: self.protocol, feedback, not_connected, counters, losses, peaks, monitor }
+        DriveEnd {
+            name,
+            protocol: self.protocol,
+            feedback,
+            not_connected,
+            counters,
+            losses,
+            peaks,
+            monitor,
+            at_end: None,
+        }
     }
 }
 
@@ -265,6 +276,16 @@ pub struct DriveEnd {
     pub peaks: Peaks,
     /// Its monitored variables, in the order of its channels; `None` = not seen yet.
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
+    /// How it was left; `None` before the end of the run, and for a drive that has never reported its state and of
+    /// which nothing was requested.
+    pub at_end: Option<AtEnd>,
+}
+
+impl DriveEnd {
+    /// In words: how it was left, what was tried, and what to do; nothing of a drive that is off.
+    pub(crate) fn left(&self, unit: Unit) -> Option<String> {
+        self.at_end.as_ref()?.line(&self.feedback, unit)
+    }
 }
 
 /// A run in numbers, at its end or meanwhile: exact, whatever the rings lost.

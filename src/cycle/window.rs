@@ -9,7 +9,8 @@ use super::plan::Wait;
 use super::status::BusInfo;
 use crate::axis::cell::Writer;
 use crate::bus::{Bus, BusClock, Cycle, Slot, Unmatched};
-use crate::rt::{Clock, PollSet, Regions};
+use crate::inputs::InputLog;
+use crate::rt::{Clock, PollSet, Regions, Wires};
 use crate::time::{Time, US};
 
 /// The shortest nap, ns; a shorter one is not worth its system call.
@@ -64,6 +65,38 @@ pub struct OpenBus {
     pub is_polled: bool,
     /// One frame serves all its drives.
     pub is_one_frame: bool,
+    /// Whether the wires are still those of the loop.
+    pub gate: Gate,
+}
+
+/// Whether the wires are still those of the loop, as it looks before each batch.
+#[derive(Clone, Debug, Default)]
+pub struct Gate {
+    wires: Wires,
+    log: InputLog,
+}
+
+impl Gate {
+    /// That of a loop with this log.
+    pub fn new(wires: Wires, log: InputLog) -> Gate {
+        Gate { wires, log }
+    }
+
+    /// The wires.
+    pub fn wires(&self) -> &Wires {
+        &self.wires
+    }
+
+    /// The wires were taken from the loop: nothing more may be sent, and nothing is received.
+    #[inline]
+    pub fn is_closed(&self) -> bool {
+        self.log.flag(false, self.wires.are_taken())
+    }
+
+    /// The loop has ended by itself. False if the wires were taken before.
+    pub fn end(&self) -> bool {
+        !self.log.flag(false, !self.wires.end())
+    }
 }
 
 impl OpenBus {
@@ -75,11 +108,26 @@ impl OpenBus {
         done
     }
 
+    /// The same of work that hands bytes to the kernel or takes some from it. `None`: the wires are no longer the
+    /// loop's.
+    #[inline]
+    pub fn exchange<R>(
+        &mut self,
+        slots: &mut [Slot],
+        work: impl FnOnce(&mut dyn Bus, &mut [Slot]) -> R,
+    ) -> Option<R> {
+        if self.gate.is_closed() {
+            return None;
+        }
+        Some(self.work(slots, work))
+    }
+
     /// Adds the memory that the loop touches for it, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.bus.memory(regions);
         self.unmatched.memory(regions);
         self.clock.memory(regions);
+        self.gate.wires.memory(regions);
     }
 
     /// For how many replies of the bus the window still waits: one for each exchange, or one frame for all of them.
@@ -123,7 +171,7 @@ impl Window {
         regions.add(&*self.waits);
     }
 
-    /// Runs the window of `cycle`, which begins `now`.
+    /// Runs the window of `cycle`, which begins `now`. False: the wires were found taken in it.
     #[inline]
     pub fn run<C: Clock>(
         &mut self,
@@ -132,7 +180,7 @@ impl Window {
         now: Time,
         buses: &mut [OpenBus],
         slots: &mut [Slot],
-    ) {
+    ) -> bool {
         match self.polls {
             false => self.turns::<C, false>(clock, cycle, now, buses, slots),
             true => self.turns::<C, true>(clock, cycle, now, buses, slots),
@@ -148,7 +196,7 @@ impl Window {
         begin: Time,
         buses: &mut [OpenBus],
         slots: &mut [Slot],
-    ) {
+    ) -> bool {
         let mut begin = Some(begin);
         for (place, open) in buses.iter().enumerate() {
             self.note::<POLLS>(place, open, cycle, slots);
@@ -173,7 +221,9 @@ impl Window {
             if POLLS && !over && poll_at <= now {
                 for (place, open) in buses.iter_mut().enumerate() {
                     if self.waits[place].poll_at <= now {
-                        open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
+                        if open.exchange(slots, |bus, slots| bus.poll(cycle, now, slots)).is_none() {
+                            return false;
+                        }
                         self.note::<POLLS>(place, open, cycle, slots);
                     }
                 }
@@ -207,7 +257,9 @@ impl Window {
                     Wait::Spin => true,
                 };
                 if reads {
-                    open.work(slots, |bus, slots| bus.receive(cycle, slots));
+                    if open.exchange(slots, |bus, slots| bus.receive(cycle, slots)).is_none() {
+                        return false;
+                    }
                     self.note::<POLLS>(place, open, cycle, slots);
                 }
             }
@@ -216,9 +268,10 @@ impl Window {
                 self.learn(left == 0, cycle);
             }
             if over {
-                return;
+                break;
             }
         }
+        true
     }
 
     /// Notes what the bus waits for.
@@ -354,6 +407,7 @@ mod tests {
             is_at_work: false,
             is_polled,
             is_one_frame: false,
+            gate: Gate::default(),
             unmatched: cell(Unmatched::default()).0,
             clock: cell(None).0,
         }
@@ -398,6 +452,23 @@ mod tests {
         assert_eq!(steps(Wait::Poll, 1, 0, Some(20))[0], ("wait", 20));
         assert_eq!(steps(Wait::Poll, 1, 0, Some(5))[0], ("spin", 10));
         assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+    }
+
+    #[test]
+    fn a_window_ends_at_once_when_the_wires_were_taken() {
+        // A reply is owed, or the bus wants to be polled at once: neither is waited for by a loop that may not look.
+        for (owed, poll_at) in [(1, None), (0, Some(Time(0))), (1, Some(Time(0)))] {
+            let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
+            let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
+            let mut slots = [Slot { exchange, ..Slot::default() }];
+            let open = open_bus(Box::new(Turns { poll_at }), 0..owed, poll_at.is_some());
+            assert!(open.gate.wires().take());
+            let mut clock = Steps { steps: Vec::new(), arrives: Time(50 * US), turns: 0 };
+            let mut buses = [open];
+            let mut window = Window::new(Wait::Poll, &buses);
+            assert!(!window.run(&mut clock, &cycle, Time(0), &mut buses, &mut slots));
+            assert_eq!(slots[0].exchange, exchange, "it was received");
+        }
     }
 
     #[test]

@@ -4,9 +4,12 @@
 //! Moves, jogs and rows are checked before they are sent, so this watch finds nothing wrong with them. A drive that
 //! reports no demand is watched by its actual speed, one under torque by its actual speed and position. How much
 //! speed such a drive gains until a stop reaches it is not known; the way it makes is longer by as much.
+//!
+//! In a motion the axis must also follow its demand. What its actual position is compared with is the demand of that
+//! time: the demand of the report, less the way at its velocity in the age of the position.
 
-use crate::axis::AxisPlan;
 use crate::axis::units::way;
+use crate::axis::{AxisPlan, Units};
 use crate::time::Time;
 
 /// One clean report of the drive.
@@ -25,6 +28,8 @@ pub(super) struct Sample {
     pub(super) position: f64,
     /// Actual velocity, user units/s.
     pub(super) velocity: f64,
+    /// The demand less the actual position, neither folded into one turn, user units.
+    pub(super) behind: f64,
 }
 
 /// What is watched of an axis.
@@ -56,6 +61,8 @@ pub(super) struct Bounds {
     forward: bool,
     /// The last report is new since the last evaluation.
     fresh: bool,
+    /// Reports in a row that were too far from their demand.
+    strayed: u8,
     rules: Rules,
 }
 
@@ -71,6 +78,10 @@ struct Rules {
     position: Option<(f64, f64)>,
     homing: Option<f64>,
     deceleration: f64,
+    /// The largest following error; infinite = not watched.
+    following: f64,
+    /// The age of an actual position against the demand of its report, s.
+    behind_s: f64,
 }
 
 /// So many reports in a row are proof: one that a disturbance has made leads there and back again.
@@ -86,8 +97,8 @@ const ACTUAL_SPEED_MARGIN: f64 = 1.2;
 const COUNTS: f64 = 2.0;
 
 impl Bounds {
-    /// The watch over the axis of `plan`.
-    pub(super) fn new(plan: &AxisPlan) -> Bounds {
+    /// The watch over the axis of `plan`, whose actual positions are so many ns behind the demand of their reports.
+    pub(super) fn new(plan: &AxisPlan, behind_ns: u64) -> Bounds {
         let rules = Rules {
             rounding: (COUNTS / plan.units.counts_per_unit).abs(),
             modulo: plan.units.modulo,
@@ -95,14 +106,17 @@ impl Bounds {
             position: plan.limits.position,
             homing: plan.limits.homing_velocity(),
             deceleration: plan.stop.deceleration,
+            following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
+            behind_s: behind_ns as f64 * 1e-9,
         };
-        Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, rules }
+        Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, strayed: 0, rules }
     }
 
     /// What was reported so far says nothing any more.
     pub(super) fn forget(&mut self) {
         let rules = self.rules;
-        *self = Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, rules };
+        *self =
+            Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, strayed: 0, rules };
     }
 
     /// A report came in.
@@ -125,6 +139,27 @@ impl Bounds {
     /// The speed in the last report, user units/s; NaN if it is not known.
     pub(super) fn speed(&self) -> f64 {
         self.velocity.abs()
+    }
+
+    /// Whether the axis does not follow its demand, by a report that was not evaluated yet.
+    #[inline]
+    pub(super) fn strays(&mut self, units: &Units) -> bool {
+        let Some(Sample { behind, .. }) = &self.last else { return false };
+        // An unknown position is not a distance.
+        if (behind - self.velocity * self.rules.behind_s).abs() > self.rules.following {
+            return self.strays_on(units);
+        }
+        self.strayed = 0;
+        false
+    }
+
+    /// The same where it is too far away, if not by whole wrap-arounds.
+    #[cold]
+    fn strays_on(&mut self, units: &Units) -> bool {
+        let (Some(Sample { behind, .. }), true) = (&self.last, self.fresh) else { return false };
+        let error = units.unwrapped(behind - self.velocity * self.rules.behind_s);
+        self.strayed = if error.abs() > self.rules.following { self.strayed.saturating_add(1) } else { 0 };
+        u32::from(self.strayed) >= REPORTS
     }
 
     /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range,
@@ -160,7 +195,7 @@ impl Bounds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::{Limits, Unit, Units};
+    use crate::axis::{FollowingError, Limits, Unit, Units};
     use crate::time::MS;
 
     fn plan() -> AxisPlan {
@@ -189,11 +224,11 @@ mod tests {
         homed: bool,
         reported: &[(f64, f64)],
     ) -> Option<usize> {
-        let mut bounds = Bounds::new(plan);
+        let mut bounds = Bounds::new(plan, 0);
         reported.iter().enumerate().position(|(index, (demand, velocity))| {
             let at = Time(MS * index as u64);
             let (position, velocity) = (*demand, *velocity);
-            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity });
+            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity, behind: 0.0 });
             bounds.are_broken(Watched { homing: false, braking }, 0.001)
         })
     }
@@ -220,12 +255,12 @@ mod tests {
 
     #[test]
     fn neither_the_begin_nor_the_end_of_a_torque_makes_a_speed() {
-        let mut bounds = Bounds::new(&plan());
+        let mut bounds = Bounds::new(&plan(), 0);
         // The demand that is reported meanwhile stays where it was, or follows something unknown.
         for index in 0..40_u32 {
             let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
             let at = Time(MS * u64::from(index));
-            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 });
+            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0, behind: 0.0 });
             assert!(!bounds.are_broken(Watched { homing: false, braking: true }, 0.001), "{index}");
             assert_eq!(bounds.velocity, 0.0, "{index}");
         }
@@ -320,15 +355,97 @@ mod tests {
         assert_eq!(strikes(&plan(), false, true, &demands), None);
     }
 
+    /// Reports at 1 kHz of an axis at a constant velocity, by what its actual position is behind; whether the report
+    /// was clean. Returns the one in which it strays.
+    fn strays_at(plan: &AxisPlan, velocity: f64, reports: &[(f64, bool)]) -> Option<usize> {
+        let mut bounds = Bounds::new(plan, 2 * MS);
+        reports.iter().enumerate().position(|(index, (behind, clean))| {
+            let (at, position) = (Time(MS * index as u64), velocity * 1e-3 * index as f64);
+            let sample =
+                Sample { sent_at: at, at, homed: true, led: true, position, velocity, behind: *behind };
+            if *clean {
+                bounds.take(sample);
+            }
+            let strays = bounds.strays(&plan.units);
+            bounds.are_broken(Watched { homing: false, braking: false }, 0.001);
+            strays
+        })
+    }
+
+    #[test]
+    fn an_axis_that_does_not_follow_its_demand_is_found_in_the_third_report() {
+        let mut plan = plan();
+        plan.limits.following_error = FollowingError::Most(1.0);
+        // 200 mm/s for 2 ms are no error.
+        let follows = |velocity: f64, behind: f64| strays_at(&plan, velocity, &[(behind, true); 9]);
+        for (velocity, behind, found) in [
+            (0.0, 0.999, None),
+            (0.0, 1.001, Some(2)),
+            (0.0, -1.001, Some(2)),
+            // The velocity is that between two reports: it is known from the second one on.
+            (200.0, 0.9, None),
+            (200.0, 1.4 - 0.005, None),
+            (200.0, 1.4 + 0.005, Some(2)),
+            (-200.0, -1.4 + 0.005, None),
+            (-200.0, -1.41, Some(2)),
+            (200.0, -0.62, Some(3)),
+        ] {
+            assert_eq!(follows(velocity, behind), found, "{velocity} {behind}");
+        }
+        let (far, near) = ((5.0, true), (0.0, true));
+        assert_eq!(strays_at(&plan, 0.0, &[far, far, near, far, far, near, far, far]), None, "it comes back");
+        assert_eq!(
+            strays_at(&plan, 0.0, &[far, (0.0, false), (0.0, false), (0.0, false)]),
+            None,
+            "not clean"
+        );
+        assert_eq!(strays_at(&plan, 0.0, &[far, (0.0, false), far, far]), Some(3));
+        assert_eq!(strays_at(&plan, 0.0, &[(f64::NAN, true); 9]), None, "no position is known");
+        plan.units.modulo = Some(10.0);
+        let around = 4_294_967_296.0 / 10_000.0;
+        assert_eq!(strays_at(&plan, 0.0, &[(around, true); 9]), None, "a count that was unwrapped elsewhere");
+        assert_eq!(strays_at(&plan, 0.0, &[(around + 1.1, true); 9]), Some(2));
+        assert_eq!(strays_at(&plan, 0.0, &[(10.0, true); 9]), Some(2), "a whole turn");
+    }
+
+    #[test]
+    fn the_largest_following_error_follows_from_the_velocity_limit_and_the_age_of_the_position() {
+        let mut plan = plan();
+        plan.in_position.window = Some(0.5);
+        let is_about = |plan: &AxisPlan, behind_ns, wanted: f64| {
+            let most = plan.most_following_error(behind_ns).unwrap();
+            assert!((most - wanted).abs() < 1e-9, "{most}");
+        };
+        // 500 mm/s for 2 and 50 ms.
+        is_about(&plan, 2 * MS, 26.5);
+        plan.in_position.window = None;
+        is_about(&plan, 0, 25.0 + 4e-4);
+        plan.limits.velocity = None;
+        assert_eq!(plan.most_following_error(0), None);
+        assert_eq!(strays_at(&plan, 0.0, &[(1e9, true); 9]), None, "without a limit there is none");
+        plan.limits.following_error = FollowingError::Most(3.0);
+        assert_eq!(plan.most_following_error(2 * MS), Some(3.0));
+        (plan.limits.velocity, plan.limits.following_error) = (Some(500.0), FollowingError::Off);
+        assert_eq!(plan.most_following_error(0), None);
+    }
+
     #[test]
     fn homing_has_a_speed_limit_of_its_own_and_no_range() {
         let (mut plan, homing) = (plan(), Watched { homing: true, braking: true });
         let mut trips = |limit: Option<f64>, speed: f64| {
             (plan.limits.homing, plan.limits.position) = (limit, Some((0.0, 1.0)));
-            let mut bounds = Bounds::new(&plan);
+            let mut bounds = Bounds::new(&plan, 0);
             (0..20_u32).position(|index| {
                 let (at, position) = (Time(MS * u64::from(index)), f64::from(index) * speed * 1e-3);
-                let sample = Sample { sent_at: at, at, homed: true, led: true, position, velocity: speed };
+                let sample = Sample {
+                    sent_at: at,
+                    at,
+                    homed: true,
+                    led: true,
+                    position,
+                    velocity: speed,
+                    behind: 0.0,
+                };
                 bounds.take(sample);
                 bounds.are_broken(homing, 0.001)
             })
@@ -342,10 +459,11 @@ mod tests {
 
     #[test]
     fn a_report_that_was_held_up_makes_no_speed() {
-        let mut bounds = Bounds::new(&plan());
+        let mut bounds = Bounds::new(&plan(), 0);
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
             let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
-            let sample = Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0 };
+            let sample =
+                Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0, behind: 0.0 };
             bounds.take(sample);
             assert!(
                 !bounds.are_broken(Watched { homing: false, braking: false }, 0.001),
@@ -357,20 +475,20 @@ mod tests {
     #[test]
     fn reports_that_come_closer_together_than_their_requests_make_no_speed() {
         // 400 mm/s, requests at 1 kHz; the network holds replies up, and delivers them 0.3 ms apart.
-        let mut bounds = Bounds::new(&plan());
+        let mut bounds = Bounds::new(&plan(), 0);
         for n in 0..20_u64 {
             let (sent_at, at) = (Time(n * MS), Time(10 * MS + n * 3 * MS / 10));
             let position = 0.4 * n as f64;
-            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0 });
+            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
             assert!(bounds.speed() <= 400.001, "{n}: {}", bounds.speed());
             assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
         }
         // Nor do requests that left closer together than their replies came in.
-        let mut bounds = Bounds::new(&plan());
+        let mut bounds = Bounds::new(&plan(), 0);
         for n in 0..20_u64 {
             let (sent_at, at) = (Time(n * 3 * MS / 10), Time(10 * MS + n * MS));
             let position = 0.4 * n as f64;
-            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0 });
+            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
             assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
         }
     }

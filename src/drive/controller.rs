@@ -18,7 +18,7 @@ mod watch;
 mod weigh;
 
 pub use self::commands::{take_calls, take_commands};
-pub use self::setpoints::take_rows;
+pub use self::setpoints::{Counts, take_rows};
 pub use super::health::Probes;
 
 use std::collections::VecDeque;
@@ -28,6 +28,7 @@ use rtrb::Producer;
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
 use self::weigh::Doubt;
+use super::at_end::Requested;
 use super::bounds::Bounds;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
@@ -64,7 +65,7 @@ pub struct Queues {
     pub commands: VecDeque<QueuedCommand>,
     /// Rows of the application's stream, or of the stream of the group that it leads.
     pub rows: Inlet<StreamRow>,
-    /// The newest velocity or torque setpoint of the application.
+    /// The newest velocity or torque setpoints of the application, to the axis or to the group that it leads.
     pub setpoints: NewestOut,
     /// Events to the application.
     pub events: Producer<Event>,
@@ -91,8 +92,8 @@ pub struct DriveController {
     queued: bool,
     /// The drive was found restarted in this cycle.
     restarted: bool,
-    /// Stopped since the loop last checked: its group stops with it.
-    just_stopped: bool,
+    /// Who stops with it, since the loop last checked.
+    along: Along,
     /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
     rising: u8,
     /// How the exchange of this cycle was closed.
@@ -138,8 +139,14 @@ pub struct DriveController {
     /// The slot in which the velocity or torque of the running command came, and the newest one for a command to come.
     level_at: u64,
     ahead: Setpoint,
+    /// The number of the newest setpoint of the application.
+    numbered: u64,
+    /// The group call whose command ended here before it was done.
+    left: Option<GroupCall>,
     /// A call of the application that commands the drive is under way.
     commanded: bool,
+    /// Whether the application still has the axis.
+    owner: Owner,
     /// The enable that waits for its end, and since when.
     held: Option<(CommandId, Time)>,
     /// The drive was online at least once.
@@ -148,8 +155,33 @@ pub struct DriveController {
     losses: u64,
     /// The orderly end has begun.
     ends: bool,
+    /// What was requested of the drive since its axis was stopped.
+    requested: Requested,
+    /// Its link was up when the buses began to end.
+    answered: Option<bool>,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
+}
+
+/// Who stops with an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Along {
+    /// Nothing has happened.
+    Nobody,
+    /// It has left what its group does: its stop group, it included, if another member still does that.
+    WhoGoesOn,
+    /// It was stopped: its stop group.
+    All,
+}
+
+/// Whether the application still has the axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Owner {
+    Here,
+    /// It has dropped it; what it has posted before may still wait in its queue.
+    Leaves,
+    /// All that it has posted before was taken, as far as there was room for it.
+    Gone,
 }
 
 /// How an exchange ended.
@@ -174,6 +206,7 @@ impl DriveController {
     ) -> DriveController {
         let interval_ns = period_ns.saturating_mul(plan.divisor.into());
         let doubt = Doubt::new(Reach::new(&plan, interval_ns), can.power_reports);
+        let bounds = Bounds::new(&plan, can.behind_ns);
         let machine = Machine::new(&plan, can, period_ns);
         let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
         let (divisor, phase) = (plan.divisor, plan.phase);
@@ -183,7 +216,7 @@ impl DriveController {
             called: false,
             queued: false,
             restarted: false,
-            just_stopped: false,
+            along: Along::Nobody,
             rising: 0,
             closed: None,
             row_waits: false,
@@ -197,7 +230,7 @@ impl DriveController {
             peaks: Peaks::default(),
             feedback: Feedback::default(),
             doubt,
-            bounds: Bounds::new(&plan),
+            bounds,
             rest: Rest::default(),
             row_seconds,
             machine,
@@ -212,11 +245,16 @@ impl DriveController {
             follow: Follow::default(),
             level_at: 0,
             ahead: Setpoint::default(),
+            numbered: 0,
+            left: None,
             commanded: false,
+            owner: Owner::Here,
             held: None,
             seen: false,
             losses: 0,
             ends: false,
+            requested: Requested::default(),
+            answered: None,
             monitor: [None; MONITOR_CHANNELS],
         }
     }
@@ -273,9 +311,22 @@ impl DriveController {
 
     /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<GroupCall> {
-        let moves =
-            |active: &QueuedCommand| active.command.is_motion() || matches!(active.command, Command::Home);
-        self.duty.active().filter(moves).and_then(|active| active.call)
+        self.acts_in_group().filter(|_| !self.is_enabling())
+    }
+
+    /// The group of its running motion, or of the enable before it.
+    pub fn acts_in_group(&self) -> Option<GroupCall> {
+        self.duty.active().filter(|active| acts(&active.command)).and_then(|active| active.call)
+    }
+
+    fn is_enabling(&self) -> bool {
+        self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable))
+    }
+
+    /// Something is to be looked at with the next commands.
+    #[inline]
+    pub fn is_called(&self) -> bool {
+        self.called
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -365,9 +416,17 @@ impl DriveController {
             if outcome != Outcome::Done {
                 // The drive may still be braking.
                 self.rest.fail();
+                self.leave(&queued);
             }
         }
         self.emit(cycle, now, EventKind::Ended { id: queued.id, command: queued.command.name(), outcome });
+    }
+
+    /// The running command ends before it is done: the other members of its group must not go on without it.
+    fn leave(&mut self, queued: &QueuedCommand) {
+        if queued.call.is_some() && acts(&queued.command) && self.along == Along::Nobody {
+            (self.left, self.along) = (queued.call, Along::WhoGoesOn);
+        }
     }
 
     /// Notes for the telemetry that a command was taken, or begins.
@@ -387,6 +446,11 @@ impl DriveController {
             self.queues.lost += 1;
         }
     }
+}
+
+/// It moves the axis, or makes it ready to be moved.
+fn acts(command: &Command) -> bool {
+    command.is_motion() || matches!(command, Command::Home | Command::Enable)
 }
 
 #[cfg(test)]

@@ -1,9 +1,10 @@
 //! Group synchronisation: a command of all members begins at each of them in one cycle, or at none, and so are rows
-//! taken.
+//! and setpoints taken. What one member leaves, no other goes on with.
 //!
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
-use super::controller::{Closed, DriveController};
+use super::controller::{Along, Closed, DriveController};
+use crate::axis::{Setpoint, StopCause};
 use crate::bus::Cycle;
 use crate::time::Time;
 
@@ -11,6 +12,8 @@ use crate::time::Time;
 #[derive(Debug)]
 pub struct GroupSync {
     groups: Vec<GroupState>,
+    /// The setpoints that are being taken.
+    set: Box<[Setpoint]>,
     /// A group has received a command; until then this module costs nothing.
     used: bool,
 }
@@ -36,12 +39,36 @@ struct GroupState {
 impl GroupSync {
     /// For a machine of so many axes.
     pub fn new(axes: usize) -> GroupSync {
-        GroupSync { groups: vec![GroupState::default(); axes], used: false }
+        let (groups, set) = (vec![GroupState::default(); axes], vec![Setpoint::default(); axes].into());
+        GroupSync { groups, set, used: false }
     }
 
     /// The memory that it touches besides itself.
     pub fn memory(&self, regions: &mut crate::rt::Regions) {
         regions.add(&*self.groups);
+        regions.add(&*self.set);
+    }
+
+    /// Takes the newest setpoints of the application, those of a group at all members or at none: each of them runs
+    /// the command that its part is for, or each of them has it still before it. A part of an axis alone is a set of
+    /// one.
+    #[inline(never)]
+    pub fn take_setpoints(&mut self, cycle: &Cycle, controllers: &mut [DriveController]) {
+        for lead in 0..controllers.len() {
+            if !controllers[lead].is_called() {
+                continue;
+            }
+            let count = controllers[lead].take_set(&mut self.set);
+            let set = &self.set[..count];
+            let when = |part: &Setpoint| controllers.get(part.member as usize)?.counts(part);
+            let first = set.first().and_then(when);
+            if first.is_none() || set.iter().any(|part| when(part) != first) {
+                continue;
+            }
+            for part in set {
+                controllers[part.member as usize].take_counted(cycle.index, *part);
+            }
+        }
     }
 
     /// Begins the commands that may begin at all members. One member that cannot keeps all others from it.
@@ -104,6 +131,34 @@ impl GroupSync {
     }
 }
 
+/// The next stop group that stops because of one of its axes. An axis that has left what its group still does is
+/// stopped for that.
+pub fn take_group_stop(cycle: &Cycle, now: Time, controllers: &mut [DriveController]) -> Option<u16> {
+    for index in 0..controllers.len() {
+        if !controllers[index].takes_along() {
+            continue;
+        }
+        let along = controllers[index].take_along();
+        let (left, group) = (controllers[index].left_call(), controllers[index].plan().stop.group);
+        let stops = match along {
+            Along::Nobody => false,
+            Along::All => true,
+            Along::WhoGoesOn => {
+                let goes_on = left.is_some() && controllers.iter().any(|axis| axis.acts_in_group() == left);
+                if goes_on {
+                    controllers[index].stop(cycle, now, StopCause::GroupFailed);
+                    controllers[index].take_along();
+                }
+                goes_on
+            }
+        };
+        if stops && group.is_some() {
+            return group;
+        }
+    }
+    None
+}
+
 impl GroupState {
     /// One cycle of the bucket.
     fn fill(&mut self) {
@@ -127,8 +182,9 @@ impl GroupState {
 mod tests {
     use super::*;
     use crate::axis::doorbell::Bells;
+    use crate::axis::newest::NewestIn;
     use crate::axis::{
-        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, StopCause,
+        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, State, StopCause,
     };
     use crate::axis::{Row, StreamRow};
     use crate::bus::Slot;
@@ -146,13 +202,32 @@ mod tests {
         index: u64,
     }
 
-    type Ends = (rtrb::Producer<QueuedCommand>, rtrb::Producer<StreamRow>, rtrb::Consumer<Event>);
+    struct Ends {
+        commands: rtrb::Producer<QueuedCommand>,
+        rows: rtrb::Producer<StreamRow>,
+        setpoints: NewestIn,
+        events: rtrb::Consumer<Event>,
+    }
 
     impl Machine {
         fn new(axes: usize) -> Machine {
+            Machine::in_groups(axes, None)
+        }
+
+        /// So many that stop together.
+        fn together(axes: usize) -> Machine {
+            Machine::in_groups(axes, Some(3))
+        }
+
+        fn in_groups(axes: usize, group: Option<u16>) -> Machine {
+            let mut plan = plan();
+            plan.stop.group = group;
             let (controllers, (slots, ends)) = (0..axes)
-                .map(|_| Alone::new(plan()).enabled())
-                .map(|x| (x.controller, (Slot { due: true, ..x.slot }, (x.commands, x.rows, x.events))))
+                .map(|_| Alone::new(plan.clone()).enabled())
+                .map(|Alone { controller, slot, commands, rows, setpoints, events, .. }| {
+                    let ends = Ends { commands, rows, setpoints, events };
+                    (controller, (Slot { due: true, ..slot }, ends))
+                })
                 .unzip();
             // The first command was the enable.
             let (groups, bells) = (GroupSync::new(axes), Bells::new(axes));
@@ -182,8 +257,31 @@ mod tests {
                     }
                 })
                 .collect();
-            self.ends[parts[0].0].0.push_entire_slice(&entry).unwrap();
+            self.ends[parts[0].0].commands.push_entire_slice(&entry).unwrap();
             self.bells.bell(parts[0].0).ring();
+        }
+
+        /// Gives setpoint `number` of each of these axes, each for a command, as one set.
+        fn give(&mut self, number: u64, set: &[(usize, u64, f64)]) {
+            let parts: Vec<Setpoint> = (set.iter())
+                .map(|&(axis, of, value)| Setpoint {
+                    member: axis as u32,
+                    parts: set.len() as u32,
+                    number,
+                    of: CommandId(of),
+                    value,
+                })
+                .collect();
+            self.ends[set[0].0].setpoints.write(&parts);
+            self.bells.bell(set[0].0).ring();
+        }
+
+        fn levels(&self) -> Vec<f64> {
+            self.controllers.iter().map(DriveController::level).collect()
+        }
+
+        fn stopped(&self) -> Vec<Option<StopCause>> {
+            self.controllers.iter().map(|axis| axis.feedback().stopped).collect()
         }
 
         /// One cycle of the commands.
@@ -191,10 +289,19 @@ mod tests {
             let cycle = cycle(self.index);
             self.index += 1;
             take_commands(&mut self.controllers, &mut self.bells);
+            if self.bells.take_rung() {
+                self.groups.take_setpoints(&cycle, &mut self.controllers);
+            }
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(&cycle, cycle.grid, slot);
             }
             self.groups.open(&cycle, cycle.grid, &mut self.controllers);
+            while take_group_stop(&cycle, cycle.grid, &mut self.controllers).is_some() {
+                for axis in &mut self.controllers {
+                    axis.stop(&cycle, cycle.grid, StopCause::Group);
+                    axis.take_along();
+                }
+            }
         }
 
         /// The drive carries out what `axis` runs, and a cycle passes.
@@ -208,7 +315,7 @@ mod tests {
         }
 
         fn ended(&mut self, axis: usize) -> Vec<(u64, Outcome)> {
-            ended(&mut self.ends[axis].2)
+            ended(&mut self.ends[axis].events)
         }
     }
 
@@ -285,7 +392,7 @@ mod tests {
         for parts in rows {
             for &(member, stream) in *parts {
                 let row = StreamRow { stream, member, parts: parts.len() as u32, row: Row::default() };
-                m.ends[0].1.push(row).unwrap();
+                m.ends[0].rows.push(row).unwrap();
             }
         }
         m.turn();
@@ -294,7 +401,7 @@ mod tests {
         for (controller, slot) in m.controllers.iter_mut().zip(&mut m.slots) {
             controller.feed(&cycle(51), cycle(51).grid, slot);
         }
-        let left = 8 - m.ends[0].1.slots();
+        let left = 8 - m.ends[0].rows.slots();
         (std::array::from_fn(|axis| m.controllers[axis].has_next_row()), left)
     }
 
@@ -316,6 +423,118 @@ mod tests {
         }
         assert_eq!(handed(true, &[&[(0, 2), (1, 2)], row]), (none, 4), "of a later stream");
         assert_eq!(handed(false, &[row]).0, none, "one of them sends nothing");
+    }
+
+    const TURN: Command = Command::Velocity { acceleration: 100.0 };
+
+    #[test]
+    fn setpoints_of_a_group_count_for_all_its_members_in_one_cycle_or_for_none() {
+        let mut m = Machine::together(3);
+        m.post(&[(1, TURN), (0, TURN), (2, TURN)]);
+        // For the commands that begin in this cycle, and for those that run.
+        for (number, value) in [(1, 5.0), (2, 6.0), (4, 7.0)] {
+            m.give(number, &[(1, 2, value), (0, 2, value + 10.0), (2, 2, value + 20.0)]);
+            m.turn();
+            assert_eq!(m.levels(), [value + 10.0, value, value + 20.0]);
+        }
+        // Older than one that came by another way, or for a command that one of them has not, or not any more.
+        for (number, of) in [(3, 2), (4, 2), (5, 1), (5, 3), (5, 9), (5, 0)] {
+            m.give(number, &[(1, 2, 1.0), (0, 2, 1.0), (2, of, 1.0)]);
+            m.turn();
+            assert_eq!(m.levels(), [17.0, 7.0, 27.0], "setpoint {number} of command {of}");
+        }
+        // One of them alone, and all of them again.
+        m.give(5, &[(0, 2, 8.0)]);
+        m.turn();
+        assert_eq!(m.levels(), [8.0, 7.0, 27.0]);
+        m.give(5, &[(1, 2, 1.0), (0, 2, 1.0), (2, 2, 1.0)]);
+        m.turn();
+        assert_eq!(m.levels(), [8.0, 7.0, 27.0], "one of them has a later one");
+        m.give(6, &[(1, 2, 1.0), (0, 2, 2.0), (2, 2, 3.0)]);
+        m.turn();
+        assert_eq!((m.levels(), m.stopped()), (vec![2.0, 1.0, 3.0], vec![None; 3]));
+    }
+
+    #[test]
+    fn setpoints_for_commands_to_come_begin_with_them_and_never_at_one_member_alone() {
+        let mut m = Machine::together(2);
+        m.post(&[(1, Command::Home)]);
+        m.post(&[(0, TURN), (1, TURN)]);
+        m.give(1, &[(0, 2, 5.0), (1, 3, 6.0)]);
+        m.turn();
+        assert_eq!(m.levels(), [0.0, 0.0]);
+        m.done(1);
+        assert_eq!(m.levels(), [5.0, 6.0]);
+        // The next call waits for a homing again; what it runs until then has no setpoint of that call.
+        m.post(&[(0, Command::Home), (1, Command::Home)]);
+        m.post(&[(0, TURN), (1, TURN)]);
+        m.give(2, &[(0, 2, 1.0), (1, 5, 1.0)]);
+        m.turn();
+        assert_eq!(m.levels(), [5.0, 6.0]);
+    }
+
+    #[test]
+    fn setpoints_that_a_member_cannot_take_renew_no_other() {
+        let mut m = Machine::together(2);
+        let age = u64::from(m.controllers[0].plan().setpoint_age);
+        m.post(&[(0, TURN), (1, TURN)]);
+        m.turn();
+        for number in 1..=age {
+            m.give(number, &[(0, 2, 5.0), (1, 1, 5.0)]);
+            m.turn();
+            assert_eq!(m.stopped(), [None; 2], "{number} of {age}");
+        }
+        m.turn();
+        assert_eq!(m.stopped(), [Some(StopCause::StaleSetpoint); 2]);
+    }
+
+    #[test]
+    fn what_a_group_does_ends_at_all_members_when_it_ends_at_one_before_it_is_done() {
+        let failed = |m: &Machine, axis| {
+            let mut expected = vec![Some(StopCause::Group); m.controllers.len()];
+            expected[axis] = Some(StopCause::GroupFailed);
+            assert_eq!(m.stopped(), expected);
+        };
+        for command in [Command::Enable, Command::Home, TURN] {
+            // It fails at one, while the others do it or have done it.
+            for others_done in [false, true] {
+                for failure in [Failure::DriveFault(7), Failure::TimedOut(State::SwitchedOn)] {
+                    let mut m = Machine::together(3);
+                    m.post(&[(0, command), (1, command), (2, command)]);
+                    m.turn();
+                    if others_done {
+                        m.done(0);
+                        m.done(2);
+                        assert_eq!(m.stopped(), [None; 3], "{command:?}");
+                    }
+                    // An axis that is enabled already stops by its fault.
+                    m.controllers[1].disarm();
+                    m.controllers[1].end_with(Err(failure));
+                    m.turn();
+                    failed(&m, 1);
+                }
+            }
+            // A stop of the application for one of them, at which the others go on.
+            let mut m = Machine::together(3);
+            m.post(&[(0, command), (1, command), (2, command)]);
+            m.turn();
+            m.post(&[(0, RESET), (1, Command::QuickStop), (2, RESET)]);
+            m.turn();
+            failed(&m, 1);
+            // For all of them, or with a motion for the others, it stops nobody else.
+            let mut m = Machine::together(2);
+            m.post(&[(0, command), (1, command)]);
+            m.turn();
+            m.post(&[(0, Command::QuickStop), (1, Command::QuickStop)]);
+            m.turn();
+            assert_eq!(m.stopped(), [None; 2], "{command:?}");
+        }
+        let mut m = Machine::together(2);
+        m.post(&[(0, TURN), (1, TURN)]);
+        m.turn();
+        m.post(&[(0, Command::QuickStop), (1, TURN)]);
+        m.turn();
+        assert_eq!((m.stopped(), m.runs(TURN)), (vec![None; 2], vec![false, true]));
     }
 
     #[test]

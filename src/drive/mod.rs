@@ -7,6 +7,7 @@
 //! | `controller/commands` | the application's commands in their order |
 //! | `controller/setpoints` | rows, velocities and torques for the next send, and their age |
 //! | `stop` | the stop sequence |
+//! | `at_end` | how a drive was left at the end of a run |
 //! | `groups` | group synchronisation |
 //! | `bounds` | bounds of the drive's own demand, whatever commands it |
 //! | `rest` | motion that nobody commands |
@@ -20,6 +21,7 @@
 //! It reads the instants of the grid and the stamps of exchanges, and never a clock: the same code runs in virtual
 //! time.
 
+pub mod at_end;
 mod bounds;
 pub mod controller;
 pub mod groups;

@@ -51,7 +51,9 @@ pub struct StopSequence {
     /// The speed at which the phase began, user units/s; NaN if it is not known.
     from: f64,
     /// How often the axis has moved after the end of the sequence.
-    moved: u32,
+    moved: u8,
+    /// A report after the request of power off has shown that it is off.
+    seen_off: bool,
 }
 
 /// What the loop saw of the drive in this cycle.
@@ -79,7 +81,7 @@ const SLOWED: f64 = 0.95;
 const SLOWED_WITHIN: u32 = 4;
 
 /// An axis that moves for the third time after the end of its stop does not follow this master: its power goes off.
-const MOST_MOVED: u32 = 3;
+const MOST_MOVED: u8 = 3;
 
 /// The deceleration of a stop: as requested, but enough to come to standstill from `velocity` within the stop's
 /// time-out. A velocity that is not known (NaN) raises nothing.
@@ -100,6 +102,7 @@ impl StopSequence {
             escalated: plan.how != StopHow::Ramp,
             from: velocity,
             moved: 0,
+            seen_off: false,
         };
         let command = sequence.begin(now, velocity);
         (sequence, command)
@@ -117,7 +120,8 @@ impl StopSequence {
     /// the end by power off, if a stop that does not end may.
     pub fn again(&mut self, now: Time, velocity: f64) -> Command {
         self.escalated = true;
-        self.moved += 1;
+        self.seen_off = false;
+        self.moved = self.moved.saturating_add(1);
         if self.moved >= MOST_MOVED && self.plan.on_timeout == StopTimeout::Disable {
             self.phase = Phase::Disabling { since: now };
             return Command::Disable;
@@ -149,6 +153,16 @@ impl StopSequence {
     /// Whether the last phase is reached.
     pub fn is_down(&self) -> bool {
         matches!(self.phase, Phase::Holding | Phase::Off)
+    }
+
+    /// Whether a report after its request of power off has shown that the drive is off.
+    pub fn is_seen_off(&self) -> bool {
+        self.phase == Phase::Off && self.seen_off
+    }
+
+    /// Whether it is complete, and left the drive powered because only the drive holds its load.
+    pub fn holds_load(&self) -> bool {
+        self.phase == Phase::Holding && self.keeps_power
     }
 
     /// A shutdown powers off whatever `then` says, since no master remains to hold the axis; but not before
@@ -235,10 +249,11 @@ impl StopSequence {
             }
             Phase::Disabling { since } => {
                 // A report from before the request is no answer.
-                if (sight.fresh && !sight.powered && now > since)
-                    || late(since)
-                    || (gone && now.since(since) >= nanos(HURRIED))
-                {
+                let off = sight.fresh && !sight.powered && now > since;
+                self.seen_off |= off;
+                // The master's end waits for an axis that coasts, too; a velocity that is not known is none.
+                let coasts = self.ending && sight.velocity.abs() > self.plan.standstill;
+                if (off && !coasts) || late(since) || (gone && now.since(since) >= nanos(HURRIED)) {
                     self.phase = Phase::Off;
                 }
                 None
@@ -305,6 +320,37 @@ mod tests {
         assert!(!sequence.is_down());
         assert_eq!(sequence.step(Time(6), OFF), None);
         assert!(sequence.is_down());
+    }
+
+    #[test]
+    fn the_end_of_the_master_waits_for_an_axis_that_coasts_but_no_longer_than_its_time_out() {
+        let coasting = Sight { velocity: 50.0, ..OFF };
+        for ending in [false, true] {
+            let (mut sequence, _) =
+                StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+            if ending {
+                sequence.shut_down(Time(0), true);
+            }
+            sequence.step(Time(1), MOVING);
+            assert!(!sequence.is_down() && !sequence.is_seen_off());
+            sequence.step(Time(2), coasting);
+            assert_eq!(sequence.is_down(), !ending);
+            sequence.step(Time(3), OFF);
+            assert!(sequence.is_down() && sequence.is_seen_off());
+        }
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+        sequence.shut_down(Time(0), true);
+        sequence.step(Time(999), coasting);
+        assert!(!sequence.is_down());
+        sequence.step(Time(1_000), coasting);
+        assert!(sequence.is_down() && sequence.is_seen_off());
+        // It moves again: what was seen before is no proof.
+        for moved in 1..4 {
+            sequence.again(Time(1_000 + moved), 50.0);
+        }
+        sequence.step(Time(3_000), Sight { fresh: false, ..OFF });
+        assert!(sequence.is_down() && !sequence.is_seen_off());
     }
 
     #[test]

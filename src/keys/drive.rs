@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use super::form::Form;
+use super::form::{Form, Range};
 use super::machine::Machine;
-use super::table::{POSITIVE, Table, integer, time as time_of};
+use super::table::{POSITIVE, Table, integer, number as number_of, time as time_of};
 use super::value::{SHORT_NAME, plain_name};
 use crate::axis::{
-    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
-    Underrun, Unit, Units,
+    AxisPlan, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, OwnerLost, Profile,
+    StopHow, StopPlan, StopThen, StopTimeout, Underrun, Unit, Units,
 };
 use crate::time::{MS, S};
 
@@ -47,17 +47,22 @@ pub fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> Axi
     let queue = |table: &mut Table<'_>, key, least, default| {
         table.integer(key, least..=1_000_000, "room in entries").unwrap_or(default)
     };
+    let exchange_ns = machine.period_ns.saturating_mul(u64::from(divisor));
     let plan = AxisPlan {
         limits,
         profile,
         divisor,
         phase,
-        health: health(table, machine.period_ns.saturating_mul(u64::from(divisor))),
+        health: health(table, exchange_ns),
+        in_position: in_position(table, &InPosition::new(&units, stop.standstill), exchange_ns),
         stop,
         underrun: underrun(table).unwrap_or(default.underrun),
         on_found_running: table
             .word("on_found_running", &[("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)])
             .unwrap_or(default.on_found_running),
+        on_owner_lost: table
+            .word("on_owner_lost", &[("stop", OwnerLost::Stop), ("finish", OwnerLost::Finish)])
+            .unwrap_or(default.on_owner_lost),
         load,
         setpoint_age: table
             .integer("setpoint_age", 1..=1_000_000, "the cycles for which a velocity setpoint is valid")
@@ -114,6 +119,28 @@ fn jog_deadman(table: &mut Table<'_>) -> Option<Option<Duration>> {
     })
 }
 
+/// A number above 0, or "off".
+fn or_off(table: &mut Table<'_>, key: &'static str, hint: &str) -> Option<Option<f64>> {
+    let form = Form::Number(Range::of(&POSITIVE, |bound| bound)).or(Form::word("off"));
+    table.read(key, form, |value| match (value.as_str(), number_of(value)) {
+        (Some("off"), _) => Ok(None),
+        (_, Some(number)) if number > 0.0 => Ok(Some(number)),
+        _ => Err(format!("must be a number above 0, or \"off\"; {hint}")),
+    })
+}
+
+/// When a move of a drive with an exchange every `exchange_ns` has arrived.
+fn in_position(table: &mut Table<'_>, default: &InPosition, exchange_ns: u64) -> InPosition {
+    table.table("in_position", |table| InPosition {
+        window: or_off(table, "window", "units between a target and the actual position")
+            .unwrap_or(default.window),
+        reports: table
+            .count("for", 1..=60_000, exchange_ns, "the good exchanges in a row inside the window")
+            .unwrap_or(default.reports),
+        timeout: time(table, "timeout", 600, "the longest time from the end of the demand", default.timeout),
+    })
+}
+
 fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, default: Duration) -> Duration {
     table.time(key, MS..=most_s * S, hint).map_or(default, Duration::from_nanos)
 }
@@ -162,6 +189,11 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
             "per cent of the rated torque; leave it out for the drive's own limit",
         ),
         homing: table.number("homing", POSITIVE, "units/s while it homes; leave it out for that of velocity"),
+        following_error: match or_off(table, "following_error", "units between demand and actual position") {
+            None => FollowingError::Derived,
+            Some(None) => FollowingError::Off,
+            Some(Some(most)) => FollowingError::Most(most),
+        },
     });
     if let Some((low, high)) = limits.position {
         let counts = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;

@@ -1,7 +1,7 @@
 //! The carriers of a recorded run: those of another [`Carriers`], with all that passes them in the log.
 
 use std::io;
-use std::net::SocketAddrV4;
+use std::net::{SocketAddrV4, UdpSocket};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::task::Waker;
@@ -128,6 +128,10 @@ impl Datagrams for LoggedDatagrams {
 
     fn groups(&self) -> Option<Arc<dyn Groups>> {
         self.net.groups()
+    }
+
+    fn twin(&self) -> Option<UdpSocket> {
+        self.net.twin()
     }
 
     fn dropped(&self) -> u64 {

@@ -10,19 +10,19 @@ use crate::axis::doorbell::Bells;
 use crate::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
-use crate::bus::{BusClock, OpenError, Unmatched};
+use crate::bus::{BusClock, LastResort, OpenError, Unmatched};
 use crate::cycle::Plan;
 use crate::cycle::bound::{self, Paced};
 use crate::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
 use crate::cycle::record::Record;
 use crate::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers, Gauges, Status};
 use crate::cycle::task::Task;
-use crate::cycle::window::OpenBus;
+use crate::cycle::window::{Gate, OpenBus};
 use crate::drive::controller::{DriveController, Probes, Queues};
 use crate::drive::journal::Journal;
 use crate::inputs::Inlet;
 use crate::net::Carriers;
-use crate::rt::{self, Clock, Regions};
+use crate::rt::{self, Clock, Regions, Wires};
 use crate::telemetry::TelemetryThread;
 
 /// An engine, its axes, and everything that belongs to them.
@@ -42,6 +42,10 @@ pub struct Assembly<C> {
     pub records: rtrb::Consumer<Record>,
     /// The application's sign of life.
     pub pulse: Pulse,
+    /// Who may use the wires.
+    pub wires: Wires,
+    /// What stops the drives of buses without the loop.
+    pub last_resorts: Vec<Box<dyn LastResort>>,
     /// Memory that the loop touches, for [`rt::thread::enter`].
     pub regions: Regions,
 }
@@ -79,6 +83,7 @@ pub fn assemble<C: Clock>(
 ) -> Result<Assembly<C>, OpenError> {
     let period_ns = plan.cycle.period_ns;
     let pulse = Pulse::default();
+    let (wires, mut last_resorts) = (Wires::default(), Vec::new());
     let mut regions = Regions::default();
     let (mut entries, mut buses) = (Vec::new(), Vec::new());
     let (mut axes, mut acyclics) = (Vec::new(), Vec::new());
@@ -88,10 +93,12 @@ pub fn assemble<C: Clock>(
     let machine = plan.axes();
     let log = carriers.log();
     let bells = Bells::new(machine.len()).logged(&log);
+    let gate = Gate::new(wires.clone(), log.clone());
     for (place, bus_plan) in plan.buses.iter().enumerate() {
         log.opens(place);
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (entries.len(), bus.notes());
+        last_resorts.extend(bus.last_resort());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             // The queues of the first member hold the parts of all. A group of the plan has the full room for each
             // of them; any other one at least has room for one call, and for its stops.
@@ -102,7 +109,7 @@ pub fn assemble<C: Clock>(
             let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
             let room = |queue: usize| queue.saturating_mul(members).max(most);
             let (posted_in, posted) = rt::ring(room(axis.command_queue) + URGENT_ROOM * most, &mut regions);
-            let (setpoint_in, setpoint_out) = newest::newest();
+            let (setpoint_in, setpoint_out) = newest::newest(most);
             let (row_in, row_out) = rt::ring(room(axis.stream_queue), &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
@@ -149,12 +156,12 @@ pub fn assemble<C: Clock>(
             let every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
-            let observer = Observer(reader.clone());
+            let observer = Observer::new(reader, wires.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), every);
             let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
             let connection = notes.clone().map(|notes| (notes, index));
             let info = AxisInfo { name: axis.name.clone(), protocol: bus_plan.protocol(), connection };
-            gauges.axes.push(AxisGauge { info: info.clone(), observer, numbers });
+            gauges.axes.push(AxisGauge { info: info.clone(), observer: observer.clone(), numbers });
             entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
             axes.push(Axis::new(
                 axis.clone(),
@@ -167,7 +174,7 @@ pub fn assemble<C: Clock>(
                     rows: row_in,
                     setpoints: setpoint_in,
                     events: event_out,
-                    feedback: reader,
+                    feedback: observer.clone(),
                     samples: sample_out,
                     native: bus.native(index),
                     faults: bus_plan.fault_names(),
@@ -181,7 +188,7 @@ pub fn assemble<C: Clock>(
             devices.0.push(((*name).to_owned(), bus.device(index)));
             if let Some((ends, observer)) = bus.device_acyclic(index) {
                 let period = Duration::from_nanos(period_ns);
-                of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer, period));
+                of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer.on(&wires), period));
             }
         }
         let grid = plan.cycle.grid();
@@ -201,6 +208,7 @@ pub fn assemble<C: Clock>(
             end: entries.len(),
             is_at_work: false,
             is_polled,
+            gate: gate.clone(),
             unmatched: unmatched_in,
             clock: clock_in,
         });
@@ -210,11 +218,11 @@ pub fn assemble<C: Clock>(
     let records_a_cycle = plan.records_a_cycle() + native_records;
     let (record_in, records) = rt::ring(TelemetryThread::ring_size(records_a_cycle, period_ns), &mut regions);
     let channels =
-        Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in, log };
+        Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in, log, gate };
     let mut engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
     engine.record_native(plan.native_layouts().into_iter().flatten().map(|(axis, _)| axis), native_records);
     engine.memory(&mut regions);
-    Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })
+    Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, wires, last_resorts, regions })
 }
 
 /// How many drives are probed for the first time in one cycle.

@@ -1,10 +1,13 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted.
+//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process` ends
+//! what runs when the process ends.
 
 mod assembly;
 mod log;
+mod process;
+mod watch;
 
 use std::ops::Deref;
 use std::path::PathBuf;
@@ -17,11 +20,15 @@ use thiserror::Error;
 pub use self::assembly::{Assembly, Devices, assemble};
 use self::log::LogSink;
 pub use self::log::{LogBegin, MachineOf};
+use self::process::Running;
+pub use self::process::{ENDING, action_of};
+pub(crate) use self::watch::LoopWatch;
 use crate::axis::acyclic::{Acyclic, Parameters};
+use crate::axis::handle;
 use crate::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use crate::bus::{Cycle, OpenError};
 use crate::cycle::engine::Control;
-use crate::cycle::status::Numbers;
+use crate::cycle::status::{AtEnd, Numbers};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::{self, Plan, PlanErrors};
 use crate::logged::{LoggedCarriers, LoggedClock};
@@ -63,6 +70,7 @@ pub struct Setup {
     machine: MachineOf,
     /// With the file that it writes.
     pub(crate) sink: Option<(PathBuf, Box<dyn Sink>)>,
+    stop_on_signals: bool,
 }
 
 impl std::fmt::Debug for Setup {
@@ -71,7 +79,13 @@ impl std::fmt::Debug for Setup {
     }
 }
 
-/// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+/// A running machine. Dropping it stops all axes, powers them off and ends the loop. If the loop's cycle does not end,
+/// it returns without it, once the [watch](crate::WatchAfter) has done what can be done.
+///
+/// So does the end of the process by `exit` or by a return from `main`, if it is not dropped before, as in a `static`:
+/// a handler of `exit` (atexit(3)) waits for the loops of all masters. After the longest `stop.timeout` of its axes and
+/// a second, at most after 30 s, it shortens their waits, and 3 s later it gives up. The measurements are lost then:
+/// [`finish`](Master::finish) returns them. What else ends a process is in [`Setup::stop_on_signals`].
 ///
 /// ```
 /// # use fieldbeat::{Master, Plan};
@@ -100,6 +114,7 @@ pub struct Master {
     pub(crate) pulse: Pulse,
     pub(crate) control: Control,
     pub(crate) telemetry: TelemetryThread,
+    pub(crate) watch: LoopWatch,
     pub(crate) thread: Option<JoinHandle<Numbers>>,
 }
 
@@ -168,6 +183,9 @@ pub enum MasterError {
     /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
+    /// The loop's cycle does not end. Its watch has stopped what it can stop, and the run has failed.
+    #[error("{}; {}", handle::STUCK, handle::STUCK_REMEDY)]
+    Stuck,
 }
 crate::errors::debug_as_display!(MasterError);
 
@@ -212,6 +230,7 @@ impl Master {
             log_sink: None,
             machine: MachineOf::Code,
             sink: None,
+            stop_on_signals: false,
         }
     }
 
@@ -282,6 +301,9 @@ impl Master {
                 missing.extend((feedback.link != Link::Online).then_some(index));
                 others.extend((feedback.stopped == Some(StopCause::OtherMaster)).then_some(name.as_str()));
             }
+            if self.watch.is_stuck() {
+                return Err(MasterError::Stuck);
+            }
             if !others.is_empty() {
                 return Err(MasterError::OtherMaster(others.join(", ")));
             }
@@ -328,39 +350,65 @@ impl Master {
         StopHandle(self.control.clone())
     }
 
-    /// Whether the loop still runs.
+    /// Whether the loop still runs, and is not stuck.
     pub fn is_running(&self) -> bool {
-        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) && !self.watch.is_stuck()
+    }
+
+    /// Waits for the end of the loop, or for all that its watch can do in its place. `None`: its thread is left behind.
+    fn join(&mut self) -> Option<std::thread::Result<Numbers>> {
+        let thread = self.thread.take()?;
+        while !thread.is_finished() {
+            if self.watch.is_over() {
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let end = thread.join();
+        self.watch.end();
+        Some(end)
     }
 
     /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
     /// [`Numbers::panic`], [`Measured::failures`].
+    ///
+    /// If its cycle does not end, this returns once the [watch](crate::WatchAfter) has done what can be done
+    /// without it, and the measurements say that the run has failed.
     pub fn finish(mut self) -> Run {
         self.stop();
-        let (end, failed) = match self.thread.take().map(JoinHandle::join) {
+        let (end, failed) = match self.join() {
             Some(Ok(end)) => {
-                let failed = end.panic.as_ref().map(ToString::to_string);
-                (end, failed)
+                let panic = end.panic.as_ref().map(ToString::to_string);
+                let stuck = self.watch.is_stuck().then(|| watch::STUCK.to_owned());
+                let failed: Vec<String> = panic.into_iter().chain(stuck).collect();
+                (end, (!failed.is_empty()).then(|| failed.join("; ")))
             }
             Some(Err(_)) => {
                 let failed =
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
-                (self.numbers(), Some(failed.to_owned()))
+                (self.abandoned(), Some(failed.to_owned()))
             }
-            None => (Numbers::default(), None),
+            None => (self.abandoned(), Some(watch::STUCK.to_owned())),
         };
         let measured = self.telemetry.finish(&end.status, failed);
         let (plan, granted) = (self.shared_plan(), self.granted().clone());
         Run { end, measured, granted, plan, steal_ms: self.steal_ms() }
     }
+
+    /// The newest numbers of a loop that has not come to its end: nobody knows how its drives were left.
+    fn abandoned(&self) -> Numbers {
+        let mut numbers = self.numbers();
+        for drive in &mut numbers.drives {
+            drive.at_end = AtEnd::abandoned(&drive.feedback);
+        }
+        numbers
+    }
 }
 
 impl Drop for Master {
     fn drop(&mut self) {
-        if let Some(thread) = self.thread.take() {
-            self.stop();
-            let _ = thread.join();
-        }
+        self.stop();
+        self.join();
     }
 }
 
@@ -390,6 +438,19 @@ impl Setup {
     /// Sets the application's code inside the cycle.
     pub fn with_task(mut self, task: impl FnMut(&Cycle, &mut Axes<'_>) + Send + 'static) -> Setup {
         self.task = Some(Box::new(task));
+        self
+    }
+
+    /// Signals that would end the process end its running masters first: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGALRM,
+    /// SIGVTALRM, SIGPROF, SIGUSR2, SIGIO, SIGPWR, SIGSTKFLT, SIGXCPU and SIGABRT. All axes ramp down and are powered
+    /// off, then the process ends by the same signal. A second one shortens the waits. The wait is bounded as that of
+    /// `exit` is ([`Master`]).
+    ///
+    /// It holds from [`start`](Setup::start) on for as long as the process lives, for all masters in it. A signal that
+    /// the program handles or ignores when it calls `start` is left to the program, and a handler that it sets later
+    /// takes the place of this one. `abort` on the loop's own thread, by the in-loop task, is as SIGKILL.
+    pub fn stop_on_signals(mut self) -> Setup {
+        self.stop_on_signals = true;
         self
     }
 
@@ -431,12 +492,28 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, black_box, sink, .. } = self;
+        let Setup { plan, task, black_box, sink, stop_on_signals, .. } = self;
         let has_task = task.is_some();
-        let control = Control::default();
+        if stop_on_signals {
+            process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
+        }
+        let timeouts = plan.axes().into_iter().map(|axis| axis.stop.timeout);
+        let running = Running::begin(timeouts).map_err(StartError::Thread)?;
+        let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
         let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions: own } = assembly;
+        let Assembly {
+            mut engine,
+            axes,
+            devices,
+            acyclics,
+            gauges,
+            records,
+            pulse,
+            wires,
+            last_resorts,
+            regions: own,
+        } = assembly;
         regions.extend(&own);
 
         let (report, reported) = crossbeam_channel::bounded(1);
@@ -444,6 +521,9 @@ impl Setup {
             .name("fb-loop".into())
             .stack_size(STACK_BYTES)
             .spawn(move || {
+                // Until the engine is gone.
+                let running = running;
+                running.is_on_this_thread();
                 let entered = rt::thread::enter(&realtime, &regions);
                 let go = entered.is_ok();
                 let _ = report.send((entered, nix::unistd::gettid().as_raw()));
@@ -469,6 +549,11 @@ impl Setup {
             Err(_) => return Err(StartError::Ended),
         };
         let core = granted.core;
+        let (after_ns, period_ns) = (plan.cycle.watch_after_ns(), plan.cycle.period_ns);
+        let watching = match after_ns {
+            Some(after_ns) => LoopWatch::start(wires, after_ns, period_ns, granted.clone(), last_resorts),
+            None => Ok(LoopWatch::none(wires)),
+        };
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
         let measured = Measured::new(&plan.units(), &plan.cycle, has_task);
@@ -480,8 +565,8 @@ impl Setup {
         });
         let started = TelemetryThread::start(records, measured, taps, watch, black_box, aside)
             .and_then(|telemetry| telemetry.feed(feed, gauges.status.clone(), aside));
-        let telemetry = match started {
-            Ok(telemetry) => telemetry,
+        let (telemetry, watching) = match started.and_then(|telemetry| Ok((telemetry, watching?))) {
+            Ok(started) => started,
             Err(error) => {
                 control.stop();
                 let _ = thread.join();
@@ -497,6 +582,7 @@ impl Setup {
             pulse,
             control,
             telemetry,
+            watch: watching,
             thread: Some(thread),
         })
     }

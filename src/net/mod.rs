@@ -21,7 +21,7 @@
 //! | `lock` | one master for each interface and each drive of this host |
 
 use std::io;
-use std::net::SocketAddrV4;
+use std::net::{SocketAddrV4, UdpSocket};
 use std::os::fd::{AsRawFd, RawFd};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -76,6 +76,12 @@ pub trait Datagrams: Send {
     /// By which normal threads join and leave multicast groups; `None`: none were wanted by its
     /// [options](UdpOptions::groups).
     fn groups(&self) -> Option<Arc<dyn Groups>> {
+        None
+    }
+
+    /// The same socket for another thread, which sends from the same address. `None`: the carrier has none, as in
+    /// virtual time.
+    fn twin(&self) -> Option<UdpSocket> {
         None
     }
 

@@ -316,6 +316,10 @@ impl Datagrams for Udp {
         self.inbox.batch
     }
 
+    fn twin(&self) -> Option<UdpSocket> {
+        self.socket().try_clone().ok()
+    }
+
     fn dropped(&self) -> u64 {
         self.inbox.dropped
     }

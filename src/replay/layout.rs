@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::master::MachineOf;
 
 /// The version of the log's layout, and of the looks that the loop makes.
-pub(crate) const LAYOUT: &str = "2";
+pub(crate) const LAYOUT: &str = "3";
 /// The topic of the log. Each message has some words of it, which end with a whole cycle: a message of Protocol Buffers
 /// like all others of a recording, since some readers refuse a file in which a channel has no schema.
 pub(crate) const TOPIC: &str = "/wire";

@@ -10,6 +10,7 @@
 //! | `thread` | what the loop's thread does to itself at the start |
 //! | `usage` | page faults and context switches of a thread |
 //! | `watch` | run time, run delay, faults and steal of another thread |
+//! | `wires` | who may use the wires: the loop, or the watch that has taken them |
 
 pub mod clock;
 pub mod guard;
@@ -21,6 +22,7 @@ pub(crate) mod testing;
 pub mod thread;
 pub mod usage;
 pub mod watch;
+mod wires;
 
 pub use clock::{Clock, MonotonicClock, PollSet};
 pub use guard::GuardTuner;
@@ -28,6 +30,7 @@ pub use memory::{Regions, deque, ring};
 pub use rights::Denied;
 pub use thread::{Granted, RealtimeError, RealtimePlan};
 pub use usage::Usage;
+pub use wires::Wires;
 
 /// Whether real-time scheduling is required.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -150,6 +150,19 @@ pub fn helper_thread(core_of_loop: Option<usize>) {
     confine(cores().into_iter().filter(|core| Some(*core) != core_of_loop));
 }
 
+/// Lets the calling thread watch a loop that was granted this: off its core, where there is another one, and before it
+/// (SCHED_FIFO, one priority above) if the loop runs in real time. A watch before a loop that is an ordinary thread would
+/// take the waits of that one for its end.
+///
+/// To be called on threads started by a normal thread, as [`helper_thread`].
+pub fn watch_thread(of_loop: &Granted) {
+    helper_thread(of_loop.core);
+    let above = of_loop.priority.saturating_add(1).min(99);
+    if of_loop.policy != "SCHED_FIFO" || (fifo(above).is_err() && fifo(of_loop.priority).is_err()) {
+        prompt();
+    }
+}
+
 /// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first
 /// one that the calling thread may use and that is not the loop's.
 pub fn spare_core(core_of_loop: Option<usize>) -> Option<usize> {

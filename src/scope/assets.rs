@@ -20,6 +20,7 @@ const ASSETS: &[Asset] = &assets! {
     "icon.svg": IMAGE,
     "style.css": STYLE,
     "main.js": SCRIPT,
+    "token.js": SCRIPT,
     "link.js": SCRIPT,
     "layout.js": SCRIPT,
     "cursors.js": SCRIPT,

@@ -1,17 +1,27 @@
 //! Who is let in: whoever asks for this host by its own name or address, from a page of its own, and where others on
 //! the network can reach it, with the token of the printed address.
+//!
+//! The files of the page hold nothing of the machine, and are for everybody on that host. The machine is behind the
+//! websocket, which needs the token. It stands behind the `#` of the address, which no browser sends to anybody; the
+//! page keeps it in memory and names it in a header. It is no cookie: a browser sends those to all ports of a host.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::net::SocketAddr;
 
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 
 use crate::telemetry::metrics::host::{Meant, Names};
 
 /// Bytes of a token.
 const TOKEN: usize = 16;
+
+/// The subprotocol of the websocket. A page can set no other header of it: the token is named as a further one.
+pub const PROTOCOL: &str = "fieldbeat";
+
+/// Why a request is refused, for who reads it.
+pub type Refusal = (StatusCode, &'static str);
 
 /// The rules of one server.
 #[derive(Debug)]
@@ -20,21 +30,9 @@ pub struct Rules {
     token: Option<Token>,
 }
 
-/// A secret of this server, and the name of the cookie that keeps it in a browser.
+/// A secret of this server.
 #[derive(Debug)]
-struct Token {
-    secret: String,
-    cookie: String,
-}
-
-/// What is let in.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Admitted {
-    /// The request.
-    Request,
-    /// The token was in the address: the browser keeps it by this cookie, and shows the address without it.
-    Keep(String),
-}
+struct Token(String);
 
 impl Rules {
     /// For a server at `address`, which may have one more name. A token is required beyond this computer; and on it for
@@ -42,18 +40,17 @@ impl Rules {
     pub fn new(address: SocketAddr, name: Option<String>, control: bool) -> io::Result<Rules> {
         let mut names = Names::default();
         name.into_iter().for_each(|name| names.add(name));
-        let token =
-            (control || !address.ip().is_loopback()).then(|| Token::new(address.port())).transpose()?;
+        let token = (control || !address.ip().is_loopback()).then(Token::new).transpose()?;
         Ok(Rules { names, token })
     }
 
     /// What the address of the page ends with.
-    pub fn query(&self) -> String {
-        self.token.as_ref().map_or_else(String::new, |token| format!("?token={}", token.secret))
+    pub fn fragment(&self) -> String {
+        self.token.as_ref().map_or_else(String::new, |token| format!("#token={}", token.0))
     }
 
-    /// Judges a request that came to `local`.
-    pub fn judge(&self, head: &Parts, local: SocketAddr) -> Result<Admitted, (StatusCode, &'static str)> {
+    /// Judges any request that came to `local`.
+    pub fn judge(&self, head: &Parts, local: SocketAddr) -> Result<(), Refusal> {
         let host = only(&head.headers, header::HOST);
         let meant = host.and_then(|host| Meant::parse(host.as_bytes()));
         // A whole address in the request counts more than the header (RFC 9112, 3.2.2), and no browser sends one.
@@ -69,10 +66,34 @@ impl Rules {
                 return Err((StatusCode::FORBIDDEN, "only the page of this server may ask"));
             }
         }
+        Ok(())
+    }
+
+    /// Judges a request for the machine itself, beyond [`judge`](Rules::judge).
+    pub fn judge_token(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         match &self.token {
-            Some(token) => token.judge(head),
-            None => Ok(Admitted::Request),
+            Some(token) if !named(headers).is_some_and(|named| token.is(named)) => Err((
+                StatusCode::UNAUTHORIZED,
+                "open the address that `fieldbeat scope` printed, with its token",
+            )),
+            _ => Ok(()),
         }
+    }
+
+    /// Judges a request for the websocket. Each browser names the page that opens it; what does not is none.
+    pub fn judge_socket(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        if !headers.contains_key(header::ORIGIN) {
+            return Err((StatusCode::FORBIDDEN, "only a page opens it: its Origin is missing"));
+        }
+        self.judge_token(headers)
+    }
+}
+
+/// The token that a request names: that of a websocket as a subprotocol, any other as a bearer.
+fn named(headers: &HeaderMap) -> Option<&str> {
+    match only(headers, header::SEC_WEBSOCKET_PROTOCOL) {
+        Some(protocols) => protocols.split(',').map(str::trim).find(|one| *one != PROTOCOL),
+        None => only(headers, header::AUTHORIZATION)?.strip_prefix("Bearer "),
     }
 }
 
@@ -83,40 +104,17 @@ fn only(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
 }
 
 impl Token {
-    fn new(port: u16) -> io::Result<Token> {
+    fn new() -> io::Result<Token> {
         let mut bytes = [0; TOKEN];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-        let secret = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        // Browsers keep one cookie of a name for all ports.
-        Ok(Token { secret, cookie: format!("fieldbeat-{port}") })
-    }
-
-    fn judge(&self, head: &Parts) -> Result<Admitted, (StatusCode, &'static str)> {
-        if in_query(&head.uri).is_some_and(|token| self.is(token)) {
-            let Token { secret, cookie } = self;
-            return Ok(Admitted::Keep(format!("{cookie}={secret}; Path=/; HttpOnly; SameSite=Strict")));
-        }
-        let cookies = head.headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let mut cookies =
-            cookies.flat_map(|value| value.split(';')).filter_map(|one| one.trim().split_once('='));
-        match cookies.any(|(name, value)| name == self.cookie && self.is(value)) {
-            true => Ok(Admitted::Request),
-            false => Err((
-                StatusCode::UNAUTHORIZED,
-                "open the address that `fieldbeat scope` printed, with its token",
-            )),
-        }
+        Ok(Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
     }
 
     /// Takes as long for every token of this length.
     fn is(&self, token: &str) -> bool {
-        let differ = self.secret.bytes().zip(token.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
-        self.secret.len() == token.len() && differ == 0
+        let differ = self.0.bytes().zip(token.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
+        self.0.len() == token.len() && differ == 0
     }
-}
-
-fn in_query(uri: &Uri) -> Option<&str> {
-    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
 }
 
 #[cfg(test)]
@@ -125,20 +123,30 @@ mod tests {
 
     use super::*;
 
-    fn status(rules: &Rules, uri: &str, headers: &[(&str, &str)]) -> Result<Admitted, u16> {
+    fn head(uri: &str, headers: &[(&str, &str)]) -> Parts {
         let builder =
             headers.iter().fold(Request::builder().uri(uri), |to, (name, value)| to.header(*name, *value));
-        let head = builder.body(()).unwrap().into_parts().0;
-        rules.judge(&head, ([192, 168, 1, 5], 80).into()).map_err(|(status, _)| status.as_u16())
+        builder.body(()).unwrap().into_parts().0
+    }
+
+    /// The status of a refusal; 0: it is let in.
+    fn status(rules: &Rules, uri: &str, headers: &[(&str, &str)]) -> u16 {
+        let judged = rules.judge(&head(uri, headers), ([192, 168, 1, 5], 80).into());
+        judged.map_or_else(|(status, _)| status.as_u16(), |()| 0)
+    }
+
+    fn status_of_socket(rules: &Rules, headers: &[(&str, &str)]) -> u16 {
+        let judged = rules.judge_socket(&head("/ws", headers).headers);
+        judged.map_or_else(|(status, _)| status.as_u16(), |()| 0)
     }
 
     #[test]
     fn on_the_loopback_the_host_and_the_origin_have_to_be_ours() {
         let rules = Rules::new(([127, 0, 0, 1], 80).into(), None, false).unwrap();
-        assert_eq!(rules.query(), "");
+        assert_eq!(rules.fragment(), "");
         let own = ("host", "localhost:80");
-        assert_eq!(status(&rules, "/", &[own]), Ok(Admitted::Request));
-        assert_eq!(status(&rules, "/ws", &[own, ("origin", "http://localhost:80")]), Ok(Admitted::Request));
+        assert_eq!(status(&rules, "/", &[own]), 0);
+        assert_eq!(status(&rules, "/ws", &[own, ("origin", "http://localhost:80")]), 0);
         for origin in [
             "http://evil.example",
             "https://localhost:80",
@@ -146,40 +154,47 @@ mod tests {
             "http://localhost:81",
             "http://127.0.0.1:80",
         ] {
-            assert_eq!(status(&rules, "/ws", &[own, ("origin", origin)]), Err(403), "{origin}");
+            assert_eq!(status(&rules, "/ws", &[own, ("origin", origin)]), 403, "{origin}");
         }
         let both = [own, ("origin", "http://localhost:80"), ("origin", "http://evil.example")];
-        assert_eq!(status(&rules, "/ws", &both), Err(403));
-        assert_eq!(status(&rules, "/", &[]), Err(421));
-        assert_eq!(status(&rules, "/", &[("host", "evil.example")]), Err(421));
-        assert_eq!(status(&rules, "/", &[own, ("host", "evil.example")]), Err(421));
+        assert_eq!(status(&rules, "/ws", &both), 403);
+        assert_eq!(status(&rules, "/", &[]), 421);
+        assert_eq!(status(&rules, "/", &[("host", "evil.example")]), 421);
+        assert_eq!(status(&rules, "/", &[own, ("host", "evil.example")]), 421);
+        // No token, but an origin.
+        assert_eq!(status_of_socket(&rules, &[]), 403);
+        assert_eq!(status_of_socket(&rules, &[("origin", "http://localhost:80")]), 0);
     }
 
     #[test]
     fn on_the_network_there_is_a_token_too() {
         let rules = Rules::new(([192, 168, 1, 5], 80).into(), Some("press1".into()), false).unwrap();
-        let query = rules.query();
-        assert_eq!(query.len(), "?token=".len() + 2 * TOKEN);
+        let fragment = rules.fragment();
+        let token = fragment.strip_prefix("#token=").unwrap();
+        assert_eq!(token.len(), 2 * TOKEN);
         let own = ("host", "press1:80");
-        let Ok(Admitted::Keep(cookie)) = status(&rules, &format!("/{query}"), &[own]) else {
-            panic!("refused")
-        };
-        assert!(cookie.ends_with("; Path=/; HttpOnly; SameSite=Strict"), "{cookie}");
-        let kept = cookie.split(';').next().unwrap();
-        let others = format!("a=b; {kept}; c");
-        assert_eq!(status(&rules, "/ws", &[own, ("cookie", &others)]), Ok(Admitted::Request));
-        let wrong = "fieldbeat-80=".to_owned() + &"0".repeat(2 * TOKEN);
-        for cookie in ["", "fieldbeat-80=", "fieldbeat-80", &wrong, &kept[..kept.len() - 1]] {
-            assert_eq!(status(&rules, "/", &[own, ("cookie", cookie)]), Err(401), "{cookie}");
+        let origin = ("origin", "http://press1:80");
+        let protocols = format!("{PROTOCOL}, {token}");
+        assert_eq!(status_of_socket(&rules, &[origin, ("sec-websocket-protocol", &protocols)]), 0);
+        // The token does not do without the page.
+        assert_eq!(status_of_socket(&rules, &[("sec-websocket-protocol", &protocols)]), 403);
+        let bearer = format!("Bearer {token}");
+        assert!(rules.judge_token(&head("/access", &[("authorization", &bearer)]).headers).is_ok());
+        let wrong = format!("{PROTOCOL}, {}", "0".repeat(2 * TOKEN));
+        for protocols in ["", PROTOCOL, "fieldbeat,", &wrong, &protocols[..protocols.len() - 1]] {
+            let headers = [origin, ("sec-websocket-protocol", protocols)];
+            assert_eq!(status_of_socket(&rules, &headers), 401, "{protocols}");
         }
-        assert_eq!(status(&rules, "/?token=", &[own]), Err(401));
-        assert_eq!(status(&rules, "/?token=00", &[own]), Err(401));
-        // The token alone does not do.
-        assert_eq!(status(&rules, &format!("/{query}"), &[("host", "evil.example")]), Err(421));
+        // What a browser sends to other ports, or shows to others, is worth nothing.
+        let cookie = format!("fieldbeat-80={token}");
+        assert_eq!(status_of_socket(&rules, &[origin, ("cookie", &cookie)]), 401);
+        assert!(rules.judge_token(&head(&format!("/ws?token={token}"), &[own]).headers).is_err());
+        // Nor does the token make a host ours.
+        assert_eq!(status(&rules, "/", &[("host", "evil.example"), ("authorization", &bearer)]), 421);
         // Whoever may command the machine has one on the loopback as well.
         let commands = Rules::new(([127, 0, 0, 1], 80).into(), None, true).unwrap();
-        assert_eq!(status(&commands, "/", &[("host", "localhost")]), Err(401));
+        assert_eq!(status_of_socket(&commands, &[("origin", "http://localhost")]), 401);
         let other = Rules::new(([192, 168, 1, 5], 80).into(), None, false).unwrap();
-        assert_ne!(other.query(), query);
+        assert_ne!(other.fragment(), fragment);
     }
 }

@@ -1,5 +1,6 @@
 //! The listener: axum on a runtime of one thread, with a bound for everything that a client can make it hold.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::fmt;
 use std::io;
@@ -12,9 +13,9 @@ use std::time::Duration;
 use axum::Router;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{Extension, Path, Request, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
-use axum::response::{IntoResponse, Redirect, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -23,12 +24,13 @@ use nix::sys::socket::{setsockopt, sockopt};
 use thiserror::Error;
 use tokio::net::TcpStream;
 use tokio::sync::{Semaphore, broadcast, oneshot, watch};
+use tokio::task::AbortHandle;
 use tokio::time::timeout;
 
 use super::assets;
 use super::client::{self, Hub, MOST_BYTES};
 use super::feed::{Control, Feed, Source};
-use super::rules::{Admitted, Rules};
+use super::rules::{PROTOCOL, Refusal, Rules};
 use crate::rt::host;
 use crate::rt::thread::helper_thread;
 use crate::telemetry::metrics::{Address, remedy};
@@ -36,7 +38,8 @@ use crate::telemetry::metrics::{Address, remedy};
 /// Browsers at a time.
 const MOST_CLIENTS: usize = 32;
 
-/// Connections that are not yet, or never will be, those of a browser that watches.
+/// Connections that are not yet, or never will be, those of a browser that watches. For a further one the oldest goes
+/// that has not said what it wants.
 const MOST_CONNECTIONS: usize = 512;
 
 /// Updates that wait for a slow browser: with fifty batches a second those of two seconds.
@@ -100,6 +103,11 @@ impl Endpoint {
         Ok(Endpoint { listener, address, rules, control })
     }
 
+    /// Whether the page may command the machine.
+    pub fn has_control(&self) -> bool {
+        self.control.is_some()
+    }
+
     /// The address, with the port that the kernel chose for port 0.
     pub fn address(&self) -> SocketAddr {
         self.address
@@ -107,10 +115,10 @@ impl Endpoint {
 
     /// What a browser opens; with the token, where one is required. All addresses of this computer go by its name.
     pub fn url(&self) -> String {
-        let query = self.rules.query();
+        let fragment = self.rules.fragment();
         match host::name().filter(|_| self.address.ip().is_unspecified()) {
-            Some(name) => format!("http://{name}:{}/{query}", self.address.port()),
-            None => format!("http://{}/{query}", self.address),
+            Some(name) => format!("http://{name}:{}/{fragment}", self.address.port()),
+            None => format!("http://{}/{fragment}", self.address),
         }
     }
 
@@ -191,11 +199,37 @@ struct App {
     seats: Arc<Semaphore>,
 }
 
+/// A connection: what serves it, and whether it has said what it wants.
+struct Connection {
+    task: AbortHandle,
+    has_requested: Arc<AtomicBool>,
+}
+
+/// What a request comes by.
+#[derive(Clone)]
+struct Origin {
+    local: SocketAddr,
+    has_requested: Arc<AtomicBool>,
+}
+
+/// Makes room for one more, if there is none. False: all of them are being answered.
+fn make_room(connections: &mut VecDeque<Connection>) -> bool {
+    if connections.len() >= MOST_CONNECTIONS {
+        connections.retain(|one| !one.task.is_finished());
+    }
+    if connections.len() < MOST_CONNECTIONS {
+        return true;
+    }
+    let silent = connections.iter().position(|one| !one.has_requested.load(Ordering::Relaxed));
+    silent.and_then(|oldest| connections.remove(oldest)).map(|one| one.task.abort()).is_some()
+}
+
 async fn listen(listener: TcpListener, app: App) -> io::Result<Infallible> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let connections = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let mut connections = VecDeque::with_capacity(MOST_CONNECTIONS);
     let router = Router::new()
         .route("/", get(|| asset(Path(String::new()))))
+        .route("/access", get(access))
         .route("/ws", get(watch))
         .route("/{name}", get(asset))
         .layer(from_fn_with_state(app.clone(), guard))
@@ -206,17 +240,19 @@ async fn listen(listener: TcpListener, app: App) -> io::Result<Infallible> {
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
-        let Ok(place) = Arc::clone(&connections).try_acquire_owned() else {
+        if !make_room(&mut connections) {
             // Whoever has not read it by now does without.
             let _ = stream.try_write(BUSY);
             continue;
-        };
+        }
         let Ok(local) = stream.local_addr() else { continue };
-        let service = router.clone().layer(Extension(local));
-        tokio::spawn(async move {
-            let _place = place;
-            connection(stream, service).await;
-        });
+        let has_requested = Arc::<AtomicBool>::default();
+        let origin = Origin { local, has_requested: Arc::clone(&has_requested) };
+        let service = router.clone().layer(Extension(origin));
+        let task = tokio::spawn(connection(stream, service)).abort_handle();
+        connections.push_back(Connection { task, has_requested });
+        // Before the next one is accepted: most have sent their request by now, and are not silent any more.
+        tokio::task::yield_now().await;
     }
 }
 
@@ -237,18 +273,18 @@ async fn connection(stream: TcpStream, service: Router) {
     let _ = timeout(2 * PATIENCE, serving).await;
 }
 
-/// Lets in whom the rules let in, and says to the browser what the page may do.
+/// Lets in whom the rules let in, and says to the browser what the page may load.
 async fn guard(
     State(app): State<App>,
-    Extension(local): Extension<SocketAddr>,
+    Extension(origin): Extension<Origin>,
     request: Request,
     next: Next,
 ) -> Response {
+    origin.has_requested.store(true, Ordering::Relaxed);
     let (head, body) = request.into_parts();
-    let mut response = match app.rules.judge(&head, local) {
-        Err((status, why)) => (status, format!("{why}\n")).into_response(),
-        Ok(Admitted::Keep(cookie)) => ([(header::SET_COOKIE, cookie)], Redirect::to("/")).into_response(),
-        Ok(Admitted::Request) => next.run(Request::from_parts(head, body)).await,
+    let mut response = match app.rules.judge(&head, origin.local) {
+        Err(refusal) => refuse(refusal),
+        Ok(()) => next.run(Request::from_parts(head, body)).await,
     };
     let headers = response.headers_mut();
     for (name, value) in [
@@ -273,12 +309,30 @@ async fn asset(Path(name): Path<String>) -> Response {
     }
 }
 
-async fn watch(State(app): State<App>, upgrade: WebSocketUpgrade) -> Response {
-    let Ok(seat) = Arc::clone(&app.seats).try_acquire_owned() else {
-        let why = format!("{MOST_CLIENTS} browsers watch already: close one of them\n");
-        return (StatusCode::SERVICE_UNAVAILABLE, why).into_response();
-    };
-    let upgrade = upgrade.max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
+fn refuse((status, why): Refusal) -> Response {
+    (status, format!("{why}\n")).into_response()
+}
+
+fn all_taken() -> Response {
+    let why = format!("{MOST_CLIENTS} browsers watch already: close one of them\n");
+    (StatusCode::SERVICE_UNAVAILABLE, why).into_response()
+}
+
+/// Why a page gets no websocket: a browser does not say it to the page.
+async fn access(State(app): State<App>, headers: HeaderMap) -> Response {
+    match app.rules.judge_token(&headers) {
+        Err(refusal) => refuse(refusal),
+        Ok(()) if app.seats.available_permits() == 0 => all_taken(),
+        Ok(()) => StatusCode::NO_CONTENT.into_response(),
+    }
+}
+
+async fn watch(State(app): State<App>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Response {
+    if let Err(refusal) = app.rules.judge_socket(&headers) {
+        return refuse(refusal);
+    }
+    let Ok(seat) = Arc::clone(&app.seats).try_acquire_owned() else { return all_taken() };
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
     upgrade.on_upgrade(move |socket| async move {
         let _seat = seat;
         client::serve(socket, app.hub).await;

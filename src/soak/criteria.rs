@@ -160,9 +160,10 @@ pub fn judge(plan: &SoakPlan, progress: &Progress, ended: bool) -> Vec<Judged> {
             progress.axes.iter().zip(&run.drives).filter(|(axis, _)| axis.moves && axis.cycles == 0);
         let names: Vec<&str> = unmoved.map(|(_, drive)| drive.name.as_str()).collect();
         all.push(Judged::count("unmoved", names.len() as u64, 0).note(names.join(", ")));
-        all.extend(run.failures.first().map(|failure| {
-            Judged::count("program_failures", run.failures.len() as u64, 0).note(failure.clone())
-        }));
+        if !run.failures.is_empty() {
+            let count = run.failures.len() as u64;
+            all.push(Judged::count("program_failures", count, 0).note(run.failures.join("; ")));
+        }
     }
     all
 }

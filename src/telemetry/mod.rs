@@ -84,5 +84,7 @@ pub use self::timeline::{Stretch, Timeline};
 pub use crate::bus::counters::{BusClock, Counters, Unmatched};
 pub use crate::cycle::engine::LoopPanic;
 pub use crate::cycle::record::Stage;
-pub use crate::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
+pub use crate::cycle::status::{
+    AtEnd, Condition, DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status, StopRequest,
+};
 pub use crate::drive::numbers::{Extent, Peak, Peaks};

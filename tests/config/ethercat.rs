@@ -353,7 +353,7 @@ held_by = "brake"
         .skip_while(|line| !line.starts_with("bus portal"))
         .take_while(|line| !line.starts_with("one master each"))
         .filter(|line| {
-            !["an exch", "link up", "stop: ", "stopped", "limits:"]
+            !["an exch", "link up", "stop: ", "stopped", "limits:", "a move is", "its following"]
                 .iter()
                 .any(|all| line.trim().starts_with(all))
         })
@@ -379,6 +379,7 @@ bus portal: ethercat, 3 drives
     AKD, vendor 0x6A, any product, any revision
     writes 1724h = 0x607A:0 target-position, 0x6040:0 control-word, 0x60B2:0 torque-feed-forward (8 bytes); reads 1B24h
         = 0x6064:0 position, 0x6041:0 status-word (6 bytes); selected by 1C12h and 1C13h
+    its outputs also carry 0x60B2:0 torque-feed-forward = 0
     mode 0x08 (cyclic synchronous position): positions by 0x607A:0, 1048576 increments per turn
     takes moves, streams, jogs, velocities and homing
     its cycle is SYNC0 every 1 ms, 500 us after the frame; its window is 320 us: the second interrupt in a row outside

@@ -12,7 +12,7 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::time::Duration;
 
-use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
+use fieldbeat::axis::{FoundRunning, Health, OwnerLost, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::config::{Configuration, load, parse};
 use fieldbeat::internals::bus::linudp::upid::Upid;
@@ -392,11 +392,13 @@ scale = 10000
 invert = false
 offset = 0
 profile = { velocity = 100, acceleration = 1000, deceleration = 1000 }
+in_position = { window = 0.5, for = 10, timeout = "1s" }
 divisor = 1
 phase = 0
 health = { bucket = 5, leak = 20, gate = 10, probe_interval = "100ms" }
 underrun = "stop"
 on_found_running = "stop"
+on_owner_lost = "stop"
 enable_timeout = "5s"
 home_timeout = "60s"
 command_queue = 64
@@ -470,7 +472,8 @@ fn values_arrive_where_they_belong() {
         "units = \"rev\"\nscale = 1000\ninvert = true\noffset = 0.5\nmodulo = 1\ndivisor = 4\nphase = 3\n\
          limits = { velocity = 0.5, acceleration = 5, step = 0.1 }\n\
          stop = { how = \"quick\", then = \"hold\", on_timeout = \"hold\", timeout = \"250ms\" }\n\
-         underrun = { extrapolate = 3 }\non_found_running = \"refuse\"\nno_drive_watchdog = \"accept\"\nleash = 0.25",
+         underrun = { extrapolate = 3 }\non_found_running = \"refuse\"\n\
+         on_owner_lost = \"finish\"\nno_drive_watchdog = \"accept\"\nleash = 0.25",
     ));
     let axis = plan.axes()[0];
     assert_eq!((axis.units.unit, axis.units.counts_per_unit), (Unit::Revolution, -1000.0));
@@ -485,6 +488,7 @@ fn values_arrive_where_they_belong() {
     assert_eq!((axis.stop.how, axis.stop.then), (StopHow::Quick, StopThen::Hold));
     assert_eq!((axis.stop.on_timeout, axis.stop.timeout), (StopTimeout::Hold, Duration::from_millis(250)));
     assert_eq!((axis.underrun, axis.on_found_running), (Underrun::Extrapolate(3), FoundRunning::Refuse));
+    assert_eq!(axis.on_owner_lost, OwnerLost::Finish);
     assert!(format!("{plan:?}").contains("leash: Some(0.25)"));
 }
 
@@ -763,6 +767,7 @@ phase = 1
 health.bucket = 4
 stop = { group = "xy", how = "coast" }
 stream = "off"
+on_owner_lost = "finish"
 no_drive_watchdog = "accept"
 leash = 7.5
 [[bus.drive]]
@@ -786,6 +791,8 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
   an overrun skips slots and keeps the grid, more than 10 in a row or 20 of the last 100
         stop all axes
+  a loop that gives no sign of life for 500 ms is stuck: its watch takes the wires, and the run
+        has failed
   a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
@@ -801,6 +808,9 @@ bus portal: linudp-v2, 4 drives
         the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
+    a move is done within 0.5 mm of its target for 10 exchanges (20 ms), without that 1 s behind the end of its demand
+        it has failed
+    stopped by a following error of rows above 5.5 mm (limits.following_error)
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
     a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
@@ -812,7 +822,11 @@ bus portal: linudp-v2, 4 drives
         cycles (26 ms) of the last good one; with slots skipped lost after 68 ms at the latest; stop together: x, y
     stop: power off at once
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
+    a program that drops the axis lets it go on to the end of what was commanded
     limits: only the drive's own
+    a move is done within 0.5 mm of its target for 10 exchanges (60 ms), without that 1 s behind the end of its demand
+        it has failed
+    its following error is not watched here: that needs limits.velocity or limits.following_error
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
     a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
@@ -826,6 +840,9 @@ bus portal: linudp-v2, 4 drives
         the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
+    a move is done within 0.5 mm of its target for 10 exchanges (20 ms), without that 1 s behind the end of its demand
+        it has failed
+    its following error is not watched here: that needs limits.velocity or limits.following_error
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
 one master each: another one of this host that has one of these interfaces or drives is named, and the start
         refused

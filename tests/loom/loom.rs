@@ -1,4 +1,5 @@
-//! What holds in every interleaving: of two writes and readers of a cell; of applications that ring while the loop
+//! What holds in every interleaving: of two writes and readers of a cell; of sets of setpoints that replace each other
+//! while the loop takes them; of a loop that sends while its wires are taken; of applications that ring while the loop
 //! takes their bells; of an application that posts, cancels and polls calls while the loop takes and ends them; and of
 //! a log that is taken out while the loop fills it.
 
@@ -6,11 +7,13 @@ use std::time::Duration;
 
 use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
 use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
+use fieldbeat_loom::axis::command::{CommandId, Setpoint};
 use fieldbeat_loom::axis::doorbell::Bells;
+use fieldbeat_loom::axis::newest::{NewestOut, newest};
 use fieldbeat_loom::calls;
 use fieldbeat_loom::inputs::entry::Kind;
 use fieldbeat_loom::inputs::recording::log;
-use fieldbeat_loom::rt::Regions;
+use fieldbeat_loom::rt::{Regions, Wires};
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
@@ -66,6 +69,75 @@ fn a_reader_never_sees_an_older_value_than_before() {
             writer.write(&Pair([value; 2]));
         }
         other.join().unwrap();
+    });
+}
+
+/// Set `number` of a group of two.
+fn set(number: u64) -> [Setpoint; 2] {
+    [0, 1].map(|member| Setpoint { member, parts: 2, number, of: CommandId(number), value: number as f64 })
+}
+
+#[test]
+fn the_setpoints_of_a_group_are_taken_whole_in_their_order_and_the_last_ones_once() {
+    bounded(3, || {
+        let (mut input, mut output) = newest(2);
+        let application = thread::spawn(move || (1..=3).for_each(|number| input.write(&set(number))));
+        let mut before = 0;
+        let mut look = |output: &mut NewestOut| {
+            if output.take() {
+                let parts = [0, 1].map(|place| output.part(place).unwrap());
+                let number = parts[0].number;
+                assert!(number > before && parts == set(number), "{parts:?} after {before}");
+                before = number;
+            }
+        };
+        look(&mut output);
+        look(&mut output);
+        application.join().unwrap();
+        look(&mut output);
+        assert_eq!(before, 3, "the newest is never lost");
+        assert!(!output.take());
+    });
+}
+
+/// What the drive is sent: the newest request of all.
+const REQUEST: u64 = 1;
+const STOP: u64 = 2;
+
+#[test]
+fn behind_whatever_a_loop_sends_after_its_wires_were_taken_comes_a_stop() {
+    loom::model(|| {
+        let wires = Wires::default();
+        // Nothing but the word orders what both hand to the kernel.
+        let wire = Arc::new(AtomicU64::new(0));
+        let watch = {
+            let (wires, wire) = (wires.clone(), Arc::clone(&wire));
+            thread::spawn(move || {
+                if !wires.take() {
+                    return false;
+                }
+                while !wires.gave_way() {
+                    thread::yield_now();
+                }
+                wire.store(STOP, Ordering::Relaxed);
+                true
+            })
+        };
+        let mut taken = false;
+        for _ in 0..2 {
+            taken = wires.are_taken();
+            if taken {
+                break;
+            }
+            wire.store(REQUEST, Ordering::Relaxed);
+        }
+        if taken || !wires.end() {
+            wires.give_way();
+        }
+        let stopped = watch.join().unwrap();
+        let newest = wire.load(Ordering::Relaxed);
+        assert_eq!(newest, if stopped { STOP } else { REQUEST });
+        assert_eq!((wires.is_stuck(), wires.have_ended()), (stopped, !stopped));
     });
 }
 

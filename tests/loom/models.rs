@@ -1,5 +1,5 @@
-//! The feedback cell, the doorbell, the acyclic queue and the ring of the log, built with the primitives of a model
-//! checker.
+//! The feedback cell, the newest setpoints, the doorbell, the acyclic queue, the word that owns the wires and the ring
+//! of the log, built with the primitives of a model checker.
 //!
 //! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
 //! access is a point at which another thread may run, and there is no memory to be locked.
@@ -16,10 +16,28 @@ pub mod axis {
     pub mod doorbell;
     #[path = "../../src/axis/feedback.rs"]
     pub mod feedback;
+    #[path = "../../src/axis/newest.rs"]
+    pub mod newest;
     #[path = "../../src/axis/pulse.rs"]
     pub mod pulse;
 
     pub use feedback::Feedback;
+
+    pub mod command {
+        //! What a setpoint is.
+
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct CommandId(pub u64);
+
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct Setpoint {
+            pub member: u32,
+            pub parts: u32,
+            pub number: u64,
+            pub of: CommandId,
+            pub value: f64,
+        }
+    }
 
     pub mod observer {
         //! What the queue needs of an axis.
@@ -39,6 +57,10 @@ pub mod axis {
             pub fn feedback(&self) -> Feedback {
                 self.0.read()
             }
+
+            pub fn is_stuck(&self) -> bool {
+                false
+            }
         }
     }
 }
@@ -49,8 +71,13 @@ mod named;
 #[path = "../../src/time.rs"]
 pub mod time;
 
+#[path = "."]
 pub mod rt {
-    //! Rings, and no memory to be locked.
+    //! Rings, the word that owns the wires, and no memory to be locked.
+
+    #[path = "../../src/rt/wires.rs"]
+    mod wires;
+    pub use wires::Wires;
 
     use crate::sync::{Consumer, Producer};
 

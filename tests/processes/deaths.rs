@@ -11,7 +11,7 @@ use libc::{SIGCONT, SIGINT, SIGTERM};
 use super::support::controller::{self, LEASH, RAMP, TARGET, VELOCITY, Way, config, set_out, summary};
 use super::support::onlooker::Onlooker;
 use super::support::{LONG, Machine, Program, drive, role, until};
-use super::{MS, master, simulation};
+use super::{MS, assert_left, master, simulation};
 
 /// The test that plays the controllers of all others.
 const CONTROLLER: &str = "deaths::a_controller_that_is_told_to_end_ramps_down_and_powers_off";
@@ -75,7 +75,12 @@ fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ende
         let after = onlooker.look(machine.drive(index));
         assert!(!after.moving && !after.powered, "{after:?}");
         assert!(after.position > left.position + 0.9 * RAMP && after.position < TARGET, "{left:?} {after:?}");
-        assert_eq!(drive(&ended.json(), &format!("d{index}"))["stopped"], "found running");
+        let summary = ended.json();
+        let drive = drive(&summary, &format!("d{index}"));
+        assert_eq!(
+            (&drive["stopped"], &drive["at_end"]["condition"]),
+            (&"found running".into(), &"off".into())
+        );
     }
 }
 
@@ -122,7 +127,10 @@ fn what_a_killed_controller_left_moving_can_be_left_alone_until_somebody_decides
     let found = onlooker.look(machine.drive(0));
     next.signal(SIGINT);
     let ended = next.end();
-    ended.expect(0);
+    assert_left(
+        &ended,
+        &["drive d0 still moves at the end", "drive d1 still moves", "on_found_running = \"refuse\""],
+    );
     let alone = onlooker.look(machine.drive(0));
     for sight in [left, found, alone] {
         assert!(sight.operating && sight.moving, "{sight:?}");

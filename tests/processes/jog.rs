@@ -17,14 +17,23 @@ use nix::poll::{PollFd, PollFlags, poll};
 
 use super::operate::{SPEED, assert_rest, await_axis, config, is_left, moves, online, seen, socket_of};
 use super::support::{LONG, Machine, PROGRAM, directories_of, until};
-use super::{ask, master, serve};
+use super::{ask, master, moons, serve, simulation};
 
 /// The right arrow key, as a terminal sends it.
 const RIGHT: &[u8] = b"\x1b[C";
 
-/// What a terminal answers that has no keyboard protocol of kitty, and one that has it: it reports keys that go up.
-const PLAIN: &[u8] = b"\x1b[?62c";
-const KITTY: &[u8] = b"\x1b[?0u\x1b[?62c";
+/// What a terminal answers to who has sent it this.
+type Answer = fn(&str) -> &'static [u8];
+
+/// One that has no keyboard protocol of kitty.
+const PLAIN: Answer = |_| b"\x1b[?62c";
+
+/// One that has it: it sets what it is to report, among it that keys go up.
+const KITTY: Answer =
+    |sent| if sent.contains("\x1b[>3u") { b"\x1b[?3u\x1b[?62c" } else { b"\x1b[?0u\x1b[?62c" };
+
+/// One that knows the question, and nothing more of it.
+const ANSWERS: Answer = |_| b"\x1b[?0u\x1b[?62c";
 
 /// A panel in a terminal of its own.
 struct Panel {
@@ -44,7 +53,7 @@ impl Panel {
     }
 
     /// The same in a terminal that answers so.
-    fn start_in(answer: &'static [u8], config: &Path, rest: &[&str]) -> Panel {
+    fn start_in(answer: Answer, config: &Path, rest: &[&str]) -> Panel {
         let mut name = [0; 64];
         // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
         // zero at their end, and reads a live value.
@@ -183,7 +192,7 @@ fn plain(text: &str) -> String {
 }
 
 /// All that comes, up to the end of the last process that has the terminal, or until it is to let go.
-fn collect(mut end: File, answer: &[u8], into: &Mutex<String>, ends: &AtomicBool) {
+fn collect(mut end: File, answer: Answer, into: &Mutex<String>, ends: &AtomicBool) {
     let mut bytes = [0; 4096];
     while !ends.load(Ordering::Relaxed) {
         let mut looked = [PollFd::new(end.as_fd(), PollFlags::POLLIN)];
@@ -192,10 +201,11 @@ fn collect(mut end: File, answer: &[u8], into: &Mutex<String>, ends: &AtomicBool
         }
         let Ok(count @ 1..) = end.read(&mut bytes) else { return };
         let said = String::from_utf8_lossy(&bytes[..count]).into_owned();
+        let mut text = into.lock().unwrap();
+        text.push_str(&said);
         if said.contains("\x1b[c") {
-            let _ = end.write_all(answer);
+            let _ = end.write_all(answer(&text));
         }
-        into.lock().unwrap().push_str(&said);
     }
 }
 
@@ -393,6 +403,39 @@ fn where_the_terminal_reports_keys_that_go_up_one_press_runs_and_its_end_stops()
 }
 
 #[test]
+fn a_tap_moves_nothing_in_a_terminal_that_reports_no_key_that_goes_up() {
+    let machine = Machine::new(117);
+    let config = config(&machine, "taps");
+    let _drives = serve(&config);
+    let _master = master(&config, &["--allow-control"]);
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    // It sets nothing; or it says that it does, and reports presses alone, in either of their forms.
+    for (answer, tap) in [(ANSWERS, RIGHT), (KITTY, RIGHT), (KITTY, b"\x1b[1;1:1C")] {
+        await_axis(&mut watcher, is_left);
+        let mut panel = Panel::start_in(answer, &config, &["--velocity", &SPEED.to_string()]);
+        panel.await_text("the master (pid");
+        panel.enable(&mut watcher);
+        // As far apart as a press counts that never repeats.
+        for _ in 0..3 {
+            panel.press(tap);
+            for _ in 0..45 {
+                sleep(Duration::from_millis(30));
+                let state = seen(&mut watcher);
+                assert!(state.jog.is_none() && !moves(&state), "a tap runs it: {}", panel.text());
+            }
+        }
+        // The plain way is there.
+        panel.hold_until_moving(&mut watcher);
+        await_axis(&mut watcher, |state| state.jog.is_none() && !moves(state));
+        panel.press(b"q");
+        let (status, text) = panel.end();
+        assert_eq!(status.code(), Some(0), "{text}");
+        assert_left_off(&text);
+    }
+}
+
+#[test]
 fn alone_the_panel_names_what_its_black_box_wrote() {
     let machine = Machine::new(115);
     let config = config(&machine, "lost");
@@ -418,6 +461,13 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     ask("jog", &config, "--velocity 0").refused(&["--velocity must be a number above 0"]);
     ask("jog", &config, "--step nan").refused(&["--step must be a number above 0"]);
     ask("jog", &config, "--velocity 3000").refused(&["--velocity 3000: axis d0 is limited to 2000 mm/s"]);
+    let file = config.to_str().unwrap();
+    for (device, why) in
+        [("/none", "name one of"), (file, "no input device"), ("/dev/null", "no input device")]
+    {
+        let device = format!("--enable-device {device}");
+        ask("jog", &config, &device).refused(&[&format!("{device}: "), why]);
+    }
     let _drives = serve(&config);
     let closed = master(&config, &[]);
     socket_of(&config);
@@ -440,4 +490,20 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     // Its own configuration is as wrong for a panel as for a master.
     let wrong = machine.write("wrong.toml", "");
     ask("jog", &wrong, "").refused(&["bus: missing"]);
+}
+
+#[test]
+fn a_panel_with_a_master_of_its_own_names_a_drive_that_ignores_its_stop_and_has_failed() {
+    let machine = Machine::new(172);
+    let config = moons::faulty(&machine, "turns.toml");
+    let _sim = simulation(&config);
+    let mut panel = Panel::start(&config, &[]);
+    panel.await_text("no master runs: this panel is the master");
+    let mut watcher = Operator::remote(&socket_of(&config)).unwrap();
+    await_axis(&mut watcher, online);
+    panel.press(b"q");
+    let (status, text) = panel.end();
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("drive feeder still moves at the end (OperationEnabled at "), "{text}");
+    assert!(!text.contains("drive turret"), "{text}");
 }

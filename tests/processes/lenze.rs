@@ -18,7 +18,7 @@ use super::support::{
     LONG, Machine, Program, again, as_ordinary_user, assert_sums, checkout, controller, drive, period, role,
     run, until,
 };
-use super::{MS, ask, await_status, end_once_online, master, simulation};
+use super::{MS, ask, assert_left, await_status, end_once_online, master, simulation};
 
 /// The test that plays the controllers of all others.
 const CONTROLLER: &str = "lenze::a_controller_that_is_told_to_end_while_motors_turn_ramps_them_down";
@@ -309,4 +309,24 @@ fn drives_that_are_killed_while_they_turn_are_lost_and_come_back_off() {
         axis.enable().unwrap();
     }
     drop(master);
+}
+
+#[test]
+fn a_lenze_that_stays_enabled_whatever_is_requested_is_named_at_the_end() {
+    let wire = Wire::with(
+        207,
+        "",
+        "stop = { deceleration = 50, standstill_for = 5, timeout = \"2s\" }\n\
+                                    simulate = { running = 2.0, ignores_stops = true }",
+    );
+    let _sim = simulation(&wire.config);
+    let ended = end_once_online(master(&wire.config, &["--json"]));
+    assert_left(
+        &ended,
+        &["drive outfeed is still powered at the end (OperationEnabled)", "power off were requested"],
+    );
+    let summary = ended.json();
+    let left = |name| drive(&summary, name)["at_end"].clone();
+    assert_eq!(left("outfeed")["condition"], "powered", "{summary}");
+    assert_eq!(left("infeed"), serde_json::json!({ "condition": "off", "requested": [] }));
 }

@@ -10,6 +10,8 @@
 //! | `links` | drives that are lost, come back, or were never there |
 //! | `churn` | drives that die and come back for long: memory and descriptors |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
+//! | `hosts` | the ends of programs with a master of their own |
+//! | `stuck` | loops whose cycle does not end, and the watch that stops their drives |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `masters` | two masters on one segment or one drive |
 //! | `unmatched` | datagrams of people who have no business here |
@@ -41,6 +43,7 @@ mod ethercat;
 mod ethernet_ip;
 #[path = "../support/fuse.rs"]
 mod fuse;
+mod hosts;
 mod init;
 #[cfg(feature = "jog")]
 mod jog;
@@ -61,6 +64,7 @@ mod report;
 mod rights;
 mod signals;
 mod soak;
+mod stuck;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;
@@ -121,6 +125,15 @@ fn simulation(config: &std::path::Path) -> Program {
     let mut program = Program::spawn(Command::new(PROGRAM).arg("sim").arg(config));
     program.await_text("listening");
     program
+}
+
+/// A run that has failed by the drives that it has left powered, moving or unknown, and says `parts`.
+#[track_caller]
+fn assert_left(ended: &Ended, parts: &[&str]) {
+    ended.expect(1);
+    for part in parts {
+        assert!(ended.err.contains(part), "no \"{part}\": {}", ended.err);
+    }
 }
 
 /// Waits until the master of `config` runs and `done` holds for its summary.

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::support::controller::{self, TARGET, VELOCITY, Way};
 use super::support::{LONG, Machine, PROGRAM, Program, assert_sums, drive, period, role, run, until};
-use super::{ask, await_status, end_once_online, master, simulation, socket};
+use super::{ask, assert_left, await_status, end_once_online, master, simulation, socket};
 
 /// The test that plays the controllers of all others.
 const CONTROLLER: &str = "moons::a_controller_that_is_told_to_end_in_a_move_stops_and_switches_off";
@@ -34,6 +34,15 @@ fn config(machine: &Machine) -> PathBuf {
             period()
         ),
     )
+}
+
+/// The same two; the first turns when the master comes, and takes no stop.
+pub fn faulty(machine: &Machine, file: &str) -> PathBuf {
+    let config = config(machine);
+    let text = std::fs::read_to_string(&config).unwrap();
+    let text = text.replace("stop.deceleration = 500", "stop = { deceleration = 5000, timeout = \"500ms\" }");
+    let faulty = "simulate = { zs = \"5s\", running = 20.0, ignores_stops = true }";
+    machine.write(file, text.replacen("simulate = { zs = \"5s\" }", faulty, 1))
 }
 
 /// What a drive holds, by a master of its own that moves nothing.
@@ -201,4 +210,37 @@ fn a_controller_that_is_told_to_end_in_a_move_stops_and_switches_off() {
         assert!((2_000..(TARGET * 200.0) as i64).contains(&absolute), "{absolute}");
         assert_eq!(register(&config, name, "absolute"), absolute);
     }
+}
+
+#[test]
+fn a_drive_that_ignores_its_stops_is_named_with_what_was_tried_and_the_run_has_failed_although_it_was_ended()
+{
+    let machine = Machine::new(160);
+    let config = faulty(&machine, "faulty.toml");
+    let _sim = simulation(&config);
+    let ended = end_once_online(master(&config, &["--json"]));
+    assert_left(
+        &ended,
+        &[
+            "drive feeder still moves at the end (OperationEnabled at ",
+            "ramp, quick stop and power off were requested and had no effect",
+            "hardware enable (STO)",
+        ],
+    );
+    let summary = ended.json();
+    let left = |name| drive(&summary, name)["at_end"].clone();
+    let all = serde_json::json!(["ramp", "quick stop", "power off"]);
+    assert_eq!(left("feeder"), serde_json::json!({ "condition": "moving", "requested": all }));
+    assert_eq!(left("turret")["condition"], "off");
+    let failures = summary["failures"].as_array().unwrap();
+    let named =
+        failures.iter().filter(|failure| failure["what"].as_str().unwrap().starts_with("drive feeder "));
+    assert_eq!(named.count(), 1, "{failures:?}");
+    // As text, and in the report.
+    let report = machine.path("report");
+    let ended = end_once_online(master(&config, &["--report", report.to_str().unwrap()]));
+    assert!(ended.expect(1).out.contains("drive feeder still moves at the end"), "{}", ended.out);
+    let page = std::fs::read_to_string(report.join("index.html")).unwrap();
+    assert!(page.contains("drive feeder still moves at the end"));
+    assert!(!ended.out.contains("drive turret"), "{}", ended.out);
 }

@@ -10,7 +10,7 @@ use fieldbeat::internals::control::{Ended, HOLD_EVERY, OperateError, OperationSt
 use serde_json::{Value, json};
 
 use super::support::{LONG, Machine, Program, drive, until};
-use super::{master, serve};
+use super::{ask, master, serve};
 
 /// Lines for axes that jog without having been homed. The dead-man time of the loop is one that no host exceeds: what
 /// ends a jog here are the rules above it.
@@ -199,6 +199,39 @@ fn a_client_that_ends_in_mid_motion_leaves_axes_that_stand_without_power() {
     drop(second);
     await_axis(&mut watcher, is_left);
     assert_rest(&mut watcher);
+}
+
+/// Clients that look, wait for a drive that never answers, or leave it something to be done and go: more of each than
+/// there are places.
+#[test]
+fn a_stop_and_a_look_get_through_whatever_other_clients_wait_for_or_left() {
+    let machine = Machine::new(159);
+    let config = config(&machine, "places");
+    // Its drives are offline.
+    let _master = master(&config, &["--allow-control"]);
+    let path = socket_of(&config);
+    let post = |question: Value| {
+        let mut stream = UnixStream::connect(&path).unwrap();
+        stream.write_all(format!("{question}\n").as_bytes()).unwrap();
+        stream
+    };
+    let calls = json!([{ "service": 17, "address": 5200, "value": 0 }]);
+    let mut stay = Vec::new();
+    for _ in 0..48 {
+        // Each of them is answered: it leaves its work, or is refused.
+        let mut answer = [0];
+        let mut leaves = post(json!({ "ask": "bequeath", "drive": "d0", "calls": calls }));
+        leaves.set_read_timeout(Some(LONG)).unwrap();
+        assert_eq!(leaves.read(&mut answer).unwrap(), 1);
+        drop(leaves);
+        stay.push(post(json!({ "ask": "calls", "drive": "d1", "calls": calls, "limit_ms": 600_000 })));
+    }
+    for _ in 0..10 {
+        ask("status", &config, "--json").expect(0);
+        Operator::remote(&path).unwrap().stop().unwrap();
+    }
+    drop(stay);
+    ask("status", &config, "").expect(0);
 }
 
 /// One line each way; what comes at once is not what was answered one by one.

@@ -615,7 +615,8 @@ fn silent_connections_by_the_thousand_hold_up_no_status() {
 #[test]
 fn the_service_manager_is_fed_only_while_cycles_advance() {
     let machine = Machine::new(47);
-    let config = machine.plain(1);
+    // It is held for longer than a loop that is watched may stand.
+    let config = machine.config("m.toml", 1, "watch_after = \"off\"", "");
     let _sim = simulation(&config);
     let path = machine.path("notify");
     let manager = UnixDatagram::bind(&path).unwrap();

@@ -8,6 +8,60 @@ import { Store } from "../../src/scope/assets/store.js";
 import { Trigger } from "../../src/scope/assets/trigger.js";
 import { View } from "../../src/scope/assets/view.js";
 
+/** What a browser is for the link: its address, its history, its sockets and its answers. */
+function browser(hash, answers) {
+  const seen = { replaced: [], sockets: [], fetched: [], listeners: {} };
+  globalThis.location = { hash, host: "localhost:1", pathname: "/", search: "" };
+  globalThis.history = {
+    replaceState(state, title, address) {
+      seen.replaced.push(address);
+      location.hash = "";
+    },
+  };
+  globalThis.addEventListener = (name, handler) => (seen.listeners[name] = handler);
+  globalThis.WebSocket = class {
+    constructor(url, protocols) {
+      Object.assign(this, { url, protocols, closed: false });
+      seen.sockets.push(this);
+    }
+    close() {
+      this.closed = true;
+    }
+  };
+  globalThis.fetch = async (path, { headers }) => {
+    seen.fetched.push([path, headers]);
+    return answers;
+  };
+  return seen;
+}
+
+test("the token leaves the address at once, and is named to the websocket and nowhere else", async () => {
+  const refused = { ok: false, text: async () => "open the address\n" };
+  const seen = browser("#token=0a1b", refused);
+  const { Link } = await import("../../src/scope/assets/link.js");
+  assert.deepEqual(seen.replaced, ["/"]);
+  const reasons = [];
+  const link = new Link({ closed: (why) => reasons.push(why) });
+  assert.deepEqual(
+    seen.sockets.map(({ url, protocols }) => [url, protocols]),
+    [["ws://localhost:1/ws", ["fieldbeat", "0a1b"]]],
+  );
+  // Refused: the page says why.
+  await seen.sockets[0].onclose({ code: 1006 });
+  assert.deepEqual(seen.fetched, [["access", { Authorization: "Bearer 0a1b" }]]);
+  assert.deepEqual(reasons, ["refused: open the address"]);
+  // Another token, for the page that is open: the next connection names it.
+  location.hash = "#token=2c3d";
+  seen.listeners.hashchange();
+  assert.equal(seen.sockets.at(-1).closed, true);
+  link.open();
+  assert.deepEqual([seen.sockets.at(-1).protocols, location.hash], [["fieldbeat", "2c3d"], ""]);
+  // A place in the page is no token.
+  location.hash = "#axes";
+  seen.listeners.hashchange();
+  assert.deepEqual([seen.sockets.at(-1).closed, seen.replaced.length], [false, 2]);
+});
+
 /** A power of two: instants are exact. */
 const PERIOD = 1 / 1024;
 const ID = 7;

@@ -378,7 +378,12 @@ fn a_page_with_control_commands_an_axis_and_stops_it_when_it_leaves() {
     let mut running = Running::start(43, 1, true);
     let browser = &mut running.browser;
     assert_eq!(browser.ask("eval document.querySelector('#access').textContent"), "control");
-    assert_eq!(browser.ask("eval location.search"), "", "the token leaves the address");
+    // The token leaves the address, and nothing keeps it that other ports or later pages see.
+    assert_eq!(browser.ask("eval location.hash + location.search + document.cookie"), "");
+    assert_eq!(
+        browser.ask("eval JSON.stringify({ ...localStorage, ...sessionStorage }).includes('token')"),
+        false
+    );
     browser.ask("click #take");
     browser.wait("!document.querySelector('#orders').hidden");
     browser.wait("document.querySelector('#operated').options.length === 1");

@@ -82,6 +82,27 @@ fn a_demo_serves_its_page_up_to_its_end() {
 }
 
 #[test]
+fn whoever_lets_others_move_the_machine_is_warned() {
+    let machine = Machine::new(23);
+    let config = machine.plain(1);
+    let config = config.to_str().unwrap();
+    for (control, warning) in [
+        (&[][..], "whoever has this address, with its token, can watch the machine"),
+        (&["--control"], "whoever has this address, with its token, can MOVE the machine"),
+    ] {
+        let mut scope = Program::start(["scope", config, "--listen", "0.0.0.0:0"].iter().chain(control));
+        scope.await_text(warning);
+        assert!(scope.out().contains("/#token="), "{}", scope.out());
+        scope.signal(SIGINT);
+        scope.end().expect(0);
+    }
+    let mut scope = Program::start(["scope", config, "--listen", "0", "--control"]);
+    let _ = address(&mut scope);
+    scope.signal(SIGINT);
+    assert!(!scope.end().expect(0).err.contains("whoever has this address"));
+}
+
+#[test]
 fn what_cannot_be_served_is_refused_in_a_line() {
     let machine = Machine::new(22);
     let config = machine.plain(1);

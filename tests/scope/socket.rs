@@ -38,12 +38,14 @@ pub fn get(address: SocketAddr, path: &str, headers: &str) -> u16 {
 const UPGRADE: &str = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
                        Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
 
-/// The status of a request for the websocket with these further header lines.
+/// The status of a request for the websocket with these further header lines, from a page of this server.
 pub fn upgrade(address: SocketAddr, headers: &str) -> u16 {
-    match Socket::open(address, headers) {
-        Ok(_) => 101,
-        Err(answer) => status(&answer),
-    }
+    Socket::open(address, headers).map_or_else(|answer| status(&answer), |_| 101)
+}
+
+/// The same, from whichever page the header lines name.
+pub fn upgrade_from_any(address: SocketAddr, headers: &str) -> u16 {
+    Socket::open_from_any(address, headers).map_or_else(|answer| status(&answer), |_| 101)
 }
 
 /// One message of the server.
@@ -66,8 +68,13 @@ pub fn cycles(bytes: &[u8]) -> Vec<u64> {
 pub struct Socket(TcpStream);
 
 impl Socket {
-    /// Opens it, or gives the answer that it got instead.
+    /// Opens it as a page of this server does, or gives the answer that it got instead.
     pub fn open(address: SocketAddr, headers: &str) -> Result<Socket, String> {
+        Socket::open_from_any(address, &format!("Origin: http://{address}\r\n{headers}"))
+    }
+
+    /// The same, from whichever page the header lines name.
+    pub fn open_from_any(address: SocketAddr, headers: &str) -> Result<Socket, String> {
         let mut stream = connect(address);
         let request = format!("GET /ws HTTP/1.1\r\nHost: {address}\r\n{UPGRADE}{headers}\r\n");
         // One that is turned away may find the connection closed already; its answer is there all the same.

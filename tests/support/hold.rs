@@ -30,6 +30,16 @@ impl Hold {
         self.ask(libc::PTRACE_DETACH);
     }
 
+    /// Waits until it has ended: as long as nobody does, neither does its process.
+    pub fn await_end(self) {
+        let mut status = 0;
+        // SAFETY: the kernel writes one int.
+        while unsafe { libc::waitpid(self.0, &raw mut status, libc::__WALL) } == self.0
+            && !libc::WIFEXITED(status)
+            && !libc::WIFSIGNALED(status)
+        {}
+    }
+
     fn ask(&self, request: libc::c_uint) {
         let none = std::ptr::null_mut::<u8>();
         // SAFETY: none of these requests reads or writes memory.

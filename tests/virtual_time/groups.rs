@@ -1,9 +1,12 @@
 //! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Underrun,
+    Abort, Command, CommandId, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause,
+    Underrun,
 };
-use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MotionBlock};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::Time;
 use fieldbeat::{Master, Overrun};
@@ -580,7 +583,187 @@ fn velocities_of_all_members_are_set_together_and_refused_together() {
     assert!(b.group().set_velocities(&[1.0, 5_000.0]).is_err());
     let mixed = b.group().post(&[Command::Follow, Command::Home]);
     assert_eq!(mixed, Err(GroupError::MixedFollow));
+    assert!((0..2).all(|index| b.feedback(index).stopped.is_none()));
     b.run(12);
     assert!((0..2).all(|index| b.feedback(index).stopped.is_some()), "nobody sets them any more");
     assert!(matches!(b.outcome(0, command.ids()[0]), Some(Outcome::Aborted(_))));
+}
+
+/// The motion commands that the drive was given, each request's one, without the count.
+fn motion_of(b: &Bench, index: usize, from: usize) -> Vec<(u16, Vec<u8>)> {
+    (b.tape(index).received[from..].iter())
+        .map(|received| received.request.motion.unwrap_or_default())
+        .map(|motion| (motion.header & 0xFFF0, motion.parameters.to_vec()))
+        .collect()
+}
+
+#[test]
+fn members_never_have_velocities_of_two_sets_however_the_application_and_the_loop_meet() {
+    let mut b = rig(2).ready();
+    (0..2).for_each(|index| b.done(index, to(100.0)));
+    let mut group = Group::new([0, 1].map(|index| b.sim.take_axis(index))).unwrap();
+    group.post_all(jog(1.0)).unwrap();
+    b.sim.run(10);
+    let from = received(&b, 2);
+    let (ends, mut changes) = (AtomicBool::new(false), 0);
+    std::thread::scope(|scope| {
+        let ends = &ends;
+        scope.spawn(move || {
+            let velocities = (0..40).map(|step| f64::from(step - 20) * 0.1).cycle();
+            for velocity in velocities.take_while(|_| !ends.load(Ordering::Relaxed)) {
+                let _ = group.set_velocities(&[velocity, velocity]);
+            }
+        });
+        for _ in 0..100 {
+            b.sim.run(100);
+            let given = motion_of(&b, 0, from[0]);
+            changes = given.windows(2).filter(|two| two[0] != two[1]).count();
+            if changes > 500 {
+                break;
+            }
+            std::thread::yield_now();
+        }
+        ends.store(true, Ordering::Relaxed);
+    });
+    assert!(changes > 50, "{changes}");
+    let [x, y] = [0, 1].map(|index| motion_of(&b, index, from[index]));
+    let differ = x.iter().zip(&y).filter(|(x, y)| x != y).count();
+    assert_eq!((x.len(), differ), (y.len(), 0), "of {changes} changes");
+}
+
+#[test]
+fn a_member_without_a_part_in_the_velocities_keeps_them_from_no_other() {
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[to(50.0), to(50.0)]);
+    let velocity = Command::Velocity { acceleration: 2_000.0 };
+    b.group().post_all(velocity).unwrap();
+    b.group().set_velocities(&[5.0, 5.0]).unwrap();
+    b.run(5);
+    // One of them gets something else.
+    b.group().post(&[Command::Stop { deceleration: None }, velocity]).unwrap();
+    for _ in 0..200 {
+        b.group().set_velocities(&[20.0, 20.0]).unwrap();
+        b.step();
+    }
+    let [x, y] = [0, 1].map(|index| b.feedback(index));
+    assert_eq!((x.stopped, y.stopped), (None, None));
+    assert_near(x.status.velocity, 0.0, 0.1);
+    assert_near(y.status.velocity, 20.0, 1.0);
+}
+
+#[test]
+fn a_stop_is_given_although_the_other_parts_of_its_call_are_refused() {
+    let stop = Command::Stop { deceleration: None };
+    // Refused by its numbers, and as no command for one member alone.
+    for (other, named) in [(jog(5_000.0), "velocity"), (Command::Follow, "some members follow")] {
+        let mut b = joined(3, &[0, 1, 2]);
+        b.group_done(&[to(50.0); 3]);
+        b.group().post_all(jog(5.0)).unwrap();
+        b.run(50);
+        let refused = b.group().post(&[other, stop, Command::QuickStop]).unwrap_err();
+        assert!(refused.to_string().contains(named), "{refused}");
+        assert!(refused.to_string().ends_with("the stops of the same call were given all the same"));
+        let GroupError::Partly { posted, .. } = refused else { panic!("{refused}") };
+        assert_eq!(posted.ids()[0], CommandId(0));
+        assert!(posted.ids()[1..].iter().all(|id| *id != CommandId(0)));
+        // The member that would go on alone stops, too: the stop of the application is one of the group.
+        b.run(1);
+        let stopped = [0, 1, 2].map(|index| b.feedback(index).stopped);
+        assert_eq!(stopped, [Some(StopCause::Group), Some(StopCause::GroupFailed), Some(StopCause::Group)]);
+        b.run(300);
+        assert!((0..3).all(|index| !b.feedback(index).status.moving));
+    }
+    // A stop that is refused itself keeps no other from it, and nothing else begins.
+    let mut b = joined(3, &[0, 1, 2]);
+    let invalid = Command::Stop { deceleration: Some(-1.0) };
+    let refused = b.group().post(&[invalid, stop, to(100.0)]).unwrap_err();
+    let GroupError::Partly { posted, .. } = refused else { panic!("{refused}") };
+    assert_eq!(posted.ids().iter().map(|id| *id != CommandId(0)).collect::<Vec<_>>(), [false, true, false]);
+    assert_eq!(b.ended(1, posted.ids()[1]), Outcome::Done);
+    b.run(50);
+    assert!(!b.feedback(2).status.moving);
+}
+
+#[test]
+fn a_stop_in_a_call_that_finds_the_queue_full_is_given() {
+    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).ready();
+    b.join(&[0, 1]);
+    while b.group().post_all(Command::Home).is_ok() {}
+    let stop = Command::Stop { deceleration: None };
+    let mixed = [Command::Home, stop];
+    let mut given = Vec::new();
+    // The places of the queue that are reserved for stops, and then those of the member's own one.
+    loop {
+        match b.group().post(&mixed).unwrap_err() {
+            GroupError::Partly { posted, refused } => {
+                assert!(refused.to_string().contains("is full"), "{refused}");
+                given.push(posted.ids()[1]);
+            }
+            GroupError::Axis(full) => {
+                assert!(full.to_string().contains("is full"), "{full}");
+                break;
+            }
+            other => panic!("{other}"),
+        }
+        assert!(given.len() < 100);
+    }
+    assert!(given.len() >= 4, "{}", given.len());
+    let outcomes: Vec<Outcome> = given.iter().map(|id| b.ended(1, *id)).collect();
+    assert_eq!(outcomes.last(), Some(&Outcome::Done), "{outcomes:?}");
+}
+
+#[test]
+fn nothing_is_given_once_the_master_has_ended() {
+    let mut b = rig(2).online();
+    let mut group = Group::new([0, 1].map(|index| b.sim.take_axis(index))).unwrap();
+    drop(b.finish());
+    let gone = group.post(&[Command::QuickStop, Command::Home]).unwrap_err();
+    assert!(matches!(gone, GroupError::Axis(fieldbeat::axis::AxisError::Gone { .. })), "{gone}");
+}
+
+/// Off, in a group of two.
+fn off() -> Bench {
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[Command::Disable, Command::Disable]);
+    b
+}
+
+#[test]
+fn an_enable_that_fails_at_one_member_leaves_no_other_in_operation() {
+    type Fail = fn(&mut Bench);
+    let ways: [(&str, Fail); 4] = [
+        ("fault", |b| b.tape(1).provoke = Some(ErrorCode(0x0B))),
+        ("link", |b| b.tape(1).mute = true),
+        ("hardware enable", |b| assert!(b.world().inhibit(address(1), 300_000_000))),
+        ("restart", |b| assert!(b.world().restart(address(1)))),
+    ];
+    let mut taken_along = 0;
+    for (way, fail) in ways {
+        for delay in (0..18).step_by(3) {
+            let mut b = off();
+            let enable = b.group().post_all(Command::Enable).unwrap();
+            b.run(delay);
+            fail(&mut b);
+            let ended = b.group_ended(&enable);
+            b.run(60);
+            if ended == [Outcome::Done; 2] && b.feedback(1).stopped.is_none() {
+                assert_eq!(b.feedback(0).stopped, None);
+                continue;
+            }
+            let stopped = [0, 1].map(|index| b.feedback(index).stopped);
+            let none_began = ended.iter().all(|outcome| matches!(outcome, Outcome::Failed(_)));
+            assert!(
+                stopped.iter().all(Option::is_some) || none_began && stopped == [None; 2],
+                "{way} after {delay} cycles: {ended:?} {stopped:?}"
+            );
+            taken_along += u32::from(stopped[0] == Some(StopCause::Group));
+            // Nor is the group movable.
+            let moved = b.group().post_all(jog(20.0)).unwrap();
+            let moved = b.group_ended(&moved);
+            assert!(moved.iter().all(|outcome| matches!(outcome, Outcome::Failed(_))), "{way}: {moved:?}");
+            b.run(300);
+            assert!(!b.feedback(0).status.state.is_powered(), "{way} after {delay} cycles");
+        }
+    }
+    assert!(taken_along > 4, "{taken_along}");
 }

@@ -73,9 +73,9 @@ fn a_drive_that_runs_with_other_objects_is_not_joined() {
 
 #[test]
 fn a_drive_that_runs_in_another_mode_is_halted_in_that() {
-    let plain = unwatched(drive(0, Family::S700));
-    let mut otherwise = plain.clone();
-    otherwise.mode = Some(Mode::PROFILE_VELOCITY);
+    let otherwise = free(&[0x60FF, 0x6040], &[0x6041, 0x6064, 0x606C]);
+    let mut plain = otherwise.clone();
+    plain.mode = Some(Mode::PROFILE_VELOCITY);
     let mut machine = left_turning(&line(plain), &line(otherwise), FoundRunning::Stop);
     let mode = |machine: &Machine| machine.drive(0, |drive| drive.mode());
     let mut turned = rpm(&machine);
@@ -83,7 +83,7 @@ fn a_drive_that_runs_in_another_mode_is_halted_in_that() {
         machine.run(1);
         let now = rpm(&machine);
         if now.abs() > 3.0 {
-            assert_eq!(mode(&machine), Mode::DIGITAL_VELOCITY, "at {now} rpm");
+            assert_eq!(mode(&machine), Mode::PROFILE_VELOCITY, "at {now} rpm");
             let al = machine.look(|line| line.slave(0).unwrap().state());
             assert!(now < turned + 1.0 && al == AlState::Op, "{now} behind {turned}, {al}");
         }
@@ -95,7 +95,7 @@ fn a_drive_that_runs_in_another_mode_is_halted_in_that() {
         machine.feedback(0)
     );
     machine.recover(0);
-    assert_eq!(mode(&machine), Mode::PROFILE_VELOCITY);
+    assert_eq!(mode(&machine), Mode::DIGITAL_VELOCITY);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout,
 };
 use fieldbeat::bus::linudp::ControlWord;
+use fieldbeat::telemetry::Condition;
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;
@@ -53,6 +54,8 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
         assert!(!b.tape(0).received[from..].iter().any(off), "lost {lose}, asked {requested} times");
         assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
         assert!(b.feedback(0).status.velocity.abs() < 1.0);
+        let left = b.finish().drives[0].at_end.clone().unwrap();
+        assert!(left.condition == Condition::Held && left.is_safe(), "{left:?}");
     }
 }
 

@@ -3,6 +3,7 @@
 //! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
 
 mod acyclic;
+mod arrivals;
 mod background;
 mod bring_up;
 mod carrier;
@@ -14,6 +15,7 @@ mod faults;
 mod fuse;
 mod grid;
 mod groups;
+mod groups_random;
 mod kollmorgen;
 mod kollmorgen_found;
 mod latches;
@@ -27,6 +29,7 @@ mod native;
 mod oracle;
 mod oracle_found;
 mod other_masters;
+mod owners;
 mod panics;
 mod powered;
 mod queues;
@@ -40,6 +43,7 @@ mod shutdown;
 mod soak;
 mod stop_bound;
 mod streams;
+mod stuck;
 mod support;
 mod telemetry;
 mod torques;

@@ -10,6 +10,7 @@ use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
+use fieldbeat::telemetry::Condition;
 use fieldbeat::time::{MS, Time};
 
 use super::faults::inject;
@@ -140,4 +141,9 @@ fn a_linmot_that_a_living_master_moves_is_not_taken_over() {
     assert!(!b.tape(0).received.iter().any(written), "nothing was written");
     assert!(b.feedback(0).status.moving);
     assert!(b.world().now() > Time(200 * MS));
+    // It is left to its master, and named.
+    b.shut_down(100);
+    let left = b.finish().drives[0].at_end.clone().unwrap();
+    assert!(matches!(left.condition, Condition::Moving | Condition::Powered), "{left:?}");
+    assert_eq!(left.requested, []);
 }

@@ -8,6 +8,7 @@ use fieldbeat::axis::{Abort, Command, Link, StopCause, StopHow, StopThen, Target
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpPlan, MainState, StatusWord};
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::WorldOptions;
+use fieldbeat::telemetry::{Condition, StopRequest};
 use fieldbeat::{CyclePlan, Flow, Master, Plan};
 
 use super::fuse::Fused;
@@ -129,6 +130,9 @@ fn from_every_state_each_axis_ends_powered_off() {
                 assert_all_ended(&b, 0, last);
                 assert!(b.feedback(0).stopped.is_some());
                 b.assert_grid();
+                let left = b.finish().drives[0].at_end.clone();
+                let condition = left.as_ref().map(|left| left.condition);
+                assert_eq!(condition, Some(Condition::Off), "{name}, {how:?}, {then:?}: {left:?}");
             }
         }
     }
@@ -149,6 +153,10 @@ fn a_lost_drive_hears_its_stop_and_its_power_off_before_the_end() {
     assert!((900..=1_100).contains(&took), "{took}");
     assert!(is_off(&b, 0));
     assert_braked_before_power_off(&b, 0);
+    // This master has not seen it.
+    let left = b.finish().drives[0].at_end.clone().unwrap();
+    let requested = [StopRequest::Ramp, StopRequest::PowerOff];
+    assert_eq!((left.condition, &*left.requested), (Condition::Unknown, &requested[..]));
 }
 
 #[test]

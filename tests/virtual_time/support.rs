@@ -237,9 +237,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 position: Some(RANGE),
                 velocity: Some(1_000.0),
                 acceleration: Some(20_000.0),
-                step: None,
-                torque: None,
-                homing: None,
+                ..Limits::default()
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
             stop: StopPlan {
@@ -451,6 +449,28 @@ impl Bench {
         let axes: Vec<_> = members.iter().map(|index| self.sim.take_axis(*index)).collect();
         self.members = members.to_vec();
         self.group.insert(Group::new(axes).unwrap_or_else(|refused| panic!("{refused}")))
+    }
+
+    /// The application's end of an axis that has joined no group. Its events are not followed from here on.
+    pub fn take_axis(&mut self, index: usize) -> Axis {
+        assert!(!self.joined());
+        self.members.push(index);
+        self.sim.take_axis(index)
+    }
+
+    /// The application drops it.
+    pub fn drop_axis(&mut self, index: usize) {
+        drop(self.take_axis(index));
+    }
+
+    /// The application drops the group.
+    pub fn drop_group(&mut self) {
+        drop(self.group.take());
+    }
+
+    /// The application ends the group and keeps none of its axes but this one, by its place.
+    pub fn keep_member(&mut self, place: usize) -> Axis {
+        self.group.take().expect("axes have joined").into_axes().swap_remove(place)
     }
 
     /// Whether some axes have.

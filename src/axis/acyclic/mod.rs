@@ -109,6 +109,11 @@ pub enum CallError {
     /// The master has ended.
     #[error("the master has ended: start it again")]
     Gone,
+    /// The loop's cycle does not end.
+    #[error(
+        "the loop is stuck, its cycle does not end: look at what holds it up, and start the program again"
+    )]
+    Stuck,
     /// The connection to the master broke. The last request may have been carried out.
     #[error("the connection to the master was lost: check that it runs, and try again")]
     Lost,
@@ -229,7 +234,11 @@ pub trait Carrier {
             let error = failed.unwrap_or(CallError::Gone);
             let is_final = matches!(
                 error,
-                CallError::Refused(_) | CallError::Cancelled | CallError::Gone | CallError::Lost
+                CallError::Refused(_)
+                    | CallError::Cancelled
+                    | CallError::Gone
+                    | CallError::Stuck
+                    | CallError::Lost
             );
             if is_final || waited >= patience {
                 return Err(error);

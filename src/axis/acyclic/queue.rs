@@ -215,6 +215,11 @@ impl Acyclic {
         self.shared.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Nothing is carried out by a loop that is stuck.
+    fn stuck(&self) -> Option<CallError> {
+        self.shared.observer.is_stuck().then_some(CallError::Stuck)
+    }
+
     /// Whether these calls can be posted now.
     fn room(&self, ends: &mut Ends, calls: &[Call]) -> Result<(), PostError> {
         let axis = || self.shared.axis.clone();
@@ -223,7 +228,8 @@ impl Acyclic {
         if ends.calls.is_abandoned() {
             return Err(PostError::Gone { axis: axis() });
         }
-        if let Some(why) = calls.iter().find_map(|call| self.shared.with_executor.guard.refusal(call)) {
+        let refusal = || calls.iter().find_map(|call| self.shared.with_executor.guard.refusal(call));
+        if let Some(why) = self.stuck().or_else(refusal) {
             return Err(PostError::Refused { axis: axis(), why });
         }
         if ends.under_way + calls.len() > self.shared.with_executor.capacity {
@@ -274,6 +280,9 @@ impl Carrier for Acyclic {
     fn condition(&self) -> Result<Condition, CallError> {
         if self.ends().calls.is_abandoned() {
             return Err(CallError::Gone);
+        }
+        if let Some(why) = self.stuck() {
+            return Err(why);
         }
         let feedback = self.shared.observer.feedback();
         Ok(Condition::of(feedback.link, feedback.status.state))
@@ -326,7 +335,8 @@ impl CallTicket {
         let mut ends = self.acyclic.ends();
         let gone = ends.ends.is_abandoned();
         self.acyclic.collect(&mut ends);
-        let result = ends.ended.remove(&self.number).or(gone.then_some(Err(CallError::Gone)))?;
+        let unserved = || gone.then_some(CallError::Gone).or_else(|| self.acyclic.stuck()).map(Err);
+        let result = ends.ended.remove(&self.number).or_else(unserved)?;
         self.over = true;
         Some(result)
     }
@@ -372,6 +382,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::axis::{Feedback, cell};
     use crate::bus::linudp::notation::Upids;
+    use crate::rt::Wires;
 
     /// Nothing takes this long, however busy the host.
     const LIMIT: Duration = Duration::from_secs(60);
@@ -385,7 +396,16 @@ pub(crate) mod tests {
     pub(crate) fn both_of(capacity: usize, commanding: Commanding) -> (Acyclic, Port) {
         let (ends, port) = queue(capacity, commanding);
         let (_, reader) = cell::cell(Feedback::default());
-        (Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1)), port)
+        (
+            Acyclic::new(
+                "x",
+                ends,
+                Arc::new(Upids),
+                Observer::new(reader, Wires::default()),
+                Duration::from_millis(1),
+            ),
+            port,
+        )
     }
 
     #[test]

@@ -253,6 +253,11 @@ impl Mode {
         matches!(self.0, 1 | 3 | 4 | 6 | 7 | -128..=-120)
     }
 
+    /// The modes of an AKD of which the master knows something.
+    pub const fn is_of_akd(self) -> bool {
+        matches!(self.0, 1 | 3 | 4 | 6 | 7 | 8)
+    }
+
     /// Its name.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self {

@@ -17,6 +17,7 @@
 //! | `sii` | reads the EEPROM of a slave, for the segment and for a scan |
 //! | `service` | SDOs and emergencies of a slave |
 //! | `station`, `profile` | the master's view of one drive; what is desired as outputs, and what answers prove |
+//! | `outputs` | who writes each entry of the outputs of a drive |
 //! | `start_up` | objects written to a drive before its process data run |
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
@@ -42,6 +43,7 @@ mod native;
 mod other;
 #[cfg(feature = "cli")]
 mod outline;
+mod outputs;
 mod plan;
 mod profile;
 mod segment;

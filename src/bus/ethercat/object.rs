@@ -290,7 +290,7 @@ const fn is_harmless(index: u16) -> bool {
         index,
         0x20A4 // Latch control.
             | 0x6065..=0x6068 // Windows of following error and position.
-            | 0x6072 | 0x607D | 0x607F | 0x6080 // Limits of torque, position and velocity.
+            | 0x6072 | 0x607D | 0x607F | 0x6080 | 0x60E0 | 0x60E1 // Limits of torque, position and velocity.
             | 0x6081..=0x6087 // Profiles, from the next motion on.
             | 0x6098 | 0x6099 | 0x609A // Method, velocities and acceleration of homing.
             | 0x60C5 | 0x60C6 // Limits of acceleration.

@@ -57,8 +57,11 @@ pub struct KollmorgenDrive {
     pub inputs: Layout,
     /// Where the PDOs come from.
     pub mapping: Mapping,
-    /// The mode that the setpoint of `outputs` is for. Default: [`Setpoint::mode`].
+    /// The mode of operation: it decides which target in `outputs` is the setpoint. Default: that of the first target
+    /// in them, [`Setpoint::mode`].
     pub mode: Option<Mode>,
+    /// All targets are the application's, by native outputs: the master makes no setpoint.
+    pub native: bool,
     /// How its numbers are scaled.
     pub scaling: Scaling,
     /// What it says of its increments a turn (608Fh) is held against [`Scaling::prbase`], if it says anything.
@@ -201,16 +204,33 @@ pub enum Owner {
 }
 
 impl Setpoint {
-    /// What stands in these outputs; `None`: no setpoint that is known.
-    pub fn of(outputs: &Layout) -> Option<Setpoint> {
-        outputs.entries.iter().find_map(|entry| match entry.object {
-            object @ Object { index: 0x60C1, sub: 1 } | object @ Object { index: 0x607A, sub: 0 } => {
-                Some(Setpoint::Position(object))
+    /// The target that this object is; `None`: it is none.
+    pub(super) const fn new(object: Object) -> Option<Setpoint> {
+        Some(match object {
+            Object { index: 0x60C1, sub: 1.. } | Object { index: 0x607A, sub: 0 } => {
+                Setpoint::Position(object)
             }
-            object @ Object { index: 0x606B | 0x60FF, sub: 0 } => Some(Setpoint::Velocity(object)),
-            object @ Object { index: 0x6074 | 0x6071, sub: 0 } => Some(Setpoint::Torque(object)),
-            _ => None,
+            Object { index: 0x606B | 0x60FF, sub: 0 } => Setpoint::Velocity(object),
+            Object { index: 0x6074 | 0x6071, sub: 0 } => Setpoint::Torque(object),
+            _ => return None,
         })
+    }
+
+    /// A drive in this mode follows it from cycle to cycle (CiA 402-2; the vendor modes of S300 ... S700 are assumed to follow whichever
+    /// target of their kind is in the process data).
+    pub(super) const fn is_followed(self, mode: Mode) -> bool {
+        match self {
+            Setpoint::Position(Object { index: 0x60C1, .. }) => {
+                matches!(mode, Mode::INTERPOLATED | Mode::TRAJECTORY)
+            }
+            Setpoint::Position(_) => matches!(mode, Mode::CYCLIC_POSITION | Mode::TRAJECTORY),
+            Setpoint::Velocity(Object { index, .. }) => {
+                matches!((index, mode), (0x60FF, Mode::PROFILE_VELOCITY) | (_, Mode::DIGITAL_VELOCITY))
+            }
+            Setpoint::Torque(Object { index, .. }) => {
+                matches!((index, mode), (0x6071, Mode::TORQUE) | (_, Mode::DIGITAL_CURRENT))
+            }
+        }
     }
 
     /// Its object, and the type that it has.
@@ -285,6 +305,7 @@ impl KollmorgenDrive {
             inputs,
             mapping: Mapping::default(),
             mode: None,
+            native: false,
             scaling,
             check_prbase: true,
             accept_no_watchdog: false,
@@ -305,9 +326,15 @@ impl KollmorgenDrive {
         self.slave.inputs = area(BUFFERS[1], &self.inputs);
     }
 
-    /// What its setpoint is.
+    /// The targets in its outputs.
+    fn targets(&self) -> impl Iterator<Item = Setpoint> {
+        self.outputs.entries.iter().filter_map(|entry| Setpoint::new(entry.object))
+    }
+
+    /// What its setpoint is: the target that its mode follows.
     pub fn setpoint(&self) -> Option<Setpoint> {
-        Setpoint::of(&self.outputs)
+        let mode = self.mode().filter(|_| !self.native)?;
+        self.targets().find(|target| target.is_followed(mode))
     }
 
     /// What it shows besides, for people.
@@ -323,7 +350,7 @@ impl KollmorgenDrive {
 
     /// The mode that it is set to.
     pub fn mode(&self) -> Option<Mode> {
-        self.mode.or_else(|| Some(self.setpoint()?.mode(self.family)))
+        self.mode.or_else(|| Some(self.targets().next()?.mode(self.family)))
     }
 
     /// A velocity in user units/s as revolutions of the motor a minute.

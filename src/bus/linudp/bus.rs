@@ -5,6 +5,7 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::fields::layout;
+use super::last::LastStop;
 use super::notation::Upids;
 use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 use super::profile;
@@ -16,7 +17,7 @@ use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault}
 use crate::bus::desired::Capabilities;
 use crate::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use crate::bus::variant::Variant;
-use crate::bus::{Bus, BusPlan, Cycle, Ends, OpenError, Slot, Unmatched, drives};
+use crate::bus::{Bus, BusPlan, Cycle, Ends, LastResort, OpenError, Slot, Unmatched, drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
@@ -39,6 +40,8 @@ pub struct LinUdpBus {
     senders: Senders,
     ends: Ends,
     unmatched: Unmatched,
+    /// Until it is taken.
+    last: Option<LastStop>,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
 }
@@ -71,6 +74,8 @@ impl LinUdpBus {
             stations.push(station);
             ends.push(native, acyclic);
         }
+        let powers = stations.iter().map(Station::power_sent);
+        let last = net.twin().map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
         Ok(LinUdpBus {
             name: plan.name.clone(),
             net,
@@ -79,6 +84,7 @@ impl LinUdpBus {
             senders: Senders::new(&peers),
             ends,
             unmatched: Unmatched::default(),
+            last,
             _locks: locks,
         })
     }
@@ -228,6 +234,10 @@ impl Bus for LinUdpBus {
         bytes.clear();
         let received_at = self.stations.get(index)?.native().inputs(since, bytes);
         bytes.put_outputs(outputs, received_at, || Some(self.outbox.bytes(index)))
+    }
+
+    fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
+        self.last.take().map(|last| Box::new(last) as Box<dyn LastResort>)
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {

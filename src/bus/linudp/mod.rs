@@ -15,6 +15,7 @@
 //! | `upid`, `notation` | parameters by number and name; how people write and list them |
 //! | `native`, `fields` | unscaled process data for the application, and as a recording shows them |
 //! | `bus` | all drives on one socket |
+//! | `last` | their stop without the loop |
 //! | `plan` | the bus as configured |
 //! | `config` | its keys in a configuration |
 //! | `outline` | what a first configuration of it has, and how its drives are found |
@@ -31,6 +32,7 @@ mod channel;
 mod config;
 pub mod curve;
 mod fields;
+mod last;
 pub mod motion;
 pub(crate) mod native;
 pub(crate) mod notation;

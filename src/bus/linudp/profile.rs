@@ -6,6 +6,7 @@
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
 use super::channel::MotionChannel;
+use super::last::PowerSent;
 use super::motion::{
     Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, StreamCommand, Velocity,
 };
@@ -19,6 +20,7 @@ use crate::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
     Setpoint, Velocities,
 };
+use crate::rt::Regions;
 use crate::time::{Time, nanos};
 
 /// Powered and holding, out of operation.
@@ -120,6 +122,8 @@ pub(super) struct Profile {
     units: Units,
     stream: Option<StreamCommand>,
     inhibit_after_ns: u64,
+    /// For the last resort.
+    power_sent: PowerSent,
 }
 
 /// Whether the drive lets its power stage come on, as the requests allow it.
@@ -158,6 +162,8 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
         still_reports: 2,
         stands_ns: 0,
         arrival: ARRIVAL / scale,
+        // A reply has both of one instant.
+        behind_ns: 0,
         ranges: Ranges {
             position: (ends[0].min(ends[1]), ends[0].max(ends[1])),
             velocity: least(VELOCITY),
@@ -185,7 +191,18 @@ impl Profile {
             native: None,
             is_native: false,
             steady: false,
+            power_sent: PowerSent::default(),
         }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.power_sent.memory(regions);
+    }
+
+    /// What its requests that left say of the drive's power.
+    pub(super) fn power_sent(&self) -> PowerSent {
+        self.power_sent.clone()
     }
 
     /// Another clean reply that says the same proves the same.
@@ -274,6 +291,9 @@ impl Profile {
     fn note_sent(&mut self) {
         self.sent = self.prepared;
         self.control_before = std::mem::replace(&mut self.control_sent, self.control);
+        if self.control_before != self.control_sent {
+            self.power_sent.note(self.control_sent);
+        }
         self.native = None;
         self.channel.sent();
     }

@@ -7,7 +7,7 @@ use super::parameter::Width;
 use super::plan::{
     Functions, KEYPAD_WATCHDOG_NS, REFERENCES_IN_A_ROW, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
 };
-use crate::axis::{HeldBy, Load, PlanFault};
+use crate::axis::{FollowingError, HeldBy, Load, PlanFault};
 use crate::time::{MS, Ns, S};
 
 /// A host repeats a lost segment that nothing follows after so long at the earliest, ns (Linux: TCP_RTO_MIN, and the
@@ -55,6 +55,7 @@ impl UnidriveDrive {
         [
             ("limits.position", self.axis.limits.position.is_some()),
             ("limits.step", self.axis.limits.step.is_some()),
+            ("limits.following_error", matches!(self.axis.limits.following_error, FollowingError::Most(_))),
             ("modulo", units.modulo.is_some()),
             ("offset", units.offset != 0.0),
         ]

@@ -6,7 +6,7 @@ use super::plan::{
 };
 use super::wire::dp::Configuration;
 use super::wire::telegram::{DU_MAX, STATION_MAX};
-use crate::axis::{HeldBy, Load, PlanFault};
+use crate::axis::{FollowingError, HeldBy, Load, PlanFault};
 use crate::time::{MS, Ns, S};
 
 /// The most bits that a time of the wire has.
@@ -236,6 +236,7 @@ impl LenzeDrive {
         let mut faults: Vec<PlanFault> = [
             ("limits.position", limits.position.is_some()),
             ("limits.step", limits.step.is_some()),
+            ("limits.following_error", matches!(limits.following_error, FollowingError::Most(_))),
             ("modulo", units.modulo.is_some()),
             ("offset", units.offset != 0.0),
         ]

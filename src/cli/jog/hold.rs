@@ -5,6 +5,9 @@
 //! repeats. There the key counts as held from its second repeat on, which has to come faster than fingers press, and as
 //! let go when the next repeat does not come.
 //!
+//! Some terminals, and programs between them and the panel, say that they have the protocol, and never report that a
+//! key goes up. So a terminal is believed from the first such report on, up to a press that neither repeats nor goes up.
+//!
 //! Whatever ended a hold, the key has to be let go before it can be held again: repeats that go on, or arrive in a
 //! burst after the connection to the terminal has hung, hold nothing.
 
@@ -45,8 +48,10 @@ pub enum Stroke {
 /// The run keys.
 #[derive(Debug)]
 pub struct Hold {
-    /// The terminal reports repeats and releases.
-    has_releases: bool,
+    /// The terminal says that it reports repeats and releases.
+    announced: bool,
+    /// It has done so.
+    shown: bool,
     phase: Phase,
 }
 
@@ -66,21 +71,31 @@ enum Phase {
 }
 
 impl Hold {
-    /// No key is down.
-    pub fn new(has_releases: bool) -> Hold {
-        Hold { has_releases, phase: Phase::Up }
+    /// No key is down. The terminal says that it reports releases, or does not.
+    pub fn new(announced: bool) -> Hold {
+        Hold { announced, shown: false, phase: Phase::Up }
     }
 
-    /// Whether the terminal reports releases.
+    /// Whether the terminal reports releases, as far as it has shown.
     pub fn has_releases(&self) -> bool {
-        self.has_releases
+        self.announced && self.shown
+    }
+
+    /// The terminal reports that a key has gone up, whichever it is.
+    pub fn release(&mut self) {
+        self.shown = true;
     }
 
     /// The terminal reports this of a run key.
     pub fn stroke(&mut self, now: Duration, way: Way, stroke: Stroke) {
         self.held(now);
-        self.phase =
-            if self.has_releases { self.exactly(now, way, stroke) } else { self.by_repeats(now, way) };
+        if stroke == Stroke::Up {
+            self.release();
+        }
+        self.phase = match stroke {
+            Stroke::Down | Stroke::Repeat if !self.has_releases() => self.by_repeats(now, way, stroke),
+            _ => self.exactly(now, way, stroke),
+        };
     }
 
     fn exactly(&self, now: Duration, way: Way, stroke: Stroke) -> Phase {
@@ -97,9 +112,11 @@ impl Hold {
         }
     }
 
-    fn by_repeats(&self, now: Duration, way: Way) -> Phase {
+    fn by_repeats(&self, now: Duration, way: Way, stroke: Stroke) -> Phase {
         let since = |at: Duration| now.saturating_sub(at);
         match self.phase {
+            // Of a press that is not known, or has ended.
+            Phase::Up | Phase::Spent { .. } if stroke == Stroke::Repeat => Phase::Spent { at: now },
             Phase::Up => Phase::Pressed { way, at: now },
             Phase::Pressed { way: before, at } if before == way && FIRST.contains(&since(at)) => {
                 Phase::Repeated { way, at: now }
@@ -132,6 +149,8 @@ impl Hold {
         match self.phase {
             Phase::Held { way, until } if now <= until => Some(way),
             Phase::Held { until, .. } => {
+                // It has not reported that the key has gone up, either.
+                self.shown = false;
                 self.phase = Phase::Spent { at: until.saturating_sub(GAP) };
                 None
             }
@@ -146,6 +165,15 @@ mod tests {
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
+    }
+
+    /// The keys of a terminal that has reported that a key has gone up, or reports no such thing.
+    fn shown(has_releases: bool) -> Hold {
+        let mut hold = Hold::new(has_releases);
+        if has_releases {
+            hold.release();
+        }
+        hold
     }
 
     /// What counts as held right after each of these presses, of a terminal that reports nothing else.
@@ -190,7 +218,7 @@ mod tests {
     #[test]
     fn what_ended_a_hold_has_to_be_let_go() {
         for has_releases in [false, true] {
-            let mut hold = Hold::new(has_releases);
+            let mut hold = shown(has_releases);
             let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
             hold.stroke(ms(0), Way::Back, Stroke::Down);
             assert_eq!(hold.held(ms(0)).is_some(), has_releases);
@@ -209,7 +237,7 @@ mod tests {
     #[test]
     fn the_other_key_ends_a_hold_and_so_do_both() {
         for has_releases in [false, true] {
-            let mut hold = Hold::new(has_releases);
+            let mut hold = shown(has_releases);
             let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
             hold.stroke(ms(0), Way::Back, Stroke::Down);
             for at in [500, 530, 560] {
@@ -227,7 +255,7 @@ mod tests {
 
     #[test]
     fn with_releases_it_begins_at_once_and_a_lost_release_ends_it_too() {
-        let mut hold = Hold::new(true);
+        let mut hold = shown(true);
         hold.stroke(ms(0), Way::Forward, Stroke::Down);
         assert_eq!(hold.held(ms(1_200)), Some(Way::Forward));
         assert_eq!(hold.held(ms(1_201)), None, "it never repeats");
@@ -242,5 +270,55 @@ mod tests {
         hold.stroke(ms(2_400), Way::Forward, Stroke::Down);
         hold.stroke(ms(2_420), Way::Forward, Stroke::Up);
         assert_eq!(hold.held(ms(2_420)), None);
+    }
+
+    #[test]
+    fn a_terminal_that_has_shown_no_release_runs_by_repeats_alone() {
+        for kind in [Stroke::Down, Stroke::Repeat] {
+            let mut hold = Hold::new(true);
+            // A tap, and taps, of which no release is reported.
+            for at in (0..26_000).step_by(1_300) {
+                hold.stroke(ms(at), Way::Forward, Stroke::Down);
+                assert!((at..at + 1_300).all(|at| hold.held(ms(at)).is_none()), "{at}");
+            }
+            let run = |hold: &mut Hold, begin: u64| {
+                hold.stroke(ms(begin), Way::Forward, Stroke::Down);
+                assert_eq!(hold.held(ms(begin + 500)), None);
+                for at in [500, 533, 566] {
+                    hold.stroke(ms(begin + at), Way::Forward, kind);
+                }
+                assert_eq!(hold.held(ms(begin + 600)), Some(Way::Forward));
+            };
+            run(&mut hold, 30_000);
+            // Its end is reported: from then on it runs at once.
+            hold.stroke(ms(30_600), Way::Forward, Stroke::Up);
+            assert_eq!(hold.held(ms(30_600)), None);
+            hold.stroke(ms(31_000), Way::Forward, Stroke::Down);
+            assert_eq!(hold.held(ms(31_000)), Some(Way::Forward));
+            // Up to a press of which nothing more is reported.
+            assert_eq!(hold.held(ms(32_300)), None);
+            hold.stroke(ms(33_000), Way::Forward, Stroke::Down);
+            assert_eq!(hold.held(ms(33_000)), None);
+            hold.stroke(ms(33_100), Way::Forward, Stroke::Up);
+            // Any key shows it, but not to a terminal that does not know what it reports.
+            hold.stroke(ms(34_000), Way::Back, Stroke::Down);
+            assert_eq!(hold.held(ms(34_000)), Some(Way::Back));
+        }
+        let mut hold = Hold::new(false);
+        hold.release();
+        hold.stroke(ms(0), Way::Forward, Stroke::Down);
+        assert_eq!(hold.held(ms(0)), None);
+    }
+
+    #[test]
+    fn repeats_of_a_key_that_has_ended_its_run_begin_none() {
+        let mut hold = Hold::new(true);
+        hold.stroke(ms(0), Way::Forward, Stroke::Down);
+        hold.end(ms(100));
+        // A pause as long as that before a first repeat, and the repeats.
+        for at in [600, 1_100, 1_133, 1_166, 1_199] {
+            hold.stroke(ms(at), Way::Forward, Stroke::Repeat);
+            assert_eq!(hold.held(ms(at)), None, "{at}");
+        }
     }
 }

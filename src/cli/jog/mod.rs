@@ -1,5 +1,6 @@
 //! `fieldbeat jog`: a panel in the terminal that operates the axes of a running master, or of one of its own.
 
+mod enabling;
 mod hold;
 mod panel;
 mod terminal;
@@ -14,16 +15,18 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use crossbeam_channel::RecvTimeoutError;
 use fieldbeat::internals::control::{
-    HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
+    AxisFacts, HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
 };
 use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::{Master, Plan};
 
+use self::enabling::{Enabling, EnablingDevice};
 use self::panel::{Panel, Want, short};
 use self::terminal::{LOOK_EVERY, Terminal};
 use super::handler::serve;
 use super::interrupt::Interrupt;
 use super::masters::Wanted;
+use super::output::{both, judge_end};
 use super::{Stop, complain, load, print, run};
 
 /// How often the panel looks at the axes, and is drawn.
@@ -50,6 +53,10 @@ pub struct Jog {
     /// The distance of a step, in the units of the axis.
     #[arg(long, value_name = "UNITS")]
     step: Option<f64>,
+    /// A button or pedal at this computer, as the kernel names it below /dev/input, that has to be held while anything
+    /// moves.
+    #[arg(long, value_name = "PATH")]
+    enable_device: Option<PathBuf>,
     /// The process id of the master, where several of this configuration run.
     #[arg(long, value_name = "PID")]
     pid: Option<u32>,
@@ -60,6 +67,7 @@ impl Jog {
     pub fn run(self) -> Result<(), Stop> {
         let plan = load(&self.config)?;
         let selected = self.check(&plan)?;
+        let device = self.enable_device.as_deref().map(EnablingDevice::open).transpose()?;
         terminal::require()?;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let wanted = Wanted { config: Some(&self.config), pid: self.pid };
@@ -68,9 +76,9 @@ impl Jog {
             None if self.pid.is_some() => return Err(Stop::failed(wanted.missing())),
             None => Reached::alone(plan, &interrupt)?,
         };
-        let result = self.operate(&mut reached, selected, &interrupt);
+        let result = self.operate(&mut reached, selected, device, &interrupt);
         let ended = reached.leave();
-        super::output::both(result, ended)
+        both(result, ended)
     }
 
     /// The index of the axis to begin with, if the numbers can be right.
@@ -107,7 +115,13 @@ impl Jog {
         Ok(index)
     }
 
-    fn operate(&self, reached: &mut Reached, selected: usize, interrupt: &Interrupt) -> Result<(), Stop> {
+    fn operate(
+        &self,
+        reached: &mut Reached,
+        selected: usize,
+        mut device: Option<EnablingDevice>,
+        interrupt: &Interrupt,
+    ) -> Result<(), Stop> {
         let mut terminal = Terminal::take()?;
         // A terminal that answers late may have cost the operation, with which nothing was done yet.
         reached.operator.take(&own_name()).map_err(Stop::failed)?;
@@ -120,6 +134,7 @@ impl Jog {
             terminal.has_releases,
         );
         panel.colours = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+        panel.enabling = device.is_some().then_some(Enabling::Released);
         if let Some(velocity) = self.velocity {
             panel.velocities[selected] = velocity;
         }
@@ -148,6 +163,10 @@ impl Jog {
             }
             // All that came, and then what follows from it: what is older than the last of it counts for nothing.
             let mut next = terminal.events.recv_timeout(LOOK_EVERY);
+            if let Some(device) = &mut device {
+                let wants = panel.enable(operation.now(), device.look());
+                operation.perform(&mut panel, wants)?;
+            }
             while let Ok((at, event)) = next {
                 if operation.event(&mut panel, at, &event)? {
                     return Ok(());
@@ -183,7 +202,7 @@ impl Operation<'_> {
         self.begun.elapsed()
     }
 
-    /// Does what an event wants; whether the panel ends.
+    /// Does what an event of the terminal wants; whether the panel ends.
     fn event(
         &mut self,
         panel: &mut Panel,
@@ -191,7 +210,13 @@ impl Operation<'_> {
         event: &ratatui::crossterm::event::Event,
     ) -> Result<bool, Stop> {
         let at = at.saturating_duration_since(self.begun);
-        for want in panel.event(at, self.now(), event) {
+        let wants = panel.event(at, self.now(), event);
+        self.perform(panel, wants)
+    }
+
+    /// Does what is wanted; whether the panel ends.
+    fn perform(&mut self, panel: &mut Panel, wants: Vec<Want>) -> Result<bool, Stop> {
+        for want in wants {
             let done = match want {
                 Want::Quit => return Ok(true),
                 Want::Stop => {
@@ -354,18 +379,25 @@ impl Reached {
             // It may have ended since then.
             left = watcher.state(0);
         }
-        let (Ok(facts), Ok(left)) = (watcher.axes(), left) else { return Ok(()) };
-        for (facts, axis) in facts.iter().zip(&left.axes) {
-            let place =
-                axis.position.map_or_else(String::new, |at| format!(" at {} {}", short(at), facts.unit));
-            let power = if axis.powered { axis.state.as_str() } else { "power off" };
-            print(format_args!("axis {}: {power}{place}", facts.name))?;
-        }
-        if let Some(OwnMaster { master, .. }) = master {
-            master.finish().measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
-        }
-        Ok(())
+        let shown = match (watcher.axes(), left) {
+            (Ok(facts), Ok(left)) => show_axes(&facts, &left),
+            _ => Ok(()),
+        };
+        let Some(OwnMaster { master, .. }) = master else { return shown };
+        let run = master.finish();
+        run.measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
+        both(shown, judge_end(&run))
     }
+}
+
+/// Prints how the axes are.
+fn show_axes(facts: &[AxisFacts], state: &OperationState) -> Result<(), Stop> {
+    for (facts, axis) in facts.iter().zip(&state.axes) {
+        let place = axis.position.map_or_else(String::new, |at| format!(" at {} {}", short(at), facts.unit));
+        let power = if axis.powered { axis.state.as_str() } else { "power off" };
+        print(format_args!("axis {}: {power}{place}", facts.name))?;
+    }
+    Ok(())
 }
 
 fn own_name() -> String {

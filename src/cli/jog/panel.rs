@@ -7,11 +7,14 @@ use fieldbeat::internals::control::{AxisFacts, AxisState, OperationState, Order}
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::Rect;
 
+use super::enabling::Enabling;
 use super::hold::{Hold, Stroke, Way};
 use super::view;
 
 /// A key that was read so long after it was pressed commands nothing any more, but a stop.
 const STALE: Duration = Duration::from_millis(300);
+
+const DEVICE_LOST: &str = "stopped: the enabling device is lost; q quits, plug it in and start again";
 
 /// Lines of events that are kept.
 const MOST_LINES: usize = 200;
@@ -38,6 +41,8 @@ pub struct Panel {
     pub colours: bool,
     /// The terminal is large enough to see what moves.
     pub fits: bool,
+    /// How the enabling device is, if there is one.
+    pub enabling: Option<Enabling>,
     hold: Hold,
     /// Up to then keys only stop.
     ignores_until: Duration,
@@ -76,6 +81,7 @@ impl Panel {
             message: None,
             colours: true,
             fits: true,
+            enabling: None,
             hold: Hold::new(has_releases),
             ignores_until: Duration::ZERO,
             noticed: 0,
@@ -137,10 +143,32 @@ impl Panel {
     /// The velocity that is to be jogged with now, with its sign.
     pub fn jogs(&mut self, now: Duration) -> Option<f64> {
         let velocity = self.velocities[self.selected];
-        self.hold.held(now).filter(|_| self.fits).map(|way| match way {
+        let may_move = self.fits && self.forbids().is_none();
+        self.hold.held(now).filter(|_| may_move).map(|way| match way {
             Way::Forward => velocity,
             Way::Back => -velocity,
         })
+    }
+
+    /// The enabling device is like this now.
+    pub fn enable(&mut self, now: Duration, enabling: Enabling) -> Vec<Want> {
+        match (self.enabling.replace(enabling), enabling) {
+            (Some(before), enabling) if before == enabling => Vec::new(),
+            (_, Enabling::Lost) => self.stop(now, DEVICE_LOST),
+            (Some(Enabling::Held), Enabling::Released) => {
+                self.stop(now, "stopped: the enabling device was let go")
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Why nothing may move now.
+    fn forbids(&self) -> Option<&'static str> {
+        match self.enabling? {
+            Enabling::Held => None,
+            Enabling::Released => Some("hold the enabling device first"),
+            Enabling::Lost => Some(DEVICE_LOST),
+        }
     }
 
     /// Something is under way that any key ends.
@@ -166,6 +194,9 @@ impl Panel {
     }
 
     fn key(&mut self, at: Duration, now: Duration, key: KeyEvent) -> Vec<Want> {
+        if key.kind == KeyEventKind::Release {
+            self.hold.release();
+        }
         let way = match key.code {
             KeyCode::Right => Some(Way::Forward),
             KeyCode::Left => Some(Way::Back),
@@ -213,7 +244,7 @@ impl Panel {
                 _ if !self.fits => Some(String::new()),
                 Some(why) => Some(format!("{} does not jog: {why}", facts.name)),
                 None if !state.operational => Some(not_enabled(facts, state)),
-                None => None,
+                None => self.forbids().map(str::to_owned),
             };
             if refused.is_some() {
                 self.end_hold(now, refused);
@@ -245,12 +276,12 @@ impl Panel {
     fn command(&mut self, code: KeyCode) -> Option<Vec<Want>> {
         let index = self.selected;
         let (facts, state) = self.axis();
-        let (unit, lacks) = (facts.unit.clone(), &facts.lacks);
+        let (unit, lacks, forbids) = (facts.unit.clone(), &facts.lacks, self.forbids());
         let give = |order| vec![Want::Command(index, order)];
         let ready = |lack: &Option<String>, order: Order| match lack {
             Some(why) => Err(format!("{} cannot: {why}", facts.name)),
             None if !state.operational => Err(not_enabled(facts, state)),
-            None => Ok(give(order)),
+            None => forbids.map_or_else(|| Ok(give(order)), |why| Err(why.to_owned())),
         };
         let velocity = self.velocities[index];
         let step = |distance: f64| ready(&lacks.step, Order::Step { distance, velocity });

@@ -8,6 +8,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::style::Color;
 
+use super::enabling::Enabling;
 use super::panel::{Panel, Want};
 use super::view;
 
@@ -49,7 +50,16 @@ fn panel(names: &[&str], has_releases: bool) -> Panel {
         Panel::new("m.toml".to_owned(), names.iter().map(|name| facts(name)).collect(), 0, has_releases);
     let axes = vec![operational(); names.len()];
     panel.take(OperationState { axes, ..OperationState::default() });
+    if has_releases {
+        // A terminal is believed once it has reported that a key goes up.
+        assert!(panel.event(NO, NO, &released(KeyCode::Char('e'))).is_empty());
+        assert!(panel.has_releases());
+    }
     panel
+}
+
+fn released(code: KeyCode) -> Event {
+    Event::Key(KeyEvent { kind: KeyEventKind::Release, ..KeyEvent::new(code, KeyModifiers::NONE) })
 }
 
 fn key(code: KeyCode) -> Event {
@@ -298,6 +308,53 @@ fn a_run_key_runs_while_it_is_held_and_any_other_key_ends_that() {
         assert!(runs(&mut panel, KeyCode::Right, !has_releases));
         assert_eq!(panel.event(ms(20_580), ms(20_580), &Event::FocusLost), [Want::Stop]);
         assert_eq!(panel.jogs(ms(20_580)), None);
+    }
+}
+
+#[test]
+fn nothing_moves_unless_the_enabling_device_is_held() {
+    let ms = Duration::from_millis;
+    for has_releases in [false, true] {
+        for (enabling, why) in
+            [(Enabling::Released, "hold the enabling device first"), (Enabling::Lost, "device is lost")]
+        {
+            let mut panel = panel(&["x"], has_releases);
+            panel.enabling = Some(enabling);
+            for which in ['+', '-', 'h'] {
+                assert!(character(&mut panel, which).is_empty(), "{which}");
+                assert!(panel.message.as_deref().unwrap().contains(why), "{:?}", panel.message);
+            }
+            assert!(!runs(&mut panel, KeyCode::Right, !has_releases));
+            // What was held down before the device has to be let go.
+            assert!(panel.enable(ms(20_570), Enabling::Held).is_empty());
+            let repeat = if has_releases { KeyEventKind::Repeat } else { KeyEventKind::Press };
+            for at in (20_580..22_000).step_by(30) {
+                let key = KeyEvent { kind: repeat, ..KeyEvent::new(KeyCode::Right, KeyModifiers::NONE) };
+                panel.event(ms(at), ms(at), &Event::Key(key));
+                assert_eq!(panel.jogs(ms(at)), None);
+            }
+            // Power needs none.
+            let mut panel = self::panel(&["x"], has_releases);
+            panel.enabling = Some(enabling);
+            assert_eq!(character(&mut panel, 'e'), [Want::Command(0, Order::Enable)]);
+            assert_eq!(character(&mut panel, 'd'), [Want::Command(0, Order::Disable)]);
+        }
+        for end in [Enabling::Released, Enabling::Lost] {
+            let mut panel = panel(&["x"], has_releases);
+            assert!(panel.enable(NO, Enabling::Released).is_empty());
+            assert!(panel.enable(NO, Enabling::Held).is_empty());
+            let step = Order::Step { distance: 1.0, velocity: 50.0 };
+            assert_eq!(character(&mut panel, '+'), [Want::Command(0, step)]);
+            assert!(runs(&mut panel, KeyCode::Right, !has_releases));
+            assert!(panel.enable(ms(20_570), Enabling::Held).is_empty());
+            // Whatever moves: a step or a homing has no key that is held. Once.
+            assert_eq!(panel.enable(ms(20_580), end), [Want::Stop]);
+            assert_eq!(panel.jogs(ms(20_580)), None);
+            assert!(panel.enable(ms(20_590), end).is_empty());
+            let shown = drawn(&panel, 80, 24).concat();
+            let word = if end == Enabling::Lost { "device lost" } else { "device not held" };
+            assert!(shown.contains(word), "{shown}");
+        }
     }
 }
 

@@ -7,6 +7,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Paragraph, Wrap};
 
+use super::enabling::Enabling;
 use super::panel::{Panel, short};
 
 /// The smallest terminal that shows what moves.
@@ -149,6 +150,12 @@ fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec
         Line::from(vec![
             Span::raw(label("state")),
             Span::styled(state.state.as_str(), marked(panel, Color::Cyan)),
+            Span::raw(match panel.enabling {
+                None => "",
+                Some(Enabling::Held) => "   enabling device held",
+                Some(Enabling::Released) => "   enabling device not held",
+                Some(Enabling::Lost) => "   enabling device lost",
+            }),
             Span::raw(format!("   command {commands}")),
         ]),
         Line::from(vec![Span::raw(label("link")), alarm(link, state.link != "online")]),

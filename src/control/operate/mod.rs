@@ -21,4 +21,4 @@ pub use operator::{HOLD_EVERY, OperateError, Operator};
 pub use request::{
     Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Notice, OperationState, Order, Reply, Request,
 };
-pub use station::{OperatorSession, Station, answer};
+pub use station::{OperatorSession, Station, answer, urgency};

@@ -14,6 +14,7 @@ use super::operated::Operated;
 use super::operation::Operation;
 use super::request::{Reply, Request};
 use crate::axis::{Axis, MonitorChannel};
+use crate::control::server::Urgency;
 use crate::rt::MonotonicClock;
 use crate::rt::thread::helper_thread;
 use crate::telemetry::Monitor;
@@ -148,6 +149,12 @@ pub struct Return {
     pub beat: u64,
     /// The answer, or why it is refused.
     pub reply: Result<Reply, String>,
+}
+
+/// How soon a question of another process is to be answered, if it is about operating the axes.
+pub fn urgency(question: &Value) -> Option<Urgency> {
+    let is_stop = question["request"] == json!(Request::Stop);
+    (question["ask"] == "operate").then_some(if is_stop { Urgency::Stop } else { Urgency::Operate })
 }
 
 /// Answers a question of another process, if it is about operating the axes: `None` to any other. `session`: what the

@@ -173,18 +173,28 @@ impl<C: Clock> Engine<C> {
             self.grid.advance(1);
         }
         let next = self.cycle_at(self.grid.index(), self.grid.at());
+        self.stop_each(&next, now, stage, StopCause::Panic);
+        self.prepare_stop(&next);
+        let record = CycleRecord { index: cycle.index, grid: cycle.grid, ..CycleRecord::default() };
+        self.publish_stop(&next, Some(record));
+        Flow::Continue
+    }
+
+    /// Stops every axis, each guarded by itself.
+    fn stop_each(&mut self, cycle: &Cycle, now: Time, stage: Option<Stage>, cause: StopCause) {
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            self.panics.guard(next.index, stage, Part::Axis(axis), || {
-                controller.stop(&next, now, StopCause::Panic);
-                controller.take_group_stop();
+            self.panics.guard(cycle.index, stage, Part::Axis(axis), || {
+                controller.stop(cycle, now, cause);
+                controller.take_along();
             });
         }
-        self.prepare_stop(&next);
-        self.publish_stop(
-            &next,
-            CycleRecord { index: cycle.index, grid: cycle.grid, ..CycleRecord::default() },
-        );
-        Flow::Continue
+    }
+
+    /// Latches every axis with `cause` and publishes that; nothing is sent any more.
+    pub(super) fn latch(&mut self, cause: StopCause) {
+        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        self.stop_each(&cycle, cycle.grid, None, cause);
+        self.publish_stop(&cycle, None);
     }
 
     /// One slot of the grid after a panic.
@@ -206,7 +216,11 @@ impl<C: Clock> Engine<C> {
             return self.flow(false);
         }
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Send, bus, |open, slots| open.bus.send(&cycle, slots));
+            self.bus(&cycle, Stage::Send, bus, |open, slots| {
+                if !open.gate.is_closed() {
+                    open.bus.send(&cycle, slots);
+                }
+            });
             if self.panics.is_left_out(Part::Bus(bus)) {
                 let open = &self.buses[bus];
                 let slots = self.slots[open.first..open.end].iter_mut();
@@ -221,6 +235,9 @@ impl<C: Clock> Engine<C> {
         for bus in 0..self.buses.len() {
             self.bus(&cycle, Stage::Receive, bus, |open, slots| {
                 for _ in 0..MOST_LOOKS {
+                    if open.gate.is_closed() {
+                        break;
+                    }
                     open.bus.receive(&cycle, slots);
                     if !slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle)) {
                         break;
@@ -244,7 +261,7 @@ impl<C: Clock> Engine<C> {
         self.grid.advance(1);
         let record =
             CycleRecord { index: cycle.index, grid: cycle.grid, wake_ns, missed, ..CycleRecord::default() };
-        self.publish_stop(&cycle, record);
+        self.publish_stop(&cycle, Some(record));
         self.flow(ended)
     }
 
@@ -273,6 +290,9 @@ impl<C: Clock> Engine<C> {
             }
             for bus in &polled {
                 self.bus(cycle, Stage::Receive, *bus, |open, slots| {
+                    if open.gate.is_closed() {
+                        return;
+                    }
                     open.bus.receive(cycle, slots);
                     if open.bus.poll_at().is_some_and(|at| at <= now) {
                         open.bus.poll(cycle, now, slots);
@@ -342,8 +362,9 @@ impl<C: Clock> Engine<C> {
         }
         let mut buses_down = true;
         for bus in 0..self.buses.len() {
-            let shut_down =
-                self.bus(cycle, Stage::Commands, bus, |open, slots| open.bus.shut_down(cycle, slots));
+            let shut_down = self.bus(cycle, Stage::Commands, bus, |open, slots| {
+                open.gate.is_closed() || open.bus.shut_down(cycle, slots)
+            });
             buses_down &= shut_down.unwrap_or(true);
         }
         buses_down || passed_ns > self.longest_end_ns.saturating_mul(2)
@@ -361,7 +382,7 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    fn publish_stop(&mut self, cycle: &Cycle, record: CycleRecord) {
+    fn publish_stop(&mut self, cycle: &Cycle, record: Option<CycleRecord>) {
         let (channels, status) = (&mut self.channels, &mut self.status);
         (status.operational, status.online) = (0, 0);
         let axes = self.axes.iter_mut().zip(self.controllers.iter_mut().zip(&self.slots));
@@ -376,7 +397,9 @@ impl<C: Clock> Engine<C> {
         }
         let planned = self.grid.planned();
         self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
-            channels.record(Record::Cycle(record), &mut status.lost_records);
+            if let Some(record) = record {
+                channels.record(Record::Cycle(record), &mut status.lost_records);
+            }
             // A cycle that a panic cut off counts as executed once its requests had left, else as skipped.
             (status.planned, status.skipped) = (planned, planned.saturating_sub(status.executed));
             channels.status.write(status);

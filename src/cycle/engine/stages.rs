@@ -8,6 +8,7 @@ use crate::bus::Cycle;
 use crate::cycle::record::{Record, Reply};
 use crate::cycle::task::Axes;
 use crate::drive::controller::{DriveController, take_calls, take_commands, take_rows};
+use crate::drive::groups::take_group_stop;
 use crate::rt::Clock;
 use crate::time::Time;
 
@@ -35,7 +36,7 @@ impl<C: Clock> Engine<C> {
                 self.status.missed += 1;
                 missed += u16::from(controller.was_online());
             }
-            stopped |= controller.just_stopped();
+            stopped |= controller.takes_along();
             self.shows |= controller.shows();
             let feedback = controller.feedback();
             operational += u32::from(feedback.is_operational());
@@ -75,7 +76,10 @@ impl<C: Clock> Engine<C> {
     /// what is left of that: rows come to all members of a group together, and what begins or stops at one axis may
     /// begin or stop others before it.
     pub(super) fn command(&mut self, cycle: &Cycle, next: &Cycle, now: Time) -> Left {
-        take_calls(&mut self.controllers, &mut self.channels.bells);
+        if take_calls(&mut self.controllers, &mut self.channels.bells) {
+            // Before an axis writes what is desired: those of a group are for all of its members.
+            self.groups.take_setpoints(cycle, &mut self.controllers);
+        }
         let (mut calls, mut stops, mut rows) = (false, false, false);
         let with_task = self.task.is_some();
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
@@ -83,7 +87,7 @@ impl<C: Clock> Engine<C> {
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
             calls |= controller.waiting().is_some();
-            stops |= controller.just_stopped();
+            stops |= controller.takes_along();
             if controller.follows_rows() {
                 rows = true;
             } else {
@@ -101,9 +105,9 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// An axis that was stopped stops its stop group.
+    /// An axis that was stopped stops its stop group, and so does one without which its group would go on.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        while let Some(group) = self.controllers.iter_mut().find_map(DriveController::take_group_stop) {
+        while let Some(group) = take_group_stop(cycle, now, &mut self.controllers) {
             self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
         }
     }
@@ -121,7 +125,7 @@ impl<C: Clock> Engine<C> {
         for controller in &mut self.controllers {
             if chosen(controller.plan().stop.group) {
                 controller.stop(cycle, now, cause);
-                controller.take_group_stop();
+                controller.take_along();
             }
         }
     }
@@ -140,10 +144,15 @@ impl<C: Clock> Engine<C> {
             down &= controller.shut_down(cycle, now, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
+            if self.buses_ending.is_none() {
+                // From here on a silent drive may be one whose link its bus has ended.
+                self.controllers.iter_mut().for_each(DriveController::note_end);
+            }
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
             for open in &mut self.buses {
-                done &= open.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+                done &=
+                    open.exchange(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots)).unwrap_or(true);
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
@@ -196,7 +205,7 @@ impl<C: Clock> Engine<C> {
         let mut all = all;
         for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
             controller.feed(next, now, slot);
-            all |= controller.just_stopped();
+            all |= controller.takes_along();
         }
         if all {
             // What stopped since the evaluation leaves with the same send.

@@ -1,12 +1,12 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
-use super::{Claim, DriveController, Latch};
+use super::{Claim, DriveController, Latch, Owner};
 use crate::axis::command::NativeOwner;
 use crate::axis::doorbell::Bells;
 use crate::axis::limits::{check_command, check_position, check_torque, check_velocity};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint,
-    State, StopCause, Target,
+    Abort, Command, CommandId, Failure, GroupCall, Link, Load, Move, Outcome, OwnerLost, QueuedCommand, Row,
+    Setpoint, State, StopCause, Target,
 };
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::record::CommandStep;
@@ -24,12 +24,14 @@ pub fn take_commands(controllers: &mut [DriveController], bells: &mut Bells) {
     }
 }
 
-/// Notes the axes that may have a newer setpoint; their commands are left where they are.
+/// Notes the axes that may have a newer setpoint; their commands are left where they are. Returns whether there may be
+/// one.
 #[inline]
-pub fn take_calls(controllers: &mut [DriveController], bells: &mut Bells) {
+pub fn take_calls(controllers: &mut [DriveController], bells: &mut Bells) -> bool {
     if bells.take() {
         bells.rung().for_each(|axis| controllers[axis].called = true);
     }
+    bells.take_rung()
 }
 
 #[inline(never)]
@@ -86,7 +88,7 @@ impl DriveController {
         self.waiting = None;
         self.commanded = slot.commanded;
         let held = self.held.take();
-        self.take_setpoints(cycle);
+        let leaves = self.owner != Owner::Here && self.lose_owner(cycle, now);
         let resets = |active: &QueuedCommand| matches!(active.command, Command::Reset);
         if self.machine.end().is_some() || self.duty.active().as_ref().is_some_and(resets) {
             self.end_active(cycle, now);
@@ -99,7 +101,32 @@ impl DriveController {
             || !self.queues.commands.is_empty()
             || self.waiting.is_some()
             || self.held.is_some()
+            || leaves
             || self.duty.active().as_ref().is_some_and(resets);
+    }
+
+    /// Ends what an application that has dropped the axis has left behind: what moves it or switches its power on,
+    /// under way or about to be, unless a stop or power off of its own comes behind that. What the in-loop task
+    /// commands has its owner. True while more may come that was posted before: the next cycle takes it.
+    #[cold]
+    fn lose_owner(&mut self, cycle: &Cycle, now: Time) -> bool {
+        let left = std::mem::replace(&mut self.owner, Owner::Gone);
+        if left == Owner::Leaves && !self.queues.posted.is_empty() {
+            return true;
+        }
+        let queued = &self.queues.commands;
+        let ends = |queued: &QueuedCommand| queued.command.is_urgent() && self.admit(queued).is_ok();
+        let ended = queued.iter().rposition(ends).map_or(0, |place| place + 1);
+        let own = (*self.duty.active()).filter(|active| ended == 0 && !active.id.is_of_task());
+        let acts = |queued: &QueuedCommand| {
+            queued.command.is_motion() || matches!(queued.command, Command::Enable | Command::Home)
+        };
+        if self.plan.on_owner_lost == OwnerLost::Stop
+            && (own.as_ref().is_some_and(acts) || queued.range(ended..).any(acts))
+        {
+            self.stop(cycle, now, StopCause::OwnerLost);
+        }
+        false
     }
 
     /// Begins those that may begin.
@@ -124,9 +151,9 @@ impl DriveController {
                 self.waiting = Some(next);
                 break;
             }
-            if next.call.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
-                // A command that takes a member out of a motion of its group stops the group: the others would go
-                // on without it.
+            if next.call.is_none() && self.acts_in_group().is_some() && self.admit(&next).is_ok() {
+                // A command that takes a member out of what its group does stops the group: the others would go on
+                // without it.
                 self.stop(cycle, now, StopCause::GroupFailed);
                 break;
             }
@@ -185,7 +212,7 @@ impl DriveController {
                 self.end(cycle, now, active, Outcome::Done);
             }
             Some(Err(failure)) => {
-                let grouped = self.moves_in_group().is_some();
+                let grouped = self.acts_in_group().is_some();
                 if matches!(failure, Failure::Unsupported(_) | Failure::DriveFault(_)) {
                     // Nothing was commanded, or a fault holds the power off.
                     self.rising = 0;
@@ -197,8 +224,9 @@ impl DriveController {
                 }
                 if matches!(failure, Failure::DriveFault(_)) {
                     self.stop_if_armed(cycle, now, StopCause::DriveFault);
-                } else if grouped {
-                    // The others would go on without it.
+                }
+                if grouped {
+                    // The others would go on without it, or be left in operation alone.
                     self.stop(cycle, now, StopCause::GroupFailed);
                 }
             }
@@ -340,6 +368,7 @@ impl DriveController {
         }
         self.machine.start(self.grid, command);
         self.duty.set_ordered(command);
+        self.requested.note(command);
         self.row_waits = false;
     }
 
@@ -409,7 +438,7 @@ impl DriveController {
         if let Some(queued) =
             self.task_command.or(*self.duty.active()).filter(|queued| takes(&queued.command))
         {
-            self.take_setpoint(cycle, Setpoint { of: queued.id, value });
+            self.take_setpoint(cycle, Setpoint { of: queued.id, value, ..Setpoint::default() });
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::duty::Claim;
 use super::watch::Braked;
-use super::{Closed, DriveController};
+use super::{Along, Closed, DriveController, acts};
 use crate::axis::{DriveStatus, EventKind, Link, State, StopCause};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
@@ -168,7 +168,8 @@ impl DriveController {
         let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
         let led = !self.duty.is_under_torque();
         let position = if led { demand } else { position };
-        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity });
+        let behind = slot.evidence.demand - slot.evidence.position;
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity, behind });
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {
@@ -294,9 +295,14 @@ impl DriveController {
             Link::Lost if before == Link::Online => {
                 // What it reports when it is back is read anew.
                 self.doubt.refer();
+                let rests = self.duty.claim() != Claim::Armed
+                    && !self.duty.active().is_some_and(|one| acts(&one.command));
                 self.stop(cycle, now, StopCause::LinkLost);
-                // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
-                self.just_stopped &= !slot.expected_silence;
+                if rests && slot.expected_silence {
+                    // Its stop group goes on: this silence was requested, and the drive holds or moves nothing, nor is
+                    // it to.
+                    self.along = Along::Nobody;
+                }
             }
             Link::Online => {
                 self.seen = true;

@@ -1,9 +1,11 @@
 //! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is
 //! none.
 
-use super::DriveController;
+use super::{DriveController, Owner, Queues};
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
-use crate::axis::{Command, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun};
+use crate::axis::{
+    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
+};
 use crate::bus::{Cycle, Slot};
 use crate::drive::machine::NumberedRow;
 use crate::time::{Time, nanos};
@@ -23,6 +25,15 @@ pub(super) struct Follow {
     empty: u32,
     /// The row of the next send, out of the queue.
     next: Option<Row>,
+}
+
+/// When a setpoint counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Counts {
+    /// Its command runs.
+    Now,
+    /// Its command is still to begin.
+    Later,
 }
 
 /// Takes the next row of each stream out of its queue, for all members of a group or for none.
@@ -62,17 +73,40 @@ pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
 }
 
 impl DriveController {
-    /// The newest setpoint of the application.
-    pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
-        if let Some(setpoint) = self.queues.log.part(self.queues.setpoints.take()) {
-            self.take_setpoint(cycle.index, setpoint);
+    /// The newest setpoints that the application has given through this axis, into `set`; how many there are.
+    pub fn take_set(&mut self, set: &mut [Setpoint]) -> usize {
+        let Queues { setpoints, log, .. } = &mut self.queues;
+        let found = setpoints.take();
+        let part = |place| log.part(if found { setpoints.part(place) } else { None });
+        let Some(first) = part(0) else { return 0 };
+        let count = (first.parts as usize).min(set.len());
+        for (place, to) in set[..count].iter_mut().enumerate() {
+            *to = if place == 0 { first } else { part(place).unwrap_or_default() };
         }
+        count
+    }
+
+    /// When `setpoint` would count here; `None`: its command has ended, or a later setpoint has come by another way.
+    pub fn counts(&self, setpoint: &Setpoint) -> Option<Counts> {
+        let next = self.queues.commands.front().map_or(self.next_id, |command| command.id.0);
+        match *self.duty.active() {
+            _ if setpoint.number <= self.numbered => None,
+            Some(active) if active.id == setpoint.of => Some(Counts::Now),
+            _ => (setpoint.of.0 >= next).then_some(Counts::Later),
+        }
+    }
+
+    /// Takes one that counts.
+    pub fn take_counted(&mut self, cycle: u64, setpoint: Setpoint) {
+        self.numbered = setpoint.number;
+        self.take_setpoint(cycle, setpoint);
     }
 
     /// A setpoint that is not for the running command waits for its own.
     pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
         match *self.duty.active() {
             Some(active) if active.id == setpoint.of => self.set_level(cycle, setpoint.value),
+            _ if setpoint.of == CommandId::NO_OWNER => self.owner = Owner::Leaves,
             _ => self.ahead = setpoint,
         }
     }

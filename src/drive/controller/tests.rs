@@ -1,6 +1,7 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
 mod exchanges;
+mod stopping;
 mod weigh;
 
 use std::slice::{from_mut, from_ref};
@@ -28,7 +29,7 @@ pub(in crate::drive) struct Alone {
     pub slot: Slot,
     pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
-    _setpoints: NewestIn,
+    pub setpoints: NewestIn,
     bells: Bells,
     pub events: Consumer<Event>,
     index: u64,
@@ -55,6 +56,11 @@ impl DriveController {
     /// The newest command of its drive machine.
     pub(in crate::drive) fn newest(&self) -> Option<Command> {
         self.machine.command()
+    }
+
+    /// The velocity or torque that its drive machine goes for.
+    pub(in crate::drive) fn level(&self) -> f64 {
+        self.machine.input.level
     }
 
     /// It has a row for the next send.
@@ -99,7 +105,7 @@ impl Alone {
         let mut regions = Regions::default();
         let (commands, posted) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
-        let (setpoints, setpoint_out) = newest();
+        let (setpoints, setpoint_out) = newest(4);
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
@@ -122,7 +128,7 @@ impl Alone {
             slot,
             commands,
             rows,
-            _setpoints: setpoints,
+            setpoints,
             bells: Bells::new(1),
             events,
             index: 0,
@@ -551,6 +557,30 @@ fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() 
         x.slot.notices.fresh = false;
         (0..9).for_each(|_| x.miss());
         assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
+    }
+}
+
+#[test]
+fn an_expected_silence_spares_the_stop_group_only_while_the_axis_neither_is_in_operation_nor_is_to_be() {
+    for (enabled, command, along) in [
+        (false, None, Along::Nobody),
+        (false, Some(Command::ResetFault), Along::Nobody),
+        (false, Some(Command::Enable), Along::All),
+        (true, None, Along::All),
+        (true, Some(Command::Home), Along::All),
+    ] {
+        let mut x = Alone::new(plan());
+        x = if enabled { x.enabled() } else { x.online() };
+        if let Some(command) = command {
+            x.post(command);
+            x.turn();
+        }
+        assert_eq!(x.controller.take_along(), Along::Nobody);
+        x.slot.expected_silence = true;
+        x.slot.notices.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::LinkLost));
+        assert_eq!(x.controller.take_along(), along, "{enabled} {command:?}");
     }
 }
 

@@ -1,10 +1,14 @@
 //! The watch over an axis, and its stops: latched with their cause, braked, and begun again if it moves all the same.
 
-use super::DriveController;
 use super::duty::{Claim, Latch};
+use super::{Along, DriveController};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Abort, Command, EventKind, FoundRunning, Link, Outcome, QueuedCommand, State, StopCause};
+use crate::axis::{
+    Abort, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State,
+    StopCause,
+};
 use crate::bus::{Cycle, Slot};
+use crate::drive::at_end::{AtEnd, Known, Requested};
 use crate::drive::bounds::Watched;
 use crate::drive::rest::Motion;
 use crate::drive::stop::{Sight, StopSequence};
@@ -39,7 +43,10 @@ impl DriveController {
             if follows.is_led && self.feedback.status.state == State::OperationEnabled {
                 // It is where it is expected, and what leads it is checked before it is sent.
                 self.rest.interrupt();
-                if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds) {
+                if self.bounds.strays(&self.plan.units) && self.is_to_follow() {
+                    self.breaks(cycle, now, StopCause::FollowingError);
+                } else if self.bounds.are_broken(Watched { homing: false, braking: false }, self.row_seconds)
+                {
                     self.breaks(cycle, now, StopCause::Limit);
                 }
             } else {
@@ -51,6 +58,13 @@ impl DriveController {
         } else if self.duty.follows().stops {
             self.watch_stop(cycle, now, false);
         }
+    }
+
+    /// Its following error has a limit in this motion: one that was configured, or that of a demand of the master. The
+    /// drive watches its own demand.
+    #[cold]
+    fn is_to_follow(&self) -> bool {
+        self.plan.limits.following_error != FollowingError::Derived || self.machine.makes_demand()
     }
 
     /// The same of an axis in any state.
@@ -70,9 +84,10 @@ impl DriveController {
             let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
             self.find_running(cycle, now, braked);
         } else if self.duty.latch().is_open() {
-            // What no command has begun follows no setpoint, nor does what goes on under a stop.
+            // What no command has begun follows no setpoint, nor does what goes on under a stop, or strays from them.
             let follows = self.duty.active().is_some_and(|active| !stops(active));
-            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+            let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit)
+                || cause == StopCause::FollowingError;
             let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
             self.stop_by(braked, cycle, now, cause);
         } else {
@@ -248,7 +263,7 @@ impl DriveController {
             _ => return,
         };
         self.rest.interrupt();
-        self.just_stopped = true;
+        self.along = Along::All;
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
         self.issue(Some(command));
@@ -257,28 +272,34 @@ impl DriveController {
     /// Latches without touching the drive.
     fn latch(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         self.duty.set_latch(Latch::Kept(cause));
+        self.requested = Requested::default();
         self.disarm();
-        self.just_stopped = true;
+        self.along = Along::All;
         self.feedback.stopped = Some(cause);
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
     }
 
     /// It is no longer expected to stay in operation.
-    pub(super) fn disarm(&mut self) {
+    pub(in crate::drive) fn disarm(&mut self) {
         if self.duty.claim() == Claim::Armed {
             self.duty.set_claim(Claim::Ours);
         }
     }
 
-    /// Whether it was stopped since its group was last checked.
-    pub fn just_stopped(&self) -> bool {
-        self.just_stopped
+    /// Whether others may have to stop because of it.
+    pub fn takes_along(&self) -> bool {
+        self.along != Along::Nobody
     }
 
-    /// The stop group to stop with it, once after each stop.
-    pub fn take_group_stop(&mut self) -> Option<u16> {
-        if std::mem::take(&mut self.just_stopped) { self.plan.stop.group } else { None }
+    /// Who has to stop because of it, once.
+    pub fn take_along(&mut self) -> Along {
+        std::mem::replace(&mut self.along, Along::Nobody)
+    }
+
+    /// The group call whose command has ended here before it was done.
+    pub fn left_call(&self) -> Option<GroupCall> {
+        self.left
     }
 
     /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
@@ -299,6 +320,30 @@ impl DriveController {
             self.issue(command);
         }
         down
+    }
+}
+
+impl DriveController {
+    /// The buses begin to end their links.
+    pub fn note_end(&mut self) {
+        self.answered = Some(self.answers());
+    }
+
+    /// How the drive is left, once the loop has ended.
+    pub fn at_end(&self) -> Option<AtEnd> {
+        let (seen_off, holds) = match self.duty.latch() {
+            Latch::Down(_, sequence) => (sequence.is_seen_off(), sequence.holds_load()),
+            _ => (false, false),
+        };
+        let known = Known {
+            standstill: self.plan.stop.standstill,
+            answers: self.answered.unwrap_or_else(|| self.answers()),
+            ours: self.duty.claim() != Claim::Found,
+            may_rise: self.rising > 0 && !seen_off,
+            holds,
+            requested: self.requested,
+        };
+        AtEnd::of(known, &self.feedback)
     }
 }
 

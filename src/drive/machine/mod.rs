@@ -89,7 +89,7 @@ struct State {
     /// Sends since the step began.
     sent: u32,
     /// Reports in a row that show the end of the step.
-    agree: u8,
+    agree: u16,
     /// Its intents are not in the slot yet.
     is_new: bool,
     /// The master makes the setpoints.
@@ -135,8 +135,14 @@ enum Step {
     ResetHigh,
     Resetting,
     ResetDone,
-    /// To a target, if it has one.
-    Moving(Option<f64>),
+    /// To a target ...
+    Moving(f64),
+    /// ... where the demand is, until the actual position is there, too. So many reports in a row show that the drive
+    /// stands.
+    Arriving {
+        target: f64,
+        stood: u8,
+    },
     /// A velocity as a target of the drive that rolls ahead.
     Rolling(Rolling),
     /// At a velocity that the drive makes by itself.
@@ -216,6 +222,17 @@ impl Machine {
     /// The newest command; `None`: the drive is left as it is.
     pub fn command(&self) -> Option<Command> {
         self.command
+    }
+
+    /// The demand of the newest command is the master's: its setpoints, rows, or a target that rolls ahead.
+    pub fn makes_demand(&self) -> bool {
+        match (self.rules.can.generator, self.command) {
+            (Generator::Master(_), _) | (_, Some(Command::Follow)) => true,
+            (Generator::Drive { velocities }, Some(Command::Jog(_) | Command::Velocity { .. })) => {
+                matches!(velocities, Some(Velocities::Leash(_)))
+            }
+            (Generator::Drive { .. }, _) => false,
+        }
     }
 
     /// How the newest command has ended; `None`: it is under way, or there is none.
@@ -436,11 +453,11 @@ impl State {
             return self.refuse(failure, view);
         }
         if view.drive_makes_setpoints() {
-            return self.move_by_drive(target, &motion.profile, Step::Moving(Some(target)), view);
+            return self.move_by_drive(target, &motion.profile, Step::Moving(target), view);
         }
         self.course.go_to(target, &motion.profile, view);
         self.follow_course();
-        self.begin_step(view.now, Step::Moving(Some(target)));
+        self.begin_step(view.now, Step::Moving(target));
         None
     }
 
@@ -546,12 +563,12 @@ impl State {
     }
 
     /// So many reports in a row show it, this one included.
-    fn agrees(&mut self, shown: bool, reports: u8, view: &View) -> bool {
+    fn agrees(&mut self, shown: bool, reports: impl Into<u16>, view: &View) -> bool {
         if !view.fresh || view.status.suspect {
             return false;
         }
         self.agree = if shown { self.agree.saturating_add(1) } else { 0 };
-        self.agree >= reports
+        self.agree >= reports.into()
     }
 
     /// Off, and neutral.

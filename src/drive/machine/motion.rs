@@ -245,7 +245,7 @@ impl State {
                 let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
                 if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
                     self.want_motion(Motion::EndStream);
-                    self.begin_step(view.now, Step::Moving(None));
+                    self.begin_step(view.now, Step::Moving(last.position));
                     return None;
                 }
                 // The last row was in range, so is this one.

@@ -8,7 +8,7 @@ use crate::axis::{Command, Failure, State as Cia402};
 use crate::bus::Slot;
 use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
-use crate::time::{MS, Time};
+use crate::time::{MS, Time, nanos};
 
 /// A drive that fails again so soon after a reset, ns, looks like one whose reset has failed.
 const RESET_WITHIN_NS: u64 = 500 * MS;
@@ -66,7 +66,7 @@ impl State {
         let goes_on = match &self.step {
             Step::Idle => !matches!(self.motion.value, Motion::Ramp { .. }),
             Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
-            Step::Moving(_) => status.moving && self.agree == 0,
+            Step::Moving(_) => status.moving && !(self.has_course && self.course.stands()),
             Step::Rolling(rolling) => rolling.goes_on(input.level, evidence.demand),
             Step::Jogging(jogging) => jogging.goes_on(input.level) && status.moving,
             _ => false,
@@ -98,7 +98,9 @@ impl State {
         let (state, evidence, rest) = (view.status.state, view.evidence, fallen_back(rest));
         if self.has_power(view) && evidence.outputs_count {
             if evidence.fault.active {
-                return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
+                // A report that does not count is not fresh: what it says of a fault is not certain yet.
+                let is_certain = evidence.fault.named && view.fresh;
+                return if is_certain { self.give_up(view.failed(), view) } else { None };
             }
             if view.status.inhibited {
                 self.set(rest);
@@ -175,6 +177,7 @@ impl State {
             self.step,
             Step::Turning(_)
                 | Step::Moving(_)
+                | Step::Arriving { .. }
                 | Step::FollowWaiting
                 | Step::Following
                 | Step::FollowEnding { .. }
@@ -198,17 +201,28 @@ impl State {
             Step::FollowEnding { .. } => self.sent > 0 && view.evidence.accepted.row >= self.setpoint.row,
             _ => self.is_accepted(view) && self.course.stands(),
         };
+        match self.step {
+            // The time to arrive begins with the end of the demand; the drive may move on for longer.
+            Step::Moving(target) if has_it && !(view.drive_makes_setpoints() && view.status.moving) => {
+                self.begin_step(view.now, Step::Arriving { target, stood: 0 });
+                return self.arrive(target, 0, has_it, view);
+            }
+            Step::Moving(_) => return None,
+            Step::Arriving { target, stood } => return self.arrive(target, stood, has_it, view),
+            Step::FollowEnding { .. } if view.drive_makes_setpoints() => {
+                self.count_last_rows(view);
+                return None;
+            }
+            Step::FollowEnding { last, .. } if has_it => {
+                self.hold(self.course.demand_position());
+                self.begin_step(view.now, Step::Arriving { target: last.position, stood: 0 });
+                return None;
+            }
+            _ => {}
+        }
         // Each report counts once.
         let settled = self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view);
         match self.step {
-            Step::Moving(target) if settled => {
-                let demand = view.evidence.demand;
-                let near = |target: f64| (target - demand).abs() <= view.rules.can.arrival;
-                match target.is_none_or(near) {
-                    true => self.done(),
-                    false => self.fail(Failure::NotArrived),
-                }
-            }
             Step::Stopping if self.is_free(view) && self.course.stands() => {
                 self.halt(view);
                 None
@@ -220,28 +234,47 @@ impl State {
             }
             Step::Rolling(rolling) => self.roll(rolling, settled, view),
             Step::Jogging(jogging) => self.jog(jogging, settled, view),
-            Step::FollowEnding { .. } => self.end_rows(settled, view),
             _ => None,
         }
     }
 
-    /// The last row has gone out.
-    fn end_rows(&mut self, settled: bool, view: &View) -> End {
-        let accepted = view.evidence.accepted.row;
-        if view.drive_makes_setpoints() {
-            // Rows at standstill follow, until it has taken enough of them.
-            if let Step::FollowEnding { taken, newest, .. } = &mut self.step
-                && accepted > *newest
-            {
-                (*taken, *newest) = (*taken + 1, accepted);
-            }
+    /// The demand has come to its end: the move is over when the actual position has, too. The setpoint of the master
+    /// proves neither.
+    fn arrive(&mut self, target: f64, stood: u8, has_it: bool, view: &View) -> End {
+        let stands = has_it && !view.status.moving;
+        if !stands && view.drive_makes_setpoints() {
+            // Its setpoints go on.
+            self.enter(Step::Moving(target));
             return None;
         }
-        if settled {
-            self.hold(self.course.demand_position());
+        let (can, wanted) = (&view.rules.can, &view.rules.in_position);
+        let stood = if stands { stood.saturating_add(1) } else { 0 };
+        self.step = Step::Arriving { target, stood };
+        let ended = (target - view.evidence.demand).abs() <= can.arrival;
+        if stood >= can.still_reports && !ended {
+            return self.fail(Failure::NotArrived);
+        }
+        let (distance, near) = view.off(target);
+        let reports = if wanted.window.is_some() { wanted.reports } else { 1 };
+        if self.agrees(stands && near, reports.max(can.still_reports.into()), view) {
             return self.done();
         }
-        None
+        match wanted.window {
+            Some(window) if self.is_late(view, nanos(wanted.timeout)) => {
+                self.fail(Failure::OutOfPosition { distance, window })
+            }
+            _ => None,
+        }
+    }
+
+    /// The last row has gone out. Rows at standstill follow, until the drive has taken enough of them.
+    fn count_last_rows(&mut self, view: &View) {
+        let accepted = view.evidence.accepted.row;
+        if let Step::FollowEnding { taken, newest, .. } = &mut self.step
+            && accepted > *newest
+        {
+            (*taken, *newest) = (*taken + 1, accepted);
+        }
     }
 
     /// It follows torques: without one nothing brakes it.

@@ -1,6 +1,6 @@
 //! What the machine works with: what never changes of its axis, and what it sees of its drive now.
 
-use crate::axis::{AxisPlan, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::axis::{AxisPlan, DriveStatus, Failure, InPosition, Limits, Profile, Row, State as Cia402, Units};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Evidence, Generator, ModeIs, Quantity};
 use crate::time::{Time, nanos};
@@ -15,6 +15,7 @@ pub(super) struct Rules {
     pub limits: Limits,
     pub profile: Profile,
     pub standstill: f64,
+    pub in_position: InPosition,
     pub interval_ns: u64,
     pub enable_timeout_ns: u64,
     pub home_timeout_ns: u64,
@@ -33,6 +34,7 @@ impl Rules {
             limits: axis.limits,
             profile: axis.profile,
             standstill: axis.stop.standstill,
+            in_position: axis.in_position,
             interval_ns: period_ns.saturating_mul(axis.divisor.into()),
             enable_timeout_ns: nanos(axis.enable_timeout),
             home_timeout_ns: nanos(axis.home_timeout),
@@ -94,6 +96,15 @@ impl<'a> View<'a> {
     /// Not in the mode of its setpoint; a report that may be an older one does not show that.
     pub fn is_in_another_mode(&self) -> bool {
         self.evidence.mode != ModeIs::Own && !self.status.suspect
+    }
+
+    /// How far the actual position is from `target`, and whether that is near enough.
+    pub fn off(&self, target: f64) -> (f64, bool) {
+        let Rules { units, in_position, .. } = self.rules;
+        let way = self.evidence.position - target;
+        // Demand and actual position of an axis that turns without end may begin on the two sides of a wrap-around.
+        let distance = if units.modulo.is_some() { units.unwrapped(way) } else { way };
+        (distance, in_position.window.is_none_or(|window| distance.abs() <= window))
     }
 
     pub fn failed(&self) -> Failure {

@@ -30,6 +30,7 @@ enum What {
     TimedOut,
     NotTaken,
     NotArrived,
+    OutOfPosition,
     StillMoves,
     Latched,
     NotOnline,
@@ -117,6 +118,9 @@ impl EventRecord {
             Failure::TimedOut(state) => number(What::TimedOut, state as u32),
             Failure::NotTaken => number(What::NotTaken, 0),
             Failure::NotArrived => number(What::NotArrived, 0),
+            Failure::OutOfPosition { distance, window } => {
+                EventRecord { values: [distance, window, 0.0], ..number(What::OutOfPosition, 0) }
+            }
             Failure::StillMoves => number(What::StillMoves, 0),
             Failure::Latched(cause) => number(What::Latched, cause as u32),
             Failure::NotOnline => number(What::NotOnline, 0),
@@ -180,6 +184,7 @@ impl EventRecord {
             What::TimedOut => Failure::TimedOut(self.state()?),
             What::NotTaken => Failure::NotTaken,
             What::NotArrived => Failure::NotArrived,
+            What::OutOfPosition => Failure::OutOfPosition { distance: value, window: low },
             What::StillMoves => Failure::StillMoves,
             What::Latched => Failure::Latched(self.cause()?),
             What::NotOnline => Failure::NotOnline,
@@ -219,6 +224,7 @@ mod tests {
             Failure::DriveFault(u32::MAX),
             Failure::NotTaken,
             Failure::NotArrived,
+            Failure::OutOfPosition { distance: -0.7, window: 0.5 },
             Failure::StillMoves,
             Failure::NotOnline,
             Failure::Limit { what: "position", value: 1e300, low: -0.1, high: 60.000_000_000_1 },

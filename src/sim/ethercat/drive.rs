@@ -57,6 +57,9 @@ const INCREMENTAL_RPM: f64 = 1_875.0 / 262_144.0;
 /// The target of a drive that comes up running, turns.
 const FAR_TURNS: f64 = 1_000.0;
 
+/// The largest torque at all, and in each direction.
+const TORQUE_LIMITS: [Object; 3] = [MAXIMUM_TORQUE, POSITIVE_TORQUE, NEGATIVE_TORQUE];
+
 /// Method 35: the present position is home (CiA 402).
 const HOME_HERE: i64 = 35;
 
@@ -202,6 +205,11 @@ impl Drive {
         counts(self.power.position(), self.per_turn())
     }
 
+    /// The value of one of its objects; 0 of one that it does not have.
+    pub fn value(&self, object: Object) -> i64 {
+        self.objects.get(object)
+    }
+
     /// Raises a fault.
     pub fn provoke(&mut self, fault: Fault) {
         self.fail(fault);
@@ -285,8 +293,11 @@ impl Drive {
         fits.then_some(cycle_ns)
     }
 
+    /// The least of its limits in either direction: one of 0 leaves it without a torque.
     fn limit_torque(&mut self) {
-        self.power.limit_torque(Some(self.torque(self.objects.get(MAXIMUM_TORQUE) as f64)));
+        let limits = TORQUE_LIMITS.into_iter().filter(|limit| self.objects.has(*limit));
+        let least = limits.map(|limit| self.objects.get(limit)).min().unwrap_or_default();
+        self.power.limit_torque(Some(self.torque(least as f64)));
     }
 
     /// N m of per mille.

@@ -67,6 +67,11 @@ impl Objects {
         self.find(object).map_or(0, |place| self.rows[place].value)
     }
 
+    /// It exists.
+    pub(super) fn has(&self, object: Object) -> bool {
+        self.find(object).is_some()
+    }
+
     /// Sets a value that was checked, or that is the drive's own. Bits beyond its type are cut off.
     pub(super) fn set(&mut self, object: Object, value: i64) {
         if let Some(place) = self.find(object) {

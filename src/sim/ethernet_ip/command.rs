@@ -96,6 +96,10 @@ impl Drive {
     }
 
     fn command(&mut self, command: u32, outputs: &Outputs) {
+        if self.firmware.ignores_stops && self.enabled && command & (STOPS | word::DISABLE) != 0 {
+            self.refused.unsupported += 1;
+            return;
+        }
         let [first, second] = outputs.registers.map(|register| Io::new(register as u16));
         let sensor = |kind| first.map(|io| Move::Sensor(kind, io));
         let kind = match command {

@@ -110,6 +110,7 @@ fn firmware(table: &mut Table<'_>, default: FirmwareSettings) -> FirmwareSetting
         persistent_alarm: table
             .integer("alarm", 0..=0xFFFF, "the bits of an alarm that cannot be reset")
             .unwrap_or(default.persistent_alarm),
+        ignores_stops: table.flag("ignores_stops").unwrap_or(default.ignores_stops),
         ..default
     }
 }

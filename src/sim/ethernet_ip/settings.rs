@@ -252,6 +252,9 @@ pub struct FirmwareSettings {
     pub segments: Vec<(u8, u64)>,
     /// An alarm whose cause does not go away: it comes back at each reset and each start.
     pub persistent_alarm: u16,
+    /// A fault of the firmware: once enabled it takes neither a stop nor "disable" of its owner. ZS and alarms act.
+    /// Default false.
+    pub ignores_stops: bool,
 }
 
 impl Default for FirmwareSettings {
@@ -270,6 +273,7 @@ impl Default for FirmwareSettings {
             homing_zeroes: false,
             segments: vec![(1, S)],
             persistent_alarm: 0,
+            ignores_stops: false,
         }
     }
 }

@@ -84,6 +84,7 @@ fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {
             .unwrap_or(default.job_ns),
         power: PowerSettings {
             brakes_on_fault: table.flag("brakes_on_fault").unwrap_or(default.power.brakes_on_fault),
+            ignores_stops: table.flag("ignores_stops").unwrap_or(default.power.ignores_stops),
             persistent_fault: table.integer("fault", 1..=0xFFFF, "the code of a fault that cannot be reset"),
             ..default.power
         },

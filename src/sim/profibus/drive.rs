@@ -263,6 +263,8 @@ impl Drive {
             State::OperationEnabled if on && !enable => State::SwitchedOn,
             state => state,
         };
+        let stays = self.settings.power.ignores_stops && self.state == State::OperationEnabled;
+        let next = if stays { self.state } else { next };
         self.stopping = ramped_off && !on && next == State::OperationEnabled;
         self.state = next;
         self.held = match has(control::RAMP_RUNS) || !self.ramp_bits() {

@@ -261,6 +261,9 @@ pub struct PowerSettings {
     pub persistent_fault: Option<u16>,
     /// The code of "communication lost". Default 0x8130.
     pub lost_fault: u16,
+    /// A fault of the firmware: no control word takes it out of OPERATION ENABLED. It follows its set point, and safe
+    /// outputs, faults and the hardware enable act. Default false.
+    pub ignores_stops: bool,
 }
 
 impl Default for PowerSettings {
@@ -272,6 +275,7 @@ impl Default for PowerSettings {
             brakes_on_fault: false,
             persistent_fault: None,
             lost_fault: 0x8130,
+            ignores_stops: false,
         }
     }
 }

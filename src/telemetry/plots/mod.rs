@@ -71,6 +71,7 @@ pub(crate) mod tests {
             losses: 0,
             peaks: Peaks { rtt, ..Peaks::default() },
             monitor: Default::default(),
+            at_end: None,
         };
         Run {
             end: Numbers { status, drives: vec![end], ..Numbers::default() },

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::ProtocolCounters;
 use super::numbers::{plain, reported};
 use crate::axis::{Fault, Link, MonitorChannel, StopCause};
-use crate::cycle::status::Extent;
+use crate::cycle::status::{AtEnd, Extent};
 use crate::telemetry::histograms::Quantiles;
 
 /// One drive.
@@ -68,6 +68,12 @@ pub struct Drive {
     pub(super) found_running: bool,
     /// Its monitored variables, as planned.
     pub monitor: Vec<Variable>,
+    /// How it was left at the end; null while the run goes on, and of a drive that has never reported its state and of
+    /// which nothing was requested.
+    pub at_end: Option<AtEnd>,
+    /// That in words; nothing of a drive that is off.
+    #[serde(skip)]
+    pub(super) left: Option<String>,
 }
 
 /// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
@@ -120,6 +126,17 @@ impl Drive {
         self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())
     }
 
+    /// That it stays powered as planned, in words.
+    pub fn held(&self) -> Option<&str> {
+        self.left.as_deref().filter(|_| self.at_end.as_ref().is_some_and(AtEnd::is_safe))
+    }
+
+    /// How it was left, what was tried and what to do, if it is not known to be off, nor held as planned.
+    pub fn left_on(&self) -> Option<String> {
+        let left = self.left.as_ref().filter(|_| self.held().is_none())?;
+        Some(format!("drive {} {left}", self.name))
+    }
+
     /// What is wrong with it, a line each.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
@@ -130,6 +147,7 @@ impl Drive {
         if self.inhibited {
             notes.push("hardware enable (STO) missing".to_owned());
         }
+        notes.extend(self.held().map(str::to_owned));
         notes.extend(self.not_connected.as_ref().map(|why| format!("not connected: {why}")));
         notes
     }

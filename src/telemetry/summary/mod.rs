@@ -74,7 +74,7 @@ pub struct Summary {
     pub black_boxes: Vec<Written>,
     /// What was recorded.
     pub recordings: Vec<Recorded>,
-    /// What failed of the program itself.
+    /// What failed of the program itself, and at the end each drive that is not known to be off.
     pub failures: Vec<Failure>,
     /// The histogram of the wake-ups, drawn by the text form only.
     #[serde(skip)]
@@ -164,42 +164,52 @@ impl Summary {
         let (status, histograms) = (&numbers.status, &measured.histograms);
         let of_protocol = plan.own_counters().into_iter().zip(plan.fault_names());
         let found = found_running(plan, numbers);
-        let drives = (numbers.drives.iter().zip(&histograms.drives).zip(plan.monitored()).zip(of_protocol))
-            .zip(found)
-            .map(|((((drive, measured), monitored), (own, fault_names)), found_running)| {
-                let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
-                let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
-                Drive {
-                    name: drive.name.clone(),
-                    protocol: drive.protocol,
-                    link: feedback.link.to_string(),
-                    not_connected: drive.not_connected.clone(),
-                    state: feedback.status.state.to_string(),
-                    losses: drive.losses,
-                    sent: counters.sent,
-                    answered: counters.answered,
-                    missed: counters.missed,
-                    late: counters.late,
-                    duplicate: counters.duplicate,
-                    rejected: counters.malformed + counters.foreign,
-                    suspect: counters.suspect,
-                    implausible: counters.implausible,
-                    unsent: counters.unsent,
-                    rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
-                    send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
-                    age_ns: Quantiles::of(&measured.age, peaks.age),
-                    age_cycles: feedback.age,
-                    protocol_counters: ProtocolCounters::of(own, counters.own),
-                    position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
-                    inhibited: feedback.status.inhibited,
-                    stopped: feedback.stopped.map(|cause| cause.to_string()),
-                    fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
-                    fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
-                    found_running,
-                    monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
-                }
-            })
-            .collect();
+        let drives: Vec<Drive> = (numbers
+            .drives
+            .iter()
+            .zip(&histograms.drives)
+            .zip(plan.monitored())
+            .zip(of_protocol))
+        .zip(found)
+        .zip(plan.units())
+        .map(|(((((drive, measured), monitored), (own, fault_names)), found_running), Units { unit, .. })| {
+            let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
+            let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
+            Drive {
+                name: drive.name.clone(),
+                protocol: drive.protocol,
+                link: feedback.link.to_string(),
+                not_connected: drive.not_connected.clone(),
+                state: feedback.status.state.to_string(),
+                losses: drive.losses,
+                sent: counters.sent,
+                answered: counters.answered,
+                missed: counters.missed,
+                late: counters.late,
+                duplicate: counters.duplicate,
+                rejected: counters.malformed + counters.foreign,
+                suspect: counters.suspect,
+                implausible: counters.implausible,
+                unsent: counters.unsent,
+                rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
+                send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
+                age_ns: Quantiles::of(&measured.age, peaks.age),
+                age_cycles: feedback.age,
+                protocol_counters: ProtocolCounters::of(own, counters.own),
+                position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
+                inhibited: feedback.status.inhibited,
+                stopped: feedback.stopped.map(|cause| cause.to_string()),
+                fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
+                fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
+                found_running,
+                monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
+                at_end: drive.at_end.clone(),
+                left: drive.left(unit),
+            }
+        })
+        .collect();
+        let left_on = drives.iter().filter_map(Drive::left_on).map(|what| Failure { what, fails_run: true });
+        let left_on: Vec<Failure> = left_on.collect();
         let leads = |bus: &str| plan.cycle.reference.as_deref() == Some(bus);
         let clocks = numbers.clocks.iter().copied().chain(std::iter::repeat(None));
         let buses = (numbers.buses.iter().zip(clocks).zip(loads(plan, numbers)))
@@ -258,17 +268,24 @@ impl Summary {
             },
             black_boxes: measured.black_boxes.clone(),
             recordings: measured.recordings.clone(),
-            failures: measured.failures.iter().cloned().chain(cut_off(status)).collect(),
+            failures: (measured.failures.iter().cloned()).chain(cut_off(status)).chain(left_on).collect(),
             wake_bars: text::bars(&histograms.wake),
             units: plan.units(),
         }
     }
 
-    /// Whether a drive was lost, an axis had been stopped at the end by anything but that end, or the program itself
-    /// failed: a failure however the run was ended.
+    /// Whether a drive was lost or is not known to be off at the end, an axis had been stopped at the end by anything
+    /// but that end, or the program itself failed: a failure however the run was ended.
     pub fn has_failed(&self) -> bool {
         self.drives.iter().any(|drive| drive.losses > 0 || drive.failed_by().is_some())
             || self.failures.iter().any(|failure| failure.fails_run)
+    }
+
+    /// The drives that are not known to be off at the end, nor held as planned: how each was left, what was tried, and
+    /// what to do.
+    pub fn left_on(&self) -> Option<String> {
+        let drives: Vec<String> = self.drives.iter().filter_map(Drive::left_on).collect();
+        (!drives.is_empty()).then(|| drives.join("; "))
     }
 
     /// The axes that had been stopped at the end, each with its cause, but for lost drives and overruns.

@@ -89,9 +89,7 @@ impl Rig {
                 position: Some(RANGE),
                 velocity: Some(1_000.0),
                 acceleration: Some(20_000.0),
-                step: None,
-                torque: None,
-                homing: None,
+                ..Limits::default()
             };
         }
         let (station, native, _) = Station::new(&drive, &InputLog::default());

@@ -16,7 +16,7 @@ const OUT: &str = "outputs = { start = 0x0F00, length = 1 }";
 const IN: &str = "inputs = { start = 0x1000, length = 1 }";
 
 /// The machine of a bus with these tables in it, as a user writes them.
-fn machine_of(tables: &str) -> Machine {
+pub fn machine_of(tables: &str) -> Machine {
     let text = format!("[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{LINE}\"\n{tables}");
     let Configuration { plan, simulation, .. } = parse(&text, "foreign.toml").unwrap_or_else(|errors| {
         panic!("{text}: {:?}", errors.iter().map(ToString::to_string).collect::<Vec<_>>())

@@ -9,6 +9,8 @@
 //! | `left` | segments that another master left behind |
 //! | `foreign` | the same as configurations, terminals included |
 //! | `long` | lines of many drives |
+//! | `outputs` | who writes what is in the outputs of a drive |
+//! | `returns` | drives that were deaf, and segments that a tool has run over |
 //! | `shifted` | drives that change their places while the master runs |
 //! | `clocks` | clocks under a busy host, and of several kinds |
 //! | `slaves` | slaves that are not like the usual ones |
@@ -20,6 +22,8 @@ pub mod drives;
 mod foreign;
 mod left;
 mod long;
+mod outputs;
+mod returns;
 mod shifted;
 mod slaves;
 mod terminals;

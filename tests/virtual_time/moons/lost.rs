@@ -1,8 +1,11 @@
 //! Connections that are lost, and opened anew; masters that die; sessions that end.
 
-use fieldbeat::axis::{Command, Failure, FoundRunning, Link, Outcome, StopCause};
+use std::time::Duration;
+
+use fieldbeat::axis::{Command, Failure, FoundRunning, Link, Outcome, StopCause, StopTimeout};
 use fieldbeat::bus::ethernet_ip::{Originator, command};
 use fieldbeat::sim::ethernet_ip::Ownership;
+use fieldbeat::telemetry::{Condition, StopRequest};
 use fieldbeat::time::MS;
 
 use super::*;
@@ -168,4 +171,80 @@ fn a_move_that_ends_with_its_connection_is_reported_and_not_made_again() {
     m.run(1_000);
     assert!(m.came(0, before).iter().all(|came| came.word & command::MOVE_ABSOLUTE == 0));
     assert_eq!(m.end(0, go(1.0)), Some(Outcome::Failed(Failure::Latched(StopCause::LinkLost))));
+}
+
+#[test]
+fn a_drive_that_takes_no_stop_is_named_at_the_end_as_it_was_left_with_what_was_tried() {
+    let all = vec![StopRequest::Ramp, StopRequest::QuickStop, StopRequest::PowerOff];
+    let without_quick_stop = vec![StopRequest::Ramp, StopRequest::PowerOff];
+    for (running, ignores_stops, found, condition, requested) in [
+        (Some(20_000.0), true, FoundRunning::Stop, Condition::Moving, all),
+        // It stands when the ramp has had its time.
+        (None, true, FoundRunning::Stop, Condition::Powered, without_quick_stop.clone()),
+        (Some(20_000.0), false, FoundRunning::Stop, Condition::Off, without_quick_stop),
+        (Some(20_000.0), false, FoundRunning::Refuse, Condition::Moving, vec![]),
+    ] {
+        let mut plan = drive(0);
+        plan.axis.on_found_running = found;
+        let mut m = Moons::with(vec![plan, drive(1)], |settings| {
+            if settings.address.ip() == &address(0) {
+                (settings.running, settings.firmware.ignores_stops) = (running, ignores_stops);
+            }
+        });
+        m.online();
+        if running.is_none() {
+            m.done(0, Command::Enable);
+        }
+        let ends = m.ended();
+        let left = ends.drives[0].at_end.as_ref().unwrap();
+        assert_eq!((left.condition, &left.requested), (condition, &requested), "{running:?} {found:?}");
+        assert_eq!(left.is_safe(), condition == Condition::Off);
+        assert_eq!(ends.drives[1].at_end.as_ref().unwrap().condition, Condition::Off);
+    }
+}
+
+#[test]
+fn a_drive_that_is_silent_at_the_end_is_unknown_if_it_may_have_power_and_off_if_not() {
+    for (command, condition) in [
+        (None, Condition::Off),
+        (Some(Command::Enable), Condition::Unknown),
+        (Some(jog(1.0)), Condition::Unknown),
+    ] {
+        let mut m = Moons::new(vec![drive(0)]);
+        m.online();
+        if command.is_some_and(|command| command != Command::Enable) {
+            m.done(0, Command::Enable);
+            m.done(0, Command::Home);
+        }
+        // Whether its power came on is never seen.
+        m.mute(0, true);
+        command.into_iter().for_each(|command| m.post(0, command));
+        m.until("silence", 2_000, |sim| sim.feedback(0).link == Link::Lost);
+        let ends = m.ended();
+        let left = ends.drives[0].at_end.as_ref().unwrap();
+        assert_eq!(left.condition, condition, "{command:?} {left:?}");
+    }
+}
+
+#[test]
+fn the_end_of_the_master_is_bounded_although_some_axis_always_moves_again() {
+    // Each is given up after its time-out and stopped anew once it moves all the same: never both at once.
+    let timeouts = [400, 1_000].map(Duration::from_millis);
+    let drives = timeouts.into_iter().enumerate().map(|(index, timeout)| {
+        let mut plan = drive(index);
+        (plan.axis.stop.timeout, plan.axis.stop.on_timeout) = (timeout, StopTimeout::Hold);
+        plan
+    });
+    let mut m = Moons::with(drives.collect(), |settings| {
+        (settings.running, settings.firmware.ignores_stops) = (Some(20_000.0), true);
+    });
+    m.online();
+    let begun = m.sim.world().now();
+    let (over, ends) = m.ended_at();
+    let took_ms = over.since(begun) / MS;
+    // Four times the longest time-out and a second; then the sessions end.
+    assert!((5_000..5_200).contains(&took_ms), "{took_ms} ms");
+    for left in ends.drives.iter().map(|drive| drive.at_end.as_ref().unwrap()) {
+        assert_eq!((left.condition, left.requested.len()), (Condition::Moving, 2), "{left:?}");
+    }
 }

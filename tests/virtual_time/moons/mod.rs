@@ -22,8 +22,9 @@ use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Homing, HomingMethod, MoonsDri
 use fieldbeat::internals::cycle::bound;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
+use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Plan, Simulation, Time};
+use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation, Time};
 
 /// Where the master is.
 pub const BIND: Ipv4Addr = Ipv4Addr::new(10, 0, 5, 1);
@@ -300,6 +301,19 @@ impl Moons {
             self.done(index, Command::Enable);
             self.done(index, Command::Home);
         }
+    }
+
+    /// The end of the master, in order.
+    pub fn ended(self) -> Numbers {
+        self.ended_at().1
+    }
+
+    /// The same, and when it was over.
+    pub fn ended_at(mut self) -> (Time, Numbers) {
+        self.sim.stop();
+        let ended = (0..60_000).any(|_| self.sim.step() == Flow::End);
+        assert!(ended, "no end");
+        (self.sim.world().now(), self.sim.finish())
     }
 
     pub fn post(&mut self, index: usize, command: Command) {

@@ -118,6 +118,8 @@ pub struct Shape {
     /// These axes are a stop group, and the load of these is held by its drive alone: a bit for each.
     pub group: u8,
     pub held: u8,
+    /// All Kollmorgens follow velocities.
+    pub alike: bool,
     /// So are LinMots whose track ends before their range does.
     pub short: u8,
     pub period_ns: u64,
@@ -133,6 +135,7 @@ impl Shape {
             free_writes: true,
             group: 0,
             held: 0,
+            alike: false,
             short: 0,
             period_ns: MS,
         }
@@ -499,7 +502,8 @@ fn moons(index: usize, shape: Shape) -> MoonsDrive {
 }
 
 fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
-    let (outputs, velocity) = [(0x1701, 20.0), (0x1702, 20.0), (0x1703, 5.0)][usize::from(place)];
+    let mode = if shape.alike { 1 } else { place.into() };
+    let (outputs, velocity) = [(0x1701, 20.0), (0x1702, 20.0), (0x1703, 5.0)][mode];
     let mut drive = kollmorgen::with(place, Family::S700, outputs, 0x1B03);
     shorten(&mut drive.axis, place.into(), shape, velocity, 400.0);
     let limits = &mut drive.axis.limits;

@@ -309,7 +309,8 @@ fn a_record_that_goes_on_after_the_end_of_the_repeated_run_is_not_equal() {
     assert!(verdict(ended.clone()).is_equal());
     let mut entries = entries(&ended);
     let last = *cycles(&entries).last().unwrap();
-    entries.push((Head { kind: Kind::Cycle, looks: 0, bytes: 8, after_ns: 0 }, vec![last + 1]));
+    // Behind the look at the wires, with which the loop has ended.
+    entries.push((Head { kind: Kind::Cycle, looks: 1, bytes: 8, after_ns: 0 }, vec![last + 1]));
     let longer = words(&entries);
     let found = verdict(longer.clone());
     let other = found.other_inputs.clone().unwrap();

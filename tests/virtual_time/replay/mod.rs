@@ -63,7 +63,7 @@ pub fn replay(plan: fieldbeat::Plan, words: Vec<u64>, task: TaskOf) -> Replay {
     Replay::over(plan, Box::new(move || pieces.pop()), task).unwrap()
 }
 
-fn verdict(plan: fieldbeat::Plan, words: Vec<u64>) -> Verdict {
+pub fn verdict(plan: fieldbeat::Plan, words: Vec<u64>) -> Verdict {
     replay(plan, words, TaskOf::Nobody).run()
 }
 

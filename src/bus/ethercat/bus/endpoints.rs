@@ -9,7 +9,7 @@ use crate::axis::{Emergency, Feedback, Link, Observer};
 use crate::bus::ethercat::counters::{DeviceCounters, Own};
 use crate::bus::ethercat::image::Offsets;
 use crate::bus::ethercat::native::{TerminalPort, Terminals};
-use crate::bus::ethercat::plan::Owner;
+use crate::bus::ethercat::plan::{Owner, Start};
 use crate::bus::ethercat::segment::{Handler, SlaveState, Taken};
 use crate::bus::ethercat::service::Service;
 use crate::bus::ethercat::slot::Answers;
@@ -137,6 +137,12 @@ impl Handler for Endpoints<'_> {
         }
     }
 
+    fn own_values(&mut self, owner: Owner, values: &[Start]) {
+        if let Some(End::Drive(station, _)) = self.of(owner) {
+            station.profile.own_values(values);
+        }
+    }
+
     fn mailbox_received(&mut self, owner: Owner, now: Time, answers: &Answers<'_>) {
         match self.of(owner) {
             Some(End::Drive(station, slot)) => {
@@ -166,8 +172,8 @@ impl Handler for Endpoints<'_> {
 
     fn powered(&self, owner: Owner) -> Option<(bool, Time)> {
         let Owner::Drive(index) = owner else { return None };
-        let report = &self.slots.get(index)?.status;
-        Some((report.state.is_powered(), report.at))
+        let Slot { status: report, guarded, .. } = self.slots.get(index)?;
+        Some((report.state.is_powered() || *guarded, report.at))
     }
 
     fn expect_silence(&mut self, owner: Owner) {

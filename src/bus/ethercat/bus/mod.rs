@@ -25,6 +25,7 @@ use self::plan::open;
 use super::image::{Image, Mark};
 use super::native::terminals;
 use super::other::OtherMaster;
+use super::outputs::own;
 use super::plan::{Device, EthercatPlan, Owner};
 use super::segment::Segment;
 use super::service::Service;
@@ -37,7 +38,7 @@ use crate::axis::{Feedback, Observer};
 use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Bus, BusClock, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
 use crate::net::{Carriers, Frames, Lock};
-use crate::rt::Regions;
+use crate::rt::{Regions, Wires};
 use crate::time::{Time, US};
 
 /// Masters that are started one after the other use different logical addresses, so that settings that an earlier
@@ -105,6 +106,7 @@ impl EthercatBus {
         for drive in &mut plan.drives {
             drive.slave.start_up = start_up(drive, period_ns);
             drive.slave.verify = verify(drive);
+            drive.slave.own = own(drive);
             drive.slave.verify_found = verify_found(drive);
         }
         let mut source = net.mac();
@@ -146,7 +148,7 @@ impl EthercatBus {
                 operational: false,
                 counters: Arc::default(),
                 terminals: Some(application),
-                acyclic: Some((ends, Observer(reader))),
+                acyclic: Some((ends, Observer::new(reader, Wires::default()))),
             }
         });
         let devices = devices.collect();

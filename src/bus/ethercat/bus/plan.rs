@@ -127,8 +127,8 @@ impl BusPlan for EthercatPlan {
         &OWN
     }
 
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
-        profile::capabilities(&self.drives[index])
+    fn capabilities(&self, index: usize, period_ns: u64) -> Capabilities {
+        profile::capabilities(&self.drives[index], period_ns)
     }
 
     fn fault_names(&self) -> FaultNames {

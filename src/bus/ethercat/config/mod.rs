@@ -121,6 +121,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
     slave(table, &mut drive.slave);
     pdos(table, &mut drive);
     drive.mode = mode(table);
+    drive.native = table.word("setpoints", &[("master", false), ("native", true)]).unwrap_or(false);
     drive.accept_no_watchdog =
         table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]).unwrap_or(false);
     drive.home_method = table.integer(

@@ -6,6 +6,7 @@ use super::{
 use crate::axis::{HeldBy, Load};
 use crate::bus::ethercat::object::Family;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
+use crate::bus::ethercat::outputs::{Source, source};
 use crate::bus::ethercat::segment::clock::window_ns;
 use crate::time::Ns;
 
@@ -97,7 +98,12 @@ impl KollmorgenDrive {
         let mut lines =
             vec![format!("{family}, {}{}", self.slave.identity.describe(), self.slave.unchecked())];
         lines.push(self.describe_pdos());
+        lines.extend(self.describe_rest());
         lines.extend(self.setpoint().map(|setpoint| self.describe_setpoint(setpoint)));
+        if self.native {
+            lines
+                .push("its targets are the application's, by native outputs (setpoints = \"native\")".into());
+        }
         lines.extend(self.setpoint().map(|setpoint| commands(setpoint).to_owned()));
         if !self.check_prbase {
             lines.push(
@@ -125,6 +131,23 @@ impl KollmorgenDrive {
             Mapping::AsIs => "as the drive is set (mapping = \"as-is\")",
         };
         format!("writes {}; reads {}; {how}", pdo(&self.outputs), pdo(&self.inputs))
+    }
+
+    /// What its outputs carry besides control word and setpoint.
+    fn describe_rest(&self) -> Option<String> {
+        let rest = self.outputs.entries.iter().filter_map(|one| {
+            let carried = match source(self, *one).ok()? {
+                Source::Control | Source::Setpoint => return None,
+                Source::Mode => "the mode".to_owned(),
+                Source::Actual => "the actual position".to_owned(),
+                Source::Configured(raw) => one.kind.number(raw).to_string(),
+                Source::Own => "as the drive has it".to_owned(),
+                Source::Zero => "0".to_owned(),
+            };
+            Some(format!("{} = {carried}", entry(*one)))
+        });
+        let rest: Vec<String> = rest.collect();
+        (!rest.is_empty()).then(|| format!("its outputs also carry {}", rest.join(", ")))
     }
 
     fn describe_setpoint(&self, setpoint: Setpoint) -> String {

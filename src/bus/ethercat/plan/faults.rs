@@ -10,9 +10,10 @@ use crate::axis::is_plain_name;
 use crate::axis::{HeldBy, Load, PlanFault};
 use crate::bus::ethercat::TERMINAL_MAX;
 use crate::bus::ethercat::cia402::Mode;
-use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
-use crate::bus::ethercat::object::pdo::Layout;
+use crate::bus::ethercat::object::number::{CONTROL_WORD, MODE, STATUS_WORD};
+use crate::bus::ethercat::object::pdo::{Entry, Layout};
 use crate::bus::ethercat::object::{Family, Object, Type};
+use crate::bus::ethercat::outputs::{Unowned, source};
 use crate::bus::ethercat::start_up::cycle_time;
 use crate::time::{Ns, US};
 
@@ -330,7 +331,12 @@ impl KollmorgenDrive {
                 wrong(key, format!("has {} bytes, and its buffer has {bytes}", layout.size()));
             }
         }
-        if self.setpoint().is_none() {
+        for entry in &self.outputs.entries {
+            if let Err(why) = source(self, *entry) {
+                wrong("pdo.outputs", self.unowned(*entry, why));
+            }
+        }
+        if self.targets().next().is_none() && !self.native {
             wrong(
                 "pdo.outputs",
                 "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 \
@@ -346,25 +352,67 @@ impl KollmorgenDrive {
         faults
     }
 
-    fn mode_fault(&self) -> Option<PlanFault> {
-        let mode = self.mode?;
-        let known = match self.family {
-            Family::S700 => mode.is_of_s700(),
-            Family::Akd => matches!(
-                mode,
-                Mode::PROFILE_POSITION
-                    | Mode::PROFILE_VELOCITY
-                    | Mode::TORQUE
-                    | Mode::HOMING
-                    | Mode::INTERPOLATED
-                    | Mode::CYCLIC_POSITION
+    /// Why nobody writes this entry of its outputs.
+    fn unowned(&self, Entry { object, .. }: Entry, why: Unowned) -> String {
+        let mode = self.mode().map_or(0, |mode| mode.0 as u8);
+        match why {
+            Unowned::Followed => format!(
+                "has {object}, which mode {mode:#04X} may follow besides the setpoint, and the master drives one of \
+                 them; leave one out"
             ),
+            Unowned::Blind => format!(
+                "has {object}, which mode {mode:#04X} does not follow, so that it has to be the actual position \
+                 (32 bits); map 0x6064:0 into pdo.inputs, or leave {object} out"
+            ),
+            Unowned::Unexplained => format!(
+                "has {object}, a setpoint of the manufacturer that the master does not drive; leave it out, or give \
+                 its value in start_up"
+            ),
+        }
+    }
+
+    fn mode_fault(&self) -> Option<PlanFault> {
+        let wrong = |why: String| Some(PlanFault::new("mode", why));
+        let Some(mode) = self.mode else {
+            let is_carried = self.outputs.place(MODE).is_some() && self.mode().is_none();
+            let why = "missing: pdo.outputs carries it (0x6060:0), and has no target";
+            return is_carried.then(|| PlanFault::new("mode", why.to_owned()));
         };
-        let has = match self.family {
-            Family::S700 => "1, 3, 4, 6, 7 and 0x80 ... 0x88",
-            Family::Akd => "1, 3, 4, 6, 7 and 8",
+        let (is_known, has, position) = match self.family {
+            Family::S700 => (mode.is_of_s700(), "3, 4, 7, 0x80, 0x82 and 0x85", "0x85 or 7"),
+            Family::Akd => (mode.is_of_akd(), "3, 4, 7 and 8", "8 or 7"),
         };
-        (!known).then(|| PlanFault::new("mode", format!("is not a mode of this drive; it has {has}")))
+        let target = match mode {
+            _ if !is_known => {
+                return wrong(format!("is not a mode of this drive that the master drives; it drives {has}"));
+            }
+            _ if self.native || self.setpoint().is_some() => return None,
+            Mode::PROFILE_POSITION => {
+                return wrong(format!(
+                    "profile position takes a target only by a handshake, which the master does not make: nothing \
+                     would move; use {position}, or setpoints = \"native\" if the application makes it"
+                ));
+            }
+            Mode::HOMING => {
+                return wrong(
+                    "homing is the mode of the command Home, which sets it by itself; leave mode out".into(),
+                );
+            }
+            Mode::PROFILE_VELOCITY => "0x60FF:0",
+            Mode::TORQUE => "0x6071:0",
+            Mode::INTERPOLATED => "0x60C1:1",
+            Mode::CYCLIC_POSITION => "0x607A:0",
+            Mode::DIGITAL_VELOCITY => "0x606B:0 or 0x60FF:0",
+            Mode::DIGITAL_CURRENT => "0x6074:0 or 0x6071:0",
+            Mode::TRAJECTORY => "0x60C1:1 or 0x607A:0",
+            _ => {
+                return wrong(format!(
+                    "follows no target that the master drives: nothing would move; use one of {has}, or \
+                     setpoints = \"native\" if the application drives it"
+                ));
+            }
+        };
+        wrong(format!("follows {target}, which pdo.outputs does not have; map it, or leave mode out"))
     }
 
     /// Numbers that the wire could not carry.

@@ -15,6 +15,10 @@ const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1
 const NOT_WATCHED: &str = "its SyncManager watchdog is not set, nothing may stop it if the master dies: set watchdog, \
     or no_drive_watchdog = \"accept\"";
 
+/// The setpoint of a frame is reached at the end of the exchange that begins with it; the position in the frame was
+/// taken before that, at the last synchronisation.
+const BEHIND: u64 = 2;
+
 /// What its setpoint is, and the raw setpoint of one user unit/s, or of one per cent of the rated torque.
 pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
     let axis = &drive.axis;
@@ -31,7 +35,7 @@ pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
 }
 
 /// What a drive can do.
-pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive) -> Capabilities {
+pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive, period_ns: u64) -> Capabilities {
     let (quantity, _) = quantity(drive);
     let is_controlled = drive.outputs.entries.iter().any(|entry| entry.object == CONTROL_WORD);
     let is_blind = quantity == Quantity::Position && !reports_position(drive);
@@ -56,6 +60,7 @@ pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive) -> Capabil
         // Inputs count by the index and the working counter of the frame that has just gone out.
         power_reports: 1,
         still_reports: SETTLED,
+        behind_ns: period_ns.saturating_mul(u64::from(drive.axis.divisor)).saturating_mul(BEHIND),
         ..Capabilities::of(Generator::Master(quantity))
     }
 }

@@ -20,7 +20,7 @@ use self::offsets::Offsets;
 pub(super) use self::offsets::reports_position;
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
-use super::plan::{KollmorgenDrive, Watchdog};
+use super::plan::{KollmorgenDrive, Start, Watchdog};
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
@@ -177,7 +177,7 @@ struct Switching {
 impl Profile {
     pub(super) fn new(drive: &KollmorgenDrive, native: NativePort) -> Profile {
         let (quantity, scale) = quantity(drive);
-        let mode = drive.mode.or(drive.setpoint().map(|setpoint| setpoint.mode(drive.family)));
+        let mode = drive.mode();
         Profile {
             offsets: Offsets::new(drive),
             native,
@@ -228,10 +228,11 @@ impl Profile {
         is_new
     }
 
-    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint. Built again for
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the newest
+    /// count of its position, for targets that its mode does not follow. Built again for
     /// the same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, outputs: &mut [u8]) {
+    pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, actual: i32, outputs: &mut [u8]) {
         self.grid = grid;
         self.wanted_row = setpoint.row;
         self.setpoint = if self.quantity == Quantity::Position {
@@ -246,6 +247,9 @@ impl Profile {
             self.offsets.fill(outputs);
         }
         self.offsets.write(self.control.0, self.setpoint, outputs);
+        if self.offsets.follows {
+            self.offsets.follow(actual, outputs);
+        }
         if let Some(owner) = self.native_owner {
             self.encode_native(owner, outputs);
         }
@@ -254,6 +258,17 @@ impl Profile {
     /// The outputs are not the ones that were written last.
     pub(super) fn outputs_replaced(&mut self) {
         self.is_filled = false;
+    }
+
+    /// These are the drive's own values of objects in the outputs.
+    pub(super) fn own_values(&mut self, values: &[Start]) {
+        values.iter().for_each(|value| self.offsets.own_value(value));
+        self.is_filled = false;
+    }
+
+    /// The outputs carry this mode of operation from now on, if they carry one.
+    pub(super) fn carry_mode(&mut self, mode: Mode) {
+        self.is_filled &= !self.offsets.carry_mode(mode);
     }
 
     /// Writes the native outputs of the application over those of the master.

@@ -1,11 +1,14 @@
 //! The offsets of control word, setpoint and reported values in the PDOs of a drive, computed once from their layouts.
 
+use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::native::PDO_MAX;
+use crate::bus::ethercat::object::Object;
 use crate::bus::ethercat::object::number::{
-    CONTROL_WORD, ERROR_CODE, INCREMENTS, MAXIMUM_TORQUE, POSITION, STATUS_WORD, TORQUE, VELOCITY,
+    CONTROL_WORD, ERROR_CODE, INCREMENTS, POSITION, STATUS_WORD, TORQUE, VELOCITY,
 };
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
-use crate::bus::ethercat::plan::KollmorgenDrive;
+use crate::bus::ethercat::outputs::{Source, source};
+use crate::bus::ethercat::plan::{KollmorgenDrive, Start};
 use crate::rt::Regions;
 
 /// Its inputs have an actual position.
@@ -14,10 +17,6 @@ pub(in crate::bus::ethercat) fn reports_position(drive: &KollmorgenDrive) -> boo
         |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
     is_one(POSITION) || is_one(INCREMENTS)
 }
-
-/// The largest torque of a drive: 0 would be none. If the plan does not set it, it is this, per mille (assumed: the
-/// drive's own limit acts below it).
-const MOST_PERMILLE: u64 = 3_000;
 
 /// The offset of a value that is not there: past the end.
 const NOWHERE: u16 = PDO_MAX as u16;
@@ -35,8 +34,21 @@ pub(in crate::bus::ethercat) struct Offsets {
     fault: u16,
     /// The setpoint has 16 bits.
     is_short: bool,
-    /// The outputs without control word and setpoint.
-    rest: Box<[u8]>,
+    /// There are position targets that its mode does not follow.
+    pub follows: bool,
+    rest: Box<Rest>,
+}
+
+/// The outputs without control word and setpoint.
+#[derive(Clone, Debug)]
+struct Rest {
+    bytes: [u8; PDO_MAX],
+    size: usize,
+    mode: u16,
+    /// The drive's own values.
+    own: Box<[(Object, u16)]>,
+    /// Position targets that the mode does not follow.
+    actual: Box<[u16]>,
 }
 
 impl Offsets {
@@ -55,8 +67,10 @@ impl Offsets {
             NOWHERE => sized(inputs, INCREMENTS, 4),
             position => position,
         };
+        let rest = Rest::new(drive);
         Offsets {
-            rest: rest(drive)[..outputs.size().min(PDO_MAX)].into(),
+            follows: !rest.actual.is_empty(),
+            rest: Box::new(rest),
             control: sized(outputs, CONTROL_WORD, 2),
             setpoint,
             is_short,
@@ -71,12 +85,36 @@ impl Offsets {
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.rest);
+        regions.add(&*self.rest.own);
+        regions.add(&*self.rest.actual);
     }
 
     /// Writes the output PDO without control word and setpoint.
     pub(super) fn fill(&self, outputs: &mut [u8]) {
-        let size = self.rest.len().min(outputs.len());
-        outputs[..size].copy_from_slice(&self.rest[..size]);
+        let size = self.rest.size.min(outputs.len());
+        outputs[..size].copy_from_slice(&self.rest.bytes[..size]);
+    }
+
+    /// Writes the actual position where a position target is that the mode does not follow.
+    #[cold]
+    pub(super) fn follow(&self, actual: i32, outputs: &mut [u8]) {
+        self.rest.actual.iter().for_each(|at| put(outputs, *at, actual.to_le_bytes()));
+    }
+
+    /// This is the drive's own value of an object in the outputs.
+    pub(super) fn own_value(&mut self, value: &Start) {
+        let Rest { own, bytes, .. } = &mut *self.rest;
+        let Some((_, at)) = own.iter().find(|(object, _)| *object == value.object) else { return };
+        let (at, size) = (usize::from(*at), value.kind.bytes());
+        if let Some(place) = bytes.get_mut(at..at + size) {
+            place.copy_from_slice(&value.raw.to_le_bytes()[..size]);
+        }
+    }
+
+    /// The outputs carry this mode, if they carry one; true: that is another one than before.
+    pub(super) fn carry_mode(&mut self, mode: Mode) -> bool {
+        let place = self.rest.bytes.get_mut(usize::from(self.rest.mode));
+        place.is_some_and(|place| std::mem::replace(place, mode.0 as u8) != mode.0 as u8)
     }
 
     /// Writes control word and setpoint.
@@ -141,29 +179,34 @@ fn get<const N: usize>(inputs: &[u8], at: u16) -> Option<[u8; N]> {
     inputs.get(at..at + N)?.try_into().ok()
 }
 
-/// The other outputs: as the plan writes the objects at the start, otherwise 0.
-fn rest(drive: &KollmorgenDrive) -> [u8; PDO_MAX] {
-    let mut rest = [0; PDO_MAX];
-    for (at, entry) in drive.outputs.places() {
-        let planned = drive.slave.start_up.iter().rev().find(|start| start.object == entry.object);
-        let raw = match (planned, entry.object) {
-            (Some(start), _) => start.raw,
-            (None, MAXIMUM_TORQUE) => MOST_PERMILLE,
-            (None, _) => 0,
-        };
-        let bytes = entry.kind.bytes();
-        if let Some(place) = rest.get_mut(at..at + bytes) {
-            place.copy_from_slice(&raw.to_le_bytes()[..bytes]);
+impl Rest {
+    fn new(drive: &KollmorgenDrive) -> Rest {
+        let mut bytes = [0; PDO_MAX];
+        let (mut mode, mut own, mut actual) = (NOWHERE, Vec::new(), Vec::new());
+        for (at, entry) in drive.outputs.places().filter(|(at, entry)| at + entry.kind.bytes() <= PDO_MAX) {
+            match source(drive, entry) {
+                Ok(Source::Mode) => {
+                    mode = at as u16;
+                    bytes[at] = drive.mode().map_or(0, |mode| mode.0 as u8);
+                }
+                Ok(Source::Actual) => actual.push(at as u16),
+                Ok(Source::Own) => own.push((entry.object, at as u16)),
+                Ok(Source::Configured(raw)) => {
+                    let size = entry.kind.bytes();
+                    bytes[at..at + size].copy_from_slice(&raw.to_le_bytes()[..size]);
+                }
+                Ok(Source::Control | Source::Setpoint | Source::Zero) | Err(_) => {}
+            }
         }
+        let size = drive.outputs.size().min(PDO_MAX);
+        Rest { bytes, size, mode, own: own.into(), actual: actual.into() }
     }
-    rest
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::ethercat::object::{Family, Object, pdo};
-    use crate::bus::ethercat::plan::Start;
+    use crate::bus::ethercat::object::{Family, Type, pdo};
 
     fn drive(family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {
         let mut drive = KollmorgenDrive::new("x", 0, family);
@@ -191,15 +234,39 @@ mod tests {
     }
 
     #[test]
-    fn what_else_is_mapped_is_as_planned_and_no_torque_is_taken_away() {
+    fn what_else_is_mapped_is_as_planned_or_the_drives_own() {
         let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
         let outputs = Object::new(0x60FE, 1);
-        akd.slave.start_up.push(Start::new(outputs, crate::bus::ethercat::object::Type::U32, 3));
-        let offsets = Offsets::new(&akd);
+        akd.slave.start_up.push(Start::new(outputs, Type::U32, 3));
+        let mut offsets = Offsets::new(&akd);
+        offsets.own_value(&Start::new(Object::new(0x6072, 0), Type::U16, 3_000));
+        // Nothing of it is in the outputs.
+        offsets.own_value(&Start::new(Object::new(0x6080, 0), Type::U32, 0xFFFF_FFFF));
+        assert!(!offsets.carry_mode(Mode::HOMING) && !offsets.follows);
         let mut out = vec![0xEE; akd.outputs.size()];
         offsets.fill(&mut out);
         offsets.write(6, -1, &mut out);
         assert_eq!(out, [6, 0, 0xFF, 0xFF, 0xFF, 0xFF, 3, 0, 0, 0, 0, 0, 0, 0, 0xB8, 0x0B]);
+    }
+
+    #[test]
+    fn a_target_that_its_mode_does_not_follow_is_the_actual_position_and_the_mode_is_carried() {
+        let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
+        let objects = [(0x6040, 0), (0x6060, 0), (0x607A, 0), (0x60FF, 0)];
+        akd.outputs = Layout::of_known(0x1600, &objects.map(|(index, sub)| Object::new(index, sub))).unwrap();
+        akd.mode = Some(Mode::PROFILE_VELOCITY);
+        let mut offsets = Offsets::new(&akd);
+        let built = |offsets: &Offsets| {
+            let mut out = [0xEE; 11];
+            offsets.fill(&mut out);
+            offsets.write(0x0F, 7, &mut out);
+            assert!(offsets.follows);
+            offsets.follow(-2, &mut out);
+            out
+        };
+        assert_eq!(built(&offsets), [0x0F, 0, 3, 0xFE, 0xFF, 0xFF, 0xFF, 7, 0, 0, 0]);
+        assert!(offsets.carry_mode(Mode::HOMING) && !offsets.carry_mode(Mode::HOMING));
+        assert_eq!(built(&offsets)[2], 6);
     }
 
     #[test]

@@ -28,7 +28,7 @@ use self::topology::Topology;
 use super::cia402::Mode;
 use super::counters::Own;
 use super::image::{Frame, Offsets};
-use super::plan::{EthercatPlan, Owner};
+use super::plan::{EthercatPlan, Owner, Start};
 use super::service::Service;
 use super::slot::{Answers, Ask};
 use super::wire::registers::AlState;
@@ -48,6 +48,9 @@ pub trait Handler {
     /// Its replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, state: SlaveState);
 
+    /// Its own values of objects that its outputs carry.
+    fn own_values(&mut self, owner: Owner, values: &[Start]);
+
     /// The answers to the request of its mailbox.
     fn mailbox_received(&mut self, owner: Owner, now: Time, answers: &Answers<'_>);
 
@@ -60,7 +63,7 @@ pub trait Handler {
     /// The outputs of a drive shall go out.
     fn wants_outputs(&self, owner: Owner) -> bool;
 
-    /// Whether a drive has power, and since which report.
+    /// Whether a drive has power, or is about to have it, and since which report.
     fn powered(&self, owner: Owner) -> Option<(bool, Time)>;
 
     /// The inputs of a slave, as a frame brought them; `in_window`: in time for the exchange of a drive.

@@ -101,6 +101,13 @@ pub enum Note {
         /// The abort code, or a status of the master.
         abort: AbortCode,
     },
+    /// Its own value of an object in its outputs cannot be read.
+    OwnValue {
+        /// The object.
+        object: Object,
+        /// The abort code.
+        abort: AbortCode,
+    },
     /// Its watchdog does not read back as set.
     Watchdog,
     /// This one of its SyncManagers does not read back as set.
@@ -141,12 +148,14 @@ pub enum Note {
     NotDone(Missing),
     /// The slave at this position runs on a time other than the segment's.
     OtherTime(u16),
+    /// Another master has changed its state or its settings, and it is set up again.
+    Intruded,
 }
 
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 13] = [
+    const PLAIN: [Note; 14] = [
         Note::None,
         Note::Absent,
         Note::NoClock,
@@ -160,6 +169,7 @@ impl Note {
         Note::AddressTwice,
         Note::Unarmed,
         Note::NoManagers,
+        Note::Intruded,
     ];
 
     fn pack(self) -> u64 {
@@ -188,6 +198,7 @@ impl Note {
             }
             Note::Slow { to, within_ms } => number(0x87, to.number().into(), within_ms),
             Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
+            Note::OwnValue { object, abort } => number(0x94, object.key(), abort.0),
             Note::WaitsForLock(error) => {
                 number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
@@ -229,6 +240,7 @@ impl Note {
             },
             0x87 => Note::Slow { to: state(), within_ms: low },
             0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
+            0x94 => Note::OwnValue { object: object(), abort: AbortCode(low) },
             0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
             0x8a => Note::Differs { object: object(), found: low },
             0x8b => Note::Unanswered {
@@ -322,6 +334,12 @@ impl Note {
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),
+            Note::OwnValue { object: Object { index, sub }, abort } => format!(
+                "{index:#06x}:{sub} is in its outputs, and its own value of it cannot be read: abort code {:#010x} \
+                ({}); give the value in start_up",
+                abort.0,
+                abort.name().unwrap_or("not known")
+            ),
             Note::Watchdog => "its watchdog does not read back as set".into(),
             Note::Manager(number) => {
                 format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
@@ -365,6 +383,9 @@ impl Note {
                 raise sdo_timeout, or check that it has this object",
                 if writes { "written" } else { "read" }
             ),
+            Note::Intruded => {
+                "another master, or a tool, has changed its state or its settings: end that; it is set up again".into()
+            }
             Note::NotDone(Missing { register, is_write }) => {
                 let what = if is_write { "take what is written to" } else { "return what is read from" };
                 format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
@@ -454,6 +475,8 @@ mod tests {
             Note::Unanswered { object: Object::new(0x608F, 1), writes: false, within_ms: 2_000 },
             Note::Unanswered { object: Object::new(0x1C12, 1), writes: true, within_ms: 100 },
             Note::OtherTime(7),
+            Note::Intruded,
+            Note::OwnValue { object: Object::new(0x60E0, 0), abort: AbortCode(0x0602_0000) },
             Note::NotDone(Missing { register: 0x0910, is_write: true }),
         ];
         let notes = Notes::new(1);

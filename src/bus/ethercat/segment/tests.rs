@@ -59,6 +59,8 @@ impl Handler for Reports {
         matches!(owner, Owner::Drive(_)).then_some((false, Time(0)))
     }
 
+    fn own_values(&mut self, _owner: Owner, _values: &[Start]) {}
+
     fn expect_silence(&mut self, _owner: Owner) {}
 
     fn take(&mut self, owner: Owner, taken: Taken<'_>) {

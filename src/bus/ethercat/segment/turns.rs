@@ -91,6 +91,9 @@ impl Segment {
             service.open(slave.is_open);
         }
         slave.objects(cycle.grid, service);
+        if std::mem::take(&mut slave.has_own) {
+            handler.own_values(owner, &slave.plan.own);
+        }
         let sent = Sent { cycle: *cycle, at: cycle.grid };
         let context = self.context(index, &sent, handler);
         let slave = &mut self.slaves[index];
@@ -187,6 +190,7 @@ impl Segment {
         match happened {
             Happened::Nothing => {}
             Happened::Restarted => handler.restarted(owner),
+            Happened::Intruded => self.lowered = true,
             Happened::Misplaced => self.doubt_behind(index, back.sent.cycle.grid, handler),
             Happened::Operational => handler.count(owner, Own::BroughtUp),
             Happened::Error => handler.count(owner, Own::AlErrors),

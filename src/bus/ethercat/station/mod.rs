@@ -159,7 +159,7 @@ impl Station {
         if self.profile.desire(&slot.desired) {
             self.unsettle();
         }
-        self.profile.encode(grid, &slot.desired.setpoint, outputs);
+        self.profile.encode(grid, &slot.desired.setpoint, self.seen.last as i32, outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -237,6 +237,9 @@ impl Station {
         }
         if !self.requests.advance(self.profile.grid, self.profile.mode_wanted(), &mut self.service) {
             return;
+        }
+        if let Some(mode) = self.requests.carried() {
+            self.profile.carry_mode(mode);
         }
         if std::mem::take(&mut self.requests.refused) {
             self.profile.mode_refused();
@@ -394,17 +397,19 @@ impl Station {
     /// What changes from report to report.
     #[inline(always)] // It has two callers, and is most of what the usual one does.
     fn report_values(&mut self, at: Time, received: &[u8], slot: &mut Slot) {
-        let (Slot { status: report, notices, .. }, inputs, units) = (slot, &self.seen.inputs, &self.units);
+        let Slot { status: report, notices, evidence, .. } = slot;
+        let (inputs, units) = (&self.seen.inputs, &self.units);
         notices.fresh = true;
         report.at = at;
         let is_led_on = self.profile.is_moving();
         report.moving = inputs.is_powered && (is_led_on || inputs.velocity.abs() > self.standstill);
         report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
         report.position = if self.reports_position { units.folded(inputs.position) } else { f64::NAN };
-        report.demand = report.position;
+        (report.demand, evidence.demand) = (report.position, inputs.position);
         if self.led {
             let count = self.seen.demand.next(self.profile.setpoint_sent());
-            report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
+            evidence.demand = count as f64 * self.unit_per_count + units.offset;
+            report.demand = units.folded(evidence.demand);
         }
         report.velocity = inputs.velocity;
         let torque = self.profile.offsets.torque(received);

@@ -24,6 +24,8 @@ const SHOW_EVERY_NS: u64 = 10 * MS;
 enum Pending {
     Method,
     Mode(Mode),
+    /// The outputs carry this mode: whether the drive shows it.
+    Carried(Mode),
     Display,
     Reference,
     Shown(usize),
@@ -33,6 +35,8 @@ enum Pending {
 #[derive(Debug, Default)]
 pub struct Requests {
     own: Option<Mode>,
+    /// The outputs carry the mode, this one: what an SDO writes they would overwrite.
+    carried: Option<Mode>,
     method: Option<i8>,
     show: [Option<(Object, Type)>; MONITOR_CHANNELS],
     pending: Option<Pending>,
@@ -62,9 +66,10 @@ pub struct Requests {
 
 impl Requests {
     pub(super) fn new(drive: &KollmorgenDrive) -> Requests {
-        let own = drive.setpoint().map(|setpoint| setpoint.mode(drive.family));
+        let is_carried = drive.outputs.place(MODE).is_some();
         Requests {
-            own: drive.mode.or(own),
+            own: drive.mode(),
+            carried: drive.mode().filter(|_| is_carried),
             method: drive.home_method,
             show: drive.show,
             ..Requests::default()
@@ -75,13 +80,20 @@ impl Requests {
     /// SDO is nobody's any more.
     pub(super) fn forget(&mut self) {
         let Requests { own, method, show, .. } = *self;
-        *self = Requests { own, method, show, ..Requests::default() };
+        let carried = self.carried.and(own);
+        *self = Requests { own, carried, method, show, ..Requests::default() };
         self.show_again(Time(0));
     }
 
     /// The drive shows this mode: nothing of the start-up was written to it.
     pub fn found_in(&mut self, mode: Mode) {
         (self.mode, self.display_read, self.content) = (Some(mode), true, None);
+        self.carried = self.carried.map(|_| mode);
+    }
+
+    /// The mode that the outputs carry; `None`: it is not in them.
+    pub(super) fn carried(&self) -> Option<Mode> {
+        self.carried
     }
 
     /// The application may have changed the mode.
@@ -119,7 +131,8 @@ impl Requests {
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
-            _ if self.doubted || matches!(self.pending, Some(Pending::Mode(_))) => ModeIs::Other,
+            _ if self.doubted => ModeIs::Other,
+            _ if matches!(self.pending, Some(Pending::Mode(_) | Pending::Carried(_))) => ModeIs::Other,
             None => ModeIs::Own,
             mode if mode == self.own => ModeIs::Own,
             Some(Mode::HOMING) => ModeIs::Homing,
@@ -163,6 +176,9 @@ impl Requests {
         match self.next(now, wanted) {
             Some((pending, transfer)) if service.is_free() => {
                 self.pending = Some(pending);
+                if let Pending::Carried(mode) = pending {
+                    self.carried = Some(mode);
+                }
                 service.begin(transfer);
             }
             Some(_) => {}
@@ -206,6 +222,7 @@ impl Requests {
             Some(method) if mode == Mode::HOMING && !self.method_written => {
                 Some((Pending::Method, byte(HOMING_METHOD, method)))
             }
+            _ if self.carried.is_some() => Some((Pending::Carried(mode), Transfer::Read(MODE_DISPLAY))),
             _ => Some((Pending::Mode(mode), byte(MODE, mode.0))),
         }
     }
@@ -225,6 +242,15 @@ impl Requests {
             (Pending::Mode(mode), Ok(_)) => {
                 self.mode = Some(mode);
                 self.method_written &= mode == Mode::HOMING;
+            }
+            // One that does not report its mode has the one that was sent.
+            (Pending::Carried(mode), end) => {
+                let shown = end.map_or(mode, |raw| Mode(raw as u8 as i8));
+                (self.mode, self.display_read) = (Some(shown), true);
+                self.method_written &= mode == Mode::HOMING;
+                if shown != mode {
+                    self.not_before = now + SHOW_EVERY_NS;
+                }
             }
             (Pending::Method | Pending::Mode(_), Err(_)) => {
                 self.refused = true;

@@ -89,7 +89,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     }
     let mut plan = velocity();
     plan.outputs.entries.retain(|entry| entry.object != CONTROL_WORD);
-    let refused = capabilities(&plan).lacks.refuses(&Command::Enable);
+    let refused = capabilities(&plan, PERIOD).lacks.refuses(&Command::Enable);
     assert!(matches!(refused, Some(Failure::Unsupported(_))));
 }
 

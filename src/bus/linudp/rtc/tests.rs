@@ -9,6 +9,7 @@ use crate::axis::cell;
 use crate::axis::{Feedback, Observer};
 use crate::bus::linudp::notation::Upids;
 use crate::bus::linudp::upid::{call, commanding};
+use crate::rt::Wires;
 
 const READ: Call = call(RtcCommand::READ_RAM, 0x20A8, 0);
 
@@ -29,7 +30,13 @@ impl Bench {
     fn monitoring(sources: [Option<Upid>; 4]) -> Bench {
         let (ends, port) = queue(8, commanding());
         let (_, reader) = cell::cell(Feedback::default());
-        let acyclic = Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1));
+        let acyclic = Acyclic::new(
+            "x",
+            ends,
+            Arc::new(Upids),
+            Observer::new(reader, Wires::default()),
+            Duration::from_millis(1),
+        );
         Bench {
             channel: RtcChannel::new(port, sources),
             acyclic,

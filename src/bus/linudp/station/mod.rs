@@ -16,6 +16,7 @@ mod report;
 
 use self::identity::{Echo, Identity, Unrequested};
 use self::report::Track;
+use super::last::PowerSent;
 use super::native::{Native, NativePort, native};
 use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
@@ -113,6 +114,12 @@ impl Station {
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.native.memory(regions);
         self.rtc.memory(regions);
+        self.profile.memory(regions);
+    }
+
+    /// What the requests that left say of the drive's power.
+    pub(super) fn power_sent(&self) -> PowerSent {
+        self.profile.power_sent()
     }
 
     /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is

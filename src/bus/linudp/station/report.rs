@@ -2,7 +2,7 @@
 
 use super::Station;
 use crate::axis::units::Unwrap;
-use crate::axis::{State, Units};
+use crate::axis::{Link, State, Units};
 use crate::bus::Slot;
 use crate::bus::linudp::plan::MonitorPlan;
 use crate::bus::linudp::profile::Inputs;
@@ -97,15 +97,14 @@ impl Station {
     }
 
     /// Whether the drive has started anew, or is about to. False if this reply is the first one that says so: it may be
-    /// one from its last start, and counts for nothing.
+    /// one from its last start, and counts for nothing. On a lost link it is enough: probes are so far apart that no
+    /// second one may meet the start, and what is discarded is read again when the link is back.
     #[inline(never)]
     fn watch_start(&mut self, front: &Front, suspect: bool, slot: &mut Slot) -> bool {
         let booting = is_booting(front);
         if booting && self.inputs.seen && !self.inputs.booting {
-            if suspect {
-                return false;
-            }
-            if !std::mem::replace(&mut self.starts, true) {
+            let answers = matches!(slot.link, Link::Online | Link::Qualifying);
+            if answers && (suspect || !std::mem::replace(&mut self.starts, true)) {
                 return false;
             }
         }

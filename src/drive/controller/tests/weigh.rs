@@ -218,7 +218,7 @@ fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
         let mut x = enabled(1);
         begin(&mut x);
         x.kinds();
-        [340.0, 340.1, 100.0, 100.1].map(|position| x.at(position));
+        [340.0, 340.1, 100.0, 100.1].into_iter().for_each(|position| x.at(position));
         (x.controller.feedback().stopped, x.slot.counters.implausible)
     };
     let none = (None, 0);

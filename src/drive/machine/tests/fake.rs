@@ -62,6 +62,10 @@ pub struct Drive {
     pub obstacle: Cannot,
     pub refused: Option<Refused>,
     pub follows: Follows,
+    /// Its motor stays here, whatever the demand does.
+    pub blocked: Option<f64>,
+    /// What a count that was unwrapped on the other side adds to its actual position.
+    pub wrapped: f64,
     /// It turns at this velocity while it is not halted.
     pub own_reference: Option<f64>,
     /// The newest first.
@@ -136,6 +140,8 @@ impl Drive {
             obstacle: None,
             refused: None,
             follows: Follows::Yes,
+            blocked: None,
+            wrapped: 0.0,
             own_reference: None,
             reports: VecDeque::new(),
             powers: Vec::new(),
@@ -321,7 +327,8 @@ impl Drive {
     }
 
     fn report(&mut self, now: Time) {
-        let Point { position, velocity } = self.point;
+        let Point { position: demand, velocity } = self.point;
+        let position = self.blocked.unwrap_or(demand) + self.wrapped;
         let status = DriveStatus {
             at: now,
             state: self.state,
@@ -329,7 +336,7 @@ impl Drive {
             moving: self.is_moving(),
             inhibited: self.inhibited && !self.state.is_powered(),
             position,
-            demand: position,
+            demand,
             velocity,
             fault: self.code,
             ..DriveStatus::default()
@@ -345,7 +352,7 @@ impl Drive {
             refused: self.refused,
             follows: self.follows,
             position,
-            demand: position,
+            demand,
             demand_velocity: velocity,
             ..Evidence::default()
         };

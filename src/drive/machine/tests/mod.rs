@@ -68,6 +68,7 @@ fn plan() -> AxisPlan {
     let units = Units { unit: Unit::Millimetre, counts_per_unit: 1_000.0, offset: 0.0, modulo: None };
     let mut plan = AxisPlan::new("x", units);
     (plan.profile, plan.stop.standstill) = (PROFILE, 0.1);
+    plan.in_position.window = Some(0.5);
     (plan.enable_timeout, plan.home_timeout) = (Duration::from_millis(300), Duration::from_millis(2_000));
     plan
 }

@@ -45,7 +45,8 @@ fn a_command_that_is_replaced_before_it_left_never_was() {
 #[test]
 fn reports_that_are_old_or_suspect_or_of_before_end_nothing() {
     for can in movers() {
-        let mut rig = Rig::enabled(can);
+        let mut rig = Rig::with(can, |plan| plan.in_position.reports = 1);
+        assert_eq!(rig.run(Command::Enable), Ok(()));
         // It comes back to where it begins: its old reports look like its end.
         rig.start(to(10.0));
         for _ in 0..50 {
@@ -78,6 +79,130 @@ fn a_move_that_ends_elsewhere_has_failed() {
     rig.drive.point.velocity = 0.0;
     rig.drive.stay();
     assert_eq!(rig.finish(), Err(Failure::NotArrived));
+}
+
+/// The report, counted from that of the end of the demand, with which the motion ends; its motor stands 0.6 off its
+/// target but for these reports.
+fn ends_by(can: Capabilities, near: impl Fn(u32) -> bool) -> (u32, Result<(), Failure>) {
+    let mut rig = Rig::enabled(can);
+    rig.drive.blocked = Some(49.4);
+    rig.start(to(50.0));
+    rig.until("the end of its demand", |rig| !rig.drive.is_moving() && rig.drive.point.position == 50.0);
+    for report in 0..5_000 {
+        rig.drive.blocked = Some(if near(report) { 50.5 } else { 49.4 });
+        if let Some(end) = rig.end() {
+            return (report, end);
+        }
+        rig.turn();
+    }
+    panic!("it never ends");
+}
+
+#[test]
+fn a_move_is_done_by_the_actual_position_in_its_window_for_its_reports() {
+    let reports = u32::from(plan().in_position.reports);
+    for can in movers() {
+        // Its report is one exchange old.
+        let at_once = ends_by(can, |_| true);
+        assert!(at_once.1 == Ok(()) && (reports..reports + 6).contains(&at_once.0), "{at_once:?} {can:?}");
+        // It comes by, and rests there later.
+        assert_eq!(ends_by(can, |n| n % 10 != 9 || n > 200), (200 + reports + 1, Ok(())), "{can:?}");
+    }
+}
+
+#[test]
+fn a_move_of_an_axis_that_does_not_follow_fails_in_its_time_with_the_distance() {
+    for can in movers() {
+        let (report, end) = ends_by(can, |_| false);
+        let Err(Failure::OutOfPosition { distance, window }) = end else { panic!("{end:?} {can:?}") };
+        assert!((distance + 0.6).abs() < 1e-9 && window == 0.5, "{distance} {window}");
+        assert!((1_000..1_010).contains(&report), "{report} {can:?}");
+        // One that follows nothing at all.
+        let mut rig = Rig::enabled(can);
+        rig.drive.blocked = Some(10.0);
+        let far = rig.run(to(25.0));
+        assert!(
+            matches!(far, Err(Failure::OutOfPosition { distance, .. }) if (distance + 15.0).abs() < 1e-6),
+            "{far:?}"
+        );
+        // The axis can be commanded on.
+        rig.drive.blocked = None;
+        assert_eq!(rig.run(to(20.0)), Ok(()), "{can:?}");
+        // The one key that brings the old end back.
+        let mut rig = Rig::with(can, |plan| plan.in_position.window = None);
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+        rig.drive.blocked = Some(10.0);
+        assert_eq!(rig.run(to(25.0)), Ok(()), "{can:?}");
+    }
+}
+
+#[test]
+fn an_axis_that_does_not_come_to_rest_has_not_arrived() {
+    let can = movers().find(|can| quantity(can).is_some()).unwrap();
+    let mut rig = Rig::enabled(can);
+    rig.start(to(15.0));
+    rig.until("its demand", |rig| rig.drive.point.position == 15.0);
+    for _ in 0..2_000 {
+        rig.see(Fate::Good, true);
+    }
+    assert!(matches!(rig.end(), Some(Err(Failure::OutOfPosition { .. }))), "{:?}", rig.end());
+}
+
+#[test]
+fn a_stream_is_done_where_its_last_row_is() {
+    for can in followers() {
+        for blocked in [None, Some(10.0)] {
+            let mut rig = Rig::enabled(can);
+            rig.start(Command::Follow);
+            rig.drive.blocked = blocked;
+            for row in 1..=20 {
+                rig.row(row, 10.0 + 0.1 * row as f64, row == 20);
+                rig.turn();
+            }
+            match (rig.finish(), blocked) {
+                (Ok(()), None) => assert!((rig.drive.point.position - 12.0).abs() < 1e-9),
+                (Err(Failure::OutOfPosition { distance, .. }), Some(_)) => {
+                    assert!((distance + 2.0).abs() < 1e-6, "{distance}");
+                }
+                end => panic!("{end:?} {can:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_whole_turn_that_was_not_made_is_no_arrival_and_a_wrapped_count_is() {
+    for can in movers() {
+        let rotary = |plan: &mut AxisPlan| plan.units.modulo = Some(10.0);
+        let mut rig = Rig::with(can, rotary);
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+        rig.drive.blocked = Some(10.0);
+        let end = rig.run(by(10.0));
+        assert!(matches!(end, Err(Failure::OutOfPosition { .. })), "{end:?} {can:?}");
+        // The drive makes its demand; that of the master begins where the count is.
+        if quantity(&can).is_none() {
+            let mut rig = Rig::with(can, rotary);
+            rig.drive.wrapped = 4_294_967_296.0 / 1_000.0;
+            assert_eq!(rig.run(Command::Enable), Ok(()));
+            assert_eq!(rig.run(by(12.0)), Ok(()), "{can:?}");
+        }
+    }
+}
+
+#[test]
+fn a_command_replaces_a_move_that_has_not_arrived() {
+    for can in movers() {
+        let mut rig = Rig::enabled(can);
+        rig.drive.blocked = Some(10.0);
+        rig.start(to(12.0));
+        rig.until("the end of its demand", |rig| !rig.drive.is_moving() && rig.drive.point.position == 12.0);
+        rig.turns(100);
+        assert_eq!(rig.end(), None, "{can:?}");
+        rig.drive.blocked = None;
+        assert_eq!(rig.run(to(9.0)), Ok(()), "{can:?}");
+        rig.turns(1_500);
+        assert!((rig.drive.point.position - 9.0).abs() < 1e-9, "{can:?}");
+    }
 }
 
 #[test]
@@ -520,4 +645,24 @@ fn a_jog_takes_other_velocities_and_stands_just_before_the_limit_by_the_reported
     rig.turn();
     rig.set(-80.0);
     assert!(matches!(rig.finish(), Err(Failure::Limit { value: 60.0, .. })));
+}
+
+#[test]
+fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_stops() {
+    for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.drive.mode = ModeIs::Other;
+        let from = rig.gone.len();
+        rig.until("its end", |rig| rig.end().is_some());
+        assert!(
+            matches!(rig.end(), Some(Err(Failure::Unsupported(why))) if why.contains("mode")),
+            "{:?}",
+            rig.end()
+        );
+        // The report is one exchange old.
+        assert!(rig.gone.len() - from <= 3, "{} exchanges", rig.gone.len() - from);
+        rig.turns(200);
+        assert!(!rig.drive.is_moving(), "{can:?}: {:?}", rig.drive.point);
+    }
 }

@@ -285,6 +285,20 @@ fn a_restart_ends_what_runs_and_nothing_of_it_is_written_again() {
 }
 
 #[test]
+fn a_drive_that_restarts_while_nothing_runs_is_sent_no_request_of_before() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.turns(20);
+        assert_eq!((rig.end(), rig.power()), (Some(Ok(())), Power::EnableOperation), "{can:?}");
+        rig.drive.restart();
+        let known = rig.restarts;
+        rig.until("its report", |rig| rig.restarts > known);
+        // With the next send, not with the one after the next.
+        assert_eq!(rig.power(), Power::Off, "{can:?}");
+    }
+}
+
+#[test]
 fn outputs_that_count_no_more_end_the_command_and_the_drive_stays_out_of_operation() {
     for can in kinds() {
         let mut rig = Rig::enabled(can);

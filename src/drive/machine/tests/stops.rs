@@ -89,6 +89,41 @@ fn a_drive_that_does_not_obey_the_halt_is_braked_by_a_ramp() {
 }
 
 #[test]
+fn a_halt_that_is_not_obeyed_becomes_a_ramp_once_its_reports_cannot_be_older_than_it() {
+    for can in kinds().into_iter().filter(|can| quantity(can).is_none()) {
+        let mut rig = Rig::enabled(can);
+        rig.drive.is_halted_by_halt = false;
+        rig.moving();
+        rig.start(Command::QuickStop);
+        let from = rig.gone.len();
+        assert_eq!(rig.finish(), Ok(()), "{can:?}");
+        let motions: Vec<_> = rig.gone[from..].iter().map(|gone| gone.motion.value).collect();
+        let halts = motions.iter().take_while(|motion| **motion == Motion::Halt).count();
+        // 20 ms, at one exchange a ms.
+        assert!((20..25).contains(&halts), "{halts} {can:?}");
+        assert!(matches!(motions[halts], Motion::Ramp { .. }), "{:?}", motions[halts]);
+        assert!(!rig.drive.is_moving(), "{can:?}");
+    }
+}
+
+#[test]
+fn what_ends_a_halted_motion_leaves_the_halt_as_it_is() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.start(Command::QuickStop);
+        rig.turns(3);
+        assert!(rig.drive.is_moving() && rig.motion() == Motion::Halt, "{can:?}");
+        // A command that is refused as it begins ends what runs.
+        rig.start(refused(&can));
+        let from = rig.gone.len();
+        rig.until("standstill", |rig| !rig.drive.is_moving());
+        let motions: Vec<_> = rig.gone[from..].iter().map(|gone| gone.motion.value).collect();
+        assert!(motions.iter().all(|motion| *motion == Motion::Halt), "{motions:?} {can:?}");
+    }
+}
+
+#[test]
 fn a_drive_that_runs_again_after_a_halt_fails_the_stop_and_stays_halted() {
     let can = kinds().into_iter().find(|can| can.stands_ns > 0).unwrap();
     let mut rig = Rig::enabled(can);

@@ -7,6 +7,7 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Commanding, Port, Posted, queue};
 use crate::axis::{Feedback, Observer, cell};
 use crate::bus::linudp::notation::Upids;
+use crate::rt::Wires;
 
 /// Registers with one byte, and answers calls: the low byte of a value out, and the peer's one back.
 #[derive(Debug)]
@@ -94,7 +95,11 @@ fn session(os: &Os, address: SocketAddrV4) -> (Box<dyn Streams>, Acyclic, Arc<Lo
     let sessions = os.streams(vec![patient(address, toy)]).unwrap();
     let ends = ends.waking(sessions.waker().unwrap());
     let (_, reader) = cell::cell(Feedback::default());
-    (sessions, Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::ZERO), log)
+    (
+        sessions,
+        Acyclic::new("x", ends, Arc::new(Upids), Observer::new(reader, Wires::default()), Duration::ZERO),
+        log,
+    )
 }
 
 fn call(value: u64) -> Call {

@@ -10,7 +10,7 @@ impl Drive {
         }
         let behind = self.power.demand() - self.power.place();
         let window = self.objects.get(FOLLOWING_WINDOW);
-        if window > 0 && behind.abs() / TAU * self.per_turn() > window as f64 {
+        if window != i64::from(u32::MAX) && behind.abs() / TAU * self.per_turn() > window as f64 {
             return self.fail(Fault::FOLLOWING);
         }
         if self.homing == Homing::Moving && !self.power.is_moving() && behind.abs() < REACHED.1 {
@@ -71,25 +71,35 @@ impl Drive {
 
     /// A position setpoint of a cycle.
     pub(super) fn follow(&mut self, now: Time) {
-        let object = match self.selected(OUTPUT_PDO).is_some_and(|pdo| pdo.place(TARGET_POSITION).is_some()) {
-            true => TARGET_POSITION,
-            false => INTERPOLATION,
-        };
         let word = self.control.unwrap_or_default();
-        let wanted = match self.mode() {
-            Mode::TRAJECTORY | Mode::CYCLIC_POSITION => true,
-            Mode::INTERPOLATED => word.has(ControlWord::START),
+        let is_mapped = |object| self.selected(OUTPUT_PDO).is_some_and(|pdo| pdo.place(object).is_some());
+        // The target of each mode, whatever is in it (CiA 402-2); of the vendor's mode whichever is mapped (assumed).
+        let (object, wanted) = match self.mode() {
+            Mode::CYCLIC_POSITION => (TARGET_POSITION, true),
+            Mode::TRAJECTORY if is_mapped(TARGET_POSITION) => (TARGET_POSITION, true),
+            Mode::TRAJECTORY => (INTERPOLATION, true),
+            Mode::INTERPOLATED => (INTERPOLATION, word.has(ControlWord::START)),
             _ => return,
         };
         self.track = match wanted && self.state == State::OperationEnabled && !word.has(ControlWord::HALT) {
-            true => Track {
-                from: self.track.at(now).0,
-                to: self.place_of(self.objects.get(object)),
-                since: now,
-                over_ns: self.sync.cycle_ns().unwrap_or(MS),
-            },
+            true => {
+                let (from, over_ns) = (self.track.at(now).0, self.sync.cycle_ns().unwrap_or(MS));
+                let most = self.most_speed() * over_ns as f64 / S as f64;
+                let way = self.place_of(self.objects.get(object)) - from;
+                Track { from, to: from + way.clamp(-most, most), since: now, over_ns }
+            }
             false => Track::hold(self.power.place()),
         };
+    }
+
+    /// The speed that its limits leave, rad/s: 607Fh in counts of a velocity, 6080h in rpm (CiA 402-2).
+    fn most_speed(&self) -> f64 {
+        let limits = [(MAXIMUM_VELOCITY, self.settings.rpm_per_count), (MAXIMUM_SPEED, 1.0)];
+        let rpm = limits.map(|(object, rpm)| match self.objects.has(object) {
+            true => self.objects.get(object) as f64 * rpm,
+            false => f64::INFINITY,
+        });
+        rpm[0].min(rpm[1]) * RPM
     }
 
     /// The demand of the motor.
@@ -108,7 +118,8 @@ impl Drive {
     fn motion(&self, at: Time) -> Aim {
         let word = self.control.unwrap_or_default();
         let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
-        let velocity = |speed| Aim::Velocity { speed, up, down };
+        let most = self.most_speed();
+        let velocity = |speed: f64| Aim::Velocity { speed: speed.clamp(-most, most), up, down };
         let torque = |permille: f64| {
             let most = self.objects.get(MAXIMUM_TORQUE) as f64;
             Aim::Torque(self.torque(permille.max(-most).min(most)))

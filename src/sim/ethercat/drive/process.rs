@@ -34,11 +34,15 @@ impl Drive {
                 (entry.object, data.iter().rev().fold(0_i64, |raw, byte| raw << 8 | i64::from(*byte)))
             }));
         }
+        let mode = self.mode();
         values.iter().for_each(|(object, value)| self.objects.set(*object, *value));
+        if self.mode() != mode {
+            self.hold();
+        }
         if values.iter().any(|(object, _)| *object == CONTROL_WORD) {
             self.obey();
         }
-        if values.iter().any(|(object, _)| *object == MAXIMUM_TORQUE) {
+        if values.iter().any(|(object, _)| TORQUE_LIMITS.contains(object)) {
             self.limit_torque();
         }
         if !values.is_empty() {

@@ -109,7 +109,7 @@ impl Drive {
                 self.objects.set(CYCLE_TIME, quanta.max(1) as i64);
             }
             CYCLE_TIME => self.cycle_ns = Some(value as u64 * QUANTUM_NS),
-            MAXIMUM_TORQUE => self.limit_torque(),
+            limit if TORQUE_LIMITS.contains(&limit) => self.limit_torque(),
             MODE => self.hold(),
             CONTROL_WORD if self.al == AlState::Op => self.obey(),
             _ => {}

@@ -90,8 +90,7 @@ fn drive(index: usize, input: &mut Input<'_>) -> (LinUdpDrive, LinMotSettings) {
             velocity: Some(1_000.0),
             acceleration: Some(20_000.0),
             step: has(2).then_some(2.0),
-            torque: None,
-            homing: None,
+            ..Limits::default()
         };
     }
     axis.profile = Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 };

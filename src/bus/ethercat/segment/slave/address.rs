@@ -79,7 +79,12 @@ impl Slave {
             _ if is_own && count > 0 => self.refuse(now, Note::AddressTwice),
             0 => self.start_over(now, 0, Note::Starting),
             // The other one is reached through it, or stands here.
-            1 => self.refuse(now, Note::WrongPlace(place)),
+            1 => {
+                // Nothing was written to the one that is set up.
+                let ours = self.ours;
+                self.refuse(now, Note::WrongPlace(place));
+                self.ours = ours;
+            }
             // It has an old one, which another master has left.
             _ => self.enter(now, Step::Unaddress),
         }
@@ -116,7 +121,9 @@ impl Slave {
             self.refuse(now, note);
             return Happened::Nothing;
         }
-        let restarted = self.known && (station != self.station() || self.way.al == Some(AlState::Init));
+        let intruded = self.is_intruded(status, station);
+        let restarted =
+            self.known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
         self.known &= !restarted;
         if restarted {
             (self.clock_set, self.ours) = (false, false);
@@ -129,7 +136,14 @@ impl Slave {
             (self.known, self.ours) = (false, false);
             self.unmapped(now, 0);
         }
-        if restarted { Happened::Restarted } else { Happened::Nothing }
+        match () {
+            () if intruded => {
+                self.refused = Note::Intruded;
+                Happened::Intruded
+            }
+            () if restarted => Happened::Restarted,
+            () => Happened::Nothing,
+        }
     }
 
     /// A slave that was refused is looked at: another state or station address is another one, or it was restarted.

@@ -25,7 +25,7 @@ use crate::time::{MS, Time};
 
 /// SyncManagers that are read, and the bytes from the divider of the watchdogs to that of the SyncManagers.
 const MANAGERS: usize = 4 * SyncManager::SIZE;
-const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
+pub(super) const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 
 impl Slave {
     /// A drive in OP, as it was last seen: it may move.
@@ -167,26 +167,6 @@ impl Slave {
         } else {
             self.leave_running(now, Note::FoundRunning);
         }
-    }
-
-    /// It was set up here, and its frames were lost for a while only: where it continues. `None`: it has to be
-    /// brought up.
-    pub(super) fn goes_on(&mut self, now: Time) -> bool {
-        let Some(al) = self.way.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
-        (self.looked_at, self.other_time) = (true, false);
-        (self.way.addressed, self.way.mapped, self.way.mailbox_open) =
-            (true, Mapped::All, self.plan.mailbox.is_some());
-        match al {
-            AlState::Op => {
-                self.clock_set = self.plan.sync;
-                (self.way.was_operational, self.note) = (true, Note::None);
-                self.enter(now, Step::Up);
-            }
-            // Its clock ran by itself meanwhile.
-            _ if self.plan.sync => self.enter(now, Step::Time),
-            _ => self.enter(now, Step::Code),
-        }
-        true
     }
 
     /// A slave that was only joined is set up completely, from INIT: found in OP again, it would be joined again,

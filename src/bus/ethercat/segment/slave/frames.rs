@@ -36,7 +36,7 @@ impl Slave {
             _ if !self.has_al => (0, all),
             _ if self.shown.0 == 0 => (0, 0),
             Some(AlState::SafeOp | AlState::Op) if self.way.mapped != Mapped::None => match self.step {
-                Step::Release => (full, all),
+                Step::Release | Step::Check { .. } => (full, all),
                 _ => (full, full),
             },
             // Its earlier share: a slave that comes back may still take part, and one that comes up not yet.
@@ -70,7 +70,8 @@ impl Slave {
     /// an error (ETG.1000.6). It was in OP for a while: no older frame shows this.
     pub fn is_lowered(&self, now: Time) -> bool {
         let was_up = matches!(self.step, Step::Up) && !self.way.joined && self.way.al == Some(AlState::Op);
-        was_up && now.since(self.since) > UP_FOR_NS && self.shown == AlStatus::request(AlState::SafeOp)
+        let is_below = !self.shown.error() && self.shown.state().is_some_and(|al| al < AlState::Op);
+        was_up && now.since(self.since) > UP_FOR_NS && is_below
     }
 
     /// Its image shows another state than before, or an error.

@@ -11,6 +11,7 @@
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
 //! | `setup` | its SyncManagers, FMMUs and watchdog |
+//! | `resume` | whether they are still those that were set up here |
 //! | `frames` | its content in the frames |
 //!
 //! | step | what |
@@ -26,6 +27,9 @@
 //! | settled | its own clock is synchronised to the segment's; SYNC0 |
 //! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the segment |
 //!
+//! A slave that comes back, or fell to SAFEOP, is resumed from there only if its settings read back as they were set up
+//! here. Otherwise another master has been there, and it is set up from INIT.
+//!
 //! A step is repeated while its frames are lost; with a slave that does not answer it begins anew after a while.
 
 mod address;
@@ -35,6 +39,7 @@ mod identity;
 mod objects;
 mod receive;
 mod request;
+mod resume;
 mod setup;
 mod step;
 mod sync;
@@ -130,6 +135,8 @@ pub enum Happened {
     Restarted,
     /// What was written at its position may have reached another slave, behind it.
     Misplaced,
+    /// Another master has changed its state or its settings.
+    Intruded,
 }
 
 /// What was reached on the way to OP. It begins anew with another one.
@@ -201,6 +208,8 @@ pub struct Slave {
     ours: bool,
     /// The orderly end has begun: it is being shut down.
     ending: bool,
+    /// Its own values of objects in its outputs were read.
+    pub has_own: bool,
     /// A factor for the next object, from the object that was read before.
     factor: u32,
     note: Note,
@@ -260,6 +269,7 @@ impl Slave {
             given: false,
             ours: false,
             ending: false,
+            has_own: false,
             factor: 1,
             note: Note::Starting,
             remark: Note::None,
@@ -287,6 +297,7 @@ impl Slave {
         regions.add(&*self.plan.start_up);
         self.plan.start_up.iter().for_each(|start| regions.add(&*start.string));
         regions.add(&*self.plan.verify);
+        regions.add(&*self.plan.own);
         regions.add(&*self.plan.verify_found);
     }
 

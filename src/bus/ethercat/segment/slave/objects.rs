@@ -23,6 +23,8 @@ pub(super) enum List {
     Write,
     /// Read, and compared with the configuration.
     Verify,
+    /// Read, since its outputs carry it as it is.
+    Own,
     /// Of a drive that was found in OP: its status word; what is compared; its mode.
     Power,
     Found,
@@ -36,6 +38,7 @@ impl Slave {
         let objects = match list {
             List::Write => &self.plan.start_up[..],
             List::Verify => &self.plan.verify,
+            List::Own => &self.plan.own,
             List::Found => &self.plan.verify_found,
             List::Power => &POWER,
             List::Mode => &MODE,
@@ -74,6 +77,12 @@ impl Slave {
                 self.found_mode = Some(Mode(found as u8 as i8));
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
+            Ok(found) if list == List::Own => {
+                if let Some(own) = self.plan.own.get_mut(next) {
+                    own.raw = (found & mask).into();
+                }
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
             Ok(found) if list != List::Write && is_factor => {
                 self.factor = found.max(1);
                 self.step = Step::Objects { list, next: next + 1, begun: false };
@@ -87,7 +96,12 @@ impl Slave {
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
-            Err(_) if matches!(list, List::Power | List::Found | List::Mode) => self.not_joinable(now),
+            Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
+                self.not_joinable(now);
+            }
+            Err(SdoFailure::Abort(abort)) if list == List::Own => {
+                self.refuse(now, Note::OwnValue { object, abort });
+            }
             Err(SdoFailure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
             Err(SdoFailure::Unusable(status)) => {
                 self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
@@ -113,9 +127,15 @@ impl Slave {
     fn all_objects(&mut self, now: Time, list: List) {
         match list {
             List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
-            List::Verify => self.enter(now, self.process_data()),
+            List::Verify | List::Found => {
+                self.enter(now, Step::Objects { list: List::Own, next: 0, begun: false });
+            }
+            List::Own => {
+                self.has_own = true;
+                let mode = Step::Objects { list: List::Mode, next: 0, begun: false };
+                self.enter(now, if self.way.joined { mode } else { self.process_data() });
+            }
             List::Power => self.has_power(now),
-            List::Found => self.enter(now, Step::Objects { list: List::Mode, next: 0, begun: false }),
             List::Mode => self.joined_whole(now),
         }
     }

@@ -2,6 +2,7 @@
 
 use super::request::AL_LOOK;
 use super::setup::WATCHDOG_DIVIDER;
+use super::step::Resumes;
 use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::segment::running::Running;
 use crate::bus::ethercat::sii::Reading;
@@ -83,6 +84,7 @@ impl Slave {
             Step::SiiBack { refused } => self.leave_running(now, refused),
             Step::Found => self.found(now, answers),
             Step::FoundFmmus => self.found_fmmus(now, first.data),
+            Step::Check { resumes, part } => return self.was_checked(context, resumes, part, first.data),
             Step::Join => self.join(now),
             Step::Ports => self.enter(now, Step::Clear(0)),
             Step::Clear(done) => {
@@ -201,7 +203,10 @@ impl Slave {
             }
             AlState::SafeOp => {
                 (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
-                self.remark = self.unarmed();
+                self.remark = match self.refused {
+                    Note::Intruded => Note::Intruded,
+                    _ => self.unarmed(),
+                };
                 let settles = self.plan.sync;
                 self.enter(now, if settles { Step::Settle { good: 0, next: now } } else { Step::Lock });
             }
@@ -237,8 +242,8 @@ impl Slave {
             _ if status.error() && self.falls_again(now) => self.refuse(now, fallen),
             Some(AlState::Op | AlState::SafeOp) => {
                 self.note = fallen;
-                // By way of SAFEOP, where the grid has to be locked first.
-                self.enter(now, Step::acknowledged(AlState::SafeOp, self.acknowledgement(status, code)));
+                self.acknowledge = self.acknowledgement(status, code);
+                self.check(now, Resumes::SafeOp(self.acknowledge));
             }
             _ => self.start_over(now, 0, Note::Starting),
         }

@@ -80,6 +80,7 @@ impl Slave {
             }
             Step::Found => self.request_found(ask),
             Step::FoundFmmus => self.request_found_fmmus(ask),
+            Step::Check { resumes, part } => self.request_check(resumes, part, ask),
             Step::Join => self.request_join(ask),
             Step::Ports => {
                 // Each loop by itself; no alias.

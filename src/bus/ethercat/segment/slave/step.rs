@@ -68,6 +68,11 @@ pub(super) enum Step {
     SyncManagers(u8),
     SyncManagersCheck(u8),
     Fmmus,
+    /// What was set up here is read back before it is resumed, this part of it.
+    Check {
+        resumes: Resumes,
+        part: usize,
+    },
     /// Its time is read, its offset set by that, and corrected by what is left.
     Time,
     Offset(Setting),
@@ -92,6 +97,17 @@ pub(super) enum Step {
     Release,
     /// It has reported an AL error in operation.
     Code,
+}
+
+/// Where a slave continues whose settings are still those that were set up here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Resumes {
+    /// It is in OP.
+    Op,
+    /// It is in SAFEOP, and its clock ran by itself meanwhile.
+    Clock,
+    /// It is in SAFEOP; its error is acknowledged first.
+    SafeOp(Option<AlStatus>),
 }
 
 /// What its clock is set to.

@@ -69,7 +69,7 @@ impl Rig {
         let (station, native, _) =
             Station::new(&plan, PERIOD * u64::from(plan.axis.divisor), 0, &InputLog::default());
         let mut rig = Rig {
-            machine: Machine::new(&plan.axis, capabilities(&plan), PERIOD),
+            machine: Machine::new(&plan.axis, capabilities(&plan, PERIOD), PERIOD),
             drive: Drive::new(settings),
             station,
             native,

@@ -31,12 +31,13 @@ fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
     assert_eq!(bench.drive.check_sizes(6, 5), Err(AlCode(0x001E)));
     assert_eq!(bench.write("0x6060:0", &[0x85]), Err(AbortCode::RANGE));
     bench.write("0x6060:0", &[8]).unwrap();
+    bench.select(0x1C12, 0x1724);
     bench.select(0x1C13, 0x1B20);
     bench.go_to_op();
     assert_eq!(bench.inputs.len(), 32);
     bench.enable();
     for cycle in 1..=500 {
-        bench.put(INTERPOLATION, cycle * 1_000);
+        bench.put(TARGET_POSITION, cycle * 1_000);
         bench.cycle();
     }
     bench.cycles(50);

@@ -1,0 +1,72 @@
+//! What a stop requests of the drive: in place of what, and how steep.
+
+use super::*;
+
+#[test]
+fn no_ramp_of_velocities_stops_an_axis_that_follows_torques() {
+    for (command, quick) in [(Command::Torque { slope: 100.0 }, true), (Command::Follow, false)] {
+        for cause in [StopCause::Overrun, StopCause::Task, StopCause::GroupLink] {
+            let mut x = Alone::new(plan()).enabled();
+            x.post(command);
+            x.turn();
+            x.slot.status.velocity = 50.0;
+            x.turn();
+            x.controller.stop(&cycle(50), Time(50 * MS), cause);
+            let newest = x.controller.newest();
+            assert_eq!(newest == Some(Command::QuickStop), quick, "{cause}: {newest:?}");
+            assert_eq!(matches!(newest, Some(Command::Stop { .. })), !quick, "{cause}: {newest:?}");
+        }
+    }
+}
+
+#[test]
+fn a_stop_of_the_application_is_as_steep_as_its_time_out_requires_and_never_weaker_than_requested() {
+    // 80 mm/s in 80 % of 100 ms.
+    for (requested, expected) in [(1.0, 1_000.0), (999.0, 1_000.0), (2_500.0, 2_500.0)] {
+        let mut plan = plan();
+        plan.stop.timeout = Duration::from_millis(100);
+        let mut x = Alone::new(plan).enabled();
+        x.slot.status.velocity = -80.0;
+        x.turn();
+        x.post(Command::Stop { deceleration: Some(requested) });
+        x.turn();
+        let Some(Command::Stop { deceleration: Some(ordered) }) = x.controller.newest() else { panic!() };
+        assert!((ordered / expected - 1.0).abs() < 1e-9, "{requested}: {ordered}");
+    }
+}
+
+#[test]
+fn a_ramp_of_the_application_that_the_drive_refuses_becomes_its_quick_stop() {
+    for (command, quick) in [(Command::Stop { deceleration: None }, true), (Command::Home, false)] {
+        let mut x = Alone::new(plan()).enabled();
+        let id = x.post(command);
+        x.turn();
+        x.slot.status.velocity = 50.0;
+        x.ends(Err(Failure::NotTaken));
+        assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotTaken))]);
+        assert_eq!(x.controller.newest() == Some(Command::QuickStop), quick, "{:?}", x.controller.newest());
+        assert_eq!(x.controller.feedback().stopped, None);
+    }
+}
+
+#[test]
+fn a_drive_that_answers_again_in_its_stop_gets_the_quick_stop_that_the_application_had_requested() {
+    for quick in [true, false] {
+        let mut x = Alone::new(plan()).enabled();
+        x.slot.status.velocity = 50.0;
+        x.turn();
+        x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::Overrun);
+        if quick {
+            x.post(Command::QuickStop);
+        }
+        x.turn();
+        let before = x.controller.machine.newest().1;
+        (0..5).for_each(|_| x.miss());
+        assert_eq!(x.controller.feedback().link, Link::Lost);
+        x.turn();
+        let (newest, serial) = x.controller.machine.newest();
+        assert_ne!(serial, before, "what was sent meanwhile is requested again");
+        assert_eq!(newest == Some(Command::QuickStop), quick, "{newest:?}");
+        assert_eq!(matches!(newest, Some(Command::Stop { .. })), !quick, "{newest:?}");
+    }
+}

@@ -1,0 +1,135 @@
+//! The watch over the loop: a thread that takes the wires from a loop whose cycle does not end, and stops the drives
+//! that no watchdog of their own stops.
+
+use std::io;
+use std::thread::{JoinHandle, park_timeout};
+use std::time::Duration;
+
+use crate::bus::LastResort;
+use crate::cycle::watch::{Verdict, Watch};
+use crate::rt::{self, Granted, MonotonicClock, Wires};
+use crate::time::{MS, S, Time};
+
+/// The stop is repeated so often, ns: so long may a request move an axis that the loop still sends.
+const REPEAT_NS: u64 = 10 * MS;
+/// For so long it is repeated after the loop has given way, ns: its last request may wait in the host, in a switch or in
+/// the drive.
+const LATEST_NS: u64 = 250 * MS;
+/// A loop that comes back ends within this time, ns; nobody waits longer where there is nothing to be stopped.
+const RETURN_NS: u64 = S;
+
+/// What [`finish`](super::Master::finish) says of such a loop.
+pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the wires \
+                                and sent the stop to the drives that have no watchdog of their own; look at the drives \
+                                and at what holds the loop's thread up (the in-loop task, a driver of the host)";
+
+/// The watch of a running machine.
+#[derive(Debug)]
+pub(crate) struct LoopWatch {
+    wires: Wires,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl LoopWatch {
+    /// Nobody watches: a loop in virtual time, or `watch_after = "off"`.
+    pub(crate) fn none(wires: Wires) -> LoopWatch {
+        LoopWatch { wires, thread: None }
+    }
+
+    /// Starts to watch a loop that was granted this.
+    pub(super) fn start(
+        wires: Wires,
+        after_ns: u64,
+        period_ns: u64,
+        of_loop: Granted,
+        last_resorts: Vec<Box<dyn LastResort>>,
+    ) -> io::Result<LoopWatch> {
+        let shared = wires.clone();
+        let thread = std::thread::Builder::new().name("fb-watchdog".into()).spawn(move || {
+            rt::thread::watch_thread(&of_loop);
+            if let Some(taken) = await_verdict(&shared, after_ns, period_ns) {
+                stop(&shared, period_ns, taken, last_resorts);
+            }
+        })?;
+        Ok(LoopWatch { wires, thread: Some(thread) })
+    }
+
+    /// Whether the loop is stuck, or was.
+    pub(super) fn is_stuck(&self) -> bool {
+        self.wires.is_stuck()
+    }
+
+    /// Whether nobody need wait for the loop any longer.
+    pub(super) fn is_over(&self) -> bool {
+        self.wires.is_over()
+    }
+
+    /// Ends it, after the loop's thread has ended: at once, or once the stop was repeated for long enough.
+    pub(super) fn end(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            // A loop whose thread has ended outside of its cycle has not said so.
+            if !self.wires.end() && self.wires.is_stuck() {
+                self.wires.give_way();
+            }
+            thread.thread().unpark();
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Watches until the loop has ended, or until its wires were taken: when that was, and for how long it was silent then.
+fn await_verdict(wires: &Wires, after_ns: u64, period_ns: u64) -> Option<Taken> {
+    let mut watch = Watch::new(after_ns);
+    loop {
+        if wires.have_ended() {
+            return None;
+        }
+        let now = MonotonicClock::read();
+        match watch.poll(now, wires.turns()) {
+            Verdict::Alive => wires.publish_silence(0),
+            Verdict::Silent(ns) => wires.publish_silence(ns / period_ns),
+            Verdict::Stuck(silent_ns) => return wires.take().then_some(Taken { at: now, silent_ns }),
+        }
+        sleep_until(now + watch.every_ns());
+    }
+}
+
+/// When the wires were taken.
+#[derive(Clone, Copy, Debug)]
+struct Taken {
+    at: Time,
+    silent_ns: u64,
+}
+
+/// Sends the stop until the loop has given way, and then for as long as its last request may be under way. A loop that
+/// never does has a stop behind whatever it may still send, until the process ends.
+fn stop(wires: &Wires, period_ns: u64, taken: Taken, mut last_resorts: Vec<Box<dyn LastResort>>) {
+    let over_ns = last_resorts.iter().map(|last| last.over_after_ns()).fold(RETURN_NS, u64::max);
+    let mut gave_way_at = None;
+    loop {
+        let now = MonotonicClock::read();
+        let since_ns = now.since(taken.at);
+        // Looked at first: what is sent below comes after the loop's last request.
+        if gave_way_at.is_none() && wires.gave_way() {
+            gave_way_at = Some(now);
+        }
+        last_resorts.iter_mut().for_each(|last| last.send(since_ns));
+        wires.publish_silence((taken.silent_ns + since_ns) / period_ns);
+        let is_latest = gave_way_at.is_some_and(|at| now.since(at) >= LATEST_NS);
+        if since_ns >= over_ns || (is_latest && last_resorts.is_empty()) {
+            wires.set_over();
+            if is_latest {
+                return;
+            }
+        }
+        sleep_until(now + REPEAT_NS);
+    }
+}
+
+/// Sleeps until then, or until it is woken.
+fn sleep_until(at: Time) {
+    let left_ns = at.since(MonotonicClock::read());
+    if left_ns > 0 {
+        park_timeout(Duration::from_nanos(left_ns));
+    }
+}
