@@ -378,8 +378,8 @@ pub struct Notices {
     ///
     /// [`Capabilities::power_reports`]: super::desired::Capabilities::power_reports
     pub restarted: bool,
-    /// Another master was found, as certainly, to command the drive, or to have frames on its segment, with or without a fresh
-    /// status; the loop stops the axis.
+    /// Another master was found, as certainly, to command the drive, or to have frames on its segment, with or without
+    /// a fresh status; the loop stops the axis.
     pub other_master: bool,
     /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,
