@@ -101,7 +101,7 @@ pub trait Bus: Send {
     /// carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// What stops its drives without the loop, on a wire whose drives have no watchdog of their own for a silent master.
+    /// What stops its drives without the loop, where they have no watchdog of their own for a silent master.
     /// By default a bus has none: its drives stop by themselves once nothing is sent any more.
     fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
         None

@@ -159,6 +159,8 @@ pub struct DriveController {
     requested: Requested,
     /// Its link was up when the buses began to end.
     answered: Option<bool>,
+    /// The wires were taken from the loop.
+    stuck: bool,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -255,6 +257,7 @@ impl DriveController {
             ends: false,
             requested: Requested::default(),
             answered: None,
+            stuck: false,
             monitor: [None; MONITOR_CHANNELS],
         }
     }

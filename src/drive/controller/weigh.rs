@@ -164,7 +164,8 @@ impl DriveController {
         self.bounds.forget();
         self.emit(cycle, now, EventKind::PositionJump(by));
         if self.is_armed() {
-            self.stop_by(Braked::ByTheDrive, cycle, now, StopCause::PositionJump);
+            let requested = self.duty.active().map(|active| active.command);
+            self.stop_by(Braked::ByTheDrive, requested, cycle, now, StopCause::PositionJump);
         }
     }
 }
