@@ -797,7 +797,7 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
@@ -813,7 +813,7 @@ bus portal: linudp-v2, 4 drives
     stopped by a following error of rows above 5.5 mm (limits.following_error)
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
         most 7.5 mm further
@@ -829,7 +829,7 @@ bus portal: linudp-v2, 4 drives
     its following error is not watched here: that needs limits.velocity or limits.following_error
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error

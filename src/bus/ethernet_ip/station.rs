@@ -402,7 +402,7 @@ impl Station {
         );
         let same =
             (before.status, before.alarm, before.inhibited) == (inputs.status, inputs.alarm, inhibited);
-        if !(same && self.profile.is_steady()) {
+        if !same || slot.anew || !self.profile.is_steady() {
             self.prove(slot);
             if self.profile.take_rehomed() {
                 // The position was set: that was no motion, and the encoder is where the steps are.

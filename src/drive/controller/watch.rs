@@ -231,10 +231,15 @@ impl DriveController {
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
-        if self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
+        if self.is_armed() {
             self.stop(cycle, now, cause);
         }
+    }
+
+    /// It is enabled, or about to be, or the application commands its drive.
+    pub(super) fn is_armed(&self) -> bool {
+        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
+        self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application)
     }
 
     /// Whether no position leads the drive, and its reported demand is meaningless.

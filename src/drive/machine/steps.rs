@@ -98,7 +98,9 @@ impl State {
         let (state, evidence, rest) = (view.status.state, view.evidence, fallen_back(rest));
         if self.has_power(view) && evidence.outputs_count {
             if evidence.fault.active {
-                return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
+                // A report that does not count is not fresh: what it says of a fault is not certain yet.
+                let is_certain = evidence.fault.named && view.fresh;
+                return if is_certain { self.give_up(view.failed(), view) } else { None };
             }
             if view.status.inhibited {
                 self.set(rest);

@@ -85,6 +85,11 @@ pub enum Op {
         back: u8,
         us: u16,
     },
+    /// A reply of any time before comes to the master, in the shape of the one that it waits for next.
+    OldReply {
+        which: u16,
+        us: u16,
+    },
     /// The application reads no events for so many turns.
     Deaf(u8),
     /// The computer sleeps for so many milliseconds. It concerns all axes, and so does the next one.
@@ -246,7 +251,7 @@ impl Without {
             Op::Write(_) => !self.writes,
             Op::Late(_) | Op::Overload { .. } => !self.overload,
             Op::RepeatRequest { motion, .. } => !self.requests && (*motion || !self.control_requests),
-            Op::RepeatReply { .. } => !self.replies,
+            Op::RepeatReply { .. } | Op::OldReply { .. } => !self.replies,
             Op::Deaf(_) | Op::Burst { .. } => !self.deaf,
             Op::Post(commands) => commands.iter().all(|command| match command {
                 Choice::StopAt(_) => !self.slow_stops,
@@ -322,6 +327,9 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
         },
         36..=40 if repeats => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
         41 => Op::Deaf(random.u8(10..200)),
+        43..=46 if matches!(shape.kind, Kind::LinMot | Kind::Mixed) => {
+            Op::OldReply { which: random.u16(..), us: random.u16(..100) }
+        }
         42 if !rare && random.u8(..2) == 0 => Op::Suspend(random.u8(20..)),
         42 if !rare => Op::Die(random.u8(1..)),
         _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),

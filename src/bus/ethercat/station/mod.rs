@@ -257,7 +257,7 @@ impl Station {
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
         let is_same = self.profile.offsets.status(inputs) == Some(self.seen.inputs.status.0);
-        if !is_same || self.steady_until == Time(0) || al != AlState::Op {
+        if !is_same || self.steady_until == Time(0) || al != AlState::Op || slot.anew {
             return self.take_anew(at, inputs, al, slot);
         }
         slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
