@@ -143,6 +143,9 @@ pub(super) struct Profile {
     mode_refused: bool,
     /// It homes, or has not left the mode of that.
     homes: bool,
+    /// The mode of homing was wanted, and the drive was not seen in its own one since: there the bits of its own mode
+    /// start a homing.
+    is_away: bool,
     /// The next native output of the application.
     output: Option<NativeOutput>,
     power: Carried,
@@ -197,6 +200,7 @@ impl Profile {
             setpoint: 0,
             is_filled: false,
             homes: false,
+            is_away: false,
             output: None,
             is_sent: true,
             sent: Sent::default(),
@@ -311,6 +315,7 @@ impl Profile {
         self.wanted = *desired;
         self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
         self.homes |= motion.value == Motion::Home;
+        self.is_away |= self.homes || mode.value == desired::Mode::Homing;
         let word = match power.value {
             Power::Untouched | Power::Off => ControlWord(0),
             Power::Shutdown => ControlCommand::Shutdown.word(),
@@ -323,7 +328,7 @@ impl Profile {
             _ if power.value != Power::EnableOperation => 0,
             Motion::Home => ControlWord::START,
             // The start of a homing needs an edge of the same bit.
-            _ if mode.value == desired::Mode::Homing || self.homes => 0,
+            _ if self.is_away => 0,
             _ => self.mode_bits,
         };
         let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
@@ -453,8 +458,8 @@ impl Profile {
     pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
         if self.mode_wanted() != desired::Mode::Homing {
             self.mode_refused = false;
-            if self.homes && mode == ModeIs::Own {
-                self.homes = false;
+            if self.is_away && mode == ModeIs::Own {
+                (self.homes, self.is_away) = (false, false);
                 // The bits of its mode are back.
                 self.serials = (0, 0, 0);
             }
@@ -492,7 +497,7 @@ impl Profile {
             |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
         let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
         let is_written = self.sent.control == Some(self.control) && self.sent.before == Some(self.control);
-        let homes = self.homes || self.sent.homes || mode.value == desired::Mode::Homing;
+        let homes = self.is_away || self.sent.homes || mode.value == desired::Mode::Homing;
         // A missing hardware enable shows in the course of time.
         let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
         is_proved && is_written && !homes && !self.is_native() && !is_dark

@@ -10,8 +10,9 @@ use crate::axis::{Command, Failure, Profile};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
+use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type, pdo};
-use crate::bus::ethercat::plan::Watchdog;
+use crate::bus::ethercat::plan::{Mapping, Watchdog};
 use crate::bus::ethercat::profile::capabilities;
 use crate::sim::ethercat::Application;
 
@@ -225,6 +226,68 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     rig.done(Rig::to(1.0));
     rig.assert_standing();
     assert!((rig.slot.status.position - 1.0).abs() < 1e-4);
+}
+
+/// An AKD that interpolates, whose outputs carry its mode; it changes that late.
+fn late_akd() -> Rig {
+    let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
+    let objects = [(0x6040, 0), (0x6060, 0), (0x60C1, 1)].map(|(index, sub)| Object::new(index, sub));
+    plan.outputs = Layout::of_known(0x1600, &objects).unwrap();
+    plan.inputs = pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == 0x1B01).unwrap();
+    (plan.mapping, plan.mode, plan.home_method) = (Mapping::Free, Some(Mode::INTERPOLATED), Some(2));
+    plan.fit();
+    plan.slave.watchdog = Watchdog::After(100 * MS);
+    plan.slave.mailbox = position().slave.mailbox;
+    let mut rig = Rig::with(plan, |settings| settings.mode_delay_ns = 5 * MS);
+    rig.done(Command::Enable);
+    rig
+}
+
+#[test]
+fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
+    // Behind the control word.
+    let place = 2;
+    let mut rig = late_akd();
+    rig.order(Command::Home);
+    let until_home =
+        rig.until("home", 200, |rig| rig.control() & 0x10 != 0 && rig.drive.mode() == Mode::HOMING);
+    assert!(rig.outputs[place] == 6 && until_home > 10, "{until_home}");
+    for command in [STOP, Command::QuickStop, Command::Disable] {
+        for turns in 1..until_home - 3 {
+            let mut rig = late_akd();
+            let stood = rig.drive.position();
+            rig.order(Command::Home);
+            rig.turns(turns);
+            rig.order(command);
+            let step = |rig: &mut Rig, turns| {
+                for _ in 0..turns {
+                    rig.turn();
+                    let starts = rig.control() & 0x10 != 0;
+                    assert!(
+                        !(starts && (rig.drive.mode() == Mode::HOMING || rig.outputs[place] == 6)),
+                        "{command:?} after {turns}"
+                    );
+                    let moved = rig.drive.position() - stood;
+                    assert!(moved.abs() < 1_000, "{command:?} after {turns}: {moved} counts");
+                }
+            };
+            step(&mut rig, 300);
+            assert_eq!(rig.outputs[place], 7, "{command:?} after {turns}");
+            rig.order(Command::ResetFault);
+            step(&mut rig, 100);
+            rig.order(Command::Enable);
+            step(&mut rig, 500);
+            assert_eq!(
+                (rig.control(), rig.drive.mode()),
+                (0x1F, Mode::INTERPOLATED),
+                "{command:?} after {turns}"
+            );
+            rig.done(Rig::by(0.1));
+        }
+    }
+    rig.until("its end", 20_000, |rig| rig.end().is_some());
+    assert_eq!(rig.end(), Some(Ok(())));
+    rig.done(Rig::to(1.0));
 }
 
 #[test]
