@@ -253,6 +253,9 @@ pub struct MotorSettings {
     pub inertia_kgm2: f64,
     /// Dry friction, N m. Default 0.1.
     pub friction_nm: f64,
+    /// A load against positive torque, N m, which a brake holds without power. A position controller gives way to it by
+    /// its stiffness (it has no integral part), and works against it then. Default 0.
+    pub load_nm: f64,
 }
 
 impl Default for MotorSettings {
@@ -263,6 +266,7 @@ impl Default for MotorSettings {
             max_rpm: 6_000.0,
             inertia_kgm2: 0.002,
             friction_nm: 0.1,
+            load_nm: 0.0,
         }
     }
 }

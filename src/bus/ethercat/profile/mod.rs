@@ -153,6 +153,8 @@ pub(super) struct Profile {
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
+    /// Where the drive holds itself by a target that its mode follows and that is not the setpoint.
+    held: Option<i32>,
 }
 
 /// What went out.
@@ -210,6 +212,7 @@ impl Profile {
             row: Carried::default(),
             switching: Switching::default(),
             dark_at: None,
+            held: None,
         }
     }
 
@@ -232,11 +235,18 @@ impl Profile {
         is_new
     }
 
-    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the newest
-    /// count of its position, for targets that its mode does not follow. Built again for
-    /// the same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the
+    /// newest count of its position, and whether it was in operation there, for targets that are not the setpoint.
+    /// Built again for the same send, it is the same: state that changes with every exchange changes in
+    /// [`sent`](Self::sent).
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, actual: i32, outputs: &mut [u8]) {
+    pub(super) fn encode(
+        &mut self,
+        grid: Time,
+        setpoint: &Setpoint,
+        actual: (i32, bool),
+        outputs: &mut [u8],
+    ) {
         self.grid = grid;
         self.wanted_row = setpoint.row;
         self.setpoint = if self.quantity == Quantity::Position {
@@ -252,11 +262,24 @@ impl Profile {
         }
         self.offsets.write(self.control.0, self.setpoint, outputs);
         if self.offsets.follows {
-            self.offsets.follow(actual, outputs);
+            self.follow(actual, outputs);
         }
         if let Some(owner) = self.native_owner {
             self.encode_native(owner, outputs);
         }
+    }
+
+    /// Writes the actual position where a position target is that is not the setpoint. One that the mode follows, in
+    /// native mode, stays as it was when the drive came into operation, or when the application's motion ended: with a
+    /// target that follows the motor the position loop has no error to work against, and the axis sinks under its load.
+    #[cold]
+    fn follow(&mut self, (actual, is_enabled): (i32, bool), outputs: &mut [u8]) {
+        let Desired { power, motion, .. } = &self.wanted;
+        let is_written = self.native_owner.is_some() && self.output.is_some();
+        let is_led = is_written || motion.value == Motion::Halt || self.is_away;
+        let holds = is_enabled && power.value == Power::EnableOperation && !is_led;
+        self.held = holds.then_some(self.held.unwrap_or(actual));
+        self.offsets.follow(actual, self.held.unwrap_or(actual), outputs);
     }
 
     /// The outputs are not the ones that were written last.

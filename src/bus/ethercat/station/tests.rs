@@ -228,16 +228,24 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     assert!((rig.slot.status.position - 1.0).abs() < 1e-4);
 }
 
-/// An AKD that interpolates, whose outputs carry its mode; it changes that late.
-fn late_akd() -> Rig {
+/// An AKD in this mode, with these outputs behind its control word.
+fn akd(mode: Mode, outputs: &[(u16, u8)]) -> KollmorgenDrive {
     let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
-    let objects = [(0x6040, 0), (0x6060, 0), (0x60C1, 1)].map(|(index, sub)| Object::new(index, sub));
+    let objects: Vec<_> =
+        std::iter::once(&(0x6040, 0)).chain(outputs).map(|(index, sub)| Object::new(*index, *sub)).collect();
     plan.outputs = Layout::of_known(0x1600, &objects).unwrap();
     plan.inputs = pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == 0x1B01).unwrap();
-    (plan.mapping, plan.mode, plan.home_method) = (Mapping::Free, Some(Mode::INTERPOLATED), Some(2));
+    (plan.mapping, plan.mode) = (Mapping::Free, Some(mode));
     plan.fit();
     plan.slave.watchdog = Watchdog::After(100 * MS);
     plan.slave.mailbox = position().slave.mailbox;
+    plan
+}
+
+/// One that interpolates, whose outputs carry its mode; it changes that late.
+fn late_akd() -> Rig {
+    let mut plan = akd(Mode::INTERPOLATED, &[(0x6060, 0), (0x60C1, 1)]);
+    plan.home_method = Some(2);
     let mut rig = Rig::with(plan, |settings| settings.mode_delay_ns = 5 * MS);
     rig.done(Command::Enable);
     rig
@@ -288,6 +296,41 @@ fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
     rig.until("its end", 20_000, |rig| rig.end().is_some());
     assert_eq!(rig.end(), Some(Ok(())));
     rig.done(Rig::to(1.0));
+}
+
+/// The application's targets, before it writes one: the drive holds its load where it came into operation.
+#[test]
+fn an_axis_whose_targets_are_the_applications_does_not_sink_under_its_load() {
+    for (mode, target) in [(Mode::CYCLIC_POSITION, (0x607A, 0)), (Mode::INTERPOLATED, (0x60C1, 1))] {
+        let mut plan = akd(mode, &[target]);
+        plan.native = true;
+        let mut rig = Rig::with(plan, |settings| settings.motor.load_nm = 2.0);
+        let stood = rig.drive.position();
+        rig.done(Command::Enable);
+        rig.turns(20);
+        // 2 N m by a stiffness of 284 N m a rad are 1174 counts, once in each cycle until it shows its state.
+        let held = rig.drive.position();
+        assert!((500..5_000).contains(&(stood - held)), "{mode:?}: {}", stood - held);
+        for _ in 0..2_000 {
+            rig.turn();
+            assert!((rig.drive.position() - held).abs() < 10, "{mode:?}: {}", rig.drive.position() - held);
+        }
+        // Nor does it before the application has written.
+        rig.order(Command::Native(NativeOwner::Master));
+        for _ in 0..500 {
+            rig.turn();
+            assert!((rig.drive.position() - held).abs() < 10, "{mode:?}: {}", rig.drive.position() - held);
+        }
+        // Without power it may be moved: from then on it is held there.
+        rig.done(Command::Disable);
+        let target_at = rig.plan.outputs.place(Object::new(target.0, target.1)).unwrap();
+        let target = |rig: &Rig| {
+            let bytes = rig.outputs[target_at..].first_chunk::<4>().unwrap();
+            i64::from(i32::from_le_bytes(*bytes))
+        };
+        rig.turns(5);
+        assert!((target(&rig) - rig.drive.position()).abs() < 10, "{mode:?}");
+    }
 }
 
 #[test]
