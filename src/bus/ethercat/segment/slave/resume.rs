@@ -43,12 +43,13 @@ impl Slave {
         true
     }
 
-    /// Another master has been there, by its state or station address: nobody here has changed them, a slave that falls
-    /// by itself shows an error (ETG.1000.6), and one that was switched off has no address.
-    pub(super) fn is_intruded(&self, status: AlStatus, station: u16) -> bool {
-        let is_lowered = station == self.station()
-            && !status.error()
-            && status.state().is_some_and(|al| al < AlState::SafeOp);
+    /// Another master has been there, by its state or station address. A slave that falls by itself shows an error
+    /// (ETG.1000.6). One whose processor restarts is in INIT without an error, and the state requested of it, which only
+    /// a master writes, is still the one that was requested here. One that was switched off has no address.
+    pub(super) fn is_intruded(&self, status: AlStatus, requested: AlStatus, station: u16) -> bool {
+        let is_below = |status: AlStatus| status.state().is_some_and(|al| al < AlState::SafeOp);
+        let is_lowered =
+            station == self.station() && !status.error() && is_below(status) && is_below(requested);
         self.ours && (is_lowered || !matches!(station, 0) && station != self.station())
     }
 
