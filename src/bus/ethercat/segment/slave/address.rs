@@ -125,7 +125,7 @@ impl Slave {
             self.refuse(now, note);
             return Happened::Nothing;
         }
-        let intruded = self.is_intruded(status, requested, station);
+        let intruded = self.is_intruded((status, requested), station, context.counted);
         let restarted =
             self.known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
         self.known &= !restarted;

@@ -198,6 +198,8 @@ pub struct Slave {
     pub looked_at: bool,
     /// How many slaves the broadcast counted when it was read.
     counted: u16,
+    /// The same when it last answered by its own station address.
+    counted_as_ours: u16,
     /// It runs on a time other than the segment's, as far as is known.
     pub other_time: bool,
     /// It was given its station address, and has not been switched off since.
@@ -264,6 +266,7 @@ impl Slave {
             delay_ns: None,
             looked_at: false,
             counted: 0,
+            counted_as_ours: 0,
             other_time: false,
             known: false,
             given: false,

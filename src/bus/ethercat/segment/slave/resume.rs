@@ -45,12 +45,20 @@ impl Slave {
 
     /// Another master has been there, by its state or station address. A slave that falls by itself shows an error
     /// (ETG.1000.6). One whose processor restarts is in INIT without an error, and the state requested of it, which only
-    /// a master writes, is still the one that was requested here. One that was switched off has no address.
-    pub(super) fn is_intruded(&self, status: AlStatus, requested: AlStatus, station: u16) -> bool {
+    /// a master writes, is still the one that was requested here. One that was switched off has no address. Another
+    /// address is that of another slave, where the segment has not as many slaves as when it was set up: one that nobody
+    /// configures has whatever address an earlier master left.
+    pub(super) fn is_intruded(
+        &self,
+        (status, requested): (AlStatus, AlStatus),
+        station: u16,
+        counted: u16,
+    ) -> bool {
         let is_below = |status: AlStatus| status.state().is_some_and(|al| al < AlState::SafeOp);
         let is_lowered =
             station == self.station() && !status.error() && is_below(status) && is_below(requested);
-        self.ours && (is_lowered || !matches!(station, 0) && station != self.station())
+        let is_same_line = counted == self.counted_as_ours;
+        self.ours && (is_lowered || is_same_line && !matches!(station, 0) && station != self.station())
     }
 
     /// What was set up here is read back first.
