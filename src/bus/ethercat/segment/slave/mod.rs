@@ -53,7 +53,7 @@ use crate::axis::FoundRunning;
 use crate::bus::Cycle;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::image::Offsets;
-use crate::bus::ethercat::plan::{Owner, SlavePlan};
+use crate::bus::ethercat::plan::{Owner, SlavePlan, Start};
 use crate::bus::ethercat::sii::Managers;
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
@@ -210,7 +210,8 @@ pub struct Slave {
     ours: bool,
     /// The orderly end has begun: it is being shut down.
     ending: bool,
-    /// Its own values of objects in its outputs were read.
+    /// Objects that are read before its outputs count, since these carry its own values; and they were read.
+    pub own: Box<[Start]>,
     pub has_own: bool,
     /// A factor for the next object, from the object that was read before.
     factor: u32,
@@ -272,6 +273,7 @@ impl Slave {
             given: false,
             ours: false,
             ending: false,
+            own: Box::default(),
             has_own: false,
             factor: 1,
             note: Note::Starting,
@@ -300,7 +302,7 @@ impl Slave {
         regions.add(&*self.plan.start_up);
         self.plan.start_up.iter().for_each(|start| regions.add(&*start.string));
         regions.add(&*self.plan.verify);
-        regions.add(&*self.plan.own);
+        regions.add(&*self.own);
         regions.add(&*self.plan.verify_found);
     }
 

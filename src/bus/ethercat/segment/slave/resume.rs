@@ -46,10 +46,10 @@ impl Slave {
     }
 
     /// Another master has been there, by its state or station address. A slave that falls by itself shows an error
-    /// (ETG.1000.6). One whose processor restarts is in INIT without an error, and the state requested of it, which only
-    /// a master writes, is still the one that was requested here. One that was switched off has no address. Another
-    /// address is that of another slave, where the segment has not as many slaves as when it was set up: one that nobody
-    /// configures has whatever address an earlier master left.
+    /// (ETG.1000.6). One whose processor restarts is in INIT without an error, and the state requested of it, which
+    /// only a master writes, is still the one that was requested here. One that was switched off has no address.
+    /// Another address is that of another slave, where the segment has not as many slaves as when it was set up: one
+    /// that nobody configures has whatever address an earlier master left.
     pub(super) fn is_intruded(
         &self,
         (status, requested): (AlStatus, AlStatus),
