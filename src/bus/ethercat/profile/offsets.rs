@@ -274,7 +274,7 @@ mod tests {
         assert_eq!(built(&offsets)[2], 6);
         // The same in a mode that follows it.
         (akd.mode, akd.native) = (Some(Mode::CYCLIC_POSITION), true);
-        assert_eq!(built(&Offsets::new(&akd))[..7], [0, 0, 8, 9, 0, 0, 0]);
+        assert_eq!(built(&Offsets::new(&akd))[..7], [0x0F, 0, 8, 9, 0, 0, 0]);
     }
 
     #[test]

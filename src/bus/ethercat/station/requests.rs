@@ -328,7 +328,7 @@ mod tests {
         assert_eq!(next, Some(Pending::Mode(own)));
     }
 
-    /// Of the outputs: the mode that they carry is the wanted one whatever was read, and counts once the drive shows it.
+    /// Whatever was read, it is the wanted one.
     #[test]
     fn a_mode_in_the_outputs_is_the_wanted_one_and_counts_once_it_is_shown() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::Akd);
