@@ -231,10 +231,13 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
 /// An AKD in this mode, with these outputs behind its control word.
 fn akd(mode: Mode, outputs: &[(u16, u8)]) -> KollmorgenDrive {
     let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
-    let objects: Vec<_> =
-        std::iter::once(&(0x6040, 0)).chain(outputs).map(|(index, sub)| Object::new(*index, *sub)).collect();
-    plan.outputs = Layout::of_known(0x1600, &objects).unwrap();
-    plan.inputs = pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == 0x1B01).unwrap();
+    let layout = |pdo, first, others: &[(u16, u8)]| {
+        let objects: Vec<_> =
+            [&[first], others].concat().iter().map(|(index, sub)| Object::new(*index, *sub)).collect();
+        Layout::of_known(pdo, &objects).unwrap()
+    };
+    plan.outputs = layout(0x1600, (0x6040, 0), outputs);
+    plan.inputs = layout(0x1A00, (0x6041, 0), &[(0x6064, 0)]);
     (plan.mapping, plan.mode) = (Mapping::Free, Some(mode));
     plan.fit();
     plan.slave.watchdog = Watchdog::After(100 * MS);
