@@ -159,7 +159,8 @@ impl Station {
         if self.profile.desire(&slot.desired) {
             self.unsettle();
         }
-        self.profile.encode(grid, &slot.desired.setpoint, self.seen.last as i32, outputs);
+        let is_enabled = self.seen.inputs.operational && self.seen.inputs.state == State::OperationEnabled;
+        self.profile.encode(grid, &slot.desired.setpoint, (self.seen.last as i32, is_enabled), outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
