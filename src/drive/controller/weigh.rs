@@ -1,11 +1,11 @@
-//! Which reports count. One that says what it may say only because it is an older one, or a damaged one, is held back: it
-//! is not shown, proves nothing and leads to nothing. The next one decides.
+//! Which reports count. One that says what it may say only because it is an older one, or a damaged one, is held back:
+//! it is not shown, proves nothing and leads to nothing. The next one decides.
 //!
 //! - **A loss** of power, reference or hardware enable takes as many reports in a row as a state of its power
-//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)). What this master has requested
-//!   needs no more proof than its command takes.
-//! - **A place** that the axis cannot have reached ([`Reach`]) takes a second report that agrees with it, on every wire.
-//!   Then the axis is there, is no longer homed, and stops.
+//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)). What this master has
+//!   requested needs no more proof than its command takes.
+//! - **A place** that the axis cannot have reached ([`Reach`]) takes a second report that agrees with it, on every
+//!   wire. Then the axis is there, is no longer homed, and stops.
 //!
 //! A report that is suspect decides nothing.
 

@@ -79,9 +79,10 @@ impl Fault {
         match self {
             // From the last good exchange, as `check` states it.
             Unplugged | Muted | Dropping | WrongPort | Late => stated,
-            // From the exchange that tells it, from the task's run, from the last slot passed over.
-            FoundRunning | DriveError | PowerCut | Restarted => next_own_slot,
-            SlowTask | PanickingTask | HeldUp | Shutdown => next_own_slot,
+            // From the exchange that reports it, and the next one, which proves that it was no older report.
+            DriveError | PowerCut | Restarted => 2 * next_own_slot,
+            // From the exchange that reports it, from the task's run, from the last slot passed over.
+            FoundRunning | SlowTask | PanickingTask | HeldUp | Shutdown => next_own_slot,
             // From the cycle that looks for the row of the next slot. That slot has the stop in the row's place, and
             // the group goes with the same send.
             Starved | BadRow if own => 1,
