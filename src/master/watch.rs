@@ -68,7 +68,8 @@ impl LoopWatch {
     /// has `died` outside of its cycle has stopped no drive.
     pub(super) fn end(&mut self, died: bool) {
         if let Some(thread) = self.thread.take() {
-            let taken = if died { self.wires.take() } else { !self.wires.end() };
+            // A loop whose thread has ended in order has said so already.
+            let taken = if died { self.wires.take() } else { !self.wires.end() && self.wires.is_stuck() };
             if taken {
                 self.wires.give_way();
             }
