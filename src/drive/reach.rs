@@ -17,8 +17,8 @@ const OVER_LIMIT: f64 = 2.0;
 /// ... and a slow one may be pushed as fast as this, user units/s: what a hand or a collision makes of a motor.
 const PUSHED_MM: f64 = 1_000.0;
 const PUSHED_REV: f64 = 10.0;
-/// Nothing is faster, user units/s: the fastest linear motors reach 15 m/s, the fastest spindles 30 000 rpm. This is the
-/// only bound of an axis without a velocity limit, and of one without power or that this master has not enabled.
+/// Nothing is faster, user units/s: the fastest linear motors reach 15 m/s, the fastest spindles 30 000 rpm. This is
+/// the only bound of an axis without a velocity limit, and of one without power or that this master has not enabled.
 const FASTEST_MM: f64 = 20_000.0;
 const FASTEST_REV: f64 = 500.0;
 /// A drive may have taken one of two positions by so much earlier than the other, ns, or by an exchange if that is

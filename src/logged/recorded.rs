@@ -130,7 +130,7 @@ impl Datagrams for LoggedDatagrams {
         self.net.groups()
     }
 
-    fn twin(&self) -> Option<UdpSocket> {
+    fn twin(&self) -> io::Result<Option<UdpSocket>> {
         self.net.twin()
     }
 

@@ -20,8 +20,8 @@ const RETURN_NS: u64 = S;
 
 /// What [`finish`](super::Master::finish) says of such a loop.
 pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the \
-                                wires and sent the stop to the drives that have no watchdog of their own; look at the drives \
-                                and at what holds the loop's thread up (the in-loop task, a driver of the host)";
+                                wires and sent the stop to the drives that have no watchdog of their own; look at the \
+                                drives and at what holds the loop's thread up (the in-loop task, a driver of the host)";
 
 /// The watch of a running machine.
 #[derive(Debug)]

@@ -81,8 +81,8 @@ pub trait Datagrams: Send {
 
     /// The same socket for another thread, which sends from the same address. `None`: the carrier has none, as in
     /// virtual time.
-    fn twin(&self) -> Option<UdpSocket> {
-        None
+    fn twin(&self) -> io::Result<Option<UdpSocket>> {
+        Ok(None)
     }
 
     /// How many datagrams arrived and were dropped because earlier ones had not been taken in. Those after the last

@@ -316,8 +316,8 @@ impl Datagrams for Udp {
         self.inbox.batch
     }
 
-    fn twin(&self) -> Option<UdpSocket> {
-        self.socket().try_clone().ok()
+    fn twin(&self) -> io::Result<Option<UdpSocket>> {
+        self.socket().try_clone().map(Some)
     }
 
     fn dropped(&self) -> u64 {

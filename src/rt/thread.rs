@@ -151,8 +151,8 @@ pub fn helper_thread(core_of_loop: Option<usize>) {
 }
 
 /// Lets the calling thread watch a loop that was granted this: off its core, where there is another one, and before it
-/// (SCHED_FIFO, one priority above) if the loop runs in real time. A watch before a loop that is an ordinary thread would
-/// take the waits of that one for its end.
+/// (SCHED_FIFO, one priority above) if the loop runs in real time. A watch before a loop that is an ordinary thread
+/// would take the waits of that one for its end.
 ///
 /// To be called on threads started by a normal thread, as [`helper_thread`].
 pub fn watch_thread(of_loop: &Granted) {

@@ -176,8 +176,13 @@ fn a_process_without_descriptors_learns_which_limit_to_raise() {
         machine.ip(41)
     );
     let config = machine.write("two.toml", first + &second);
-    // Standard input and output, then the place of a drive and the socket of each bus.
-    for (most, which) in [(4, "linudp-v2: cannot bind"), (5, "second: drive"), (6, "second: cannot bind")] {
+    // Standard input and output, then the place of a drive, the socket of each bus and its twin for the watch.
+    for (most, which) in [
+        (4, "linudp-v2: cannot bind"),
+        (5, "linudp-v2: cannot bind"),
+        (6, "second: drive"),
+        (7, "second: cannot bind"),
+    ] {
         let mut command = Command::new(PROGRAM);
         command.arg("run").arg(&config).args(["--for", "1s"]);
         // SAFETY: between fork and exec, system calls only.

@@ -252,7 +252,8 @@ fn what_may_command_a_drive_that_is_switched_on_is_refused_with_the_remedy() {
     assert_eq!(value(&set("p-gain-a 31 --json"), "value"), 31);
     assert_eq!(value(&ask("param get", &config, "d0 run-mode --json"), "value"), 1);
     master.signal(SIGTERM);
-    assert_sums(&master.end().expect(0).json());
+    // It was only read, and still moves.
+    assert_sums(&master.end().expect(1).json());
 }
 
 #[test]

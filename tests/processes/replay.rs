@@ -203,7 +203,7 @@ fn files_that_are_none_are_refused_and_broken_ones_are_repeated_as_far_as_they_g
     let mut old = whole.clone();
     old[at..at + version.len()].fill(b'9');
     fs::write(&other, old).unwrap();
-    replay(&other, &[]).refused(&["was recorded by version 99999 (layout 2)", "repeat it with that one"]);
+    replay(&other, &[]).refused(&["was recorded by version 99999 (layout 3)", "repeat it with that one"]);
 
     // A third is missing, or one byte of the last chunk is another one.
     fs::write(&other, &whole[..whole.len() * 2 / 3]).unwrap();

@@ -288,7 +288,7 @@ impl Datagrams for FreezingSocket {
         self.net.batch()
     }
 
-    fn twin(&self) -> Option<UdpSocket> {
+    fn twin(&self) -> io::Result<Option<UdpSocket>> {
         self.net.twin()
     }
 

@@ -1,5 +1,5 @@
-//! Groups of three axes on every wire, with links that break, drives that fall silent, fault, restart or lose their STO,
-//! late hosts, and resets and enables at random instants; judged by the true state of the motors.
+//! Groups of three axes on every wire, with links that break, drives that fall silent, fault, restart or lose their
+//! STO, late hosts, and resets and enables at random instants; judged by the true state of the motors.
 //!
 //! | variable | what |
 //! |---|---|
@@ -351,8 +351,8 @@ fn no_member_on_profibus_moves_without_the_others() {
     seeds(Kind::Lenze, 3);
 }
 
-/// A slave that was deaf is set up again, and is silent for that. A group that is enabled at any instant of that comes up
-/// as a whole, or not at all.
+/// A slave that was deaf is set up again, and is silent for that. A group that is enabled at any instant of that comes
+/// up as a whole, or not at all.
 #[test]
 fn a_group_that_is_enabled_while_a_slave_is_set_up_again_leaves_no_member_in_operation_alone() {
     let mut run = Run::new(Kind::Kollmorgen, 1, None);

@@ -61,12 +61,14 @@ impl LinUdpBus {
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options =
             UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send, dscp: 0, groups: 0 };
-        let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
+        let refused = |source| OpenError::Bind {
             bus: plan.name.clone(),
             address: plan.bind,
             remedy: remedy(&source),
             source,
-        })?;
+        };
+        let net = carriers.datagrams(plan.bind, &options).map_err(refused)?;
+        let twin = net.twin().map_err(refused)?;
         let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
         let (mut stations, mut ends) = (Vec::new(), Ends::default());
         for drive in &plan.drives {
@@ -75,7 +77,7 @@ impl LinUdpBus {
             ends.push(native, acyclic);
         }
         let powers = stations.iter().map(Station::power_sent);
-        let last = net.twin().map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
+        let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
         Ok(LinUdpBus {
             name: plan.name.clone(),
             net,

@@ -167,7 +167,7 @@ mod tests {
             let stop = &mut plan.axis.stop;
             (stop.how, stop.on_timeout, stop.timeout) = (how, on_timeout, Duration::from_secs(3));
             let sent = PowerSent::default();
-            let last = LastStop::new(master.twin().unwrap(), [(&plan, sent.clone())].into_iter());
+            let last = LastStop::new(master.twin().unwrap().unwrap(), [(&plan, sent.clone())].into_iter());
             Bench { drive, master, last, sent }
         }
 
@@ -176,7 +176,7 @@ mod tests {
             self.last.send(since_ns);
             let mut bytes = [0; 64];
             let (length, from) = self.drive.recv_from(&mut bytes).unwrap();
-            let of_loop = self.master.twin().unwrap().local_addr().unwrap();
+            let of_loop = self.master.twin().unwrap().unwrap().local_addr().unwrap();
             assert_eq!(from, of_loop, "a drive may obey this address only");
             bytes[..length].to_vec()
         }

@@ -514,7 +514,9 @@ impl Machine {
         for (axis, stopped, told_at) in reported {
             let own = faulty.is_none_or(|faulty| faulty == axis);
             let cause = if own { fault.cause() } else { StopCause::Group };
-            let bound = fault.bound(own, &self.b.drives[axis].axis, self.stated[faulty.unwrap_or(axis)]);
+            let of = faulty.unwrap_or(axis);
+            let [axis_plan, faulty_plan] = [axis, of].map(|index| &self.b.drives[index].axis);
+            let bound = fault.bound(own, axis_plan, faulty_plan, self.stated[of]);
             let cycles = told_at - from;
             assert!(
                 cycles <= bound,

@@ -74,13 +74,13 @@ impl Fault {
     }
 
     /// The most cycles from the cause to the stop request: of the axis that it befell, or of another one of its group.
-    fn bound(self, own: bool, axis: &AxisPlan, stated: u64) -> u64 {
+    fn bound(self, own: bool, axis: &AxisPlan, faulty: &AxisPlan, stated: u64) -> u64 {
         let next_own_slot = u64::from(axis.divisor);
         match self {
             // From the last good exchange, as `check` states it.
             Unplugged | Muted | Dropping | WrongPort | Late => stated,
             // From the exchange that reports it, and the next one, which proves that it was no older report.
-            DriveError | PowerCut | Restarted => 2 * next_own_slot,
+            DriveError | PowerCut | Restarted => u64::from(faulty.divisor) + next_own_slot,
             // From the exchange that reports it, from the task's run, from the last slot passed over.
             FoundRunning | SlowTask | PanickingTask | HeldUp | Shutdown => next_own_slot,
             // From the cycle that looks for the row of the next slot. That slot has the stop in the row's place, and
