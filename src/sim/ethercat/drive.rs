@@ -247,7 +247,8 @@ impl Drive {
 
     fn step(&mut self, dt_ns: u64) {
         let at = self.power.now();
-        while self.leaving.pop_front_if(|(_, until)| *until <= at).is_some() {
+        while self.leaving.front().is_some_and(|(_, until)| *until <= at) {
+            self.leaving.pop_front();
             self.hold();
         }
         if self.sync.pass(at) {

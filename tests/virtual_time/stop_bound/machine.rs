@@ -543,7 +543,8 @@ impl Machine {
             // The first of a group takes the others along before they are online themselves.
             assert!(matches!(stopped.cause, StopCause::FoundRunning | StopCause::Group));
             let cycles = stopped.told_at.expect("told to stop") - watch.online_at;
-            let bound = FoundRunning.bound(true, &self.b.drives[axis].axis, 0);
+            let plan = &self.b.drives[axis].axis;
+            let bound = FoundRunning.bound(true, plan, plan, 0);
             assert!(
                 cycles <= bound,
                 "found running: axis {axis} was told after {cycles} cycles, not {bound}"
