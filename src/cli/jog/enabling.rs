@@ -42,11 +42,13 @@ pub enum Enabling {
     Lost,
 }
 
+/// Reads which keys are down.
+type KeysDown = Box<dyn Fn(&File) -> io::Result<Bits>>;
+
 /// The device.
 pub struct EnablingDevice {
     file: File,
-    /// Which keys are down.
-    down: Box<dyn Fn(&File) -> io::Result<Bits>>,
+    down: KeysDown,
     /// They have all been up since it was opened: one that is tied down enables nothing.
     was_up: bool,
     is_lost: bool,
