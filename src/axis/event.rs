@@ -72,6 +72,9 @@ pub enum EventKind {
     Underrun,
     /// The drive was restarted or replaced, or its software was stopped: earlier knowledge of it was discarded.
     Restarted,
+    /// The reported position jumped by so much, user units, farther than the axis can have moved: positions count no
+    /// longer from its reference, and the axis is not homed.
+    PositionJump(f64),
     /// The drive refuses to report the variable of this monitoring channel; its status says why.
     MonitorRefused {
         /// The channel, from 0.
@@ -131,6 +134,7 @@ impl fmt::Display for EventKind {
             EventKind::MissedInGroup => write!(f, "missed an exchange while its group was in motion"),
             EventKind::Underrun => write!(f, "stream ran empty"),
             EventKind::Restarted => write!(f, "drive restarted"),
+            EventKind::PositionJump(by) => write!(f, "position jumped by {by:.3}, no longer homed"),
             EventKind::MonitorRefused { channel, status } => {
                 write!(f, "monitoring channel {} refused with status {status:#04x}", channel + 1)
             }

@@ -116,6 +116,8 @@ named! {
         LoopStuck = 24: "loop stuck",
         /// It did not follow its demand.
         FollowingError = 25: "following error",
+        /// Its reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
+        PositionJump = 26: "position jumped",
     }
 }
 

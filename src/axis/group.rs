@@ -191,7 +191,7 @@ impl Group {
         for (place, part) in parts().zip(&queued) {
             ids[place] = self.axes[place].sent(part);
         }
-        // Velocities are for the members that this call gives one, as long as another call does not, and so are torques.
+        // Velocities are for the members that this call gives one, as long as another call does not; so are torques.
         for (torques, takes) in
             [(false, Command::takes_velocities as fn(&Command) -> bool), (true, Command::takes_torques)]
         {

@@ -209,8 +209,8 @@ pub enum AxisError {
 crate::errors::debug_as_display!(AxisError);
 
 /// What a loop that is stuck means.
-pub(crate) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were taken \
-                                from it";
+pub(crate) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were \
+                                taken from it";
 /// What to do about it.
 pub(crate) const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, a \
                                        driver of the host), and start the program again";

@@ -101,7 +101,7 @@ pub trait Bus: Send {
     /// carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// What stops its drives without the loop, on a wire whose drives have no watchdog of their own for a silent master.
+    /// What stops its drives without the loop, where they have no watchdog of their own for a silent master.
     /// By default a bus has none: its drives stop by themselves once nothing is sent any more.
     fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
         None
@@ -252,8 +252,8 @@ impl Cycle {
 
 /// One drive between the loop and its bus.
 ///
-/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link`
-/// and `desired`, the bus the rest.
+/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link`,
+/// `anew` and `desired`, the bus the rest. A report that does not count is replaced by the one before.
 #[derive(Clone, Debug, Default)]
 #[repr(C, align(64))]
 pub struct Slot {
@@ -278,6 +278,9 @@ pub struct Slot {
     /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
     /// enable until it is over.
     pub commanded: bool,
+    /// The next report is written as a whole, as if all of it were new: the loop has not taken the last one, or has
+    /// changed the status. The loop sets and clears it.
+    pub anew: bool,
     /// What else is new of the drive.
     pub notices: Notices,
     /// What the drive reported last.
@@ -370,10 +373,13 @@ pub struct Notices {
     /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted
     /// packet.
     pub fresh: bool,
-    /// The drive was found restarted.
+    /// The drive was found restarted: by reports that prove it, as [`Capabilities::power_reports`] counts them, since
+    /// what was known of the drive is discarded at once.
+    ///
+    /// [`Capabilities::power_reports`]: super::desired::Capabilities::power_reports
     pub restarted: bool,
-    /// Another master was found to command the drive, or to have frames on its segment, with or without a fresh
-    /// status; the loop stops the axis.
+    /// Another master was found, as certainly, to command the drive, or to have frames on its segment, with or without
+    /// a fresh status; the loop stops the axis.
     pub other_master: bool,
     /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,

@@ -19,6 +19,10 @@ pub struct Counters {
     pub duplicate: u64,
     /// Answered exchanges whose reply may be that of an earlier request.
     pub suspect: u64,
+    /// Reports that were not taken, for this axis cannot be so: a place that it cannot have reached since the last one,
+    /// or the loss of its power, its reference or its hardware enable that the next report did not confirm. Counted by
+    /// the loop; of a restart by the bus, which confirms it.
+    pub implausible: u64,
     /// Datagrams from the drive that are no reply of this protocol.
     pub malformed: u64,
     /// Well-formed replies to something that was not requested, or from the wrong port.

@@ -298,7 +298,9 @@ pub struct Capabilities {
     pub switches_on_at_once: bool,
     /// It goes from its quick stop back into operation.
     pub leaves_quick_stop: bool,
-    /// So many reports in a row that say the same prove a state of its power ...
+    /// So many reports in a row that say the same prove a state of its power, and that it has lost its power, its
+    /// reference or its hardware enable. One where a report is certainly newer than the one before: it has a number, a
+    /// working counter or the wire to itself. Two where one that comes again may look like the newest ...
     pub power_reports: u8,
     /// ... and so many its standstill.
     pub still_reports: u8,
@@ -372,7 +374,7 @@ impl Ranges {
 }
 
 impl Capabilities {
-    /// A drive that can do all, in all ranges, and that says the truth in each report.
+    /// A drive that can do all, in all ranges, and that says the truth in each report: none is older than the last.
     pub fn of(generator: Generator) -> Capabilities {
         Capabilities {
             generator,

@@ -194,8 +194,7 @@ fn in_position(axis: &AxisPlan, period_ns: u64) -> String {
     };
     let exchange_ns = period_ns.saturating_mul(axis.divisor.into());
     format!(
-        "a move is done within {window} {} of its target for {} ({}), without that {} behind the end of its demand it \
-         has failed",
+        "a move is done within {window} {} of its target for {} ({}); it has failed {} after the end of its demand",
         axis.units.unit,
         count(reports.into(), "exchange"),
         Ns(exchange_ns.saturating_mul(reports.into())),

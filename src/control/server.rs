@@ -2,9 +2,9 @@
 //!
 //! Clients that have not sent a whole request yet cost a descriptor each, and no thread: [`Clients`] bounds them. The
 //! first request begins a conversation on a thread of its own. If there are too many conversations, the one that has
-//! been silent for longest ends. Requests that may take long occupy half of the places at most, those of operators have
-//! some more of their own, and a client that has left has none, although its request may still be under way: so a stop
-//! waits for nobody.
+//! been silent for longest ends, that of an operator only for another operator or a stop. Requests that may take long
+//! occupy half of the places at most, those of operators have some more of their own, and a client that has left has
+//! none, although its request may still be under way: so a stop waits for nobody.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -24,7 +24,9 @@ use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt};
 use serde_json::{Value, json};
 use thiserror::Error;
 
+use super::operate::OPERATOR_LIMIT;
 use super::protocol::{Exchange, LOOK_EVERY, connect};
+use super::watch::MOST_WATCHERS;
 use crate::errors::no_descriptor;
 use crate::net::clients::{Client, Clients};
 
@@ -40,12 +42,19 @@ const PAUSE: Duration = Duration::from_secs(10);
 /// Conversations at a time. For a further one the longest silent of them ends; while none is silent, it waits.
 const MOST_CONVERSATIONS: usize = 32;
 
-/// Of these, those that do what may take long. All others are silent or answered within milliseconds, so that one of
-/// them makes room.
+/// Of these, those that do what may take long. All others but the streams are silent or answered within milliseconds,
+/// so that one of them makes room.
 const MOST_SLOW: usize = 16;
+
+/// Neither a slow request nor a stream makes room: both together leave places for the others.
+const _: () = assert!(MOST_SLOW + MOST_WATCHERS <= MOST_CONVERSATIONS - RESERVED);
 
 /// Further conversations that begin with the request of an operator, and as many again that begin with a stop.
 const RESERVED: usize = 8;
+
+/// An operator makes no room for those that only look, unless it has been silent for so long: it has left long before,
+/// and its axes are stopped. Clients wait longer than that for an answer.
+const OPERATOR_IS_GONE: Duration = Duration::from_nanos(3 * OPERATOR_LIMIT);
 
 /// Conversations that are over and whose end takes its time do not count, up to so many of them.
 const MOST_ENDING: usize = 32;
@@ -99,7 +108,7 @@ struct Conversation {
     /// Since when it waits for the next question, or to be allowed to begin, ms from its begin; 0: an answer is under
     /// way.
     silent_since: AtomicU64,
-    /// Its last question was an operator's: it makes room after all others.
+    /// Its last question was an operator's, or a stop: it makes room after all others, and only for such a question.
     operates: AtomicBool,
     /// It has to make room.
     dismissed: AtomicBool,
@@ -148,14 +157,19 @@ fn enter<A: Answering>(waiting: &mut VecDeque<Waiting>, arrived: Vec<Client<Unix
     waiting.truncate(MOST_WAITING);
 }
 
-/// Lets as many of the silent ones go as requests wait for a place, operators after all others.
-fn make_room(under_way: &[Arc<Conversation>], waiting: usize) {
+/// Lets as many of the silent ones go as requests wait for a place. The most urgent request takes the first free place,
+/// so a request that only looks ends none but those that have been silent for longest and do not operate: an operator
+/// is silent between any two of its beats, and its axes stop with its conversation.
+fn make_room(under_way: &[Arc<Conversation>], waiting: impl Iterator<Item = Urgency>) {
     let here = || under_way.iter().filter(|one| !one.left.load(Ordering::Relaxed));
     let going = here().filter(|one| one.is_dismissed()).count();
-    for _ in going..waiting {
-        let silent = here().filter(|one| !one.is_dismissed() && one.silence().is_some());
-        let rank = |one: &&Arc<Conversation>| (!one.operates.load(Ordering::Relaxed), one.silence());
-        let Some(silent) = silent.max_by_key(rank) else { return };
+    for urgency in waiting.skip(going) {
+        let silent = here().filter(|one| !one.is_dismissed()).filter_map(|one| {
+            let silence = one.silence()?;
+            let operates = one.operates.load(Ordering::Relaxed) && silence < OPERATOR_IS_GONE;
+            (!operates || urgency <= Urgency::Operate).then_some((!operates, silence, one))
+        });
+        let Some((.., silent)) = silent.max_by_key(|(idle, silence, _)| (*idle, *silence)) else { return };
         silent.dismissed.store(true, Ordering::Relaxed);
     }
 }
@@ -233,7 +247,7 @@ impl Server {
                                     taken += 1;
                                 }
                             }
-                            make_room(&under_way, waiting.len());
+                            make_room(&under_way, waiting.iter().map(|one| one.urgency));
                         }
                     });
                 });
@@ -320,6 +334,7 @@ pub trait Answering {
     fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String>;
 
     /// Sends what `question` begins instead of an answer in a line, up to its end, by `send`; `None`: it is answered.
+    /// Until then it has its place: whoever implements it bounds the number of streams.
     fn stream(&mut self, question: &Value, send: &mut Sender<'_>) -> Option<io::Result<()>> {
         let _ = (question, send);
         None
@@ -402,7 +417,7 @@ fn converse<A: Answering>(
         }
         let question = question(&line);
         let urgency = question.as_ref().map_or(Urgency::Usual, A::urgency);
-        conversation.operates.store(urgency == Urgency::Operate, Ordering::Relaxed);
+        conversation.operates.store(urgency <= Urgency::Operate, Ordering::Relaxed);
         if let (true, Ok(question)) = (ours, &question) {
             let mut send = |bytes: &[u8]| Exchange::new(stream, PATIENCE_OF_STREAM, &is_here)?.send(bytes);
             if let Some(ended) = answering.stream(question, &mut send) {
@@ -428,12 +443,13 @@ fn converse<A: Answering>(
             Ok(value) => json!({ "ok": value }),
             Err(why) => json!({ "error": why }),
         };
+        Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
         if !goes_on {
-            return Exchange::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"));
+            return Ok(());
         }
-        // From here on it waits for its client, and makes room for who does not wait.
+        // From here on it waits for its client, and makes room for who does not wait. Not before: a question that was
+        // taken is answered.
         conversation.is_silent(true);
-        Exchange::new(stream, PATIENCE, &waits)?.say(&format!("{reply}\n"))?;
         line = Exchange::new(stream, PAUSE, &waits)?.line(LONGEST_QUESTION)?;
         conversation.is_silent(false);
     }
@@ -442,6 +458,7 @@ fn converse<A: Answering>(
 #[cfg(test)]
 mod tests {
     use std::io::{Read, Write};
+    use std::iter;
 
     use super::super::{AskError, Conversation, ask};
     use super::*;
@@ -666,28 +683,107 @@ mod tests {
         assert_eq!(waiting.len(), MOST_WAITING);
         assert!(waiting.iter().all(|one| one.urgency == Urgency::Stop));
         // Whoever waits for longest goes, and an operator after all others.
-        let conversation = |silent_since: u64, operates: bool| {
-            let one = super::Conversation::new();
-            one.silent_since.store(silent_since, Ordering::Relaxed);
-            one.operates.store(operates, Ordering::Relaxed);
-            Arc::new(one)
-        };
-        let all = [(1, true), (3, false), (2, false), (0, false)].map(|(since, of)| conversation(since, of));
+        let all = [(59_901, true), (59_903, false), (59_902, false), (0, false)]
+            .map(|(since, of)| silent_since(since, of));
         let going = || all.iter().map(|one| one.is_dismissed()).collect::<Vec<_>>();
-        std::thread::sleep(Duration::from_millis(5));
+        let wait = |urgency: Urgency, count: usize| make_room(&all, iter::repeat_n(urgency, count));
         for expected in [[false, false, true, false], [false, true, true, false], [true, true, true, false]] {
             let before = going().into_iter().filter(|going| *going).count();
-            make_room(&all, before + 1);
+            wait(Urgency::Operate, before + 1);
             assert_eq!(going(), expected);
         }
-        make_room(&all, 10);
+        wait(Urgency::Stop, 10);
         assert_eq!(going(), [true, true, true, false], "it is at work");
         // One that has left, and is still at work, makes no more room than it has made.
         let mut more: Vec<_> = all.into_iter().collect();
         more[..3].iter().for_each(|one| one.left.store(true, Ordering::Relaxed));
-        more.push(conversation(4, true));
-        make_room(&more, 1);
+        more.push(silent_since(59_904, true));
+        make_room(&more, iter::once(Urgency::Stop));
         assert!(more[4].is_dismissed());
+    }
+
+    /// A conversation that began a minute ago, and is silent since this time after its begin, ms; 0: it is at work.
+    fn silent_since(ms: u64, operates: bool) -> Arc<super::Conversation> {
+        let mut one = super::Conversation::new();
+        one.begun = one.begun.checked_sub(Duration::from_secs(60)).unwrap();
+        one.silent_since.store(ms, Ordering::Relaxed);
+        one.operates.store(operates, Ordering::Relaxed);
+        Arc::new(one)
+    }
+
+    #[test]
+    fn an_operator_makes_room_for_another_one_and_for_a_stop_alone() {
+        use Urgency::{Operate, Slow, Stop, Usual};
+        // Its beats come; it has been silent for so long that it has left; one that only looks.
+        let dismissed = |waiting: &[Urgency]| {
+            let all = [(60_000, true), (50_000, true), (59_000, false)].map(|(ms, of)| silent_since(ms, of));
+            make_room(&all, waiting.iter().copied());
+            all.map(|one| one.is_dismissed())
+        };
+        for (waiting, expected) in [
+            (&[Slow][..], [false, true, false]),
+            (&[Usual, Slow], [false, true, true]),
+            (&[Usual; 32], [false, true, true]),
+            (&[Operate, Usual, Slow, Slow], [false, true, true]),
+            (&[Stop, Operate, Slow], [false, true, true]),
+            (&[Operate, Operate, Operate], [true, true, true]),
+            (&[Stop, Stop, Stop, Slow], [true, true, true]),
+        ] {
+            assert_eq!(dismissed(waiting), expected, "{waiting:?}");
+        }
+    }
+
+    #[test]
+    fn a_question_that_came_before_its_conversation_has_to_make_room_is_answered() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let listener = UnixListener::bind(&path).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let question = json!({ "ask": "echo" });
+        let mut client = post(&path, &question);
+        let accept = || listener.accept().map(|(stream, _)| stream);
+        let mut clients = Clients::new(LONG, LONGEST_QUESTION);
+        let mut arrived = Vec::new();
+        while arrived.is_empty() {
+            arrived = clients.turn(listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
+        }
+        let conversation = super::Conversation::new();
+        conversation.dismissed.store(true, Ordering::Relaxed);
+        let mut answering = echo;
+        let ended =
+            converse(arrived.remove(0), &|| true, &conversation, &AtomicUsize::new(0), &mut answering);
+        assert_eq!(ended.unwrap_err().kind(), io::ErrorKind::TimedOut, "it waits for no further one");
+        let mut said = String::new();
+        client.read_to_string(&mut said).unwrap();
+        assert_eq!(said, format!("{}\n", json!({ "ok": question })));
+    }
+
+    /// Its conversation would end at any of the requests that find no place, and its axes would stop.
+    #[test]
+    fn no_request_that_only_looks_or_is_slow_ends_an_operator() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let (_server, _go, _) = busy(&path);
+        let operator = Conversation::open(&path).unwrap();
+        let beat = |what: &str| assert_eq!(operator.ask(&json!({ "ask": what }), LONG).unwrap(), what);
+        beat("operate");
+        let mut slow = Vec::new();
+        let mut looks = Vec::new();
+        // It is an operator after a stop, too.
+        for what in ["operate", "stop"] {
+            for _ in 0..2 * MOST_CONVERSATIONS {
+                slow.push(post(&path, &json!({ "ask": "slow" })));
+                beat(what);
+            }
+            for _ in 0..MOST_CONVERSATIONS {
+                let look = Conversation::open(&path).unwrap();
+                assert_eq!(look.ask(&json!({ "ask": "status" }), LONG).unwrap(), "status");
+                looks.push(look);
+                beat(what);
+            }
+        }
+        // There was no room for all of these.
+        assert!(looks[0].ask(&json!({ "ask": "status" }), LONG).is_err());
     }
 
     #[test]

@@ -32,7 +32,7 @@ use crate::telemetry::tap::{NoBatch, Tap};
 use crate::time::nanos;
 
 /// Watchers of one master at a time: each costs its telemetry thread a queue.
-const MOST_WATCHERS: usize = 4;
+pub(super) const MOST_WATCHERS: usize = 4;
 
 /// Batches that wait for a watcher: more than a second of them.
 const ROOM: usize = 64;

@@ -440,8 +440,9 @@ const WATCH_MOST_NS: u64 = 60 * S;
 /// life: a task that does not return, a bus that hangs, a thread that the host does not run.
 ///
 /// Then it takes the wires from the loop: nothing more is sent by it, [feedback](crate::axis::Feedback) ages and shows
-/// [`StopCause::LoopStuck`](crate::axis::StopCause::LoopStuck), waiting calls return with the cause, and drives without a
-/// watchdog of their own are stopped by the watch. A loop that comes back latches all axes and ends; the run has failed.
+/// [`StopCause::LoopStuck`](crate::axis::StopCause::LoopStuck), waiting calls return with the cause, and drives without
+/// a watchdog of their own are stopped by the watch. A loop that comes back latches all axes and ends; the run has
+/// failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WatchAfter {
     /// It is not watched.

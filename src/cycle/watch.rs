@@ -4,8 +4,8 @@
 
 use crate::time::{MS, Time};
 
-/// So many polls without a sign of life, each of them on time, come before the verdict: a host that holds up everything,
-/// or a stopped process that continues, delays the watch like the loop.
+/// So many polls without a sign of life, each of them on time, come before the verdict: a host that holds up
+/// everything, or a stopped process that continues, delays the watch like the loop.
 const ON_TIME: u32 = 3;
 
 /// Polls in the time after which the loop is stuck, and the bounds of the time between two of them, ns.

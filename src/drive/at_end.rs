@@ -2,8 +2,9 @@
 
 use std::fmt;
 
-use crate::axis::{Command, Feedback, Link, State, StopCause, Unit};
+use crate::axis::{Command, Feedback, State, StopCause, Unit};
 use crate::named::named;
+use crate::time::Time;
 
 named! {
     /// How a drive was left at the end of a run.
@@ -75,6 +76,8 @@ pub(super) struct Known {
     pub holds: bool,
     /// What its stop has requested.
     pub requested: Requested,
+    /// The wires were taken from the loop.
+    pub stuck: bool,
 }
 
 /// A drive at the end of a run.
@@ -84,8 +87,11 @@ pub(super) struct Known {
 pub struct AtEnd {
     /// How it was left.
     pub condition: Condition,
-    /// What its stop has requested of it, in this order; empty: it was only read.
+    /// What its stop has requested of it, in this order; empty: it was only read, or the loop was stuck.
     pub requested: Vec<StopRequest>,
+    /// The loop has not come to an orderly end, and read no report in it.
+    #[cfg_attr(feature = "summary", serde(skip))]
+    abandoned: bool,
 }
 
 impl AtEnd {
@@ -104,13 +110,14 @@ impl AtEnd {
             false if state == State::Unknown => known.ours.then_some(Condition::Unknown)?,
             _ => Condition::Off,
         };
-        Some(AtEnd { condition, requested: known.requested.list() })
+        Some(AtEnd { condition, requested: known.requested.list(), abandoned: known.stuck })
     }
 
-    /// Of a drive that nobody stopped: the loop has died.
+    /// Of a drive that the loop has left alone: it has died, or its cycle does not end.
     pub(crate) fn abandoned(feedback: &Feedback) -> Option<AtEnd> {
-        (feedback.link != Link::Unseen)
-            .then(|| AtEnd { condition: Condition::Unknown, requested: Vec::new() })
+        let end = || AtEnd { condition: Condition::Unknown, requested: Vec::new(), abandoned: true };
+        // The link of a loop that is stuck is shown as lost.
+        (feedback.status.at != Time(0)).then(end)
     }
 
     /// Whether the drive is known to be off, or held as planned.
@@ -140,14 +147,19 @@ impl AtEnd {
             }
             _ => "this master has only read it",
         };
+        let off =
+            "take its power away by its hardware enable (STO) or its supply before anybody comes near it";
         let (tried, remedy) = match &*self.requested {
+            _ if self.abandoned => {
+                ("the loop did not come to its end, and has not seen it since".to_owned(), off)
+            }
             [] => (only_read.to_owned(), "stop it by what commands it, or by its hardware enable (STO)"),
             requested => (
                 match self.condition {
                     Condition::Unknown => format!("{} requested, and nothing answered", Listed(requested)),
                     _ => format!("{} requested and had no effect", Listed(requested)),
                 },
-                "take its power away by its hardware enable (STO) or its supply before anybody comes near it",
+                off,
             ),
         };
         Some(format!("{how}; {tried}; {remedy}"))
@@ -187,7 +199,7 @@ impl serde::Serialize for StopRequest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::DriveStatus;
+    use crate::axis::{DriveStatus, Link};
 
     const OURS: Known = Known {
         standstill: 1.0,
@@ -196,6 +208,7 @@ mod tests {
         may_rise: false,
         holds: false,
         requested: Requested(0),
+        stuck: false,
     };
 
     fn seen(link: Link, state: State, velocity: f64) -> Feedback {

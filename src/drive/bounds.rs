@@ -473,6 +473,27 @@ mod tests {
     }
 
     #[test]
+    fn reports_that_come_closer_together_than_their_requests_make_no_speed() {
+        // 400 mm/s, requests at 1 kHz; the network holds replies up, and delivers them 0.3 ms apart.
+        let mut bounds = Bounds::new(&plan(), 0);
+        for n in 0..20_u64 {
+            let (sent_at, at) = (Time(n * MS), Time(10 * MS + n * 3 * MS / 10));
+            let position = 0.4 * n as f64;
+            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
+            assert!(bounds.speed() <= 400.001, "{n}: {}", bounds.speed());
+            assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
+        }
+        // Nor do requests that left closer together than their replies came in.
+        let mut bounds = Bounds::new(&plan(), 0);
+        for n in 0..20_u64 {
+            let (sent_at, at) = (Time(n * 3 * MS / 10), Time(10 * MS + n * MS));
+            let position = 0.4 * n as f64;
+            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
+            assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
+        }
+    }
+
+    #[test]
     fn a_turn_over_the_end_of_a_rotary_axis_is_a_short_way() {
         let mut rotary = plan();
         rotary.units.modulo = Some(1.0);

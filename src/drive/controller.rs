@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `controller` | one cycle of it, what it publishes, and the ends of its commands |
 //! | `judge` | what was sent and received: the end of the exchange, the status, the link |
+//! | `weigh` | which reports count: a loss, or a place, that one report alone does not prove |
 //! | `watch` | what the drive must not do, and stopping |
 //! | `duty` | who owns the drive, whether it is stopped, and which command runs |
 //! | `commands` | the application's commands in their order |
@@ -14,6 +15,7 @@ mod duty;
 mod judge;
 mod setpoints;
 mod watch;
+mod weigh;
 
 pub use self::commands::{take_calls, take_commands};
 pub use self::setpoints::{Counts, take_rows};
@@ -25,12 +27,14 @@ use rtrb::Producer;
 
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
+use self::weigh::Doubt;
 use super::at_end::Requested;
 use super::bounds::Bounds;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
+use super::reach::Reach;
 use super::record::{CommandStep, DriveRecord, Measured, MonitorRecord, Published, Reply};
 use super::rest::Rest;
 use crate::axis::cell::Writer;
@@ -111,6 +115,7 @@ pub struct DriveController {
     /// The largest times.
     peaks: Peaks,
     feedback: Feedback,
+    doubt: Doubt,
     bounds: Bounds,
     rest: Rest,
     /// From one row to the next, s.
@@ -154,6 +159,8 @@ pub struct DriveController {
     requested: Requested,
     /// Its link was up when the buses began to end.
     answered: Option<bool>,
+    /// The wires were taken from the loop.
+    stuck: bool,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -199,6 +206,8 @@ impl DriveController {
         silence: u64,
         probes: Probes,
     ) -> DriveController {
+        let interval_ns = period_ns.saturating_mul(plan.divisor.into());
+        let doubt = Doubt::new(Reach::new(&plan, interval_ns), can.power_reports);
         let bounds = Bounds::new(&plan, can.behind_ns);
         let machine = Machine::new(&plan, can, period_ns);
         let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
@@ -222,6 +231,7 @@ impl DriveController {
             fresh_at: 0,
             peaks: Peaks::default(),
             feedback: Feedback::default(),
+            doubt,
             bounds,
             rest: Rest::default(),
             row_seconds,
@@ -247,6 +257,7 @@ impl DriveController {
             ends: false,
             requested: Requested::default(),
             answered: None,
+            stuck: false,
             monitor: [None; MONITOR_CHANNELS],
         }
     }
@@ -404,6 +415,7 @@ impl DriveController {
         }
         if self.duty.active().is_some_and(|active| active.id == queued.id) {
             self.duty.set_active(None);
+            self.doubt.ended(now, &queued.command, outcome);
             if outcome != Outcome::Done {
                 // The drive may still be braking.
                 self.rest.fail();

@@ -14,6 +14,7 @@
 //! | `machine` | what a command does to a drive, step by step; `power`: the states of CiA 402 |
 //! | `planner` | the setpoint at an instant |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
+//! | `reach` | which reports an axis can have reached |
 //! | `record`, `numbers` | what the loop reports and counts of one drive |
 //! | `journal` | its commands and events, until they are reported |
 //!
@@ -30,6 +31,7 @@ pub mod machine;
 pub mod numbers;
 pub(crate) mod planner;
 mod power;
+mod reach;
 pub mod record;
 mod rest;
 mod stop;

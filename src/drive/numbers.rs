@@ -70,7 +70,7 @@ pub struct DriveNumbers {
 
 parts! {
     DriveNumbers { counters, losses, peaks, monitor }
-    Counters { sent, unsent, answered, missed, late, duplicate, suspect, malformed, foreign, own }
+    Counters { sent, unsent, answered, missed, late, duplicate, suspect, implausible, malformed, foreign, own }
     Peaks { rtt, send_jitter, age }
     Peak { ns, index }
     Extent { value, min, max }

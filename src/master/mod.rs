@@ -1,8 +1,8 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process` ends
-//! what runs when the process ends.
+//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process`
+//! ends what runs when the process ends; `watch` sees a loop whose cycle does not end.
 
 mod assembly;
 mod log;
@@ -365,7 +365,7 @@ impl Master {
             std::thread::sleep(Duration::from_millis(1));
         }
         let end = thread.join();
-        self.watch.end();
+        self.watch.end(end.is_err());
         Some(end)
     }
 
@@ -442,9 +442,9 @@ impl Setup {
     }
 
     /// Signals that would end the process end its running masters first: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGALRM,
-    /// SIGVTALRM, SIGPROF, SIGUSR2, SIGIO, SIGPWR, SIGSTKFLT, SIGXCPU and SIGABRT. All axes ramp down and are powered
-    /// off, then the process ends by the same signal. A second one shortens the waits. The wait is bounded as that of
-    /// `exit` is ([`Master`]).
+    /// SIGVTALRM, SIGPROF, SIGPIPE, SIGUSR2, SIGIO, SIGPWR, SIGSTKFLT, SIGXCPU and SIGABRT. All axes ramp down and are
+    /// powered off, then the process ends by the same signal. A second one shortens the waits. The wait is bounded as
+    /// that of `exit` is ([`Master`]).
     ///
     /// It holds from [`start`](Setup::start) on for as long as the process lives, for all masters in it. A signal that
     /// the program handles or ignores when it calls `start` is left to the program, and a handler that it sets later

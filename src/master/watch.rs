@@ -12,15 +12,15 @@ use crate::time::{MS, S, Time};
 
 /// The stop is repeated so often, ns: so long may a request move an axis that the loop still sends.
 const REPEAT_NS: u64 = 10 * MS;
-/// For so long it is repeated after the loop has given way, ns: its last request may wait in the host, in a switch or in
-/// the drive.
+/// For so long it is repeated after the loop has given way, ns: its last request may wait in the host, in a switch or
+/// in the drive.
 const LATEST_NS: u64 = 250 * MS;
 /// A loop that comes back ends within this time, ns; nobody waits longer where there is nothing to be stopped.
 const RETURN_NS: u64 = S;
 
 /// What [`finish`](super::Master::finish) says of such a loop.
-pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the wires \
-                                and sent the stop to the drives that have no watchdog of their own; look at the drives \
+pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the \
+                                wires and sent the stop to the drives that have no watchdog of their own; look at the drives \
                                 and at what holds the loop's thread up (the in-loop task, a driver of the host)";
 
 /// The watch of a running machine.
@@ -64,11 +64,12 @@ impl LoopWatch {
         self.wires.is_over()
     }
 
-    /// Ends it, after the loop's thread has ended: at once, or once the stop was repeated for long enough.
-    pub(super) fn end(&mut self) {
+    /// Ends it, after the loop's thread has ended: at once, or once the stop was repeated for long enough. A loop that
+    /// has `died` outside of its cycle has stopped no drive.
+    pub(super) fn end(&mut self, died: bool) {
         if let Some(thread) = self.thread.take() {
-            // A loop whose thread has ended outside of its cycle has not said so.
-            if !self.wires.end() && self.wires.is_stuck() {
+            let taken = if died { self.wires.take() } else { !self.wires.end() };
+            if taken {
                 self.wires.give_way();
             }
             thread.thread().unpark();
@@ -81,10 +82,15 @@ impl LoopWatch {
 fn await_verdict(wires: &Wires, after_ns: u64, period_ns: u64) -> Option<Taken> {
     let mut watch = Watch::new(after_ns);
     loop {
+        let now = MonotonicClock::read();
         if wires.have_ended() {
+            wires.publish_silence(0);
             return None;
         }
-        let now = MonotonicClock::read();
+        // Of a loop whose thread has died.
+        if wires.is_stuck() {
+            return Some(Taken { at: now, silent_ns: 0 });
+        }
         match watch.poll(now, wires.turns()) {
             Verdict::Alive => wires.publish_silence(0),
             Verdict::Silent(ns) => wires.publish_silence(ns / period_ns),

@@ -797,7 +797,7 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
@@ -808,12 +808,12 @@ bus portal: linudp-v2, 4 drives
         the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
-    a move is done within 0.5 mm of its target for 10 exchanges (20 ms), without that 1 s behind the end of its demand
-        it has failed
+    a move is done within 0.5 mm of its target for 10 exchanges (20 ms); it has failed 1 s after the end of its
+        demand
     stopped by a following error of rows above 5.5 mm (limits.following_error)
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
         most 7.5 mm further
@@ -824,12 +824,12 @@ bus portal: linudp-v2, 4 drives
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     a program that drops the axis lets it go on to the end of what was commanded
     limits: only the drive's own
-    a move is done within 0.5 mm of its target for 10 exchanges (60 ms), without that 1 s behind the end of its demand
-        it has failed
+    a move is done within 0.5 mm of its target for 10 exchanges (60 ms); it has failed 1 s after the end of its
+        demand
     its following error is not watched here: that needs limits.velocity or limits.following_error
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
         missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
@@ -840,8 +840,8 @@ bus portal: linudp-v2, 4 drives
         the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
-    a move is done within 0.5 mm of its target for 10 exchanges (20 ms), without that 1 s behind the end of its demand
-        it has failed
+    a move is done within 0.5 mm of its target for 10 exchanges (20 ms); it has failed 1 s after the end of its
+        demand
     its following error is not watched here: that needs limits.velocity or limits.following_error
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
 one master each: another one of this host that has one of these interfaces or drives is named, and the start

@@ -60,6 +60,7 @@ fn since(before: &Counters, after: &Counters) -> Counters {
         late: after.late - before.late,
         duplicate: after.duplicate - before.duplicate,
         suspect: after.suspect - before.suspect,
+        implausible: after.implausible - before.implausible,
         malformed: after.malformed - before.malformed,
         foreign: after.foreign - before.foreign,
         own: std::array::from_fn(|count| after.own[count] - before.own[count]),

@@ -98,8 +98,8 @@ fn who_does_not_answer_is_named() {
 #[test]
 #[ignore = "needs root and network namespaces (iproute2)"]
 fn a_broadcast_finds_the_drives_on_a_cable() {
-    let machine = Machine::new(171).on(CABLE_NET);
-    let cable = Cable::new(171, &[40, 41]);
+    let machine = Machine::new(224).on(CABLE_NET);
+    let cable = Cable::new(224, &[40, 41]);
     let (asked, devices) = cable.among_drives(|| {
         let open = |ip| UdpSocket::bind(SocketAddrV4::new(ip, 44_818)).unwrap();
         (open(Ipv4Addr::BROADCAST), vec![(open(machine.ip(41)), 7), (open(machine.ip(40)), 0xC0FFEE)])

@@ -1,5 +1,5 @@
-//! What becomes of the axes when a program with a master of its own ends, in whichever way; asked of the drives. One test
-//! for each row of the manual's table.
+//! What becomes of the axes when a program with a master of its own ends, in whichever way, by the reports of the
+//! drives. One test for each row of the manual's table.
 
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,11 +34,11 @@ fn play(role: &str) {
             exit(5);
         }
     });
-    if what.starts_with("asked") {
+    if what.starts_with("caught") {
         setup = setup.stop_on_signals();
     }
     let own = Arc::new(AtomicBool::new(false));
-    if what == "asked-own" {
+    if what == "caught-own" {
         signal_hook::flag::register(SIGTERM, Arc::clone(&own)).unwrap();
     }
     let master = setup.start().unwrap();
@@ -109,14 +109,14 @@ fn play(role: &str) {
             drop(group);
             report_rest(&master, &observers);
         }
-        "abort" | "asked-abort" => std::process::abort(),
-        "asked-own" => {
+        "abort" | "caught-abort" => std::process::abort(),
+        "caught-own" => {
             assert!(until(LONG, || own.load(Ordering::Relaxed)));
             sleep(200 * MS);
             println!("{:?}", observers.iter().map(|axis| axis.feedback().stopped).collect::<Vec<_>>());
             assert!(MASTER.set((master, Mutex::new(axes))).is_ok());
         }
-        "wait" | "asked-wait" => sleep(LONG),
+        "wait" | "caught-wait" => sleep(LONG),
         other => unreachable!("{other}"),
     }
 }
@@ -199,7 +199,7 @@ fn a_host_that_calls_exit_ends_its_master_in_order() {
 }
 
 #[test]
-fn an_exit_beside_a_blocking_call_ends_the_master_in_order() {
+fn an_exit_during_a_blocking_call_ends_the_master_in_order() {
     Hosted::start(Machine::new(136), "exit-in-call").ends_in_order(Some(3), None);
 }
 
@@ -241,7 +241,7 @@ fn a_dropped_master_ends_in_order() {
 
 #[test]
 fn dropped_axes_and_groups_come_to_rest_while_their_host_goes_on() {
-    for (machine, what) in [(Machine::new(149), "drop-axes"), (Machine::new(172), "drop-group")] {
+    for (machine, what) in [(Machine::new(149), "drop-axes"), (Machine::new(217), "drop-group")] {
         let mut hosted = Hosted::start(machine, what);
         hosted.host.await_text("at rest");
         let rests = hosted.look();
@@ -255,11 +255,11 @@ fn dropped_axes_and_groups_come_to_rest_while_their_host_goes_on() {
 }
 
 #[test]
-fn signals_that_are_asked_for_end_the_master_in_order_and_then_the_process_as_ever() {
+fn caught_signals_end_the_master_in_order_and_then_the_process_as_ever() {
     for (machine, signal) in
-        [(Machine::new(173), SIGINT), (Machine::new(174), SIGTERM), (Machine::new(177), SIGHUP)]
+        [(Machine::new(218), SIGINT), (Machine::new(219), SIGTERM), (Machine::new(177), SIGHUP)]
     {
-        let hosted = Hosted::start(machine, "asked-wait");
+        let hosted = Hosted::start(machine, "caught-wait");
         hosted.host.signal(signal);
         hosted.ends_in_order(None, Some(signal));
     }
@@ -267,7 +267,7 @@ fn signals_that_are_asked_for_end_the_master_in_order_and_then_the_process_as_ev
 
 #[test]
 fn a_second_signal_shortens_the_stop() {
-    let hosted = Hosted::start(Machine::new(178), "asked-wait");
+    let hosted = Hosted::start(Machine::new(178), "caught-wait");
     hosted.host.signal(SIGTERM);
     sleep(100 * MS);
     let before = hosted.look();
@@ -282,28 +282,28 @@ fn a_second_signal_shortens_the_stop() {
 
 #[test]
 fn a_signal_that_the_host_handles_is_left_to_it() {
-    let hosted = Hosted::start(Machine::new(179), "asked-own");
+    let hosted = Hosted::start(Machine::new(220), "caught-own");
     hosted.host.signal(SIGTERM);
     let ended = hosted.ends_in_order(Some(0), None);
     assert!(ended.out.contains("[None, None]"), "{ended:?}");
 }
 
 #[test]
-fn a_signal_that_nobody_asked_for_ends_the_process_at_once() {
-    let hosted = Hosted::start(Machine::new(185), "wait");
+fn a_signal_that_is_not_caught_ends_the_process_at_once() {
+    let hosted = Hosted::start(Machine::new(221), "wait");
     hosted.host.signal(SIGTERM);
     hosted.ends_at_once(None, Some(SIGTERM));
 }
 
 #[test]
 fn a_killed_host_stops_nothing() {
-    let hosted = Hosted::start(Machine::new(186), "asked-wait");
+    let hosted = Hosted::start(Machine::new(186), "caught-wait");
     hosted.host.signal(SIGKILL);
     hosted.ends_at_once(None, Some(SIGKILL));
 }
 
 #[test]
-fn an_abort_stops_the_axes_only_where_signals_are_asked_for() {
+fn an_abort_stops_the_axes_only_where_signals_are_caught() {
     Hosted::start(Machine::new(187), "abort").ends_at_once(None, Some(SIGABRT));
-    Hosted::start(Machine::new(188), "asked-abort").ends_in_order(None, Some(SIGABRT));
+    Hosted::start(Machine::new(188), "caught-abort").ends_in_order(None, Some(SIGABRT));
 }

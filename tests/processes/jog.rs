@@ -494,7 +494,7 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
 
 #[test]
 fn a_panel_with_a_master_of_its_own_names_a_drive_that_ignores_its_stop_and_has_failed() {
-    let machine = Machine::new(172);
+    let machine = Machine::new(222);
     let config = moons::faulty(&machine, "turns.toml");
     let _sim = simulation(&config);
     let mut panel = Panel::start(&config, &[]);

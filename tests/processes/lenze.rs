@@ -314,7 +314,7 @@ fn drives_that_are_killed_while_they_turn_are_lost_and_come_back_off() {
 #[test]
 fn a_lenze_that_stays_enabled_whatever_is_requested_is_named_at_the_end() {
     let wire = Wire::with(
-        207,
+        227,
         "",
         "stop = { deceleration = 50, standstill_for = 5, timeout = \"2s\" }\n\
                                     simulate = { running = 2.0, ignores_stops = true }",

@@ -6,7 +6,9 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use fieldbeat::internals::control::{Ended, HOLD_EVERY, OperateError, OperationState, Operator, Order};
+use fieldbeat::internals::control::{
+    AskError, Ended, HOLD_EVERY, OperateError, OperationState, Operator, Order, Watched,
+};
 use serde_json::{Value, json};
 
 use super::support::{LONG, Machine, Program, drive, until};
@@ -201,8 +203,8 @@ fn a_client_that_ends_in_mid_motion_leaves_axes_that_stand_without_power() {
     assert_rest(&mut watcher);
 }
 
-/// Clients that look, wait for a drive that never answers, or leave it something to be done and go: more of each than
-/// there are places.
+/// Clients that watch, wait for a drive that never answers, or leave it something to be done and go: more of each than
+/// there are places. An operator stays while they come.
 #[test]
 fn a_stop_and_a_look_get_through_whatever_other_clients_wait_for_or_left() {
     let machine = Machine::new(159);
@@ -215,6 +217,17 @@ fn a_stop_and_a_look_get_through_whatever_other_clients_wait_for_or_left() {
         stream.write_all(format!("{question}\n").as_bytes()).unwrap();
         stream
     };
+    let streams: Vec<_> = (0..48).map(|_| Watched::open(&path)).collect();
+    let (watched, refused): (Vec<_>, Vec<_>) = streams.into_iter().partition(Result::is_ok);
+    assert_eq!(watched.len(), 4);
+    let why = "4 others watch this master already; end one of them";
+    assert!(refused.iter().all(|one| matches!(one, Err(AskError::Refused(text)) if text == why)));
+    // Its requests may come late on a busy host, and be refused; its connection holds.
+    let mut operator = Operator::remote(&path).unwrap();
+    let mut beat = || {
+        let taken = operator.take("panel");
+        assert!(matches!(taken, Ok(()) | Err(OperateError::Refused(_))), "{taken:?}");
+    };
     let calls = json!([{ "service": 17, "address": 5200, "value": 0 }]);
     let mut stay = Vec::new();
     for _ in 0..48 {
@@ -225,6 +238,7 @@ fn a_stop_and_a_look_get_through_whatever_other_clients_wait_for_or_left() {
         assert_eq!(leaves.read(&mut answer).unwrap(), 1);
         drop(leaves);
         stay.push(post(json!({ "ask": "calls", "drive": "d1", "calls": calls, "limit_ms": 600_000 })));
+        beat();
     }
     for _ in 0..10 {
         ask("status", &config, "--json").expect(0);

@@ -148,7 +148,7 @@ fn sent(file: &mut [u8]) -> Sent {
 
 #[test]
 fn the_first_telegram_that_differs_is_named_by_cycle_and_drive() {
-    let machine = Machine::new(170);
+    let machine = Machine::new(223);
     let file = recorded(&machine, libc::SIGINT);
     let mut bytes = fs::read(&file).unwrap();
     let Sent { cycle, drive, at } = sent(&mut bytes);

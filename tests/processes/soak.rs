@@ -237,7 +237,7 @@ fn a_lost_drive_fails_by_name_at_once_if_that_is_wanted() {
 
 #[test]
 fn an_axis_that_was_given_up_is_known_after_a_kill_however_rare_checkpoints_are() {
-    let machine = Machine::new(203);
+    let machine = Machine::new(225);
     let config = config(&machine, Machine::LOST_SOON, "");
     let sim = simulation(&config);
     let place = machine.path("soak");

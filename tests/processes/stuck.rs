@@ -1,5 +1,5 @@
-//! A loop whose cycle does not end: a task that never returns or comes back late, a thread that the host does not run, a
-//! send that hangs. The watch stops the drives; the application, the program and the next master see why.
+//! A loop whose cycle does not end: a task that never returns or comes back late, a thread that the host does not run,
+//! a send that hangs. The watch stops the drives; the application, the program and the next master see why.
 
 use std::net::{SocketAddrV4, UdpSocket};
 use std::os::fd::RawFd;
@@ -157,8 +157,8 @@ fn a_task_that_never_returns_ends_in_a_stop_of_its_drives_and_of_the_program() {
     }
 }
 
-/// A drive that obeys its first master only takes the last stop as well: it leaves from the socket of the loop. The next
-/// master is let in by its address.
+/// A drive that obeys its first master only takes the last stop as well: it leaves from the socket of the loop. The
+/// next master is let in by its address.
 #[test]
 fn the_stop_of_the_watch_comes_from_the_master_that_a_drive_knows() {
     let machine = Machine::new(213);

@@ -222,7 +222,7 @@ fn whoever_connects_and_says_nothing_makes_room_for_who_asks() {
     all[0].set_read_timeout(Some(LONG)).unwrap();
     let end = all[0].read(&mut [0]);
     assert!(
-        end.as_ref().is_ok_and(|count| count == 0)
+        end.as_ref().is_ok_and(|count| *count == 0)
             || end.is_err_and(|error| error.kind() != ErrorKind::WouldBlock)
     );
     drop(all);

@@ -9,6 +9,7 @@ pub mod forward;
 pub mod hold;
 pub mod onlooker;
 
+use std::collections::BTreeSet;
 use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::unix::fs::PermissionsExt;
@@ -120,10 +121,14 @@ pub fn served(simulated: impl Fn() -> Simulated) -> SimServer {
     bound(|| SimServer::start(simulated(), ServerOptions::default()))
 }
 
+/// The numbers of the machines of this test program.
+static TAKEN: Mutex<BTreeSet<u8>> = Mutex::new(BTreeSet::new());
+
 /// A network of its own on loopback, and a directory for its configurations that goes with it.
 ///
 /// The second byte of its addresses comes from the process, so that two runs of the tests on one computer do not meet.
 pub struct Machine {
+    test: u8,
     directory: PathBuf,
     net: [u8; 3],
 }
@@ -134,11 +139,12 @@ impl Machine {
         // Under nohup this process ignores it, and so would every program that it starts.
         // SAFETY: the default action replaces no handler of this process.
         unsafe { libc::signal(libc::SIGHUP, libc::SIG_DFL) };
+        assert!(TAKEN.lock().unwrap().insert(test), "two machines have the number {test}");
         let id = std::process::id();
         let directory = std::env::temp_dir().join(format!("fieldbeat-{id}-{test}"));
         std::fs::create_dir_all(&directory).unwrap();
         std::fs::set_permissions(&directory, PermissionsExt::from_mode(0o755)).unwrap();
-        Machine { directory, net: [127, 100 + (id % 128) as u8, test] }
+        Machine { test, directory, net: [127, 100 + (id % 128) as u8, test] }
     }
 
     /// The same in another network, for a namespace of its own.
@@ -228,6 +234,10 @@ impl Machine {
 impl Drop for Machine {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.directory);
+        // The next test with this number fails if this one has.
+        if let Ok(mut taken) = TAKEN.lock() {
+            taken.remove(&self.test);
+        }
     }
 }
 

@@ -313,8 +313,8 @@ fn blocked_segment(change: impl Fn(&mut AxisPlan)) -> Machine {
         (0..2).map(|place| kollmorgen::with(place, Family::S700, 0x1701, 0x1B03)).collect();
     for drive in &mut drives {
         drive.axis.limits.velocity = Some(10.0);
-        // It does not watch its own following error.
-        drive.slave.start_up = vec![Start::new(Object::new(0x6065, 0), Type::U32, 0)];
+        // It does not watch its own following error (CiA 402-2: no window).
+        drive.slave.start_up = vec![Start::new(Object::new(0x6065, 0), Type::U32, 0xFFFF_FFFF)];
         change(&mut drive.axis);
     }
     let mut segment = EthercatSegment::from(EthercatPlan::new(LINE, drives));

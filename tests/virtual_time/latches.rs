@@ -170,7 +170,7 @@ causes! {
         others: [Some(StopCause::Suspended); 2],
         ..CASE
     };
-    Uncommanded, StopTimeout, Panic, LinkThread, OwnerLost, FollowingError
+    Uncommanded, StopTimeout, Panic, LinkThread, OwnerLost, LoopStuck, FollowingError, PositionJump
 }
 
 /// Asks axis 0, and its whole group where it has joined one.

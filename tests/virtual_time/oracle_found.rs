@@ -7,7 +7,9 @@ use super::oracle::machine::{Kind, Shape};
 use super::oracle::steps::Choice::{
     By, Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
 };
-use super::oracle::steps::Op::{Burst, Late, Level, Overload, Post, RepeatReply, RepeatRequest, Write};
+use super::oracle::steps::Op::{
+    Burst, Late, Level, OldReply, Overload, Post, RepeatReply, RepeatRequest, Write,
+};
 
 const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
 
@@ -189,5 +191,15 @@ fn a_record_is_not_requested_by_a_telegram_whose_repetition_would_be_a_second_re
     let write = (3, 2, Write(vec![2, 1, 0]));
     for back in [1, 5] {
         holds(shape, &[&[write.clone(), (33, 2, RepeatReply { back, us: 640 })]]);
+    }
+}
+
+#[test]
+fn a_reply_from_before_takes_no_power_and_shows_no_other_place() {
+    for shape in shapes(Kind::LinMot, true) {
+        let begin = (0, 2, Post(vec![To(100)]));
+        let again = |which| (20 + which % 3 * 30, 2, OldReply { which, us: 10 });
+        let rounds: Vec<_> = (0..60).map(|which| [begin.clone(), again(which)]).collect();
+        holds(shape, &rounds.iter().map(|round| &round[..]).collect::<Vec<_>>());
     }
 }

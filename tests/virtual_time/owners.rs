@@ -7,6 +7,7 @@ use fieldbeat::axis::{Axis, Command, NativeOwner, OwnerLost, Row, StopCause, Sto
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, Native, NativeOutput};
 use fieldbeat::sim::WorldOptions;
+use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Flow, Master, Plan};
 
 use super::replay::{Log, verdict};
@@ -174,6 +175,20 @@ fn what_was_posted_before_the_drop_does_not_begin_after_it() {
     assert!(b.tape(0).received.iter().all(|received| {
         received.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
     }));
+    // Nor that of an axis that was stopped before, by a reset that comes first.
+    let mut b = ready(OwnerLost::Stop, StopThen::Disable);
+    b.world().delay_next_wake(50 * MS);
+    b.run(1_000);
+    assert_eq!(b.feedback(0).stopped, Some(StopCause::Overrun));
+    assert!(!b.feedback(0).status.state.is_powered());
+    b.post(0, Command::Reset);
+    b.post(0, Command::Enable);
+    b.post(0, slowly_to(150.0));
+    b.drop_axis(0);
+    for _ in 0..1_000 {
+        b.run(1);
+        assert!(!b.feedback(0).status.state.is_powered());
+    }
 }
 
 /// Two of one stop group, and one alone.

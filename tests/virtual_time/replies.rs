@@ -36,7 +36,7 @@ fn counters(b: Bench) -> Counters {
 
 #[test]
 fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
-    for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
+    for (monitor, turns) in [(MonitorPlan::Off, 8), (MonitorPlan::AsSet, 4)] {
         for misses in [1, turns - 1, turns, turns + 3] {
             let mut b = moving(Rig::new(1).each(|_, drive| {
                 drive.monitor = monitor;
@@ -211,22 +211,22 @@ fn padding_and_what_stands_in_it_mean_nothing() {
 
 #[test]
 fn a_request_carries_exactly_what_is_needed() {
-    let needed = ResponseDef(0x5F);
-    let turns = ResponseDef::WARN.with(ResponseDef::MONITOR);
+    let needed = ResponseDef(0x1F);
+    let turns = ResponseDef::ERROR.with(ResponseDef::WARN).with(ResponseDef::MONITOR);
     for tag in [ReplyTag::Definition, ReplyTag::Off] {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = tag));
-        b.run(8);
+        b.run(16);
         let received: Vec<Request> =
-            b.tape(0).received.iter().rev().take(8).map(|received| received.request).collect();
+            b.tape(0).received.iter().rev().take(16).map(|received| received.request).collect();
         assert!(received.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
         let requested: Vec<ResponseDef> = received.iter().map(|request| request.response_def).collect();
         if tag == ReplyTag::Off {
-            assert_eq!(requested, [ResponseDef::CYCLIC; 8]);
+            assert_eq!(requested, [ResponseDef::CYCLIC; 16]);
             continue;
         }
-        // Any four in a row have four definitions, without a block that nothing needs but those in turn.
-        assert_eq!(requested[..4], requested[4..]);
-        for (n, definition) in requested[..4].iter().enumerate() {
+        // Any eight in a row have eight definitions, without a block that nothing needs but those in turn.
+        assert_eq!(requested[..8], requested[8..]);
+        for (n, definition) in requested[..8].iter().enumerate() {
             assert_eq!(definition.0 & !turns.0, needed.0);
             assert!(!requested[..n].contains(definition), "{requested:?}");
         }

@@ -6,8 +6,11 @@
 //! only if they are whole EtherCAT frames of one sender and one kind, and if they come again and again: the last frames
 //! of a master that has ended may arrive in a burst.
 //!
-//! A state of a slave that nobody requested here is the second evidence (`segment::slave`): a slave that leaves OP by
-//! itself sets the error bit of its AL status (ETG.1000.6), one that another master takes down does not. Statusword and
+//! What nobody here has changed in a slave is the second evidence (`segment::slave`). A slave that leaves OP by itself
+//! sets the error bit of its AL status (ETG.1000.6), one that another master takes down does not; one in INIT may have
+//! restarted, unless AL control holds a request that is not from here. A station address is nobody else's than a
+//! master's, as long as no other slave can stand there. Settings that read back otherwise were written by somebody, and
+//! the slave is set up from INIT. Statusword and
 //! mode of a drive (6041h, 6061h) are no evidence: its terminal and its own reactions change them too.
 
 use super::image::Mark;

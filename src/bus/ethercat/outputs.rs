@@ -4,12 +4,14 @@
 //! |---|---|
 //! | control word 6040h, mode 6060h | the master |
 //! | the target that the mode follows | the master: its setpoint |
-//! | another position target | it is the actual position, so that nothing moves when a mode begins to follow it |
+//! | another position target | it is the actual position: nothing moves when a mode begins to follow it |
+//! | one of those that the mode follows, in native mode | it is where the drive came into operation |
 //! | an object of `start_up` | it keeps that value |
 //! | another velocity or torque target; what 0 switches off | it is 0 |
-//! | everything else: limits, windows, profiles, objects that are not known here | it keeps the drive's own value, read by SDO before the outputs count |
+//! | everything else: limits, windows, profiles, unknown objects | it keeps the drive's own value |
 //!
-//! In native mode all of them are the application's.
+//! That value is read by SDO before the outputs count.
+//! While native mode runs all of them are the application's.
 
 use super::object::Object;
 use super::object::number::{CONTROL_WORD, MODE};

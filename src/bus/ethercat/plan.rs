@@ -216,8 +216,8 @@ impl Setpoint {
         })
     }
 
-    /// A drive in this mode follows it from cycle to cycle (CiA 402-2; the vendor modes of S300 ... S700 are assumed to follow whichever
-    /// target of their kind is in the process data).
+    /// A drive in this mode follows it from cycle to cycle (CiA 402-2; the vendor modes of S300 ... S700 are assumed to
+    /// follow whichever target of their kind is in the process data).
     pub(super) const fn is_followed(self, mode: Mode) -> bool {
         match self {
             Setpoint::Position(Object { index: 0x60C1, .. }) => {

@@ -240,7 +240,9 @@ impl Station {
         let (rate, most_steps) = (1e9 / interval_ns, self.fastest * interval_ns);
         self.agreed = Agreed { version, layout, timeout_ns, rate, most_steps };
         (self.connection, self.last_incoming) = (Some(connection), Some(connection.incoming));
-        (self.seen, self.track) = (Seen::default(), Track::default());
+        // Where the encoder counts from is a matter of the drive, not of the connection.
+        let shift = self.track.shift;
+        (self.seen, self.track) = (Seen::default(), Track { shift, ..Track::default() });
         self.profile.connected();
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
@@ -400,7 +402,7 @@ impl Station {
         );
         let same =
             (before.status, before.alarm, before.inhibited) == (inputs.status, inputs.alarm, inhibited);
-        if !(same && self.profile.is_steady()) {
+        if !same || slot.anew || !self.profile.is_steady() {
             self.prove(slot);
             if self.profile.take_rehomed() {
                 // The position was set: that was no motion, and the encoder is where the steps are.
@@ -458,6 +460,7 @@ impl Station {
         let starts = word & status::INITIALIZING != 0;
         if starts && report.state != State::NotReadyToSwitchOn && report.state != State::Unknown {
             notices.restarted = true;
+            self.track.shift = 0.0;
             self.profile.drive_restarted();
         }
         let owned = self.connection.as_ref().is_some_and(|open| open.outputs == Sends::Owned);

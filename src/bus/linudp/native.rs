@@ -29,7 +29,7 @@ pub struct NativeInputs {
     /// Native mode ran when the request of this reply was built: outputs written from now on go out.
     pub running: bool,
     /// The telegram. Blocks that were not requested are `None`; with [`ReplyTag::Definition`](super::plan::ReplyTag)
-    /// warn word and monitoring channels come in turn.
+    /// error code, warn word and monitoring channels come in turn.
     pub response: Response,
 }
 

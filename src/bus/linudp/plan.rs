@@ -99,9 +99,9 @@ impl LinUdpDrive {
 /// By what a reply shows which request it answers: LinUDP has no sequence number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReplyTag {
-    /// Each request names other blocks than the one before it, and the reply echoes its definition: warn word and
-    /// monitoring channels come in turn, in four combinations; monitoring channels that are shown come in each reply,
-    /// and there are two.
+    /// Each request names other blocks than the one before it, and the reply echoes its definition: error
+    /// code, warn word and monitoring channels come in turn, in eight combinations; monitoring channels that are shown
+    /// come in each reply, and there are four.
     #[default]
     Definition,
     /// A real-time-config no-operation with a new count in each request, which the reply echoes: fourteen values, eight
@@ -287,8 +287,8 @@ impl LinUdpDrive {
         lines.push(format!(
             "a late reply is recognised by {}; a hardware enable (STO) counts as missing after {}",
             match (self.reply_tag, self.monitor) {
-                (ReplyTag::Definition, MonitorPlan::Off) => "its response definition, one of four in turn",
-                (ReplyTag::Definition, _) => "its response definition, one of two in turn",
+                (ReplyTag::Definition, MonitorPlan::Off) => "its response definition, one of eight in turn",
+                (ReplyTag::Definition, _) => "its response definition, one of four in turn",
                 (ReplyTag::Count, _) => "its count, one of fourteen in turn",
                 (ReplyTag::Off, _) => "a missed exchange before it only",
             },

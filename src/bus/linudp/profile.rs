@@ -42,6 +42,8 @@ pub(super) struct Inputs {
     pub foreign: bool,
     /// Status word and state var are 0: booting, or the motion software is stopped.
     pub booting: bool,
+    /// The code of its error is known.
+    pub named: bool,
     pub status: StatusWord,
     pub state: StateVar,
     /// Unwrapped, 0.1 um.
@@ -155,7 +157,7 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
         },
         switches_on_at_once: true,
         leaves_quick_stop: false,
-        // A single reply that comes again, many cycles late, may look like the newest.
+        // A single reply that comes again, many cycles late, may look like the newest: it has no number.
         power_reports: 2,
         still_reports: 2,
         stands_ns: 0,
@@ -347,6 +349,7 @@ impl Profile {
             evidence.homing = Homing::Attained;
         }
         evidence.fault.active = inputs.failed();
+        evidence.fault.named = inputs.named;
         evidence.fault.resettable = Self::resettable(inputs);
     }
 

@@ -120,6 +120,8 @@ pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
             torques: Some(NO_TORQUE),
             ..Lacks::default()
         },
+        // Replies come in their order on one connection, each with the transaction id of its request.
+        power_reports: 1,
         stands_ns: STANDS_NS,
         ..Capabilities::of(Generator::Master(Quantity::Velocity))
     }

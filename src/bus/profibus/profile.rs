@@ -120,6 +120,8 @@ pub(super) fn capabilities(drive: &LenzeDrive) -> Capabilities {
         },
         switches_on_at_once: false,
         leaves_quick_stop: false,
+        // One telegram at a time has the wire: nothing that was sent comes later than its slot time.
+        power_reports: 1,
         still_reports: STILL,
         ..Capabilities::of(Generator::Master(Quantity::Velocity))
     }

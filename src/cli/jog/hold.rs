@@ -6,7 +6,8 @@
 //! let go when the next repeat does not come.
 //!
 //! Some terminals, and programs between them and the panel, say that they have the protocol, and never report that a
-//! key goes up. So a terminal is believed from the first such report on, up to a press that neither repeats nor goes up.
+//! key goes up. So a terminal is believed from the first such report on, up to a press that neither repeats nor goes
+//! up.
 //!
 //! Whatever ended a hold, the key has to be let go before it can be held again: repeats that go on, or arrive in a
 //! burst after the connection to the terminal has hung, hold nothing.

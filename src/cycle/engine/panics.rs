@@ -15,7 +15,7 @@ use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
-use crate::drive::controller::take_commands;
+use crate::drive::controller::{DriveController, take_commands};
 use crate::rt::{Clock, PollSet};
 use crate::time::Time;
 
@@ -359,6 +359,10 @@ impl<C: Clock> Engine<C> {
         let passed_ns = now.since(since);
         if !down && passed_ns <= self.longest_end_ns {
             return false;
+        }
+        if self.buses_ending.is_none() {
+            self.buses_ending = Some(now);
+            self.controllers.iter_mut().for_each(DriveController::note_end);
         }
         let mut buses_down = true;
         for bus in 0..self.buses.len() {

@@ -3,6 +3,7 @@
 
 use super::{Engine, Flow};
 use crate::axis::StopCause;
+use crate::drive::controller::DriveController;
 use crate::rt::Clock;
 
 impl<C: Clock> Engine<C> {
@@ -12,6 +13,7 @@ impl<C: Clock> Engine<C> {
         // First, so that whoever has taken them knows that nothing follows.
         self.channels.gate.wires().give_way();
         self.latch(StopCause::LoopStuck);
+        self.controllers.iter_mut().for_each(DriveController::note_stuck);
         Flow::End
     }
 }

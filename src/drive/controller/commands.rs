@@ -1,5 +1,6 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
+use super::watch::Braked;
 use super::{Claim, DriveController, Latch, Owner};
 use crate::axis::command::NativeOwner;
 use crate::axis::doorbell::Bells;
@@ -125,6 +126,10 @@ impl DriveController {
             && (own.as_ref().is_some_and(acts) || queued.range(ended..).any(acts))
         {
             self.stop(cycle, now, StopCause::OwnerLost);
+            // An axis that is latched already has nothing to be stopped; and nothing of this begins after a reset.
+            while let Some(queued) = self.queues.commands.remove(ended) {
+                self.end(cycle, now, queued, Outcome::Aborted(Abort::Stopped(StopCause::OwnerLost)));
+            }
         }
         false
     }
@@ -154,7 +159,7 @@ impl DriveController {
             if next.call.is_none() && self.acts_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of what its group does stops the group: the others would go on
                 // without it.
-                self.stop(cycle, now, StopCause::GroupFailed);
+                self.stop_by(Braked::BySetpoints, Some(next.command), cycle, now, StopCause::GroupFailed);
                 break;
             }
             if self.task_command.take().is_none() {

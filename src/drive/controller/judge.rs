@@ -69,6 +69,7 @@ impl DriveController {
         }
         (self.closed, self.grid) = (None, cycle.grid);
         self.measured.was_online = self.feedback.link == Link::Online;
+        let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
         let mut rtt = None;
         // The usual end of an exchange, in a cycle that has one.
         let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
@@ -107,6 +108,9 @@ impl DriveController {
         }
         self.take_status(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
+        if let Some(by) = jumped {
+            self.jump(cycle, now, by);
+        }
         // The first answer need not report the drive's state.
         if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
         {
@@ -289,6 +293,8 @@ impl DriveController {
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
+                // What it reports when it is back is read anew.
+                self.doubt.refer();
                 let rests = self.duty.claim() != Claim::Armed
                     && !self.duty.active().is_some_and(|one| acts(&one.command));
                 self.stop(cycle, now, StopCause::LinkLost);

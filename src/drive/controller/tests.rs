@@ -2,6 +2,7 @@
 
 mod exchanges;
 mod stopping;
+mod weigh;
 
 use std::slice::{from_mut, from_ref};
 use std::time::Duration;
@@ -33,6 +34,8 @@ pub(in crate::drive) struct Alone {
     pub events: Consumer<Event>,
     index: u64,
     id: u64,
+    /// What the drive says of its reference in each report, whatever the loop has made of the last one.
+    homed: Option<bool>,
 }
 
 pub(in crate::drive) fn cycle(index: u64) -> Cycle {
@@ -94,6 +97,11 @@ pub(in crate::drive) fn ended(events: &mut Consumer<Event>) -> Vec<(u64, Outcome
 
 impl Alone {
     pub fn new(plan: AxisPlan) -> Alone {
+        Alone::of(plan, can())
+    }
+
+    /// With a drive that can do this.
+    pub fn of(plan: AxisPlan, can: Capabilities) -> Alone {
         let mut regions = Regions::default();
         let (commands, posted) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
@@ -113,9 +121,20 @@ impl Alone {
             log: InputLog::default(),
             journal: Journal::new(8, &mut Regions::default()),
         };
-        let controller = DriveController::new(plan, can(), queues, MS, 0, 100, Probes::Spaced);
+        let controller = DriveController::new(plan, can, queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
-        Alone { controller, slot, commands, rows, setpoints, bells: Bells::new(1), events, index: 0, id: 0 }
+        Alone {
+            controller,
+            slot,
+            commands,
+            rows,
+            setpoints,
+            bells: Bells::new(1),
+            events,
+            index: 0,
+            id: 0,
+            homed: None,
+        }
     }
 
     /// One cycle up to the commands. The drive answers with the report in the slot.
@@ -135,6 +154,7 @@ impl Alone {
             false => Exchange::Absent { sent_at: now },
         };
         slot.status.at = now;
+        slot.status.homed = self.homed.unwrap_or(slot.status.homed);
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);

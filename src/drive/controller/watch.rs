@@ -5,7 +5,7 @@ use super::{Along, DriveController};
 use crate::axis::command::NativeOwner;
 use crate::axis::{
     Abort, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State,
-    StopCause,
+    StopCause, StopThen,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
@@ -25,7 +25,7 @@ impl DriveController {
         }
         // A drive that this master has commanded is never only read again.
         if self.plan.on_found_running == FoundRunning::Stop || self.duty.claim() != Claim::Found {
-            self.brake(now, braked);
+            self.brake(now, braked, None);
         }
     }
 
@@ -89,7 +89,7 @@ impl DriveController {
             let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit)
                 || cause == StopCause::FollowingError;
             let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
-            self.stop_by(braked, cycle, now, cause);
+            self.stop_by(braked, None, cycle, now, cause);
         } else {
             self.stop_again(cycle, now, cause);
         }
@@ -206,25 +206,40 @@ impl DriveController {
     /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
     /// written.
     pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        self.stop_by(Braked::BySetpoints, cycle, now, cause);
+        let requested = self.duty.active().map(|active| active.command);
+        self.stop_by(Braked::BySetpoints, requested, cycle, now, cause);
     }
 
-    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
+    /// The same, by the drive or by setpoints. What the application has `requested` of the axis for its end is made no
+    /// softer by it.
+    pub(super) fn stop_by(
+        &mut self,
+        braked: Braked,
+        requested: Option<Command>,
+        cycle: &Cycle,
+        now: Time,
+        cause: StopCause,
+    ) {
         if !self.duty.latch().is_open() {
             return;
         }
         self.latch(cycle, now, cause);
         if self.duty.claim() != Claim::Found {
-            self.brake(now, braked);
+            self.brake(now, braked, requested);
         }
     }
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
-        if self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
+        if self.is_armed() {
             self.stop(cycle, now, cause);
         }
+    }
+
+    /// It is enabled, or about to be, or the application commands its drive.
+    pub(super) fn is_armed(&self) -> bool {
+        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
+        self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application)
     }
 
     /// Whether no position leads the drive, and its reported demand is meaningless.
@@ -236,13 +251,20 @@ impl DriveController {
         matches!(self.duty.active(), Some(QueuedCommand { command: Command::Native(own), .. }) if *own == owner)
     }
 
-    /// Starts the stop sequence of an axis that is latched.
-    fn brake(&mut self, now: Time, braked: Braked) {
+    /// Starts the stop sequence of an axis that is latched, no softer than what was `requested` of it.
+    fn brake(&mut self, now: Time, braked: Braked, requested: Option<Command>) {
         let Some(cause) = self.duty.latch().cause() else { return };
+        let mut stop = self.plan.stop;
+        match requested {
+            Some(Command::Stop { deceleration: Some(own) }) => stop.deceleration = stop.deceleration.max(own),
+            Some(Command::Disable) => stop.then = StopThen::Disable,
+            _ => {}
+        }
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
-        let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque();
+        let by_the_drive =
+            braked == Braked::ByTheDrive || self.is_under_torque() || requested == Some(Command::QuickStop);
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
-        let (sequence, command) = start(self.plan.stop, self.plan.load, now, self.speed());
+        let (sequence, command) = start(stop, self.plan.load, now, self.speed());
         self.duty.set_latch(Latch::Down(cause, sequence));
         self.issue(Some(command));
     }
@@ -251,7 +273,7 @@ impl DriveController {
     fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let speed = self.speed();
         if matches!(self.duty.latch(), Latch::Kept(_)) {
-            return self.brake(now, Braked::ByTheDrive);
+            return self.brake(now, Braked::ByTheDrive, None);
         }
         let command = match self.duty.sequence() {
             Some((_, sequence)) if sequence.is_down() => sequence.again(now, speed),
@@ -304,7 +326,7 @@ impl DriveController {
         self.stop(cycle, now, StopCause::Shutdown);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.duty.latch(), Latch::Kept(_)) && self.duty.claim() != Claim::Found {
-            self.brake(now, Braked::BySetpoints);
+            self.brake(now, Braked::BySetpoints, None);
         }
         // Only ever read: not ours to power off.
         let Some((_, sequence)) = self.duty.sequence() else { return true };
@@ -324,6 +346,11 @@ impl DriveController {
         self.answered = Some(self.answers());
     }
 
+    /// Nothing was requested of the drive since the wires were taken from the loop, and no report is from then.
+    pub fn note_stuck(&mut self) {
+        (self.stuck, self.answered, self.requested) = (true, Some(false), Requested::default());
+    }
+
     /// How the drive is left, once the loop has ended.
     pub fn at_end(&self) -> Option<AtEnd> {
         let (seen_off, holds) = match self.duty.latch() {
@@ -337,6 +364,7 @@ impl DriveController {
             may_rise: self.rising > 0 && !seen_off,
             holds,
             requested: self.requested,
+            stuck: self.stuck,
         };
         AtEnd::of(known, &self.feedback)
     }

@@ -98,7 +98,9 @@ impl State {
         let (state, evidence, rest) = (view.status.state, view.evidence, fallen_back(rest));
         if self.has_power(view) && evidence.outputs_count {
             if evidence.fault.active {
-                return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
+                // A report that does not count is not fresh: what it says of a fault is not certain yet.
+                let is_certain = evidence.fault.named && view.fresh;
+                return if is_certain { self.give_up(view.failed(), view) } else { None };
             }
             if view.status.inhibited {
                 self.set(rest);
@@ -254,11 +256,13 @@ impl State {
         }
         let (distance, near) = view.off(target);
         let reports = if wanted.window.is_some() { wanted.reports } else { 1 };
-        if self.agrees(stands && near, reports.max(can.still_reports.into()), view) {
+        let here = stands && near;
+        if self.agrees(here, reports.max(can.still_reports.into()), view) {
             return self.done();
         }
         match wanted.window {
-            Some(window) if self.is_late(view, nanos(wanted.timeout)) => {
+            // Slow exchanges may need longer to count their reports.
+            Some(window) if !here && self.is_late(view, nanos(wanted.timeout)) => {
                 self.fail(Failure::OutOfPosition { distance, window })
             }
             _ => None,

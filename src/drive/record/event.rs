@@ -19,6 +19,7 @@ enum What {
     MissedInGroup,
     Underrun,
     Restarted,
+    PositionJump,
     MonitorRefused,
     Done,
     ReplacedBy,
@@ -91,6 +92,9 @@ impl EventRecord {
             EventKind::MissedInGroup => number(What::MissedInGroup, 0),
             EventKind::Underrun => number(What::Underrun, 0),
             EventKind::Restarted => number(What::Restarted, 0),
+            EventKind::PositionJump(by) => {
+                EventRecord { values: [by, 0.0, 0.0], ..number(What::PositionJump, 0) }
+            }
             EventKind::MonitorRefused { channel, status } => {
                 EventRecord { code: channel, ..number(What::MonitorRefused, status) }
             }
@@ -157,6 +161,7 @@ impl EventRecord {
             What::MissedInGroup => EventKind::MissedInGroup,
             What::Underrun => EventKind::Underrun,
             What::Restarted => EventKind::Restarted,
+            What::PositionJump => EventKind::PositionJump(self.values[0]),
             What::MonitorRefused => EventKind::MonitorRefused { channel: self.code, status: self.number },
             _ => {
                 let command = Command::NAMES.get(usize::from(self.code))?;
@@ -260,6 +265,7 @@ mod tests {
             EventKind::MissedInGroup,
             EventKind::Underrun,
             EventKind::Restarted,
+            EventKind::PositionJump(-338.9),
             EventKind::MonitorRefused { channel: 3, status: 0xD4 },
         ]);
         kinds

@@ -129,7 +129,7 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
 }
 
 fn motor(table: &mut Table<'_>, mut motor: MotorSettings) -> MotorSettings {
-    let MotorSettings { rated_nm, peak_permille, max_rpm, inertia_kgm2, friction_nm } = &mut motor;
+    let MotorSettings { rated_nm, peak_permille, max_rpm, inertia_kgm2, friction_nm, .. } = &mut motor;
     for (key, range, hint, value) in [
         ("rated_torque", 0.001..=100_000.0, "rated torque of the motor, N m", rated_nm),
         (

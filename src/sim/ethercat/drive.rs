@@ -24,6 +24,7 @@ mod shown;
 #[cfg(test)]
 mod tests;
 
+use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
 use self::motion::Track;
@@ -79,6 +80,8 @@ pub struct Drive {
     objects: Objects,
     mapping: Mapping,
     mailbox: Mailbox,
+    /// The modes that it is still in one after the other, each until then, before that of 6060h.
+    leaving: VecDeque<(Mode, Time)>,
     /// When it last sent an unrequested message.
     disturbed: Time,
     sync: Sync,
@@ -107,6 +110,7 @@ impl Drive {
             objects: Objects::new(&settings),
             mapping: Mapping::new(),
             mailbox: Mailbox::new(settings.dialect, settings.long_sdos.map(usize::from)),
+            leaving: VecDeque::new(),
             disturbed: Time::default(),
             sync: Sync::new(settings.interrupts_to_sync),
             power: power_drive(&settings),
@@ -243,6 +247,9 @@ impl Drive {
 
     fn step(&mut self, dt_ns: u64) {
         let at = self.power.now();
+        while self.leaving.pop_front_if(|(_, until)| *until <= at).is_some() {
+            self.hold();
+        }
         if self.sync.pass(at) {
             self.lose_sync();
         }
@@ -281,7 +288,15 @@ impl Drive {
 
     /// The mode of operation that it is in.
     pub fn mode(&self) -> Mode {
-        Mode(self.objects.get(MODE) as i8)
+        self.leaving.front().map_or(Mode(self.objects.get(MODE) as i8), |(mode, _)| *mode)
+    }
+
+    /// 6060h was another one until now.
+    fn change_mode(&mut self, before: Mode) {
+        match self.settings.mode_delay_ns {
+            0 => self.hold(),
+            delay_ns => self.leaving.push_back((before, self.power.now() + delay_ns)),
+        }
     }
 
     /// The cycle time by 60C2h, if it is a multiple of 250 us that the drive can have.
@@ -424,6 +439,7 @@ impl Application for Drive {
         self.objects = Objects::new(&self.settings);
         self.mapping = Mapping::new();
         self.mailbox.reset();
+        self.leaving.clear();
         self.sync.start(None);
         (self.al, self.dropped, self.state) = (AlState::Init, None, State::SwitchOnDisabled);
         self.control = None;

@@ -134,6 +134,13 @@ impl Esc {
         self.firmware.restart(now);
     }
 
+    /// Its processor restarts, while its controller keeps its power: it is in INIT, and all registers that a master has
+    /// written are as they were.
+    pub fn restart_firmware(&mut self, now: Time) {
+        self.firmware.restart(now);
+        self.firmware.show(&mut self.chip);
+    }
+
     /// Advances to `now`, with or without a frame.
     pub fn advance(&mut self, now: Time) {
         self.chip.advance(now);

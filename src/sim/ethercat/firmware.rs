@@ -113,7 +113,7 @@ impl Firmware {
         self.show(chip);
     }
 
-    /// Power cycle.
+    /// Power cycle, or a restart of the processor alone.
     pub(super) fn restart(&mut self, now: Time) {
         self.application.restart(now);
         (self.state, self.error, self.pending) = (AlState::Init, None, None);
@@ -189,7 +189,7 @@ impl Firmware {
         self.show(chip);
     }
 
-    fn show(&self, chip: &mut Chip) {
+    pub(super) fn show(&self, chip: &mut Chip) {
         chip.show_state(self.state, self.error.is_some(), self.error.unwrap_or(AlCode::NONE));
     }
 

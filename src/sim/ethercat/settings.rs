@@ -61,6 +61,8 @@ pub struct DriveSettings {
     pub home_turns: Option<f64>,
     /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
     pub interrupts_to_sync: u32,
+    /// It changes its mode so long after 6060h, and shows it from then on, ns. Default 0.
+    pub mode_delay_ns: u64,
     /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
     /// off. Default: it comes up in INIT and stands still.
     pub running_rpm: Option<f64>,
@@ -106,6 +108,7 @@ impl DriveSettings {
             stop_rpm_s: 50_000.0,
             home_turns: Some(0.5),
             interrupts_to_sync: 100,
+            mode_delay_ns: 0,
             running_rpm: None,
             hardware_enable: true,
             motor: MotorSettings::default(),
@@ -250,6 +253,9 @@ pub struct MotorSettings {
     pub inertia_kgm2: f64,
     /// Dry friction, N m. Default 0.1.
     pub friction_nm: f64,
+    /// A load against positive torque, N m, which a brake holds without power. A position controller gives way to it by
+    /// its stiffness (it has no integral part), and works against it then. Default 0.
+    pub load_nm: f64,
 }
 
 impl Default for MotorSettings {
@@ -260,6 +266,7 @@ impl Default for MotorSettings {
             max_rpm: 6_000.0,
             inertia_kgm2: 0.002,
             friction_nm: 0.1,
+            load_nm: 0.0,
         }
     }
 }

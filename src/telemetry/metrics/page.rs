@@ -121,7 +121,7 @@ const REFERENCE: [Field<ReferenceStatus>; 6] = [
 const WITHOUT_SAMPLE: &str = "Executed cycles without a sample of the reference clock.";
 const LARGEST_ERROR: &str = "Largest phase error of the grid since its first lock.";
 
-const DRIVE: [Field<DriveEnd>; 16] = [
+const DRIVE: [Field<DriveEnd>; 17] = [
     (Count, "drive_requests_sent", "Requests sent.", |of| of.counters.sent),
     (Count, "drive_requests_unsent", UNSENT, |of| of.counters.unsent),
     (Count, "drive_replies_in_time", "Requests answered in time.", |of| of.counters.answered),
@@ -129,6 +129,7 @@ const DRIVE: [Field<DriveEnd>; 16] = [
     (Count, "drive_replies_late", "Replies after the receive deadline.", |of| of.counters.late),
     (Count, "drive_replies_duplicate", "Duplicate replies.", |of| of.counters.duplicate),
     (Count, "drive_replies_suspect", SUSPECT, |of| of.counters.suspect),
+    (Count, "drive_reports_implausible", IMPLAUSIBLE, |of| of.counters.implausible),
     (Count, "drive_datagrams_rejected", REJECTED, |of| of.counters.malformed + of.counters.foreign),
     (Count, "drive_link_losses", "Times that the link was lost.", |of| of.losses),
     (Gauge, "drive_online", "1 while the link is up.", |of| (of.feedback.link == Link::Online).into()),
@@ -140,6 +141,7 @@ const DRIVE: [Field<DriveEnd>; 16] = [
     (Time, "drive_value_age_max", LARGEST_AGE, |of| of.peaks.age.ns),
 ];
 const UNSENT: &str = "Requests not sent: no connection, or refused by the operating system.";
+const IMPLAUSIBLE: &str = "Reports that were not taken: the axis cannot be so.";
 const SUSPECT: &str = "Replies that may belong to an earlier request.";
 const REJECTED: &str = "Malformed and unmatched datagrams from its address.";
 const INHIBITED: &str = "1 while the hardware enable (STO) is missing.";

@@ -241,6 +241,7 @@ impl EventText {
             EventKind::MissedInGroup => ("missed in group", String::new(), 0),
             EventKind::Underrun => ("underrun", String::new(), 0),
             EventKind::Restarted => ("restarted", String::new(), 0),
+            EventKind::PositionJump(by) => ("position jumped", format!("{by:.3}"), 0),
             EventKind::MonitorRefused { channel, status } => {
                 ("monitor refused", format!("channel {}", channel + 1), status)
             }

@@ -145,7 +145,7 @@ fn every_record_is_a_message_at_the_instant_of_its_cycle() {
         let begin =
             [&*index, &own, &index, &demand, "0.25", "2.5", "-1.5", "5", "OperationEnabled", "2", "online"];
         assert_eq!(texts[..11], begin);
-        assert_eq!(texts[11..15], ["16", "motion_of_its_group_failed", "4", "move"]);
+        assert_eq!(texts[11..15], ["16", "command_of_its_group_failed", "4", "move"]);
         assert_eq!(texts[19..], ["2", "answered", "0", "0", "300", "0"]);
     }
     assert_eq!(x[0].1[11..13], ["0", "not_stopped"]);

@@ -39,6 +39,8 @@ pub struct Drive {
     pub rejected: u64,
     /// Answered, but possibly by the reply to an earlier request.
     pub suspect: u64,
+    /// Reports that were not taken: of a place that the axis cannot have reached, or of a loss that was not confirmed.
+    pub implausible: u64,
     /// Refused by the operating system.
     pub unsent: u64,
     /// Round trips.

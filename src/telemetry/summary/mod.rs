@@ -189,6 +189,7 @@ impl Summary {
                 duplicate: counters.duplicate,
                 rejected: counters.malformed + counters.foreign,
                 suspect: counters.suspect,
+                implausible: counters.implausible,
                 unsent: counters.unsent,
                 rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
                 send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),

@@ -39,10 +39,11 @@ impl Summary {
     /// The drives in at most 80 columns, if their names are short. Counts that are 0 for all of them have no column.
     fn drive_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         type Count = (&'static str, fn(&Drive) -> u64);
-        const RARE: [Count; 4] = [
+        const RARE: [Count; 5] = [
             ("late", |drive| drive.late),
             ("dupl.", |drive| drive.duplicate),
             ("reject", |drive| drive.rejected),
+            ("implaus.", |drive| drive.implausible),
             ("unsent", |drive| drive.unsent),
         ];
         let seen = RARE.into_iter().filter(|(_, count)| self.drives.iter().any(|drive| count(drive) > 0));

@@ -1,7 +1,7 @@
 //! Who writes what is in the outputs of a drive: targets that its mode does not follow, its mode, its limits.
 
-use fieldbeat::axis::{Command, Move, Outcome, Profile, State, Target};
-use fieldbeat::bus::ethercat::Object;
+use fieldbeat::axis::{Command, Move, NativeOwner, Outcome, Profile, State, Target};
+use fieldbeat::bus::ethercat::{Native, Object};
 use fieldbeat::internals::bus::ethercat::cia402::Mode;
 
 use super::foreign::machine_of;
@@ -136,17 +136,43 @@ fn a_mode_in_the_outputs_is_that_of_homing_for_a_homing_only() {
     machine.end_well();
 }
 
-/// The application makes the handshake of profile position: everything else is the master's until it writes.
+/// The targets are the application's: nothing moves until it writes one, and then the drive follows that.
 #[test]
-fn targets_of_the_application_stay_at_the_actual_position_until_it_writes_them() {
-    let mut machine = machine("\"0x6040:0\", \"0x607A:0\"", "mode = 1\nsetpoints = \"native\"");
-    machine.done(0, Command::Enable);
-    machine.run(200);
-    assert!((turns(&machine) - 3.0).abs() < 1e-3);
-    assert!((value(&machine, TARGET) - value(&machine, ACTUAL)).abs() < 50);
-    assert!(
-        machine.sim.execute(0, go_to(3.5), 100).is_err_and(|why| why.to_string().contains("position"))
-            || machine.ended(0, go_to(3.5)) != Outcome::Done
-    );
-    machine.end_well();
+fn a_drive_follows_what_the_application_writes_and_stays_where_it_is_before_and_after() {
+    const CONTROL: Object = Object::new(0x6040, 0);
+    const HALF: i64 = 1 << 19;
+    for (mode, owner) in [(8, NativeOwner::Master), (1, NativeOwner::Application)] {
+        let mut machine =
+            machine("\"0x6040:0\", \"0x607A:0\"", &format!("mode = {mode}\nsetpoints = \"native\""));
+        let mut native: Box<Native> = machine.sim.axis(0).native().unwrap();
+        machine.done(0, Command::Enable);
+        let refused = machine.sim.axis(0).post(go_to(3.5)).map_err(|why| why.to_string());
+        assert!(refused.as_ref().is_err_and(|why| why.contains("no position")), "{refused:?}");
+        machine.run(200);
+        machine.post(0, Command::Native(owner));
+        machine.until("native", 100, |_| native.inputs().running);
+        machine.run(200);
+        assert!((turns(&machine) - 3.0).abs() < 1e-3, "{mode}: {}", turns(&machine));
+        assert!((value(&machine, TARGET) - value(&machine, ACTUAL)).abs() < 50, "{mode}");
+        let begin = value(&machine, ACTUAL);
+        let mut write = |machine: &mut Machine, control: i64, target: i64| {
+            let output = native.output(&[(CONTROL, control), (TARGET, target)]).unwrap();
+            native.write(output).unwrap();
+            machine.run(1);
+        };
+        if mode == 8 {
+            // A turn a second; the control word is the master's.
+            (1..=500).for_each(|step| write(&mut machine, 0, begin + HALF * step / 500));
+        } else {
+            // The handshake of profile position: a new target, and an edge of bit 4.
+            [0x0F, 0x1F].into_iter().for_each(|control| write(&mut machine, control, begin + HALF));
+        }
+        machine.run(1_000);
+        assert!((turns(&machine) - 3.5).abs() < 1e-3, "{mode}: {}", turns(&machine));
+        machine.done(0, Command::Disable);
+        machine.run(200);
+        assert!((turns(&machine) - 3.5).abs() < 0.01, "{mode}: {}", turns(&machine));
+        assert!((value(&machine, TARGET) - value(&machine, ACTUAL)).abs() < 50, "{mode}");
+        machine.end_well();
+    }
 }

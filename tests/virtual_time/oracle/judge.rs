@@ -11,6 +11,8 @@
 //! | `newest` | the newest setpoint is taken, and wins |
 //! | `stale` | a setpoint that is not renewed stops its axis |
 //! | `stop` | an axis that nothing moves any more comes to rest, whatever stops it |
+//! | `cut` | power that is said to be lost is lost |
+//! | `place` | a position that is shown as new is one that the axis can have had |
 //! | `misuse` | a drive that checks its master finds nothing wrong |
 //! | `group` | no member goes on with a call of its group while another one is out of it |
 //! | `stuck` | a loop whose wires were taken from it ends, and latches every axis |
@@ -21,7 +23,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use fieldbeat::axis::{Command, EventKind, Feedback, Outcome, State, StopCause};
+use fieldbeat::axis::{Command, EventKind, Feedback, Link, Outcome, State, StopCause};
 use fieldbeat::sim::Truth;
 
 use super::machine::{Scale, range};
@@ -55,6 +57,13 @@ const SKIPPED: usize = 25;
 const GOING_ON: usize = 5;
 /// As many in a row are certainly too many: the default is 10.
 const IN_A_ROW: u32 = 12;
+
+/// A place is out of reach behind 2 ms, and some exchanges of which no report counted, at twice the largest speed or at
+/// 1 m/s (`drive/reach.rs`).
+const REACH_S: f64 = 0.006;
+const REACH_SPEED: f64 = 1_000.0;
+/// Positions change their origin around a homing.
+const REHOMED: u32 = 250;
 
 /// A rule that was broken.
 #[derive(Clone, Debug)]
@@ -113,6 +122,10 @@ pub struct Watch {
     slept: Option<u32>,
     /// The running command, since which slot.
     running: (u64, u64),
+    /// It was stopped in the last turn.
+    was_stopped: bool,
+    /// So many turns until its origin is certain.
+    rehomed: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -192,6 +205,8 @@ impl Watch {
             slept: None,
             pushed: 0,
             running: (0, 0),
+            was_stopped: false,
+            rehomed: REHOMED,
         }
     }
 
@@ -354,6 +369,16 @@ impl Watch {
                     || truth.position < low - margin && truth.velocity < 0.0
             });
         let idle = moving && !commanded && self.stood;
+        let lost = [StopCause::DriveDropped, StopCause::HardwareEnable];
+        let is_new = latched && !std::mem::replace(&mut self.was_stopped, latched);
+        self.was_stopped = latched;
+        let cut = self.scale.replies_again
+            && is_new
+            && feedback.stopped.is_some_and(|cause| lost.contains(&cause))
+            && self.powered.iter().all(|powered| *powered);
+        let sure = truth.homed && truth.powered && feedback.status.homed && !homing && !self.is_native();
+        self.rehomed = if sure { self.rehomed.saturating_sub(1) } else { REHOMED };
+        let place = self.is_elsewhere(truth, feedback) && self.rehomed == 0 && reached && !slots.any();
         let skips = slots.too_many() && awaits_stop;
         let stale = moving && !blind && self.is_stale(slots.planned(), running);
         let wrong = !blind && !slots.any() && self.is_wrong(truth, running, reached);
@@ -370,6 +395,8 @@ impl Watch {
         let count = |counter: &mut u32, holds: bool| lasts(counter, holds, REACTION);
         let counters = &mut self.counters;
         let broken = [
+            ("cut", cut),
+            ("place", place),
             ("done", self.settling == Some(0)),
             ("suspended", self.slept == Some(0)),
             ("limits", count(&mut counters.fast, fast && !slower)),
@@ -387,6 +414,13 @@ impl Watch {
                 Err(breach(rule, format!("{truth:?}; pending {pending:?}; {feedback:?}")))
             }
         }
+    }
+
+    /// What is shown as new, and is no place of the axis.
+    fn is_elsewhere(&self, truth: Truth, feedback: &Feedback) -> bool {
+        let most = (2.0 * self.scale.velocity).max(REACH_SPEED) * REACH_S;
+        let is_new = feedback.link == Link::Online && feedback.age == 0 && !feedback.status.suspect;
+        self.scale.replies_again && is_new && (feedback.status.position - truth.position).abs() > most
     }
 
     /// A setpoint of the running command is too old, in slots.

@@ -1,6 +1,6 @@
 //! Machines of each protocol with drives that show their true state, and that keep datagrams to be repeated.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -17,7 +17,7 @@ use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, Re
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
-use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef};
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
@@ -43,6 +43,11 @@ pub const AXES: usize = 3;
 const KEPT: usize = 64;
 const KEPT_MOTIONS: usize = 8;
 const KEPT_FRAMES: usize = 16;
+/// Of its replies of any time before: the first one and the last one in each state, and one of so many, up to so many.
+const OF_REPLIES: u64 = 97;
+const KEPT_OLD: usize = 256;
+/// After so many exchanges the shape of a request is the same again: of definitions, and of counts.
+const SHAPES: [usize; 2] = [8, 14];
 
 /// Of a MOONS': the number of its socket of packets, the port, where the command word is, and where its master is.
 const PACKETS: usize = 1;
@@ -179,6 +184,8 @@ pub struct Scale {
     pub velocities: bool,
     pub torques: bool,
     pub homes: bool,
+    /// Its replies have no number: old ones come again.
+    pub replies_again: bool,
 }
 
 /// A LinMot, a MOONS' or a Unidrive that the world and the test share.
@@ -194,10 +201,28 @@ pub struct Shared {
     requests: VecDeque<Vec<u8>>,
     motions: VecDeque<Vec<u8>>,
     replies: VecDeque<Vec<u8>>,
+    /// Its replies of any time before, of a LinMot: by status word and main state, and in their order.
+    states: BTreeMap<(u16, u8), [Response; 2]>,
+    old: VecDeque<Response>,
+    replied: u64,
     /// So many requests, or replies, are still to be lost.
     pub lose: [u32; 2],
     /// The master's ends of its connections.
     connected: Vec<SocketAddrV4>,
+}
+
+impl Shared {
+    fn remember(&mut self, reply: Response) {
+        let (Some(status), Some(state)) = (reply.status, reply.state) else { return };
+        self.states.entry((status.0, state.main().0)).or_insert([reply; 2])[1] = reply;
+        if self.replied.is_multiple_of(OF_REPLIES) {
+            if self.old.len() == KEPT_OLD {
+                self.old.pop_front();
+            }
+            self.old.push_back(reply);
+        }
+        self.replied += 1;
+    }
 }
 
 fn keep(kept: &mut VecDeque<Vec<u8>>, most: usize, bytes: &[u8]) {
@@ -217,6 +242,9 @@ impl Tap {
             requests: VecDeque::new(),
             motions: VecDeque::new(),
             replies: VecDeque::new(),
+            states: BTreeMap::new(),
+            old: VecDeque::new(),
+            replied: 0,
             lose: [0; 2],
             connected: Vec::new(),
         })))
@@ -281,6 +309,9 @@ impl SimDrive for Tap {
         }
         let to = drive.receive(now, from, bytes, reply)?;
         keep(&mut shared.replies, KEPT, reply);
+        if let Ok(reply) = Response::parse(reply) {
+            shared.remember(reply);
+        }
         if shared.lose[1] > 0 {
             shared.lose[1] -= 1;
             return None;
@@ -898,6 +929,29 @@ impl Machine {
         }
     }
 
+    /// A reply of any time before comes to the master, before the next one, which it looks like. Only LinUDP has no
+    /// number by which it would be known.
+    pub fn old_reply(&self, index: usize, which: usize, us: u64) {
+        if self.shape.kind.of(index) != Kind::LinMot {
+            return;
+        }
+        let Some(tap) = self.taps.get(index) else { return };
+        let shared = tap.lock();
+        let all = shared.states.values().flatten().chain(&shared.old);
+        let shape = SHAPES[usize::from(self.shape.other)] - 1;
+        let alike = shared.replies.get(shape).and_then(|reply| Response::parse(reply).ok());
+        let Some((old, alike)) = all.clone().nth(which % all.count().max(1)).copied().zip(alike) else {
+            return;
+        };
+        drop(shared);
+        let Response { request_def, response_def, config, .. } = alike;
+        let mut bytes = [0; 64];
+        let size = Response { request_def, response_def, config, ..old }.emit(&mut bytes);
+        // It is sent at the grid point, and answered 40 us later.
+        let at = self.world().now() + self.shape.period_ns + us % 40 * US;
+        self.world().inject(MASTER, self.addresses[index], &bytes[..size], at);
+    }
+
     /// Frames of a tool on a segment, and datagrams of another sender: true if they may move or stop a drive until
     /// this master has seen that it is not alone. What another sender says to a MOONS' is of another connection, and
     /// does nothing, and nor does a reply of another sender.
@@ -1033,6 +1087,7 @@ fn scale(shape: Shape, index: usize, plan: &AxisPlan) -> Scale {
         velocities: true,
         torques: false,
         homes: true,
+        replies_again: shape.kind.of(index) == Kind::LinMot,
     };
     match (shape.kind.of(index), index) {
         (Kind::LinMot | Kind::Mixed, _) => scale,

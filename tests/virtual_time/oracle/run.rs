@@ -700,6 +700,7 @@ impl Run {
                 }
             }
             Op::RepeatReply { back, us } => self.machine.repeat_reply(axis, (*back).into(), (*us).into()),
+            Op::OldReply { which, us } => self.machine.old_reply(axis, (*which).into(), (*us).into()),
             Op::Suspend(ms) => {
                 self.machine.suspend((*ms).into());
                 self.watches.iter_mut().for_each(Watch::suspended);

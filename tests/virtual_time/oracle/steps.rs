@@ -127,6 +127,11 @@ pub enum Op {
         back: u8,
         us: u16,
     },
+    /// A reply of any time before comes to the master, in the shape of the one that it waits for next.
+    OldReply {
+        which: u16,
+        us: u16,
+    },
     /// The application reads no events for so many turns.
     Deaf(u8),
     /// The computer sleeps for so many milliseconds. It concerns all axes, and so does the next one.
@@ -314,7 +319,7 @@ impl Without {
             Op::Write(_) => !self.writes,
             Op::Late(_) | Op::Overload { .. } => !self.overload,
             Op::RepeatRequest { motion, .. } => !self.requests && (*motion || !self.control_requests),
-            Op::RepeatReply { .. } => !self.replies,
+            Op::RepeatReply { .. } | Op::OldReply { .. } => !self.replies,
             Op::Foreign { .. } => !self.foreign,
             Op::Together(_) | Op::LevelTogether { .. } | Op::RowsTogether { .. } => !self.groups,
             Op::Outputs(_) => !self.outputs,
@@ -406,6 +411,9 @@ fn op(random: &mut Rng, shape: Shape, scales: &[Scale], axis: usize) -> Op {
         50 | 51 if !rare => Op::Foreign { which: random.u8(..), us: random.u16(..2_000) },
         52 if !rare && random.u8(..4) == 0 => Op::Drop,
         52 if !rare && random.u8(..4) == 0 => Op::Stuck(random.u8(1..)),
+        53..=56 if matches!(shape.kind, Kind::LinMot | Kind::Mixed) => {
+            Op::OldReply { which: random.u16(..), us: random.u16(..100) }
+        }
         _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),
     }
 }

@@ -25,7 +25,6 @@ use self::plan::open;
 use super::image::{Image, Mark};
 use super::native::terminals;
 use super::other::OtherMaster;
-use super::outputs::own;
 use super::plan::{Device, EthercatPlan, Owner};
 use super::segment::Segment;
 use super::service::Service;
@@ -106,7 +105,6 @@ impl EthercatBus {
         for drive in &mut plan.drives {
             drive.slave.start_up = start_up(drive, period_ns);
             drive.slave.verify = verify(drive);
-            drive.slave.own = own(drive);
             drive.slave.verify_found = verify_found(drive);
         }
         let mut source = net.mac();

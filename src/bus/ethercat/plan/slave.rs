@@ -41,8 +41,6 @@ pub struct SlavePlan {
     /// Objects that are read behind them, and have to be so. One that is a [factor](Start::factor) may be anything: the
     /// next one has to be that many times its value.
     pub verify: Vec<Start>,
-    /// Objects that are read before the outputs count, since the outputs carry them as they are.
-    pub own: Vec<Start>,
     /// Objects that have to be so in a drive that is found in OP, or it is not taken over as it is.
     pub verify_found: Vec<Start>,
 }

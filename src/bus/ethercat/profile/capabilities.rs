@@ -57,6 +57,8 @@ pub(in crate::bus::ethercat) fn capabilities(drive: &KollmorgenDrive, period_ns:
             homing: None,
         },
         switches_on_at_once: false,
+        // Inputs count by the index and the working counter of the frame that has just gone out.
+        power_reports: 1,
         still_reports: SETTLED,
         behind_ns: period_ns.saturating_mul(u64::from(drive.axis.divisor)).saturating_mul(BEHIND),
         ..Capabilities::of(Generator::Master(quantity))

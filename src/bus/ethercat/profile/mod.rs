@@ -143,6 +143,9 @@ pub(super) struct Profile {
     mode_refused: bool,
     /// It homes, or has not left the mode of that.
     homes: bool,
+    /// The mode of homing was wanted, and the drive was not seen in its own one since: there the bits of its own mode
+    /// start a homing.
+    is_away: bool,
     /// The next native output of the application.
     output: Option<NativeOutput>,
     power: Carried,
@@ -150,6 +153,8 @@ pub(super) struct Profile {
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
+    /// Where the drive holds itself by a target that its mode follows and that is not the setpoint.
+    held: Option<i32>,
 }
 
 /// What went out.
@@ -197,6 +202,7 @@ impl Profile {
             setpoint: 0,
             is_filled: false,
             homes: false,
+            is_away: false,
             output: None,
             is_sent: true,
             sent: Sent::default(),
@@ -206,6 +212,7 @@ impl Profile {
             row: Carried::default(),
             switching: Switching::default(),
             dark_at: None,
+            held: None,
         }
     }
 
@@ -228,11 +235,18 @@ impl Profile {
         is_new
     }
 
-    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the newest
-    /// count of its position, for targets that its mode does not follow. Built again for
-    /// the same send, it is the same: state that changes with every exchange changes in [`sent`](Self::sent).
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the
+    /// newest count of its position, and whether it was in operation there, for targets that are not the setpoint.
+    /// Built again for the same send, it is the same: state that changes with every exchange changes in
+    /// [`sent`](Self::sent).
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, setpoint: &Setpoint, actual: i32, outputs: &mut [u8]) {
+    pub(super) fn encode(
+        &mut self,
+        grid: Time,
+        setpoint: &Setpoint,
+        actual: (i32, bool),
+        outputs: &mut [u8],
+    ) {
         self.grid = grid;
         self.wanted_row = setpoint.row;
         self.setpoint = if self.quantity == Quantity::Position {
@@ -248,11 +262,24 @@ impl Profile {
         }
         self.offsets.write(self.control.0, self.setpoint, outputs);
         if self.offsets.follows {
-            self.offsets.follow(actual, outputs);
+            self.follow(actual, outputs);
         }
         if let Some(owner) = self.native_owner {
             self.encode_native(owner, outputs);
         }
+    }
+
+    /// Writes the actual position where a position target is that is not the setpoint. One that the mode follows, in
+    /// native mode, stays as it was when the drive came into operation, or when the application's motion ended: with a
+    /// target that follows the motor the position loop has no error to work against, and the axis sinks under its load.
+    #[cold]
+    fn follow(&mut self, (actual, is_enabled): (i32, bool), outputs: &mut [u8]) {
+        let Desired { power, motion, .. } = &self.wanted;
+        let is_written = self.native_owner.is_some() && self.output.is_some();
+        let is_led = is_written || motion.value == Motion::Halt || self.is_away;
+        let holds = is_enabled && power.value == Power::EnableOperation && !is_led;
+        self.held = holds.then_some(self.held.unwrap_or(actual));
+        self.offsets.follow(actual, self.held.unwrap_or(actual), outputs);
     }
 
     /// The outputs are not the ones that were written last.
@@ -311,6 +338,7 @@ impl Profile {
         self.wanted = *desired;
         self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
         self.homes |= motion.value == Motion::Home;
+        self.is_away |= self.homes || mode.value == desired::Mode::Homing;
         let word = match power.value {
             Power::Untouched | Power::Off => ControlWord(0),
             Power::Shutdown => ControlCommand::Shutdown.word(),
@@ -323,7 +351,7 @@ impl Profile {
             _ if power.value != Power::EnableOperation => 0,
             Motion::Home => ControlWord::START,
             // The start of a homing needs an edge of the same bit.
-            _ if mode.value == desired::Mode::Homing || self.homes => 0,
+            _ if self.is_away => 0,
             _ => self.mode_bits,
         };
         let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
@@ -453,8 +481,8 @@ impl Profile {
     pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
         if self.mode_wanted() != desired::Mode::Homing {
             self.mode_refused = false;
-            if self.homes && mode == ModeIs::Own {
-                self.homes = false;
+            if self.is_away && mode == ModeIs::Own {
+                (self.homes, self.is_away) = (false, false);
                 // The bits of its mode are back.
                 self.serials = (0, 0, 0);
             }
@@ -492,7 +520,7 @@ impl Profile {
             |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
         let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
         let is_written = self.sent.control == Some(self.control) && self.sent.before == Some(self.control);
-        let homes = self.homes || self.sent.homes || mode.value == desired::Mode::Homing;
+        let homes = self.is_away || self.sent.homes || mode.value == desired::Mode::Homing;
         // A missing hardware enable shows in the course of time.
         let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
         is_proved && is_written && !homes && !self.is_native() && !is_dark

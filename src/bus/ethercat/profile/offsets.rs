@@ -8,7 +8,7 @@ use crate::bus::ethercat::object::number::{
 };
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
 use crate::bus::ethercat::outputs::{Source, source};
-use crate::bus::ethercat::plan::{KollmorgenDrive, Start};
+use crate::bus::ethercat::plan::{KollmorgenDrive, Setpoint, Start};
 use crate::rt::Regions;
 
 /// Its inputs have an actual position.
@@ -34,7 +34,7 @@ pub(in crate::bus::ethercat) struct Offsets {
     fault: u16,
     /// The setpoint has 16 bits.
     is_short: bool,
-    /// There are position targets that its mode does not follow.
+    /// There are position targets that are not the setpoint.
     pub follows: bool,
     rest: Box<Rest>,
 }
@@ -47,8 +47,8 @@ struct Rest {
     mode: u16,
     /// The drive's own values.
     own: Box<[(Object, u16)]>,
-    /// Position targets that the mode does not follow.
-    actual: Box<[u16]>,
+    /// Position targets that are not the setpoint, and whether the mode follows them.
+    actual: Box<[(u16, bool)]>,
 }
 
 impl Offsets {
@@ -95,10 +95,12 @@ impl Offsets {
         outputs[..size].copy_from_slice(&self.rest.bytes[..size]);
     }
 
-    /// Writes the actual position where a position target is that the mode does not follow.
-    #[cold]
-    pub(super) fn follow(&self, actual: i32, outputs: &mut [u8]) {
-        self.rest.actual.iter().for_each(|at| put(outputs, *at, actual.to_le_bytes()));
+    /// Writes the position targets that are not the setpoint: the actual position, and one that is held where the mode
+    /// follows them.
+    pub(super) fn follow(&self, actual: i32, held: i32, outputs: &mut [u8]) {
+        for (at, is_followed) in &self.rest.actual {
+            put(outputs, *at, if *is_followed { held } else { actual }.to_le_bytes());
+        }
     }
 
     /// This is the drive's own value of an object in the outputs.
@@ -189,7 +191,10 @@ impl Rest {
                     mode = at as u16;
                     bytes[at] = drive.mode().map_or(0, |mode| mode.0 as u8);
                 }
-                Ok(Source::Actual) => actual.push(at as u16),
+                Ok(Source::Actual) => {
+                    let target = Setpoint::new(entry.object).zip(drive.mode());
+                    actual.push((at as u16, target.is_some_and(|(target, mode)| target.is_followed(mode))));
+                }
                 Ok(Source::Own) => own.push((entry.object, at as u16)),
                 Ok(Source::Configured(raw)) => {
                     let size = entry.kind.bytes();
@@ -261,12 +266,15 @@ mod tests {
             offsets.fill(&mut out);
             offsets.write(0x0F, 7, &mut out);
             assert!(offsets.follows);
-            offsets.follow(-2, &mut out);
+            offsets.follow(-2, 9, &mut out);
             out
         };
         assert_eq!(built(&offsets), [0x0F, 0, 3, 0xFE, 0xFF, 0xFF, 0xFF, 7, 0, 0, 0]);
         assert!(offsets.carry_mode(Mode::HOMING) && !offsets.carry_mode(Mode::HOMING));
         assert_eq!(built(&offsets)[2], 6);
+        // The same in a mode that follows it.
+        (akd.mode, akd.native) = (Some(Mode::CYCLIC_POSITION), true);
+        assert_eq!(built(&Offsets::new(&akd))[..7], [0x0F, 0, 8, 9, 0, 0, 0]);
     }
 
     #[test]

@@ -28,6 +28,7 @@ use self::topology::Topology;
 use super::cia402::Mode;
 use super::counters::Own;
 use super::image::{Frame, Offsets};
+use super::outputs;
 use super::plan::{EthercatPlan, Owner, Start};
 use super::service::Service;
 use super::slot::{Answers, Ask};
@@ -184,7 +185,11 @@ impl Segment {
                 Owner::Drive(index) => plan.drives[index].axis.on_found_running,
                 Owner::Device(_) => FoundRunning::Stop,
             };
-            Slave::new(owner, slave, offsets, plan.lrw, found_running)
+            let mut slave = Slave::new(owner, slave, offsets, plan.lrw, found_running);
+            if let Owner::Drive(index) = owner {
+                slave.own = outputs::own(&plan.drives[index]).into();
+            }
+            slave
         };
         let count = offsets.iter().map(|offsets| offsets.frame).max().map_or(1, |last| last + 1);
         let frame = |frame| {

@@ -92,7 +92,7 @@ impl Segment {
         }
         slave.objects(cycle.grid, service);
         if std::mem::take(&mut slave.has_own) {
-            handler.own_values(owner, &slave.plan.own);
+            handler.own_values(owner, &slave.own);
         }
         let sent = Sent { cycle: *cycle, at: cycle.grid };
         let context = self.context(index, &sent, handler);

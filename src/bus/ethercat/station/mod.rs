@@ -159,7 +159,8 @@ impl Station {
         if self.profile.desire(&slot.desired) {
             self.unsettle();
         }
-        self.profile.encode(grid, &slot.desired.setpoint, self.seen.last as i32, outputs);
+        let is_enabled = self.seen.inputs.operational && self.seen.inputs.state == State::OperationEnabled;
+        self.profile.encode(grid, &slot.desired.setpoint, (self.seen.last as i32, is_enabled), outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -257,7 +258,7 @@ impl Station {
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
         let is_same = self.profile.offsets.status(inputs) == Some(self.seen.inputs.status.0);
-        if !is_same || self.steady_until == Time(0) || al != AlState::Op {
+        if !is_same || self.steady_until == Time(0) || al != AlState::Op || slot.anew {
             return self.take_anew(at, inputs, al, slot);
         }
         slot.exchange = Exchange::Answered { sent_at, at, suspect: false };

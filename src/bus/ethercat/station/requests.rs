@@ -18,14 +18,14 @@ const REFERENCE: u32 = 1 << 1;
 const AGAIN_NS: u64 = 100 * MS;
 /// Monitored objects are read no faster than one in this time, ns.
 const SHOW_EVERY_NS: u64 = 10 * MS;
+/// A mode in the outputs is taken over within this time, ns (assumed): what the drive shows sooner may be from before.
+const CARRIED_NS: u64 = 10 * MS;
 
 /// The SDO under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pending {
     Method,
     Mode(Mode),
-    /// The outputs carry this mode: whether the drive shows it.
-    Carried(Mode),
     Display,
     Reference,
     Shown(usize),
@@ -132,8 +132,10 @@ impl Requests {
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
             _ if self.doubted => ModeIs::Other,
-            _ if matches!(self.pending, Some(Pending::Mode(_) | Pending::Carried(_))) => ModeIs::Other,
+            _ if matches!(self.pending, Some(Pending::Mode(_))) => ModeIs::Other,
             None => ModeIs::Own,
+            // It shows another one than the outputs carry, and is about to change to that.
+            shown if self.carried.is_some() && self.carried != shown => ModeIs::Other,
             mode if mode == self.own => ModeIs::Own,
             Some(Mode::HOMING) => ModeIs::Homing,
             // Without a known setpoint no mode is wrong.
@@ -170,15 +172,15 @@ impl Requests {
             self.pending = None;
             self.take(now, pending, end);
         }
+        if let Some(mode) = self.to_carry(wanted) {
+            self.carry(now, mode);
+        }
         if self.pending.is_some() || now < self.not_before {
             return;
         }
         match self.next(now, wanted) {
             Some((pending, transfer)) if service.is_free() => {
                 self.pending = Some(pending);
-                if let Pending::Carried(mode) = pending {
-                    self.carried = Some(mode);
-                }
                 service.begin(transfer);
             }
             Some(_) => {}
@@ -186,12 +188,36 @@ impl Requests {
         }
     }
 
-    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Pending, Transfer)> {
-        let wants = match wanted {
+    /// The mode that the drive shall be in; `None`: the one that it is in.
+    fn wants(&self, wanted: ModeWanted) -> Option<Mode> {
+        match wanted {
             ModeWanted::AsIs => None,
-            ModeWanted::Own => self.own.filter(|_| self.mode.is_some()),
+            ModeWanted::Own => self.own.filter(|_| self.mode.or(self.carried).is_some()),
             ModeWanted::Homing => Some(Mode::HOMING),
-        };
+        }
+    }
+
+    /// The method of homing is to be written before its mode.
+    fn lacks_method(&self, mode: Mode) -> bool {
+        mode == Mode::HOMING && self.method.is_some() && !self.method_written
+    }
+
+    /// The mode that the outputs are to carry in place of the present one, whatever the drive shows.
+    fn to_carry(&self, wanted: ModeWanted) -> Option<Mode> {
+        let carried = self.carried?;
+        self.wants(wanted).filter(|mode| *mode != carried && !self.lacks_method(*mode))
+    }
+
+    /// The outputs carry this mode from now on: until it was read again nothing is known of the drive's.
+    fn carry(&mut self, now: Time, mode: Mode) {
+        self.carried = Some(mode);
+        self.method_written &= mode == Mode::HOMING;
+        self.not_before = now + CARRIED_NS;
+        self.doubt_mode();
+    }
+
+    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Pending, Transfer)> {
+        let wants = self.wants(wanted);
         if wants.is_some() && wants != self.mode && !self.doubted {
             return self.next_mode(wants?);
         }
@@ -219,10 +245,9 @@ impl Requests {
     fn next_mode(&self, mode: Mode) -> Option<(Pending, Transfer)> {
         let byte = |object, value: i8| Transfer::Write { object, raw: u64::from(value as u8), bytes: 1 };
         match self.method {
-            Some(method) if mode == Mode::HOMING && !self.method_written => {
-                Some((Pending::Method, byte(HOMING_METHOD, method)))
-            }
-            _ if self.carried.is_some() => Some((Pending::Carried(mode), Transfer::Read(MODE_DISPLAY))),
+            Some(method) if self.lacks_method(mode) => Some((Pending::Method, byte(HOMING_METHOD, method))),
+            // Whether the drive shows it by now.
+            _ if self.carried.is_some() => Some((Pending::Display, Transfer::Read(MODE_DISPLAY))),
             _ => Some((Pending::Mode(mode), byte(MODE, mode.0))),
         }
     }
@@ -243,15 +268,6 @@ impl Requests {
                 self.mode = Some(mode);
                 self.method_written &= mode == Mode::HOMING;
             }
-            // One that does not report its mode has the one that was sent.
-            (Pending::Carried(mode), end) => {
-                let shown = end.map_or(mode, |raw| Mode(raw as u8 as i8));
-                (self.mode, self.display_read) = (Some(shown), true);
-                self.method_written &= mode == Mode::HOMING;
-                if shown != mode {
-                    self.not_before = now + SHOW_EVERY_NS;
-                }
-            }
             (Pending::Method | Pending::Mode(_), Err(_)) => {
                 self.refused = true;
                 self.not_before = now + AGAIN_NS;
@@ -259,8 +275,11 @@ impl Requests {
             (Pending::Display | Pending::Reference, _) if std::mem::take(&mut self.outdated) => {}
             (Pending::Display, end) => {
                 (self.display_read, self.doubted) = (true, false);
-                // A drive that does not report its mode has the one that was written.
-                self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
+                // A drive that does not report its mode has the one that was written, or that the outputs carry.
+                self.mode = end.ok().map(|raw| Mode(raw as u8 as i8)).or(self.carried);
+                if self.carried != self.mode && self.carried.is_some() {
+                    self.not_before = now + SHOW_EVERY_NS;
+                }
             }
             // A reference that it does not report is not set.
             (Pending::Reference, end) => {
@@ -290,6 +309,7 @@ impl Requests {
 mod tests {
     use super::*;
     use crate::bus::ethercat::object::Family;
+    use crate::bus::ethercat::object::pdo::Layout;
 
     #[test]
     fn a_mode_whose_write_was_not_answered_is_read_before_it_counts() {
@@ -306,5 +326,31 @@ mod tests {
         assert_eq!(requests.mode(), ModeIs::Homing);
         let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
         assert_eq!(next, Some(Pending::Mode(own)));
+    }
+
+    /// Whatever was read, it is the wanted one.
+    #[test]
+    fn a_mode_in_the_outputs_is_the_wanted_one_and_counts_once_it_is_shown() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::Akd);
+        let objects = [(0x6040, 0), (0x6060, 0), (0x60C1, 1)].map(|(index, sub)| Object::new(index, sub));
+        drive.outputs = Layout::of_known(0x1600, &objects).unwrap();
+        drive.mode = Some(Mode::INTERPOLATED);
+        let (own, byte) = (Mode::INTERPOLATED, |mode: Mode| Ok(mode.0 as u8 as u32));
+        for lost in [byte(own), Err(SdoFailure::Silent)] {
+            let mut requests = Requests::new(&drive);
+            requests.take(Time(0), Pending::Display, byte(own));
+            assert_eq!((requests.to_carry(ModeWanted::Own), requests.mode()), (None, ModeIs::Own));
+            assert_eq!(requests.to_carry(ModeWanted::Homing), Some(Mode::HOMING));
+            requests.carry(Time(0), Mode::HOMING);
+            requests.take(Time(0), Pending::Display, lost);
+            // What it shows is older than what is sent, or not known.
+            assert_eq!((requests.carried(), requests.mode()), (Some(Mode::HOMING), ModeIs::Other));
+            assert_eq!(requests.to_carry(ModeWanted::Own), Some(own));
+            requests.carry(Time(0), own);
+            assert_eq!(requests.mode(), ModeIs::Other, "it may still change to the other one");
+            assert_eq!(requests.not_before, Time(CARRIED_NS));
+            requests.take(Time(CARRIED_NS), Pending::Display, byte(own));
+            assert_eq!((requests.carried(), requests.mode()), (Some(own), ModeIs::Own));
+        }
     }
 }

@@ -10,8 +10,9 @@ use crate::axis::{Command, Failure, Profile};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
+use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object, Type, pdo};
-use crate::bus::ethercat::plan::Watchdog;
+use crate::bus::ethercat::plan::{Mapping, Watchdog};
 use crate::bus::ethercat::profile::capabilities;
 use crate::sim::ethercat::Application;
 
@@ -225,6 +226,114 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     rig.done(Rig::to(1.0));
     rig.assert_standing();
     assert!((rig.slot.status.position - 1.0).abs() < 1e-4);
+}
+
+/// An AKD in this mode, with these outputs behind its control word.
+fn akd(mode: Mode, outputs: &[(u16, u8)]) -> KollmorgenDrive {
+    let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
+    let layout = |pdo, first, others: &[(u16, u8)]| {
+        let objects: Vec<_> =
+            [&[first], others].concat().iter().map(|(index, sub)| Object::new(*index, *sub)).collect();
+        Layout::of_known(pdo, &objects).unwrap()
+    };
+    plan.outputs = layout(0x1600, (0x6040, 0), outputs);
+    plan.inputs = layout(0x1A00, (0x6041, 0), &[(0x6064, 0)]);
+    (plan.mapping, plan.mode) = (Mapping::Free, Some(mode));
+    plan.fit();
+    plan.slave.watchdog = Watchdog::After(100 * MS);
+    plan.slave.mailbox = position().slave.mailbox;
+    plan
+}
+
+/// One that interpolates, whose outputs carry its mode; it changes that late.
+fn late_akd() -> Rig {
+    let mut plan = akd(Mode::INTERPOLATED, &[(0x6060, 0), (0x60C1, 1)]);
+    plan.home_method = Some(2);
+    let mut rig = Rig::with(plan, |settings| settings.mode_delay_ns = 5 * MS);
+    rig.done(Command::Enable);
+    rig
+}
+
+#[test]
+fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
+    // Behind the control word.
+    let place = 2;
+    let mut rig = late_akd();
+    rig.order(Command::Home);
+    let until_home =
+        rig.until("home", 200, |rig| rig.control() & 0x10 != 0 && rig.drive.mode() == Mode::HOMING);
+    assert!(rig.outputs[place] == 6 && until_home > 10, "{until_home}");
+    for command in [STOP, Command::QuickStop, Command::Disable] {
+        for turns in 1..until_home - 3 {
+            let mut rig = late_akd();
+            let stood = rig.drive.position();
+            rig.order(Command::Home);
+            rig.turns(turns);
+            rig.order(command);
+            let step = |rig: &mut Rig, turns| {
+                for _ in 0..turns {
+                    rig.turn();
+                    let starts = rig.control() & 0x10 != 0;
+                    assert!(
+                        !(starts && (rig.drive.mode() == Mode::HOMING || rig.outputs[place] == 6)),
+                        "{command:?} after {turns}"
+                    );
+                    let moved = rig.drive.position() - stood;
+                    assert!(moved.abs() < 1_000, "{command:?} after {turns}: {moved} counts");
+                }
+            };
+            step(&mut rig, 300);
+            assert_eq!(rig.outputs[place], 7, "{command:?} after {turns}");
+            rig.order(Command::ResetFault);
+            step(&mut rig, 100);
+            rig.order(Command::Enable);
+            step(&mut rig, 500);
+            assert_eq!(
+                (rig.control(), rig.drive.mode()),
+                (0x1F, Mode::INTERPOLATED),
+                "{command:?} after {turns}"
+            );
+            rig.done(Rig::by(0.1));
+        }
+    }
+    rig.until("its end", 20_000, |rig| rig.end().is_some());
+    assert_eq!(rig.end(), Some(Ok(())));
+    rig.done(Rig::to(1.0));
+}
+
+/// The application's targets, before it writes one: the drive holds its load where it came into operation.
+#[test]
+fn an_axis_whose_targets_are_the_applications_does_not_sink_under_its_load() {
+    for (mode, target) in [(Mode::CYCLIC_POSITION, (0x607A, 0)), (Mode::INTERPOLATED, (0x60C1, 1))] {
+        let mut plan = akd(mode, &[target]);
+        plan.native = true;
+        let mut rig = Rig::with(plan, |settings| settings.motor.load_nm = 2.0);
+        let stood = rig.drive.position();
+        rig.done(Command::Enable);
+        rig.turns(20);
+        // 2 N m by a stiffness of 284 N m a rad are 1174 counts, once in each cycle until it shows its state.
+        let held = rig.drive.position();
+        assert!((500..5_000).contains(&(stood - held)), "{mode:?}: {}", stood - held);
+        for _ in 0..2_000 {
+            rig.turn();
+            assert!((rig.drive.position() - held).abs() < 10, "{mode:?}: {}", rig.drive.position() - held);
+        }
+        // Nor does it before the application has written.
+        rig.order(Command::Native(NativeOwner::Master));
+        for _ in 0..500 {
+            rig.turn();
+            assert!((rig.drive.position() - held).abs() < 10, "{mode:?}: {}", rig.drive.position() - held);
+        }
+        // Without power it may be moved: from then on it is held there.
+        rig.done(Command::Disable);
+        let target_at = rig.plan.outputs.place(Object::new(target.0, target.1)).unwrap();
+        let target = |rig: &Rig| {
+            let bytes = rig.outputs[target_at..].first_chunk::<4>().unwrap();
+            i64::from(i32::from_le_bytes(*bytes))
+        };
+        rig.turns(5);
+        assert!((target(&rig) - rig.drive.position()).abs() < 10, "{mode:?}");
+    }
 }
 
 #[test]

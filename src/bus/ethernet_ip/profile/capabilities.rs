@@ -38,6 +38,7 @@ pub fn capabilities(drive: &MoonsDrive, period_ns: u64) -> Capabilities {
             homing: drive.homing.is_none().then_some(NO_HOMING),
             ..Lacks::default()
         },
+        // A packet counts only if its sequence count is above that of the last one.
         power_reports: 1,
         still_reports: 2,
         arrival: units.distance(ARRIVAL_STEPS).abs(),

@@ -2,20 +2,22 @@
 //!
 //! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
 //! exchange. By default the response definition changes from request to request ([`ReplyTag`]), so that a reply that is
-//! one to three exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
+//! one to seven exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
 //! *suspect*: taken as feedback one cycle older, without a round-trip sample. The request after it requests one block
 //! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
 //! count in every request and its echo names the request.
 //!
 //! What comes between two windows answers nothing: the bus takes it in before the next request leaves. What is left is
-//! an answered exchange whose reply comes once more, four exchanges late, between a request and the reply to it: it
-//! passes for the newest. So no single reply proves that a command is done ([`profile`](super::super::profile)).
+//! an answered exchange whose reply comes once more, eight exchanges late, between a request and the reply to it: it
+//! passes for the newest. So no single reply proves that a command is done, or that the drive has lost its power
+//! ([`profile`](super::super::profile)).
 
 use crate::bus::linudp::plan::ReplyTag;
 use crate::bus::linudp::wire::{RequestDef, ResponseDef, ResponseView};
 
 /// The blocks that come in turn, so that consecutive response definitions differ: the ones that a cycle can do without.
-const IN_TURN: [ResponseDef; 2] = [ResponseDef::WARN, ResponseDef::MONITOR];
+/// The error code comes with every second reply: that there is an error stands in the status word of each.
+const IN_TURN: [ResponseDef; 3] = [ResponseDef::ERROR, ResponseDef::WARN, ResponseDef::MONITOR];
 
 /// The most requests whose replies may still be under way: older ones count as lost ...
 const MOST_UNDER_WAY: u8 = 32;

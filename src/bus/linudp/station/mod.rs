@@ -23,7 +23,7 @@ use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::profile::{Inputs, Outputs, Profile};
 use super::rtc::RtcChannel;
 use super::upid::commanding;
-use super::wire::{MotionBlock, Request, ResponseDef, ResponseView, RtcBlock};
+use super::wire::{ErrorCode, MotionBlock, Request, ResponseDef, ResponseView, RtcBlock};
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::{Link, Units};
 use crate::bus::desired::Power;
@@ -57,6 +57,10 @@ pub struct Station {
     /// Probes that have gone out.
     probes: u8,
     inputs: Inputs,
+    /// The last clean reply was the first one that says that the drive starts: the next one confirms it.
+    starts: bool,
+    /// The code of its error, since the error is reported; `None`: not known yet.
+    error: Option<ErrorCode>,
     track: Track,
     units: Units,
     other: OtherMaster,
@@ -80,6 +84,8 @@ impl Station {
             identity: Identity::new(usual, drive.reply_tag, shown),
             grid: Time(0),
             inputs: Inputs::default(),
+            starts: false,
+            error: None,
             settled: false,
             idle: false,
             guarded: false,

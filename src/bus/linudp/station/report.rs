@@ -2,7 +2,7 @@
 
 use super::Station;
 use crate::axis::units::Unwrap;
-use crate::axis::{State, Units};
+use crate::axis::{Link, State, Units};
 use crate::bus::Slot;
 use crate::bus::linudp::plan::MonitorPlan;
 use crate::bus::linudp::profile::Inputs;
@@ -57,9 +57,10 @@ impl Station {
         let front = view.front();
         let rehomed = front.status.homed() != self.inputs.status.homed();
         let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
-        let settled = same && !suspect && self.settled && self.profile.is_steady();
-        if !settled {
-            self.watch_start(&front, slot);
+        let settled =
+            same && !suspect && !slot.anew && !self.starts && self.settled && self.profile.is_steady();
+        if !settled && !self.watch_start(&front, suspect, slot) {
+            return;
         }
         let Slot { status: report, notices, evidence, .. } = &mut *slot;
         let counts = self.track.next(sent_at, &front, &self.units);
@@ -95,10 +96,19 @@ impl Station {
         self.native.publish(at, view.bytes());
     }
 
-    /// Whether the drive has started anew, or is about to.
+    /// Whether the drive has started anew, or is about to. False if this reply is the first one that says so: it may be
+    /// one from its last start, and counts for nothing. On a lost link it is enough: probes are so far apart that no
+    /// second one may meet the start, and what is discarded is read again when the link is back.
     #[inline(never)]
-    fn watch_start(&mut self, front: &Front, slot: &mut Slot) {
+    fn watch_start(&mut self, front: &Front, suspect: bool, slot: &mut Slot) -> bool {
         let booting = is_booting(front);
+        if booting && self.inputs.seen && !self.inputs.booting {
+            let answers = matches!(slot.link, Link::Online | Link::Qualifying);
+            if answers && (suspect || !std::mem::replace(&mut self.starts, true)) {
+                return false;
+            }
+        }
+        slot.counters.implausible += u64::from(std::mem::take(&mut self.starts) && !booting);
         // The channel may have something to send.
         self.idle &= !(booting || self.inputs.booting);
         if booting && self.inputs.seen && !self.inputs.booting {
@@ -114,6 +124,7 @@ impl Station {
             self.track = Track::default();
             (slot.status.velocity, slot.evidence.demand_velocity) = (0.0, 0.0);
         }
+        true
     }
 
     /// What the states of a reply report and prove.
@@ -125,7 +136,10 @@ impl Station {
             notices.other_master |= self.other.take(state.count());
         }
         let (foreign, booting) = (self.other.is_in_doubt(), is_booting(front));
-        self.inputs = Inputs { seen: true, foreign, booting, status, state, demand: self.inputs.demand };
+        self.error = if status.error() { view.error().or(self.error) } else { None };
+        let named = self.error.is_some();
+        self.inputs =
+            Inputs { seen: true, foreign, booting, named, status, state, demand: self.inputs.demand };
         self.profile.take(&self.inputs, !suspect, evidence);
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
@@ -136,8 +150,7 @@ impl Station {
         }
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();
-        let fault = view.error().unwrap_or_default();
-        report.fault = if status.error() { u32::from(fault.0) } else { 0 };
+        report.fault = self.error.map_or(0, |error| u32::from(error.0));
         self.settled = !booting && !status.error() && self.other.is_settled();
     }
 

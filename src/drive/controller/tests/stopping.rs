@@ -1,6 +1,8 @@
 //! What a stop requests of the drive: in place of what, and how steep.
 
 use super::*;
+use crate::axis::{StopHow, StopThen, Unit};
+use crate::drive::at_end::Condition;
 
 #[test]
 fn no_ramp_of_velocities_stops_an_axis_that_follows_torques() {
@@ -69,4 +71,44 @@ fn a_drive_that_answers_again_in_its_stop_gets_the_quick_stop_that_the_applicati
         assert_eq!(newest == Some(Command::QuickStop), quick, "{newest:?}");
         assert_eq!(matches!(newest, Some(Command::Stop { .. })), !quick, "{newest:?}");
     }
+}
+
+#[test]
+fn a_stop_of_the_loop_makes_nothing_softer_that_the_application_has_requested() {
+    // In the cycle in which it begins, before any of it has left.
+    let steep = Command::Stop { deceleration: Some(9e9) };
+    for command in [Command::QuickStop, steep, Command::Disable] {
+        let mut plan = plan();
+        (plan.stop.how, plan.stop.then) = (StopHow::Ramp, StopThen::Hold);
+        let mut x = Alone::new(plan).enabled();
+        x.post(Command::Velocity { acceleration: 100.0 });
+        x.turn();
+        x.slot.status.velocity = 50.0;
+        x.turn();
+        x.post(command);
+        x.turn();
+        x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::GroupFailed);
+        let newest = x.controller.newest();
+        match command {
+            Command::Disable => {
+                assert!(matches!(newest, Some(Command::Stop { .. })), "{newest:?}");
+                x.slot.status.velocity = 0.0;
+                x.turns(200);
+                assert_eq!(x.controller.newest(), Some(Command::Disable));
+            }
+            _ => assert_eq!(newest, Some(command)),
+        }
+    }
+}
+
+#[test]
+fn how_a_drive_was_left_is_not_known_to_a_loop_whose_wires_were_taken() {
+    let mut x = Alone::new(plan()).enabled();
+    x.turn();
+    x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::LoopStuck);
+    x.controller.note_stuck();
+    let end = x.controller.at_end().unwrap();
+    assert_eq!((end.condition, &*end.requested), (Condition::Unknown, &[][..]));
+    let line = end.line(x.controller.feedback(), Unit::Millimetre).unwrap();
+    assert!(line.contains("the loop did not come to its end"), "{line}");
 }

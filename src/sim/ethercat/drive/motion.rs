@@ -137,7 +137,9 @@ impl Drive {
             Mode::INTERPOLATED if !word.has(ControlWord::START) => velocity(0.0),
             Mode::INTERPOLATED | Mode::TRAJECTORY | Mode::CYCLIC_POSITION => {
                 let (place, speed) = self.track.at(at);
-                Aim::Follow { place, speed, acceleration: 0.0 }
+                let motor = &self.settings.motor;
+                let given_way = motor.load_nm / (motor.inertia_kgm2 * (TAU * BANDWIDTH_HZ).powi(2));
+                Aim::Follow { place: place - given_way, speed, acceleration: 0.0 }
             }
             _ => self.goal.unwrap_or(velocity(0.0)),
         }

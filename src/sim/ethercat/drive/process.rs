@@ -34,10 +34,10 @@ impl Drive {
                 (entry.object, data.iter().rev().fold(0_i64, |raw, byte| raw << 8 | i64::from(*byte)))
             }));
         }
-        let mode = self.mode();
+        let mode = self.objects.get(MODE);
         values.iter().for_each(|(object, value)| self.objects.set(*object, *value));
-        if self.mode() != mode {
-            self.hold();
+        if self.objects.get(MODE) != mode {
+            self.change_mode(Mode(mode as i8));
         }
         if values.iter().any(|(object, _)| *object == CONTROL_WORD) {
             self.obey();

@@ -101,6 +101,7 @@ impl Drive {
         }
         let value = self.objects.written(object, data, self.al)?;
         self.judge(object, value)?;
+        let mode = self.objects.get(MODE);
         self.objects.set(object, value);
         match object {
             CYCLE_UNITS | CYCLE_POWER => {
@@ -110,7 +111,7 @@ impl Drive {
             }
             CYCLE_TIME => self.cycle_ns = Some(value as u64 * QUANTUM_NS),
             limit if TORQUE_LIMITS.contains(&limit) => self.limit_torque(),
-            MODE => self.hold(),
+            MODE => self.change_mode(Mode(mode as i8)),
             CONTROL_WORD if self.al == AlState::Op => self.obey(),
             _ => {}
         }

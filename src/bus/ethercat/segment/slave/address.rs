@@ -6,7 +6,7 @@
 //! other positions.
 
 use super::receive::al;
-use super::request::{EMULATION_AT, LOOK};
+use super::request::{CONTROL, EMULATION_AT, LOOK};
 use super::{Context, Happened, LOOK_EVERY_NS, Missing, Note, Pause, Slave, Step};
 use crate::bus::ethercat::slot::{Answer, Answers, Ask};
 use crate::bus::ethercat::wire::frame::{Command, position};
@@ -94,7 +94,11 @@ impl Slave {
     pub(super) fn looked(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
         let now = context.cycle.grid;
         let [Some(status), Some(look)] = answers else { return Happened::Nothing };
-        let (Some((status, code)), Some(emulation)) = (al(status.data), status.data.get(EMULATION_AT)) else {
+        let Some((requested, status)) = status.data.split_first_chunk::<CONTROL>() else {
+            return Happened::Nothing;
+        };
+        let requested = AlStatus(u16::from_le_bytes([requested[0], requested[1]]));
+        let (Some((status, code)), Some(emulation)) = (al(status), status.get(EMULATION_AT)) else {
             return Happened::Nothing;
         };
         let Some(look) = look.data.first_chunk::<LOOK>() else { return Happened::Nothing };
@@ -121,7 +125,7 @@ impl Slave {
             self.refuse(now, note);
             return Happened::Nothing;
         }
-        let intruded = self.is_intruded(status, station);
+        let intruded = self.is_intruded((status, requested), station, context.counted);
         let restarted =
             self.known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
         self.known &= !restarted;
@@ -150,7 +154,8 @@ impl Slave {
     pub(super) fn looked_again(&mut self, now: Time, mut pause: Pause, answers: &Answers<'_>) {
         let [Some(status), Some(look)] = answers else { return };
         let station = look.data.get(usize::from(address::STATION)..).and_then(<[u8]>::first_chunk::<2>);
-        let (Some((status, code)), Some(station)) = (al(status.data), station) else { return };
+        let status = status.data.get(CONTROL..).unwrap_or_default();
+        let (Some((status, code)), Some(station)) = (al(status), station) else { return };
         let seen = (AlStatus(status.0 & AlStatus::SHOWN), code, u16::from_le_bytes(*station));
         if *pause.seen.get_or_insert(seen) != seen {
             self.refusals = 0;

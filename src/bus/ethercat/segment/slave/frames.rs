@@ -67,11 +67,12 @@ impl Slave {
     }
 
     /// Another master has taken it out of OP, by the state that its image shows: a slave that falls by itself reports
-    /// an error (ETG.1000.6). It was in OP for a while: no older frame shows this.
+    /// an error (ETG.1000.6). One in INIT may have restarted, and is looked at first. It was in OP for a while: no
+    /// older frame shows this.
     pub fn is_lowered(&self, now: Time) -> bool {
         let was_up = matches!(self.step, Step::Up) && !self.way.joined && self.way.al == Some(AlState::Op);
-        let is_below = !self.shown.error() && self.shown.state().is_some_and(|al| al < AlState::Op);
-        was_up && now.since(self.since) > UP_FOR_NS && is_below
+        let is_below = matches!(self.shown.state(), Some(AlState::PreOp | AlState::SafeOp));
+        was_up && now.since(self.since) > UP_FOR_NS && is_below && !self.shown.error()
     }
 
     /// Its image shows another state than before, or an error.

@@ -53,7 +53,7 @@ use crate::axis::FoundRunning;
 use crate::bus::Cycle;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::image::Offsets;
-use crate::bus::ethercat::plan::{Owner, SlavePlan};
+use crate::bus::ethercat::plan::{Owner, SlavePlan, Start};
 use crate::bus::ethercat::sii::Managers;
 use crate::bus::ethercat::wire::frame::{Command, position};
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
@@ -198,6 +198,8 @@ pub struct Slave {
     pub looked_at: bool,
     /// How many slaves the broadcast counted when it was read.
     counted: u16,
+    /// The same when it last answered by its own station address.
+    counted_as_ours: u16,
     /// It runs on a time other than the segment's, as far as is known.
     pub other_time: bool,
     /// It was given its station address, and has not been switched off since.
@@ -208,7 +210,8 @@ pub struct Slave {
     ours: bool,
     /// The orderly end has begun: it is being shut down.
     ending: bool,
-    /// Its own values of objects in its outputs were read.
+    /// Objects that are read before its outputs count, since these carry its own values; and they were read.
+    pub own: Box<[Start]>,
     pub has_own: bool,
     /// A factor for the next object, from the object that was read before.
     factor: u32,
@@ -264,11 +267,13 @@ impl Slave {
             delay_ns: None,
             looked_at: false,
             counted: 0,
+            counted_as_ours: 0,
             other_time: false,
             known: false,
             given: false,
             ours: false,
             ending: false,
+            own: Box::default(),
             has_own: false,
             factor: 1,
             note: Note::Starting,
@@ -297,7 +302,7 @@ impl Slave {
         regions.add(&*self.plan.start_up);
         self.plan.start_up.iter().for_each(|start| regions.add(&*start.string));
         regions.add(&*self.plan.verify);
-        regions.add(&*self.plan.own);
+        regions.add(&*self.own);
         regions.add(&*self.plan.verify_found);
     }
 

@@ -38,7 +38,7 @@ impl Slave {
         let objects = match list {
             List::Write => &self.plan.start_up[..],
             List::Verify => &self.plan.verify,
-            List::Own => &self.plan.own,
+            List::Own => &self.own,
             List::Found => &self.plan.verify_found,
             List::Power => &POWER,
             List::Mode => &MODE,
@@ -78,7 +78,7 @@ impl Slave {
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Ok(found) if list == List::Own => {
-                if let Some(own) = self.plan.own.get_mut(next) {
+                if let Some(own) = self.own.get_mut(next) {
                     own.raw = (found & mask).into();
                 }
                 self.step = Step::Objects { list, next: next + 1, begun: false };

@@ -56,6 +56,9 @@ impl Slave {
             return Happened::Nothing;
         }
         self.silent = 0;
+        if self.way.addressed {
+            self.counted_as_ours = context.counted;
+        }
         match self.step {
             Step::Look => return self.looked(context, answers),
             Step::Refused(pause) => self.looked_again(now, pause, answers),

@@ -16,6 +16,8 @@ pub(super) const LOOK: usize = 0x12;
 /// AL status and its code; and up to the bit of device emulation.
 pub(super) const AL_LOOK: usize = 6;
 pub(super) const EMULATION_AT: usize = (address::EMULATION - address::AL_STATUS) as usize;
+/// From AL control to AL status.
+pub(super) const CONTROL: usize = (address::AL_STATUS - address::AL_CONTROL) as usize;
 /// A drive for which OP is requested before it has seen regular cycles for a while goes into a fault (F28); how
 /// many it needs is assumed.
 const SYNCHRONISE_CYCLES: u64 = 200;
@@ -48,7 +50,7 @@ impl Slave {
             }
             Step::Refused(Pause { next, .. }) if now < next => {}
             Step::Look | Step::Refused(_) => {
-                ask.read(self.reads(address::AL_STATUS), EMULATION_AT + 1);
+                ask.read(self.reads(address::AL_CONTROL), CONTROL + EMULATION_AT + 1);
                 ask.read(self.reads(address::TYPE), LOOK);
             }
             Step::Twin { station, .. } => {

@@ -8,11 +8,13 @@ use super::setup::WATCHDOG_DIVIDER;
 use super::step::Resumes;
 use super::{Context, Happened, Mapped, Note, Slave, Step};
 use crate::bus::ethercat::slot::Ask;
-use crate::bus::ethercat::wire::registers::{AlState, AlStatus, SyncManager, address};
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
 use crate::time::Time;
 
 /// From the cyclic unit to the cycle of SYNC0.
 const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
+/// FMMUs that are read back: there are 16 at most (ETG.1000.4, 0600h ... 06FFh).
+const FMMUS_MOST: u8 = 16;
 /// Cyclic operation and SYNC0 are on.
 const SYNC0: u8 = 3;
 
@@ -43,13 +45,22 @@ impl Slave {
         true
     }
 
-    /// Another master has been there, by its state or station address: nobody here has changed them, a slave that falls
-    /// by itself shows an error (ETG.1000.6), and one that was switched off has no address.
-    pub(super) fn is_intruded(&self, status: AlStatus, station: u16) -> bool {
-        let is_lowered = station == self.station()
-            && !status.error()
-            && status.state().is_some_and(|al| al < AlState::SafeOp);
-        self.ours && (is_lowered || !matches!(station, 0) && station != self.station())
+    /// Another master has been there, by its state or station address. A slave that falls by itself shows an error
+    /// (ETG.1000.6). One whose processor restarts is in INIT without an error, and the state requested of it, which
+    /// only a master writes, is still the one that was requested here. One that was switched off has no address.
+    /// Another address is that of another slave, where the segment has not as many slaves as when it was set up: one
+    /// that nobody configures has whatever address an earlier master left.
+    pub(super) fn is_intruded(
+        &self,
+        (status, requested): (AlStatus, AlStatus),
+        station: u16,
+        counted: u16,
+    ) -> bool {
+        let is_below = |status: AlStatus| status.state().is_some_and(|al| al < AlState::SafeOp);
+        let is_lowered =
+            station == self.station() && !status.error() && is_below(status) && is_below(requested);
+        let is_same_line = counted == self.counted_as_ours;
+        self.ours && (is_lowered || is_same_line && !matches!(station, 0) && station != self.station())
     }
 
     /// What was set up here is read back first.
@@ -74,7 +85,7 @@ impl Slave {
                 let end = self.all_managers().map(|(number, _)| usize::from(number) + 1).max();
                 end.unwrap_or(0) * SyncManager::SIZE
             }
-            Part::Fmmus => self.fmmus().1,
+            Part::Fmmus => usize::from(self.fmmus.min(FMMUS_MOST)) * Fmmu::SIZE,
             Part::Watchdog if self.sets_watchdog() => WATCHDOGS,
             Part::Sync if is_cyclic => SYNC,
             Part::Watchdog | Part::Sync => 0,
@@ -103,10 +114,7 @@ impl Slave {
         let now = context.cycle.grid;
         let is_as_set = match PARTS.get(part) {
             Some(Part::Managers) => self.has_managers(data),
-            Some(Part::Fmmus) => {
-                let (wanted, length) = self.fmmus();
-                data == &wanted[..length]
-            }
+            Some(Part::Fmmus) => self.has_fmmus(data),
             Some(Part::Watchdog) => {
                 let word = |at: usize| data.get(at..).and_then(<[u8]>::first_chunk::<2>).copied();
                 let wanted = [WATCHDOG_DIVIDER, self.watchdog()].map(|word| Some(word.to_le_bytes()));
@@ -137,6 +145,15 @@ impl Slave {
                 // The other bits request a mailbox again.
                 SyncManager { activate: found.activate & 1, ..found } == wanted
             })
+        })
+    }
+
+    /// Its FMMUs are those of the plan, and all others are off.
+    fn has_fmmus(&self, data: &[u8]) -> bool {
+        let (wanted, length) = self.fmmus();
+        let is_off = |fmmu: &[u8; Fmmu::SIZE]| !Fmmu::new(*fmmu).active;
+        data.split_at_checked(length).is_some_and(|(own, others)| {
+            own == &wanted[..length] && others.as_chunks::<{ Fmmu::SIZE }>().0.iter().all(is_off)
         })
     }
 

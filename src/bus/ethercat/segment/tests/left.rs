@@ -235,3 +235,59 @@ fn a_slave_that_is_counted_and_not_read_is_named_as_such() {
     (rig.mute, _) = (None, rig.sim.cut(None));
     rig.all_up(5_000);
 }
+
+/// The controller keeps its power: the state requested of it, 0120h, is still that of this master.
+#[test]
+fn a_slave_whose_processor_restarts_is_no_sign_of_another_master() {
+    let mut rig = Rig::new(&drives(3));
+    rig.all_up(5_000);
+    rig.run(50);
+    let now = rig.cycle.grid;
+    rig.slave(1).restart_firmware(now);
+    assert_eq!((rig.al(1), rig.peek(1, address::AL_CONTROL, 1)), (AlState::Init, vec![8]));
+    rig.until("reported", 100, |rig| rig.reported.restarted == [Owner::Drive(1)]);
+    rig.all_up(5_000);
+    assert!(!rig.line.lowered && rig.line.remarks.get(1) == Note::None);
+    assert_eq!(rig.receive(100), [100; 3]);
+}
+
+/// One that requests INIT is named, for this time.
+#[test]
+fn a_master_that_requests_init_is_named_until_the_slave_is_set_up_the_next_time() {
+    let mut rig = Rig::new(&drives(3));
+    rig.all_up(5_000);
+    rig.run(50);
+    rig.request_al(1, 1);
+    rig.until("named", 100, |rig| std::mem::take(&mut rig.line.lowered));
+    rig.all_up(5_000);
+    assert_eq!((rig.line.remarks.get(1), rig.note(1)), (Note::Intruded, Note::None));
+    assert!(rig.reported.restarted.is_empty());
+    let now = rig.cycle.grid;
+    rig.run(50);
+    rig.slave(1).restart_firmware(now);
+    rig.until("reported", 100, |rig| rig.reported.restarted == [Owner::Drive(1)]);
+    rig.all_up(5_000);
+    assert!(!rig.line.lowered && rig.line.remarks.get(1) == Note::None);
+}
+
+/// Behind those of the plan: whatever they map, it is carried out with the frames of this master.
+#[test]
+fn a_slave_with_an_fmmu_of_somebody_else_is_set_up_again_and_not_resumed() {
+    for active in [false, true] {
+        let mut rig = Rig::new(&drives(3));
+        rig.all_up(5_000);
+        rig.run(50);
+        let foreign = Fmmu { active, ..Fmmu::bytes(0x2000_0000, 6, 0x1100, true) };
+        rig.poke(1, address::fmmu(7), &foreign.to_bytes());
+        // It was deaf for a while, and is resumed by what is read back.
+        rig.sim.deafen(1, true);
+        rig.run(20);
+        rig.sim.deafen(1, false);
+        rig.all_up(5_000);
+        assert_eq!(std::mem::take(&mut rig.line.lowered), active);
+        let left = if active { vec![0; Fmmu::SIZE] } else { foreign.to_bytes().to_vec() };
+        assert_eq!(rig.peek(1, address::fmmu(7), Fmmu::SIZE), left);
+        assert_eq!(rig.line.remarks.get(1) == Note::Intruded, active);
+        assert_eq!(rig.receive(100), [100; 3]);
+    }
+}

@@ -1,0 +1,270 @@
+//! Reports that one alone does not prove.
+
+use super::*;
+use crate::axis::DriveStatus;
+use crate::bus::desired::{Homing, Power};
+
+/// Enabled, 500 mm/s at most, with a drive whose reports may be older than the last one, or not.
+fn enabled(proof: u8) -> Alone {
+    let mut plan = plan();
+    plan.limits.velocity = Some(500.0);
+    let mut x = Alone::of(plan, Capabilities { power_reports: proof, ..can() }).online();
+    let id = x.post(Command::Enable);
+    x.turn();
+    x.slot.status.state = State::OperationEnabled;
+    x.ends(Ok(()));
+    assert_eq!(x.ended(), [(id, Outcome::Done)]);
+    x
+}
+
+/// The same in motion.
+fn moving(proof: u8) -> Alone {
+    let mut x = enabled(proof);
+    x.post(Command::Follow);
+    x.turns(3);
+    x.kinds();
+    x
+}
+
+impl Alone {
+    fn kinds(&mut self) -> Vec<EventKind> {
+        std::iter::from_fn(|| self.events.pop().ok()).map(|event| event.kind).collect()
+    }
+
+    /// A report of this, and of nothing else than before.
+    fn reports(&mut self, change: impl Fn(&mut DriveStatus)) {
+        let before = self.slot.status;
+        change(&mut self.slot.status);
+        self.turn();
+        self.slot.status = before;
+    }
+
+    /// It is there, as each report says from now on.
+    fn at(&mut self, position: f64) {
+        (self.slot.status.position, self.slot.evidence.position) = (position, position);
+        self.turn();
+    }
+}
+
+/// What an old report may say.
+const LOSSES: [fn(&mut DriveStatus); 7] = [
+    |status| status.state = State::SwitchOnDisabled,
+    |status| status.state = State::SwitchedOn,
+    |status| (status.state, status.fault) = (State::Fault, 5),
+    |status| status.state = State::FaultReactionActive,
+    |status| status.state = State::NotReadyToSwitchOn,
+    |status| status.inhibited = true,
+    |status| status.homed = false,
+];
+
+#[test]
+fn one_report_of_a_loss_is_not_shown_and_stops_nothing_where_it_may_be_an_older_one() {
+    for loss in LOSSES {
+        let mut x = moving(2);
+        for round in 1..5 {
+            let before = x.controller.feedback().status;
+            x.reports(loss);
+            let Feedback { status, age, stopped, .. } = *x.controller.feedback();
+            assert_eq!((DriveStatus { at: before.at, ..status }, age, stopped), (before, 1, None));
+            x.turn();
+            assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, round));
+        }
+        assert_eq!((x.controller.feedback().stopped, x.kinds()), (None, vec![]));
+    }
+}
+
+#[test]
+fn a_second_report_of_a_loss_proves_it_and_where_none_is_older_the_first_one_does() {
+    let causes = [
+        StopCause::DriveDropped,
+        StopCause::DriveDropped,
+        StopCause::DriveFault,
+        StopCause::DriveFault,
+        StopCause::DriveDropped,
+    ];
+    for (loss, cause) in LOSSES.into_iter().zip(causes) {
+        for proof in [1, 2] {
+            let mut x = moving(proof);
+            loss(&mut x.slot.status);
+            let lost = x.slot.status;
+            for report in 1..=proof {
+                assert_eq!(x.controller.feedback().stopped, None);
+                x.slot.status = lost;
+                x.turn();
+                assert_eq!(x.slot.anew, report < proof, "what was taken back is written again");
+            }
+            assert_eq!((x.controller.feedback().stopped, x.slot.counters.implausible), (Some(cause), 0));
+        }
+    }
+}
+
+#[test]
+fn a_suspect_report_neither_proves_a_loss_nor_disproves_it() {
+    let mut x = moving(2);
+    for suspect in [true, true, false, true] {
+        x.reports(|status| (status.state, status.suspect) = (State::Fault, suspect));
+        assert_eq!(x.controller.feedback().stopped, None, "{suspect}");
+    }
+    x.reports(|status| status.state = State::Fault);
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveFault));
+}
+
+#[test]
+fn what_was_requested_needs_no_more_proof_than_its_command() {
+    let mut x = moving(2);
+    x.slot.desired.power.value = Power::Off;
+    x.reports(|status| status.state = State::SwitchOnDisabled);
+    assert_eq!(x.controller.feedback().status.state, State::SwitchOnDisabled);
+    assert_eq!(x.slot.counters.implausible, 0);
+}
+
+#[test]
+fn a_place_out_of_reach_is_not_shown_and_bounds_nothing() {
+    for proof in [1, 2] {
+        let mut x = moving(proof);
+        x.at(1.0);
+        // 339 mm and 339 m/s off, again and again.
+        for round in 1..9 {
+            x.reports(|status| (status.position, status.velocity) = (340.0, 339_000.0));
+            assert_eq!(x.controller.feedback().age, 0, "the place is that of the evidence");
+            let before = (x.slot.evidence.position, x.slot.evidence.demand);
+            (x.slot.evidence.position, x.slot.evidence.demand) = (340.0, 340.0);
+            x.reports(|status| (status.position, status.velocity) = (340.0, 339_000.0));
+            let Feedback { status, age, stopped, .. } = *x.controller.feedback();
+            assert_eq!((age, stopped, x.slot.counters.implausible), (1, None, round));
+            assert_eq!((x.slot.evidence.position, x.slot.evidence.demand), before);
+            assert_eq!(status.position, 340.0, "as the report before");
+            x.turn();
+        }
+        assert_eq!(x.controller.feedback().stopped, None);
+    }
+}
+
+#[test]
+fn two_reports_that_agree_become_the_place_and_the_axis_stops_without_its_reference() {
+    for proof in [1, 2] {
+        let mut x = moving(proof);
+        x.at(1.0);
+        x.slot.status.velocity = 20.0;
+        x.at(340.0);
+        assert_eq!((x.controller.feedback().stopped, x.controller.feedback().age), (None, 1));
+        x.slot.status.velocity = 339_000.0;
+        x.at(340.1);
+        let Feedback { status, stopped, .. } = *x.controller.feedback();
+        assert_eq!((status.position, status.homed, stopped), (340.1, false, Some(StopCause::PositionJump)));
+        assert!((status.velocity - 100.0).abs() < 1e-6, "{}", status.velocity);
+        let kinds = x.kinds();
+        let is_jump = |kind: &EventKind| *kind == EventKind::PositionJump(340.1 - 1.0);
+        assert_eq!(kinds.iter().filter(|kind| is_jump(kind)).count(), 1, "{kinds:?}");
+        assert_eq!(x.controller.newest(), Some(Command::QuickStop), "no setpoint leads it from there");
+        // Whatever the drive says, until it homes.
+        for _ in 0..20 {
+            x.slot.status.homed = true;
+            x.turn();
+            assert!(!x.controller.feedback().status.homed && x.slot.anew);
+        }
+    }
+}
+
+#[test]
+fn a_homing_or_a_restart_or_a_lost_link_makes_the_word_of_the_drive_count_again() {
+    let jumped = || {
+        let mut x = moving(1);
+        x.homed = Some(true);
+        x.at(340.0);
+        x.at(340.0);
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::PositionJump));
+        x
+    };
+    let is_homed = |x: &mut Alone| {
+        x.turns(20);
+        x.controller.feedback().status.homed
+    };
+    let mut x = jumped();
+    x.slot.status.velocity = 0.0;
+    x.ends(Ok(()));
+    x.turns(30);
+    x.slot.status.state = State::ReadyToSwitchOn;
+    x.ends(Ok(()));
+    x.turns(3);
+    x.done_at_once(Command::Reset);
+    x.done(Command::Enable, State::OperationEnabled);
+    assert!(!is_homed(&mut x), "a reset is no homing");
+    x.ended();
+    let id = x.post(Command::Home);
+    x.turn();
+    x.at(0.0);
+    x.ends(Ok(()));
+    assert_eq!(x.ended(), [(id, Outcome::Done)]);
+    assert!(is_homed(&mut x) && x.controller.feedback().stopped.is_none());
+    let mut x = jumped();
+    x.slot.notices.restarted = true;
+    x.turn();
+    assert!(is_homed(&mut x));
+    let mut x = jumped();
+    (0..40).for_each(|_| x.miss());
+    assert_eq!(x.controller.feedback().link, Link::Lost);
+    assert!(is_homed(&mut x));
+}
+
+fn begun(x: &mut Alone, command: Command) {
+    x.post(command);
+    x.turn();
+}
+
+#[test]
+fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
+    let free = |begin: fn(&mut Alone)| {
+        let mut x = enabled(1);
+        begin(&mut x);
+        x.kinds();
+        [340.0, 340.1, 100.0, 100.1].into_iter().for_each(|position| x.at(position));
+        (x.controller.feedback().stopped, x.slot.counters.implausible)
+    };
+    let none = (None, 0);
+    assert_eq!(free(|x| begun(x, Command::Home)), none);
+    assert_eq!(free(|x| begun(x, Command::Native(NativeOwner::Master))), none);
+    let homed = |x: &mut Alone| {
+        begun(x, Command::Home);
+        x.ends(Ok(()));
+    };
+    assert_eq!(free(homed), none, "just after it");
+    // The drive itself homes.
+    assert_eq!(free(|x| x.slot.evidence.homing = Homing::Attained), none);
+    // Found, and moved by hand: no limit of this master, but what no axis reaches is a jump all the same.
+    let mut plan = plan();
+    plan.limits.velocity = Some(500.0);
+    let mut x = Alone::new(plan).online();
+    for position in [0.0, 50.0, 100.0] {
+        x.at(position);
+    }
+    assert_eq!((x.slot.counters.implausible, x.controller.feedback().status.homed), (0, true));
+    x.at(340.0);
+    x.at(340.0);
+    assert_eq!((x.slot.counters.implausible, x.controller.feedback().status.homed), (1, false));
+    assert_eq!(x.controller.feedback().stopped, None, "without power there is nothing to stop");
+}
+
+#[test]
+fn a_restart_is_known_from_its_notice_and_leaves_no_speed_for_the_stop() {
+    let stop = |restarted: bool| {
+        let mut x = moving(2);
+        for step in 1..4 {
+            x.slot.status.demand = f64::from(step) * 0.4;
+            x.turn();
+        }
+        assert!((x.controller.speed() - 400.0).abs() < 5.0);
+        x.slot.status.state = State::SwitchOnDisabled;
+        x.slot.notices.restarted = restarted;
+        let lost = x.slot.status;
+        x.turn();
+        if !restarted {
+            x.slot.status = lost;
+            x.turn();
+        }
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+        x.controller.speed()
+    };
+    assert_eq!(stop(true), 0.0);
+    assert_eq!(stop(false), 0.0, "it stood in the last report");
+}
