@@ -23,7 +23,8 @@ mod watch;
 pub use client::{AskError, Conversation, ask};
 pub use operate::{
     Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
-    OperateError, OperationState, Operator, OperatorSession, Order, Reply, Request, Station,
+    OperateError, Operated, Operation, OperationState, Operator, OperatorSession, Order, Reply, Request,
+    Station,
 };
 pub use operate::{answer as answer_operator, urgency as operator_urgency};
 pub use remote::Remote;

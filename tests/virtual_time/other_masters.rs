@@ -19,7 +19,7 @@ use super::kollmorgen::{self, LINE, Machine, drive, jog};
 use super::support::*;
 
 /// A frame of another master, from this address.
-fn frame(mac: [u8; 6], command: Command, data: &[u8]) -> Vec<u8> {
+pub fn frame(mac: [u8; 6], command: Command, data: &[u8]) -> Vec<u8> {
     let mut room = [0; FRAME_MAX];
     let mut frame = Builder::new(&mut room, BROADCAST, mac).unwrap();
     frame.push_with(command, 7, data).unwrap();

@@ -16,7 +16,8 @@ mod station;
 #[cfg(test)]
 mod tests;
 
-pub use operation::{HOLD_LIMIT, OPERATOR_LIMIT};
+pub use operated::Operated;
+pub use operation::{HOLD_LIMIT, OPERATOR_LIMIT, Operation};
 pub use operator::{HOLD_EVERY, OperateError, Operator};
 pub use request::{
     Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Notice, OperationState, Order, Reply, Request,

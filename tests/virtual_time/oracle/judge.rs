@@ -14,6 +14,9 @@
 //! | `cut` | power that is said to be lost is lost |
 //! | `place` | a position that is shown as new is one that the axis can have had |
 //! | `misuse` | a drive that checks its master finds nothing wrong |
+//! | `group` | no member goes on with a call of its group while another one is out of it |
+//! | `stuck` | a loop whose wires were taken from it ends, and latches every axis |
+//! | `recovers` | a machine over which a tool has run can be made ready again |
 //!
 //! Bounds are counted in turns of the loop in which the drive can be reached. A drive is given [`REACTION`] of them:
 //! some reports prove a breach, the request goes out, the drive takes it and its motor slows down by what can be seen.
@@ -40,6 +43,9 @@ const SLOWER: f64 = 0.01;
 const SETTLES: u32 = 25;
 /// A motor that was pushed by an old setpoint is back after so many turns.
 const PUSHED: u32 = 10;
+/// A member that goes on while another one is out of its call comes to rest within so many turns in which its drive can
+/// be reached: the loop's reaction, then the ramp, the quick stop and power off.
+pub const MOST_ALONE: u32 = REACTION + 3 * 50 + 20;
 /// A drive stands after so many turns.
 const STANDS: u32 = 20;
 /// A speed above its limit by this factor is one: a motor overshoots.
@@ -72,6 +78,8 @@ pub struct Pending {
     pub command: Command,
     /// Where a move ends.
     pub target: Option<f64>,
+    /// It is part of a call of a group, and begins when all members may.
+    pub together: bool,
 }
 
 /// How long conditions hold.
@@ -213,9 +221,16 @@ impl Watch {
             }
             _ => None,
         };
-        match self.pending.insert(id, Pending { command, target }) {
+        match self.pending.insert(id, Pending { command, target, together: false }) {
             None => Ok(()),
             Some(_) => Err(breach("ends", format!("id {id} was given twice"))),
+        }
+    }
+
+    /// This command is part of a call of a group.
+    pub fn is_part(&mut self, id: u64) {
+        if let Some(pending) = self.pending.get_mut(&id) {
+            pending.together = true;
         }
     }
 
@@ -234,6 +249,15 @@ impl Watch {
         let same = same.map_or(0, |newest| newest.same);
         self.newest = Some(Newest { of: *of, value, renewed: slot, same });
         Ok(())
+    }
+
+    /// The same for a set of setpoints of a group, which each member takes or none: it counts, and its value is that of
+    /// whoever runs the call.
+    pub fn set_together(&mut self, slot: u64) {
+        let takes = |command: &Command| command.takes_velocities() || command.takes_torques();
+        if let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.command)) {
+            self.newest = Some(Newest { of: *of, value: f64::NAN, renewed: slot, same: 0 });
+        }
     }
 
     /// An event came; `fresh`: of this turn.
@@ -284,7 +308,7 @@ impl Watch {
     }
 
     /// What runs, by what the application knows: commands run in their order.
-    fn running(&self) -> Option<(u64, Command)> {
+    pub fn running(&self) -> Option<(u64, Command)> {
         self.pending.first_key_value().map(|(id, pending)| (*id, pending.command))
     }
 
@@ -409,6 +433,10 @@ impl Watch {
     /// The newest velocity of the running command is long since the present one, and the motor has another.
     fn is_wrong(&self, truth: Truth, running: Option<(u64, Command)>, reached: bool) -> bool {
         let Some((id, Command::Velocity { acceleration })) = running else { return false };
+        // One of a group may still wait for the other members.
+        if self.pending.get(&id).is_some_and(|pending| pending.together) {
+            return false;
+        }
         let Some(newest) = self.newest.filter(|newest| newest.of == id) else { return false };
         let turns = 2.0 * self.scale.velocity / acceleration * 1e3 + f64::from(REACTION);
         reached
@@ -428,6 +456,17 @@ impl Watch {
     /// A request of before has come to it.
     pub fn pushed(&mut self) {
         self.pushed = PUSHED;
+    }
+
+    /// The application has dropped the axis: nobody sees its commands end.
+    pub fn dropped(&mut self) {
+        self.pending.clear();
+        self.newest = None;
+    }
+
+    /// Another master, or a tool, may move it for so many turns.
+    pub fn disturbed(&mut self, turns: u64) {
+        self.pushed = turns as u32;
     }
 
     /// The computer has slept.

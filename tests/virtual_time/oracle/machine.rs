@@ -7,16 +7,17 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    AxisPlan, CallTicket, Command, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout,
-    Unit, Units,
+    AxisPlan, CallTicket, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
-use fieldbeat::bus::linudp::{ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::internals::bus::linudp::wire::{Request, Response};
+use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
@@ -30,6 +31,7 @@ use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
 use crate::virtual_time::lenze::tap::TapWire;
+use crate::virtual_time::other_masters::frame;
 use crate::virtual_time::replay::Log;
 use crate::virtual_time::support::{self, MASTER};
 
@@ -52,6 +54,14 @@ const PACKETS: usize = 1;
 const PACKET_PORT: u16 = 2_222;
 const COMMAND_WORD: usize = 24;
 const SCANNER: Ipv4Addr = Ipv4Addr::new(10, 0, 6, 1);
+/// Where a packet has the number of its connection.
+const CONNECTION: usize = 6;
+
+/// Another sender.
+const ELSEWHERE: Ipv4Addr = Ipv4Addr::new(10, 0, 9, 9);
+/// What a tool on a segment does: so many things. Where the data of a frame with one datagram are.
+const TOOLS: usize = 7;
+const DATA: usize = 26;
 
 /// The address of the first Lenze, of its master, and of another master.
 const FIRST_LENZE: u8 = 3;
@@ -120,6 +130,8 @@ pub struct Shape {
     pub held: u8,
     /// All Kollmorgens follow velocities.
     pub alike: bool,
+    /// Operators have the axes, and not an application: their jogs have a dead-man time.
+    pub operated: bool,
     /// So are LinMots whose track ends before their range does.
     pub short: u8,
     pub period_ns: u64,
@@ -136,9 +148,15 @@ impl Shape {
             group: 0,
             held: 0,
             alike: false,
+            operated: false,
             short: 0,
             period_ns: MS,
         }
+    }
+
+    /// Axes that a group has: those of the stop group, from the first one on.
+    pub fn members(self) -> usize {
+        self.group.trailing_ones() as usize
     }
 
     /// How the axis with this place in the machine is other than usual.
@@ -453,7 +471,7 @@ fn shorten(axis: &mut AxisPlan, index: usize, shape: Shape, velocity: f64, decel
         standstill_for: 5,
         ..axis.stop
     };
-    axis.jog_deadman = None;
+    axis.jog_deadman = shape.operated.then_some(DEADMAN);
     axis.health.probe_interval = Duration::from_millis(10);
     axis.enable_timeout = Duration::from_millis(1_500);
     axis.home_timeout = Duration::from_millis(1_500);
@@ -461,6 +479,8 @@ fn shorten(axis: &mut AxisPlan, index: usize, shape: Shape, velocity: f64, decel
     shape.apply(index, axis);
 }
 
+/// Of jogs, where there are operators.
+pub const DEADMAN: Duration = Duration::from_millis(100);
 /// Of every axis.
 pub const STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// Room for events, so little that an application that does not read them for a moment fills it.
@@ -673,9 +693,9 @@ pub fn plan(shape: Shape) -> Plan {
 
 impl Machine {
     /// How the axes of such a machine are judged.
-    pub fn scales(kind: Kind) -> Vec<Scale> {
-        let plan = plan(Shape::of(kind));
-        plan.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
+    pub fn scales(shape: Shape) -> Vec<Scale> {
+        let plan = plan(shape);
+        plan.axes().into_iter().enumerate().map(|(index, plan)| scale(shape, index, plan)).collect()
     }
 
     /// A machine, whose inputs are in `log`.
@@ -687,7 +707,7 @@ impl Machine {
             sim: master(shape, buses, drives(&taps, line.as_ref(), wire.as_ref()), None, log.as_ref()),
             log,
             shape,
-            scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
+            scales: plans.iter().enumerate().map(|(index, plan)| scale(shape, index, plan)).collect(),
             plans,
             addresses: taps.iter().map(SimDrive::address).collect(),
             taps,
@@ -932,6 +952,101 @@ impl Machine {
         self.world().inject(MASTER, self.addresses[index], &bytes[..size], at);
     }
 
+    /// Frames of a tool on a segment, and datagrams of another sender: true if they may move or stop a drive until
+    /// this master has seen that it is not alone. What another sender says to a MOONS' is of another connection, and
+    /// does nothing, and nor does a reply of another sender.
+    pub fn foreign(&self, index: usize, which: usize, us: u64) -> bool {
+        let at = self.world().now() + us * 1_000;
+        match self.shape.kind.of(index) {
+            Kind::Kollmorgen => self.tool(index, which, at),
+            Kind::LinMot => return self.other_sender(index, which, at),
+            Kind::Moons => {
+                let [scanner, drive] = self.packets_of(index);
+                let shared = self.taps[index].lock();
+                let kept = if which % 2 == 0 { &shared.motions } else { &shared.replies };
+                let Some(mut bytes) = kept.get(which / 4).cloned() else { return false };
+                drop(shared);
+                let elsewhere = SocketAddrV4::new(ELSEWHERE, PACKET_PORT);
+                let other = which / 2 % 2 == 0;
+                if other {
+                    bytes[CONNECTION] ^= 0x55;
+                }
+                let [to, from] = if which % 2 == 0 { [drive, scanner] } else { [scanner, drive] };
+                self.world().inject(to, if other { from } else { elsewhere }, &bytes, at);
+                return false;
+            }
+            Kind::Unidrive | Kind::Lenze | Kind::Mixed => return false,
+        }
+        true
+    }
+
+    /// A request of another master to a LinMot, or a reply of another drive to this master.
+    fn other_sender(&self, index: usize, which: usize, at: Time) -> bool {
+        let elsewhere = SocketAddrV4::new(ELSEWHERE, MASTER.port());
+        let shared = self.taps[index].lock();
+        let [reply, motion] = [&shared.replies, &shared.motions].map(|kept| kept.get(which / 4).cloned());
+        drop(shared);
+        let (velocity, ramp) = (Velocity(10_000), Acceleration(100_000));
+        let target = Position(100_000 * (which as i32 % 19));
+        let go = MotionCommand::vai_go_to(target, velocity, ramp, ramp).block((which % 16) as u8);
+        let words = [ControlWord::BASE, ControlWord::QUICK_STOP, ControlWord::ABORT, ControlWord::ON];
+        let request = match which % 4 {
+            0 => {
+                if let Some(reply) = reply {
+                    self.world().inject(MASTER, elsewhere, &reply, at);
+                }
+                return false;
+            }
+            1 => {
+                if let Some(motion) = motion {
+                    self.world().inject(self.addresses[index], elsewhere, &motion, at);
+                }
+                return true;
+            }
+            2 => Request { motion: Some(go), ..Request::default() },
+            _ => Request { control: Some(words[which / 4 % 4]), ..Request::default() },
+        };
+        let request = Request { response_def: ResponseDef::CYCLIC, ..request };
+        let mut bytes = [0; 64];
+        let size = request.emit(&mut bytes);
+        self.world().inject(self.addresses[index], elsewhere, &bytes[..size], at);
+        true
+    }
+
+    /// A tool writes over the segment once; its frames come to this master, too, or not.
+    fn tool(&self, place: usize, which: usize, at: Time) {
+        use fieldbeat::internals::bus::ethercat::wire::frame::Command::{Aprd, Apwr, Brd, Bwr};
+        use fieldbeat::internals::bus::ethercat::wire::frame::position;
+        let place = position(place as u16);
+        let pass = |command, data: &[u8]| {
+            let mut frame = frame([0x30; 6], command, data);
+            let now = self.world().now();
+            self.at_line(|line| line.pass(now, &mut frame));
+            if which >= TOOLS {
+                self.world().inject_frame(LINE, &frame, at);
+            }
+            frame
+        };
+        let state = |state: AlState| AlStatus::request(state).0.to_le_bytes();
+        drop(match which % TOOLS {
+            0 => pass(Brd(register::AL_STATUS), &[0; 2]),
+            1 => pass(Apwr(place, register::AL_CONTROL), &state(AlState::SafeOp)),
+            2 => pass(Apwr(place, register::AL_CONTROL), &state(AlState::Init)),
+            3 => pass(Bwr(register::AL_CONTROL), &state(AlState::PreOp)),
+            4 => pass(Apwr(place, register::fmmu(0)), &[0; 16]),
+            5 => pass(Apwr(place, register::sync_manager(2)), &[0; 8]),
+            _ => {
+                // It drives the outputs of the slave itself: enabled, and setpoints of any size.
+                let manager = pass(Aprd(place, register::sync_manager(2)), &[0; 8]);
+                let word = |at: usize| u16::from_le_bytes([manager[DATA + at], manager[DATA + at + 1]]);
+                let (start, length) = (word(0), usize::from(word(2)).clamp(2, 64));
+                let mut outputs = vec![which as u8; length];
+                outputs[..2].copy_from_slice(&[0x0F, 0]);
+                pass(Apwr(place, start), &outputs)
+            }
+        });
+    }
+
     /// Where the packets of the master and of its drive come from.
     fn packets_of(&self, index: usize) -> [SocketAddrV4; 2] {
         [SCANNER, *self.addresses[index].ip()].map(|ip| SocketAddrV4::new(ip, PACKET_PORT))
@@ -943,7 +1058,7 @@ impl Machine {
 
     /// Posts a write, and does not wait for it. What the notation refuses was refused.
     pub fn write(&mut self, index: usize, address: &str, value: &str) {
-        let acyclic = self.sim.axis(index).acyclic().clone();
+        let acyclic = self.sim.acyclics()[index].clone();
         let notation = acyclic.notation();
         let raw = notation.value(address, value).unwrap_or_else(|error| panic!("{address}: {error}"));
         if let Ok(call) = notation.write(address, raw)
@@ -958,13 +1073,10 @@ impl Machine {
         let period_ns = self.shape.period_ns;
         self.world().delay_next_wake(u64::from(slots) * period_ns + period_ns / 2);
     }
-
-    pub fn post(&mut self, index: usize, command: Command) -> Result<u64, fieldbeat::axis::AxisError> {
-        self.sim.axis(index).post(command).map(|id| id.0)
-    }
 }
 
-fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
+fn scale(shape: Shape, index: usize, plan: &AxisPlan) -> Scale {
+    let index = if shape.alike { 1 } else { index };
     let velocity = plan.limits.velocity.expect("every axis here has a limit");
     let scale = Scale {
         velocity,
@@ -975,9 +1087,9 @@ fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
         velocities: true,
         torques: false,
         homes: true,
-        replies_again: kind.of(index) == Kind::LinMot,
+        replies_again: shape.kind.of(index) == Kind::LinMot,
     };
-    match (kind.of(index), index) {
+    match (shape.kind.of(index), index) {
         (Kind::LinMot | Kind::Mixed, _) => scale,
         (Kind::Moons, _) => Scale { near: 0.02, still: 0.3, ..scale },
         (Kind::Unidrive | Kind::Lenze, _) => Scale { positions: false, homes: false, ..scale },

@@ -2,11 +2,17 @@
 
 use std::fmt::Write as _;
 
-use fieldbeat::axis::{AxisError, Command, Outcome, Row};
-use fieldbeat::bus::{ethercat, profibus};
+use fieldbeat::Flow;
+use fieldbeat::axis::{
+    Abort, Axis, AxisError, Command, CommandId, Group, GroupCommand, GroupError, Link, Outcome, Row,
+    StopCause,
+};
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+use fieldbeat::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
+use fieldbeat::sim::Truth;
 use fieldbeat::time::MS;
 
-use super::judge::{Breach, GRACE, Slots, Watch};
+use super::judge::{Breach, GRACE, MOST_ALONE, Slots, Watch};
 use super::machine::{AXES, Kind, Machine, Shape};
 use super::steps::{Choice, Op, Round, Step, writes};
 use crate::virtual_time::replay::Log;
@@ -42,6 +48,98 @@ pub struct Tally {
     pub aborted: u64,
     /// Stops by the master.
     pub stops: u64,
+    pub effects: Effects,
+}
+
+/// What happens to a machine, and has to have an effect in a campaign.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// A call of a group was accepted; a set of setpoints and a row of it were taken; a call ended at all members as Done.
+    Called,
+    SetTogether,
+    RowsTogether,
+    DoneTogether,
+    /// Native outputs were taken by a running native mode.
+    NativeLinMot,
+    NativeUnidrive,
+    NativeMoons,
+    NativeKollmorgen,
+    NativeLenze,
+    Died,
+    Stuck,
+    /// An axis was dropped, and stopped for it.
+    Dropped,
+    OwnerLost,
+    /// Foreign datagrams and frames; stops for another master.
+    Foreign,
+    OtherMaster,
+    /// Of operators.
+    Jogged,
+    Held,
+    Stepped,
+    Homed,
+    Left,
+    FellSilent,
+    OutOfTurn,
+    RefusedToOther,
+    OtherTook,
+}
+
+impl Effect {
+    pub const ALL: [Effect; 24] = {
+        use Effect::*;
+        [
+            Called,
+            SetTogether,
+            RowsTogether,
+            DoneTogether,
+            NativeLinMot,
+            NativeUnidrive,
+            NativeMoons,
+            NativeKollmorgen,
+            NativeLenze,
+            Died,
+            Stuck,
+            Dropped,
+            OwnerLost,
+            Foreign,
+            OtherMaster,
+            Jogged,
+            Held,
+            Stepped,
+            Homed,
+            Left,
+            FellSilent,
+            OutOfTurn,
+            RefusedToOther,
+            OtherTook,
+        ]
+    };
+}
+
+/// How often each came about.
+#[derive(Clone, Copy, Default)]
+pub struct Effects([u64; Effect::ALL.len()]);
+
+impl Effects {
+    pub fn count(&mut self, effect: Effect) {
+        self.0[effect as usize] += 1;
+    }
+
+    fn add(&mut self, other: Effects) {
+        self.0.iter_mut().zip(other.0).for_each(|(sum, count)| *sum += count);
+    }
+
+    /// Those that never came about.
+    pub fn missing(&self) -> Vec<Effect> {
+        Effect::ALL.into_iter().filter(|effect| self.0[*effect as usize] == 0).collect()
+    }
+}
+
+impl std::fmt::Debug for Effects {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_map().entries(Effect::ALL.map(|effect| (effect, self.0[effect as usize]))).finish()
+    }
 }
 
 impl Tally {
@@ -54,6 +152,7 @@ impl Tally {
         self.failed += other.failed;
         self.aborted += other.aborted;
         self.stops += other.stops;
+        self.effects.add(other.effects);
     }
 }
 
@@ -71,6 +170,10 @@ struct Around {
     bad: u64,
     native: Native,
     stopped: bool,
+    /// Its stops, by their ids.
+    urgent: Vec<u64>,
+    /// It goes on with a call of its group without another member since so many turns.
+    alone: u32,
 }
 
 /// The native process data of an axis, as far as they are written here.
@@ -78,22 +181,44 @@ struct Around {
 enum Native {
     #[default]
     None,
+    LinMot(Box<linudp::Native>),
+    Unidrive(Box<modbus::Native>),
+    Moons(Box<ethernet_ip::Native>),
     Kollmorgen(Box<ethercat::Native>),
     Lenze(Box<profibus::Native>),
 }
 
 impl Native {
-    fn of(machine: &mut Machine, axis: usize) -> Native {
-        let axis = machine.sim.axis(axis);
-        match axis.native().map(Native::Kollmorgen) {
-            Some(native) => native,
-            None => axis.native().map_or(Native::None, Native::Lenze),
-        }
+    fn of(kind: Kind, axis: &mut Axis) -> Native {
+        let native = match kind {
+            Kind::LinMot => axis.native().map(Native::LinMot),
+            Kind::Unidrive => axis.native().map(Native::Unidrive),
+            Kind::Moons => axis.native().map(Native::Moons),
+            Kind::Kollmorgen => axis.native().map(Native::Kollmorgen),
+            Kind::Lenze => axis.native().map(Native::Lenze),
+            Kind::Mixed => None,
+        };
+        native.unwrap_or_default()
     }
+}
+
+/// A call of a group, until its last part has ended: the id of each part, and how it ended.
+struct Call {
+    ids: Vec<u64>,
+    ended: Vec<Option<Outcome>>,
 }
 
 pub struct Run {
     machine: Machine,
+    /// What the application has of them: none of one that it has dropped.
+    axes: Vec<Option<Axis>>,
+    /// Calls of the group that have not ended.
+    calls: Vec<Call>,
+    /// Setpoints of the group that are given anew, and until which turn.
+    level: Option<(f64, u64)>,
+    /// A tool has run over the segment, and nothing was written to a parameter.
+    tool: bool,
+    written: bool,
     watches: Vec<Watch>,
     around: Vec<Around>,
     slots: Slots,
@@ -114,10 +239,16 @@ type Judged = Result<(), Found>;
 impl Run {
     /// A machine whose axes are ready.
     pub fn new(shape: Shape, story: bool, log: Option<Log>) -> Result<Run, Found> {
-        let machine = Machine::new(shape, log);
+        let mut machine = Machine::new(shape, log);
+        let axes = (0..AXES).map(|axis| Some(machine.sim.take_axis(axis))).collect();
         let watches = (0..AXES).map(|axis| Watch::new(machine.scales[axis], &machine.plans[axis])).collect();
         let mut run = Run {
             machine,
+            axes,
+            calls: Vec::new(),
+            level: None,
+            tool: false,
+            written: false,
             watches,
             around: (0..AXES).map(|_| Around::default()).collect(),
             slots: Slots::default(),
@@ -129,9 +260,7 @@ impl Run {
             tally: Tally { machines: 1, ..Tally::default() },
             story: None,
         };
-        for axis in 0..AXES {
-            run.around[axis].native = Native::of(&mut run.machine, axis);
-        }
+        run.natives();
         assert!(run.recover()?, "a machine that nothing has happened to comes up");
         run.story = story.then(String::new);
         Ok(run)
@@ -190,15 +319,44 @@ impl Run {
         self.begun = self.turn;
         let mut steps = round.iter().peekable();
         let last = round.last().map_or(0, |step| u64::from(step.at));
-        while self.turn - self.begun <= last + TAIL || self.around.iter().any(|around| around.level.is_some())
-        {
+        let goes_on =
+            |run: &Run| run.level.is_some() || run.around.iter().any(|around| around.level.is_some());
+        while self.turn - self.begun <= last + TAIL || goes_on(self) {
             while let Some(step) = steps.next_if(|step| u64::from(step.at) <= self.turn - self.begun) {
                 self.take(step)?;
             }
             self.step()?;
         }
         self.settle()?;
-        self.recover()
+        let ready = self.recover()?;
+        // Nothing but the tool can have left it so.
+        if !ready && self.tool && !self.written && self.axes.iter().all(Option::is_some) {
+            let text =
+                format!("{:?}", (0..AXES).map(|axis| self.machine.sim.feedback(axis)).collect::<Vec<_>>());
+            return Err(self.found(0, Breach { rule: "recovers", text }));
+        }
+        Ok(ready)
+    }
+
+    /// The handles of the native process data of all axes.
+    fn natives(&mut self) {
+        for index in 0..AXES {
+            let kind = self.machine.shape.kind.of(index);
+            let axis = self.axes[index].as_mut();
+            self.around[index].native = axis.map_or(Native::None, |axis| Native::of(kind, axis));
+        }
+    }
+
+    /// The first axes as a group, where there is one and the application has all of them.
+    fn grouped<R>(&mut self, act: impl FnOnce(&mut Group) -> R) -> Option<R> {
+        let members = &mut self.axes[..self.machine.shape.members()];
+        if members.is_empty() || members.iter().any(Option::is_none) {
+            return None;
+        }
+        let mut group = Group::new(members.iter_mut().filter_map(Option::take)).unwrap();
+        let done = act(&mut group);
+        members.iter_mut().zip(group.into_axes()).for_each(|(slot, axis)| *slot = Some(axis));
+        Some(done)
     }
 
     fn found(&self, axis: usize, breach: Breach) -> Found {
@@ -226,6 +384,10 @@ impl Run {
         for axis in 0..AXES {
             self.go_on(axis)?;
         }
+        self.level = self.level.filter(|(_, until)| self.turn < *until);
+        if let Some((percent, _)) = self.level {
+            self.set_together(percent);
+        }
         let before = *self.machine.sim.status();
         self.machine.step();
         let after = *self.machine.sim.status();
@@ -239,6 +401,54 @@ impl Run {
         for axis in 0..AXES {
             self.judge(axis)?;
         }
+        self.judge_calls()
+    }
+
+    /// No member goes on with a call while another one is out of it.
+    fn judge_calls(&mut self) -> Judged {
+        let members = self.machine.shape.members();
+        if members == 0 {
+            return Ok(());
+        }
+        let blind = (0..members).any(|axis| self.turn <= self.around[axis].deaf);
+        let truths: Vec<_> = (0..members).map(|axis| self.machine.truth(axis)).collect();
+        let feedbacks: Vec<_> = (0..members).map(|axis| self.machine.sim.feedback(axis)).collect();
+        let out = |call: &Call, axis: usize| match call.ended[axis] {
+            Some(Outcome::Done) => false,
+            Some(Outcome::Aborted(Abort::Replaced(by))) => self.around[axis].urgent.contains(&by.0),
+            Some(_) => true,
+            None => {
+                feedbacks[axis].stopped.is_some()
+                    || feedbacks[axis].link != Link::Online
+                    || !truths[axis].powered
+            }
+        };
+        let alone: Vec<bool> = (0..members)
+            .map(|axis| {
+                let running = self.watches[axis].running().map(|(id, _)| id);
+                let call = self.calls.iter().find(|call| running == Some(call.ids[axis]));
+                let goes_on = !self.watches[axis].rests(truths[axis]) && !blind;
+                goes_on
+                    && call.is_some_and(|call| (0..members).any(|other| other != axis && out(call, other)))
+            })
+            .collect();
+        for (axis, is_alone) in alone.into_iter().enumerate() {
+            let reached = self.turn > self.around[axis].bad;
+            let around = &mut self.around[axis];
+            around.alone = if is_alone { around.alone + u32::from(reached) } else { 0 };
+            if around.alone > MOST_ALONE {
+                let text = format!("{truths:?}; {feedbacks:?}");
+                return Err(self.found(axis, Breach { rule: "group", text }));
+            }
+        }
+        let (before, watches) = (self.calls.len(), &self.watches);
+        let open = |call: &Call| (0..members).any(|axis| watches[axis].pending.contains_key(&call.ids[axis]));
+        let done = self.calls.iter().filter(|call| call.ended.iter().all(|end| *end == Some(Outcome::Done)));
+        let done = done.count();
+        (0..done).for_each(|_| self.tally.effects.count(Effect::DoneTogether));
+        if before > 0 {
+            self.calls.retain(open);
+        }
         Ok(())
     }
 
@@ -246,9 +456,12 @@ impl Run {
         let truth = self.machine.truth(axis);
         let feedback = self.machine.sim.feedback(axis);
         let blind = self.turn <= self.around[axis].deaf;
-        while !blind && let Some(event) = self.machine.sim.axis(axis).event() {
+        while !blind && let Some(event) = self.axes[axis].as_mut().and_then(Axis::event) {
             let fresh = event.cycle + 1 >= feedback.cycle;
-            if let fieldbeat::EventKind::Ended { outcome, .. } = event.kind {
+            if let fieldbeat::EventKind::Ended { id, outcome, .. } = event.kind {
+                for call in self.calls.iter_mut().filter(|call| call.ids.get(axis) == Some(&id.0)) {
+                    call.ended[axis] = Some(outcome);
+                }
                 match outcome {
                     Outcome::Done => self.tally.done += 1,
                     Outcome::Failed(_) => self.tally.failed += 1,
@@ -260,7 +473,14 @@ impl Run {
             judged.map_err(|breach| self.found(axis, breach))?;
         }
         let stopped = feedback.stopped.is_some();
-        self.tally.stops += u64::from(stopped && !std::mem::replace(&mut self.around[axis].stopped, stopped));
+        if stopped && !self.around[axis].stopped {
+            self.tally.stops += 1;
+            match feedback.stopped {
+                Some(StopCause::OwnerLost) => self.tally.effects.count(Effect::OwnerLost),
+                Some(StopCause::OtherMaster) => self.tally.effects.count(Effect::OtherMaster),
+                _ => {}
+            }
+        }
         self.around[axis].stopped = stopped;
         let is_online = feedback.link == fieldbeat::axis::Link::Online;
         if !is_online {
@@ -309,7 +529,7 @@ impl Run {
         let value = percent / 100.0 * most;
         for n in (0..count).rev() {
             let value = if n == 0 { value } else { value / 2.0 };
-            let handle = self.machine.sim.axis(axis);
+            let Some(handle) = self.axes[axis].as_mut() else { return Ok(()) };
             let taken = if scale.torques { handle.set_torque(value) } else { handle.set_velocity(value) };
             if n == 0 {
                 let taken = taken.map_err(|error| error.to_string());
@@ -322,16 +542,70 @@ impl Run {
 
     fn post(&mut self, axis: usize, command: Command) -> Judged {
         let truth = self.machine.truth(axis);
-        match self.machine.post(axis, command) {
-            Ok(id) => {
-                self.tell(axis, || format!("{command:?} is command {id}"));
-                self.tally.accepted += 1;
-                let accepted = self.watches[axis].accepted(id, command, truth);
-                accepted.map_err(|breach| self.found(axis, breach))
-            }
+        let Some(handle) = self.axes[axis].as_mut() else { return Ok(()) };
+        match handle.post(command) {
+            Ok(CommandId(id)) => self.accepted(axis, id, command, truth),
             Err(AxisError::Refused { .. } | AxisError::Full { .. }) => Ok(()),
             Err(other) => panic!("{command:?}: {other}"),
         }
+    }
+
+    fn accepted(&mut self, axis: usize, id: u64, command: Command, truth: Truth) -> Judged {
+        self.tell(axis, || format!("{command:?} is command {id}"));
+        self.tally.accepted += 1;
+        if command.is_urgent() {
+            self.around[axis].urgent.push(id);
+        }
+        let accepted = self.watches[axis].accepted(id, command, truth);
+        accepted.map_err(|breach| self.found(axis, breach))
+    }
+
+    /// One call of the group.
+    fn together(&mut self, choices: &[Choice]) -> Judged {
+        let members = self.machine.shape.members();
+        let commands: Vec<Command> = (choices.iter().zip(&self.machine.scales).take(members))
+            .map(|(choice, scale)| choice.command(scale))
+            .collect();
+        let posted: GroupCommand = match self.grouped(|group| group.post(&commands)) {
+            Some(Ok(posted) | Err(GroupError::Partly { posted, .. })) => posted,
+            None | Some(Err(_)) => return Ok(()),
+        };
+        let ids: Vec<u64> = posted.ids().iter().map(|id| id.0).collect();
+        for (axis, command) in commands.into_iter().enumerate().filter(|(axis, _)| ids[*axis] != 0) {
+            let truth = self.machine.truth(axis);
+            self.accepted(axis, ids[axis], command, truth)?;
+            self.watches[axis].is_part(ids[axis]);
+        }
+        if ids.iter().all(|id| *id != 0) {
+            self.tally.effects.count(Effect::Called);
+            self.calls.push(Call { ids, ended: vec![None; members] });
+        }
+        Ok(())
+    }
+
+    /// Setpoints of all members.
+    fn set_together(&mut self, percent: f64) {
+        let members = self.machine.shape.members();
+        let scales = &self.machine.scales;
+        let values: Vec<f64> =
+            scales[..members].iter().map(|scale| percent / 100.0 * scale.velocity).collect();
+        if let Some(Ok(())) = self.grouped(|group| group.set_velocities(&values)) {
+            let slot = self.slots.planned();
+            self.watches[..members].iter_mut().for_each(|watch| watch.set_together(slot));
+            if !self.calls.is_empty() {
+                self.tally.effects.count(Effect::SetTogether);
+            }
+        }
+    }
+
+    /// Row `n` of a parabola up and down: at most twice the mean speed.
+    fn row(&self, axis: usize, from: f64, percent: i8, n: u32, count: u32, last: bool) -> Row {
+        let scale = self.machine.scales[axis];
+        let way = f64::from(percent) / 250.0 * scale.velocity * f64::from(count) * 1e-3;
+        let share = f64::from(n) / f64::from(count);
+        let position = from + way * share * share * (3.0 - 2.0 * share);
+        let velocity = way / (f64::from(count) * 1e-3) * 6.0 * share * (1.0 - share);
+        Row { position, velocity, last: last && n == count, ..Row::default() }
     }
 
     fn take(&mut self, step: &Step) -> Judged {
@@ -352,24 +626,37 @@ impl Run {
             }
             Op::Burst { count, percent } => self.set(axis, f64::from(*percent), *count)?,
             Op::Rows { count, percent, last } => {
-                // A parabola up and down: at most twice the mean speed.
-                let scale = self.machine.scales[axis];
                 let from = self.machine.sim.feedback(axis).status.demand;
                 let count = u32::from(*count);
-                let way = f64::from(*percent) / 250.0 * scale.velocity * f64::from(count) * 1e-3;
                 for n in 1..=count {
-                    let share = f64::from(n) / f64::from(count);
-                    let position = from + way * share * share * (3.0 - 2.0 * share);
-                    let velocity = way / (f64::from(count) * 1e-3) * 6.0 * share * (1.0 - share);
-                    let row = Row { position, velocity, last: *last && n == count, ..Row::default() };
-                    let _ = self.machine.sim.axis(axis).push_row(row);
+                    let row = self.row(axis, from, *percent, n, count, *last);
+                    let _ = self.axes[axis].as_mut().map(|axis| axis.push_row(row));
                 }
+            }
+            Op::Together(choices) => self.together(choices)?,
+            Op::LevelTogether { percent, turns } => {
+                self.level = Some((f64::from(*percent), turn + u64::from(*turns)));
+            }
+            Op::RowsTogether { count, percent, last } => {
+                let members = self.machine.shape.members();
+                let from: Vec<f64> =
+                    (0..members).map(|axis| self.machine.sim.feedback(axis).status.demand).collect();
+                let count = u32::from(*count);
+                for n in 1..=count {
+                    let row = |axis: usize| self.row(axis, from[axis], *percent, n, count, *last);
+                    let rows: Vec<Row> = (0..members).map(row).collect();
+                    if let Some(Ok(())) = self.grouped(|group| group.push_rows(&rows)) {
+                        self.tally.effects.count(Effect::RowsTogether);
+                    }
+                }
+                self.together(&vec![Choice::Follow; members])?;
             }
             Op::Write(entries) => {
                 let list = writes(self.machine.shape.kind);
                 let is_free = !self.machine.truth(axis).powered || self.watches[axis].is_native();
                 let entries: &[u8] = if is_free && !self.machine.shape.free_writes { &[] } else { entries };
                 for entry in entries {
+                    self.written = true;
                     if let Some((address, value)) = list.get(usize::from(*entry)) {
                         self.machine.write(axis, address, value);
                     }
@@ -418,7 +705,43 @@ impl Run {
                 self.machine.suspend((*ms).into());
                 self.watches.iter_mut().for_each(Watch::suspended);
             }
-            Op::Die(ms) => self.replace_master((*ms).into()),
+            Op::Die(ms) => {
+                self.tally.effects.count(Effect::Died);
+                self.replace_master((*ms).into());
+            }
+            Op::Stuck(ms) => {
+                self.tally.effects.count(Effect::Stuck);
+                let taken = self.machine.sim.wires().take();
+                let ended = self.machine.sim.step() == Flow::End;
+                let stopped: Vec<_> = (0..AXES).map(|axis| self.machine.sim.feedback(axis).stopped).collect();
+                if !taken || !ended || stopped.contains(&None) {
+                    let text = format!("taken {taken}, ended {ended}: {stopped:?}");
+                    return Err(self.found(axis, Breach { rule: "stuck", text }));
+                }
+                self.replace_master((*ms).into());
+            }
+            Op::Drop => {
+                if self.axes[axis].take().is_some() {
+                    self.tally.effects.count(Effect::Dropped);
+                    self.around[axis].native = Native::None;
+                    self.around[axis].level = None;
+                    self.watches[axis].dropped();
+                }
+            }
+            Op::Foreign { which, us } => {
+                self.tally.effects.count(Effect::Foreign);
+                if self.machine.foreign(axis, (*which).into(), (*us).into()) {
+                    let of_segment = self.machine.shape.kind == Kind::Kollmorgen;
+                    self.tool |= of_segment;
+                    let concerned = if of_segment { 0..AXES } else { axis..axis + 1 };
+                    for axis in concerned {
+                        // By then it is seen, and stopped for.
+                        self.around[axis].bad = self.around[axis].bad.max(turn + GRACE);
+                        self.watches[axis].disturbed(GRACE);
+                    }
+                }
+            }
+            Op::Operate { .. } => unreachable!("an application has these axes"),
             Op::Deaf(turns) => {
                 let around = &mut self.around[axis];
                 around.deaf = around.deaf.max(turn + u64::from(*turns));
@@ -429,38 +752,80 @@ impl Run {
 
     /// The process dies, and with it all that its application knew.
     fn replace_master(&mut self, ms: u64) {
+        // They are of the master that died, and nobody reads what they have posted.
+        self.axes.clear();
         self.machine.replace_master(ms);
-        self.cut = None;
+        self.axes = (0..AXES).map(|axis| Some(self.machine.sim.take_axis(axis))).collect();
+        self.calls.clear();
+        (self.cut, self.level) = (None, None);
         for axis in 0..AXES {
             let around = &mut self.around[axis];
-            (around.level, around.deaf, around.stopped) = (None, 0, false);
+            (around.level, around.deaf, around.stopped, around.alone) = (None, 0, false, 0);
             around.bad = around.bad.max(self.turn + ms + GRACE);
-            around.native = Native::of(&mut self.machine, axis);
+            around.urgent.clear();
             self.watches[axis].master_died();
         }
+        self.natives();
     }
 
     /// Native outputs, where there are some: a velocity, a torque, a set point, or the place where it is.
     fn outputs(&mut self, axis: usize, percent: i8) {
-        match &mut self.around[axis].native {
-            Native::None => {}
+        let (count, speed) = (i64::from(percent), i32::from(percent));
+        let taken = match &mut self.around[axis].native {
+            Native::None => None,
+            // Up to twice its limit, near the ends of its range.
+            Native::LinMot(native) => {
+                let target = if percent < 0 { 5.0 } else { 150.0 };
+                let velocity = 4.0 * f64::from(percent.unsigned_abs().max(1));
+                let to = Position::from_mm(target).ok().zip(Velocity::from_mm_per_s(velocity).ok());
+                let ramp = Acceleration(400_000);
+                let motion = to.map(|(to, velocity)| MotionCommand::vai_go_to(to, velocity, ramp, ramp));
+                let output = linudp::NativeOutput { motion, ..linudp::NativeOutput::default() };
+                let running = native.inputs().running;
+                (native.write(output).is_ok() && running).then_some(Effect::NativeLinMot)
+            }
+            // Up to twice its limit.
+            Native::Unidrive(native) => {
+                let control = modbus::ControlWord::FORWARD;
+                let running = native.inputs().running;
+                let written = native.write(modbus::NativeOutput { control, reference: speed * 96 });
+                (written.is_ok() && running).then_some(Effect::NativeUnidrive)
+            }
+            // Up to twice its limit; its range ends within it, and there its position limit is.
+            Native::Moons(native) => {
+                let outputs = ethernet_ip::Outputs {
+                    command: ethernet_ip::command::MOVE_RELATIVE,
+                    velocity: (speed.unsigned_abs() * 38).max(1),
+                    acceleration: 960,
+                    deceleration: 960,
+                    distance: speed.signum() * 20_000,
+                    ..ethernet_ip::Outputs::default()
+                };
+                let running = native.inputs().running;
+                let written = native.write(ethernet_ip::NativeOutput { outputs });
+                (written.is_ok() && running).then_some(Effect::NativeMoons)
+            }
             Native::Kollmorgen(native) => {
-                let velocity = i64::from(percent) * 4_000;
-                let torque = i64::from(percent) * 5;
+                let (velocity, torque) = (count * 4_000, count * 5);
                 let object = |index: u16| ethercat::Object::new(index, 0);
                 let values = [(object(0x606B), velocity), (object(0x6074), torque)];
                 let control = (object(0x6040), 0x0F);
-                if let Some(output) = values.iter().find_map(|value| native.output(&[*value, control])) {
-                    let _ = native.write(output);
-                }
+                let running = native.inputs().running;
+                let output = values.iter().find_map(|value| native.output(&[*value, control]));
+                let written = output.is_some_and(|output| native.write(output).is_ok());
+                (written && running).then_some(Effect::NativeKollmorgen)
             }
             Native::Lenze(native) => {
                 // Up to twice its limit; run, by the words of DRIVECOM and of PROFIdrive.
                 let mut output = profibus::NativeOutput { mask: 0b11, ..Default::default() };
                 output.words[0] = if self.machine.shape.other { 0x047F } else { 0x007F };
                 output.words[1] = (i16::from(percent) * 100) as u16;
-                let _ = native.write(output);
+                let running = native.inputs().running;
+                (native.write(output).is_ok() && running).then_some(Effect::NativeLenze)
             }
+        };
+        if let Some(effect) = taken {
+            self.tally.effects.count(effect);
         }
     }
 
@@ -468,6 +833,7 @@ impl Run {
     fn settle(&mut self) -> Judged {
         self.overload = (0, 0);
         self.cut = self.cut.map(|_| 0);
+        self.level = None;
         for axis in 0..AXES {
             let around = &mut self.around[axis];
             (around.deaf, around.level) = (0, None);
@@ -502,6 +868,10 @@ impl Run {
     /// All axes online, enabled and homed; false if one of them cannot be brought there.
     fn recover(&mut self) -> Result<bool, Found> {
         self.machine.calls.clear();
+        // Nobody can make a dropped axis ready again.
+        if self.axes.iter().any(Option::is_none) {
+            return Ok(false);
+        }
         for _ in 0..UP {
             if self.machine.online() {
                 break;

@@ -28,6 +28,36 @@ pub enum Choice {
     Native(NativeOwner),
 }
 
+/// What an operator does. A client that has a jog holds it, in a rhythm of its own, and one that has none shows that it
+/// is there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Deed {
+    Take,
+    Leave,
+    /// Nothing comes from it for so many milliseconds.
+    Silent(u16),
+    /// It is there, and holds its jog no more.
+    LetGo,
+    Release,
+    Stop,
+    Jog {
+        axis: u8,
+        percent: i8,
+    },
+    Step {
+        axis: u8,
+        percent: i8,
+    },
+    Home(u8),
+    Disable(u8),
+    /// What the axis needs next to be ready.
+    Ready(u8),
+    /// It holds the jog before its own.
+    Former,
+    /// A request for which it has not read the last answer.
+    OutOfTurn,
+}
+
 /// What happens to one axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Op {
@@ -53,6 +83,18 @@ pub enum Op {
     Write(Vec<u8>),
     /// Outputs of the native mode, per cent.
     Outputs(i8),
+    /// These commands, one for each member of the group, are queued as one call. It concerns all axes, as do the next
+    /// two: a set of setpoints given anew in each of so many turns, and rows.
+    Together(Vec<Choice>),
+    LevelTogether {
+        percent: i8,
+        turns: u8,
+    },
+    RowsTogether {
+        count: u8,
+        percent: i8,
+        last: bool,
+    },
     /// The host is late once, by so many slots. It concerns all axes, and so does the next one.
     Late(u8),
     /// Before each of so many turns so many slots are passed over.
@@ -96,12 +138,32 @@ pub enum Op {
     Suspend(u8),
     /// The process dies in motion, and another one starts so many milliseconds later.
     Die(u8),
+    /// The loop does not return, until its wires are taken from it; another master starts so many milliseconds later.
+    Stuck(u8),
+    /// The application drops the axis.
+    Drop,
+    /// Another sender, or a tool on a segment, says this, by a number.
+    Foreign {
+        which: u8,
+        us: u16,
+    },
+    /// What one of two operators does.
+    Operate {
+        client: u8,
+        deed: Deed,
+    },
 }
 
 impl Op {
     /// It happens to all axes.
     pub fn is_of_all(&self) -> bool {
-        matches!(self, Op::Late(_) | Op::Overload { .. } | Op::Cut(_) | Op::Suspend(_) | Op::Die(_))
+        match self {
+            Op::Late(_) | Op::Overload { .. } | Op::Cut(_) | Op::Suspend(_) | Op::Die(_) | Op::Stuck(_) => {
+                true
+            }
+            Op::Together(_) | Op::LevelTogether { .. } | Op::RowsTogether { .. } | Op::Operate { .. } => true,
+            _ => false,
+        }
     }
 }
 
@@ -227,6 +289,9 @@ pub struct Without {
     pub slow_stops: bool,
     pub deaf: bool,
     pub homes: bool,
+    pub foreign: bool,
+    pub groups: bool,
+    pub outputs: bool,
 }
 
 impl Without {
@@ -243,6 +308,9 @@ impl Without {
             slow_stops: has("slow_stops"),
             deaf: has("deaf"),
             homes: has("homes"),
+            foreign: has("foreign"),
+            groups: has("groups"),
+            outputs: has("outputs"),
         }
     }
 
@@ -252,6 +320,9 @@ impl Without {
             Op::Late(_) | Op::Overload { .. } => !self.overload,
             Op::RepeatRequest { motion, .. } => !self.requests && (*motion || !self.control_requests),
             Op::RepeatReply { .. } | Op::OldReply { .. } => !self.replies,
+            Op::Foreign { .. } => !self.foreign,
+            Op::Together(_) | Op::LevelTogether { .. } | Op::RowsTogether { .. } => !self.groups,
+            Op::Outputs(_) => !self.outputs,
             Op::Deaf(_) | Op::Burst { .. } => !self.deaf,
             Op::Post(commands) => commands.iter().all(|command| match command {
                 Choice::StopAt(_) => !self.slow_stops,
@@ -299,7 +370,8 @@ fn command(random: &mut Rng, scale: &Scale) -> Choice {
     }
 }
 
-fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
+fn op(random: &mut Rng, shape: Shape, scales: &[Scale], axis: usize) -> Op {
+    let scale = &scales[axis];
     // What brings a segment down costs it seconds of its machine time.
     let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
     let repeats = shape.kind != Kind::Unidrive;
@@ -327,12 +399,33 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
         },
         36..=40 if repeats => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
         41 => Op::Deaf(random.u8(10..200)),
-        43..=46 if matches!(shape.kind, Kind::LinMot | Kind::Mixed) => {
-            Op::OldReply { which: random.u16(..), us: random.u16(..100) }
-        }
         42 if !rare && random.u8(..2) == 0 => Op::Suspend(random.u8(20..)),
         42 if !rare => Op::Die(random.u8(1..)),
+        43..=46 if shape.members() > 0 => Op::Together(together(random, scales)),
+        47 | 48 if shape.members() > 0 => {
+            Op::LevelTogether { percent: percent(random), turns: random.u8(5..150) }
+        }
+        49 if shape.members() > 0 => {
+            Op::RowsTogether { count: random.u8(10..80), percent: percent(random), last: random.bool() }
+        }
+        50 | 51 if !rare => Op::Foreign { which: random.u8(..), us: random.u16(..2_000) },
+        52 if !rare && random.u8(..4) == 0 => Op::Drop,
+        52 if !rare && random.u8(..4) == 0 => Op::Stuck(random.u8(1..)),
+        53..=56 if matches!(shape.kind, Kind::LinMot | Kind::Mixed) => {
+            Op::OldReply { which: random.u16(..), us: random.u16(..100) }
+        }
         _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),
+    }
+}
+
+/// A command for each of the axes, the same one or a motion that the axis can do.
+fn together(random: &mut Rng, scales: &[Scale]) -> Vec<Choice> {
+    use Choice::{Disable, Enable, Follow, Home, QuickStop, Reset, Stop, Velocity};
+    let all = [Stop, Enable, Home, QuickStop, Reset, Disable, Follow, Velocity, Velocity, Velocity];
+    match random.u8(..3) {
+        0 => vec![all[random.usize(..all.len())]; scales.len()],
+        1 => scales.iter().map(|scale| if scale.torques { Choice::Torque } else { Velocity }).collect(),
+        _ => scales.iter().map(|scale| motion(random, scale)).collect(),
     }
 }
 
@@ -349,6 +442,59 @@ fn quiet(random: &mut Rng, shape: Shape) -> Op {
     }
 }
 
+/// What two operators do, and what happens to the axes meanwhile.
+pub fn operated(random: &mut Rng, shape: Shape, scales: &[Scale]) -> Round {
+    let (mut round, mut at) = (Round::new(), 0);
+    let count = scales.len() as u8;
+    // Who operates, mostly: the first client begins.
+    let (mut operator, mut jogs) = (0, false);
+    for _ in 0..random.u8(3..10) {
+        let axis = random.u8(..count);
+        let scale = &scales[usize::from(axis)];
+        let client = if random.u8(..6) == 0 { 1 - operator } else { operator };
+        let deed = match random.u8(..32) {
+            0..=7 if jogs => Deed::Release,
+            8..=10 if jogs => Deed::LetGo,
+            11..=13 => Deed::Silent(random.u16(100..1_300)),
+            14 | 15 => Deed::Leave,
+            16 => Deed::Stop,
+            17 => Deed::Former,
+            18 => Deed::OutOfTurn,
+            19 => Deed::Disable(axis),
+            20 => Deed::Ready(axis),
+            21 if scale.homes => Deed::Home(axis),
+            22..=24 if scale.positions && !jogs => Deed::Step { axis, percent: percent(random) },
+            25 => Deed::Take,
+            _ => Deed::Jog { axis, percent: percent(random) },
+        };
+        jogs = matches!(deed, Deed::Jog { .. }) && !jogs || jogs && matches!(deed, Deed::Former | Deed::Take);
+        let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
+        let op = match random.u8(..16) {
+            0 if !rare => Op::Unplug(random.u8(1..60)),
+            1 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
+            2 => Op::Inhibit(random.u8(1..30)),
+            3 => Op::Fault,
+            4 => Op::Late(random.u8(1..14)),
+            5 => Op::Deaf(random.u8(10..)),
+            _ => Op::Operate { client, deed },
+        };
+        let hands_over = matches!(op, Op::Operate { deed: Deed::Leave, client } if client == operator);
+        round.push(Step { at, axis, op });
+        let longest = *random.choice(&[1, 80, 250, 400]).unwrap_or(&1);
+        at += random.u16(..longest);
+        if hands_over {
+            // The other one takes the axes, as soon as it may.
+            operator = 1 - operator;
+            for _ in 0..3 {
+                at += 100;
+                round.push(Step { at, axis, op: Op::Operate { client: operator, deed: Deed::Take } });
+            }
+            round.push(Step { at, axis, op: Op::Operate { client: operator, deed: Deed::Ready(axis) } });
+        }
+    }
+    round
+}
+
 /// A round of sequences, one for each axis. What is `without` was drawn all the same, and then left out: the others are
 /// the same.
 pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without) -> Round {
@@ -357,12 +503,31 @@ pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without)
         let mut at = 0;
         // It begins with a motion.
         let mut first: Vec<_> = (0..random.u8(0..2)).map(|_| command(random, scale)).collect();
-        first.push(motion(random, scale));
-        let first = Op::Post(first);
-        let rest: Vec<Op> = (0..random.u8(1..8)).map(|_| op(random, shape, scale)).collect();
+        let native = random.u8(..8) == 0;
+        first.push(match native {
+            true => {
+                Choice::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application })
+            }
+            false => motion(random, scale),
+        });
+        let first = match random.u8(..3) {
+            0 if axis == 0 && !native && shape.members() > 0 => Op::Together(together(random, scales)),
+            _ => Op::Post(first),
+        };
+        let mut rest: Vec<Op> = (0..random.u8(1..8)).map(|_| op(random, shape, scales, axis)).collect();
+        // A native mode, and a group, want something to follow.
+        match &first {
+            Op::Together(_) => rest.insert(0, Op::LevelTogether { percent: percent(random), turns: 150 }),
+            _ if native => rest.splice(0..0, [0; 2].map(|_| Op::Outputs(percent(random)))).for_each(drop),
+            _ => {}
+        }
         for op in [first].into_iter().chain(rest) {
             if without.leaves(&op) {
                 round.push(Step { at, axis: axis as u8, op });
+            }
+            // Until the native mode runs.
+            if native && at == 0 {
+                at = random.u16(10..80);
             }
             // Often one thing right after the other.
             let longest = *random.choice(&[1, 4, 15, 60]).unwrap_or(&1);
