@@ -188,7 +188,7 @@ impl Rig {
             self.count = (motion.header & 0xF) as u8;
         }
         if self.drive.reply_tag == ReplyTag::Definition {
-            let turns = if self.drive.monitor == MonitorPlan::Off { 3 } else { 1 };
+            let turns = if self.drive.monitor == MonitorPlan::Off { 7 } else { 3 };
             let like = |requested: &&Request| requested.response_def == request.response_def;
             assert_eq!(self.requested.iter().take(turns).find(like), None, "no two in a row look alike");
         }
@@ -345,8 +345,9 @@ impl Rig {
         assert_eq!(report.current, response.current.map_or(before.current, |raw| f64::from(raw) * 1e-3));
         assert_eq!(report.warning, response.warn.map_or(before.warning, |raw| u32::from(raw.0)));
         let (status, state) = (response.status.unwrap_or_default(), response.state.unwrap_or_default());
-        let fault = if status.error() { response.error.unwrap_or_default().0 } else { 0 };
-        assert_eq!((report.fault, report.homed), (u32::from(fault), status.homed()));
+        // An error whose code this reply does not have is the one that was reported last.
+        let code = response.error.map_or(before.fault, |error| u32::from(error.0));
+        assert_eq!((report.fault, report.homed), (if status.error() { code } else { 0 }, status.homed()));
         let main = state.main().0;
         // Of a state that it cannot name it says nothing good.
         let booting = report.state == State::NotReadyToSwitchOn;
@@ -360,7 +361,7 @@ impl Rig {
         let request = Request::parse(&self.request[..self.length]).unwrap();
         assert_eq!((request.size(), request.reserved), (self.length, RequestDef::NONE));
         let needed = match self.drive.reply_tag {
-            ReplyTag::Definition => ResponseDef(0x4F),
+            ReplyTag::Definition => ResponseDef(0x0F),
             ReplyTag::Count | ReplyTag::Off => ResponseDef::CYCLIC,
         };
         assert!(request.response_def.contains(needed));

@@ -3,7 +3,7 @@
 //! It sees what anybody could see: requests on the wire, datagrams that came, events, feedback. It keeps no books of
 //! how the loop works.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use fieldbeat::axis::{
     Abort, Command, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause,
@@ -43,6 +43,10 @@ pub struct Watch {
     feedback: Feedback,
     /// The reply that the feedback is from.
     reply: Option<Response>,
+    /// The codes of errors that came from its address.
+    errors: BTreeSet<u32>,
+    /// Its position has jumped, and it has not homed since.
+    unreferenced: bool,
     event: Option<Event>,
     sent: u64,
     datagrams: u64,
@@ -68,6 +72,8 @@ impl Watch {
             acknowledging: false,
             feedback: Feedback::default(),
             reply: None,
+            errors: BTreeSet::new(),
+            unreferenced: false,
             event: None,
             sent: 0,
             datagrams: 0,
@@ -213,6 +219,7 @@ impl Watch {
                         assert_eq!(self.latched, None, "{event} of a stopped axis");
                         self.armed = true;
                     }
+                    (Some(Command::Home), Outcome::Done) => self.unreferenced = false,
                     // One that was replaced may never have begun.
                     (Some(Command::Disable), Outcome::Done) => self.armed = false,
                     (Some(Command::ResetFault), Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))) => {
@@ -232,6 +239,7 @@ impl Watch {
                 let first = self.latched.filter(|_| moves && !self.deaf);
                 (self.latched, self.armed, self.stopped_at) = (first.or(Some(cause)), false, executed);
             }
+            EventKind::PositionJump(_) => self.unreferenced = true,
             _ => {}
         }
     }
@@ -249,6 +257,8 @@ impl Watch {
     /// The feedback behind an executed cycle, all datagrams that came in it from this drive's address, and whether all
     /// that happened in this turn is in the feedback.
     pub fn feedback(&mut self, feedback: Feedback, came: &[Came], whole: bool) {
+        let codes = came.iter().filter_map(|came| Response::parse(&came.bytes).ok()?.error);
+        self.errors.extend(codes.map(|error| u32::from(error.0)));
         let before = std::mem::replace(&mut self.feedback, feedback);
         if self.deaf {
             self.latched = feedback.stopped;
@@ -306,12 +316,20 @@ impl Watch {
         };
         let (status, state) = (reply.status.unwrap_or_default(), reply.state.unwrap_or_default());
         let moving = state.motion_active().unwrap_or(status.motion_active());
-        let fault = if status.error() { u32::from(reply.error.unwrap_or_default().0) } else { 0 };
+        // Not every reply has the code of the error: then it is one that the drive has reported before, or not known
+        // yet.
+        let shown = feedback.status.fault;
+        let fault = match reply.error {
+            _ if !status.error() => shown == 0,
+            Some(error) => shown == u32::from(error.0),
+            None => shown == 0 || self.errors.contains(&shown),
+        };
         position(reply.actual, feedback.status.position)
             && position(reply.demand, feedback.status.demand)
             && reply.current.is_none_or(|raw| feedback.status.current == f64::from(raw) * 1e-3)
             && reply.warn.is_none_or(|raw| feedback.status.warning == u32::from(raw.0))
-            && (feedback.status.fault, feedback.status.homed) == (fault, status.homed())
+            && fault
+            && (feedback.status.homed == status.homed() || self.unreferenced && !feedback.status.homed)
             && (feedback.status.moving, feedback.status.in_target) == (moving, status.in_target())
             && feedback.status.state.is_powered() == matches!(state.main().0, 3 | 5..)
     }
