@@ -12,6 +12,8 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, ReplyTag, StreamCommand};
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef};
 use fieldbeat::internals::cycle::bound::stop_bound_cycles;
+use fieldbeat::internals::cycle::record::{Record, Reply};
+use fieldbeat::internals::telemetry::tap::Tap;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::time::{MS, US};
 use fieldbeat::{Axes, Cycle, Flow, Overrun};
@@ -92,6 +94,8 @@ pub struct Machine {
     /// Every axis may be stopped.
     all: bool,
     table: Table,
+    /// The records of each turn.
+    tap: Tap,
 }
 
 impl Machine {
@@ -169,6 +173,7 @@ impl Machine {
             quiet: true,
             all: true,
             table: Table::new(),
+            tap: b.sim.tap(16),
             b,
         }
     }
@@ -213,7 +218,7 @@ impl Machine {
         let flow = self.b.step();
         for axis in self.axes() {
             let wire = std::mem::take(self.b.tape(axis).wire.as_mut().unwrap());
-            let (feedback, watch) = (self.b.feedback(axis), &mut self.watches[axis]);
+            let watch = &mut self.watches[axis];
             for Spoken { at, request } in wire {
                 if let Err(what) = watch.reported(self.b.slot(at), &request) {
                     panic!("axis {axis} was told {what}");
@@ -224,10 +229,18 @@ impl Machine {
                     stopped.off |= says(&received.request).off;
                 }
             }
-            if feedback.status.at != watch.good.0 {
-                watch.good = (feedback.status.at, feedback.cycle);
+        }
+        // An exchange is good by its reply, whether the report in it counts or not.
+        while let Ok(records) = self.tap.next(Duration::ZERO) {
+            for record in records.iter() {
+                if let Record::Drive(drive) = record
+                    && matches!(drive.reply, Reply::Answered | Reply::Suspect)
+                {
+                    self.watches[usize::from(drive.axis)].good_at = drive.index;
+                }
             }
         }
+        assert_eq!(self.tap.lost(), 0);
         for (axis, event) in std::mem::take(&mut self.b.events) {
             let faulty = |lane: &Lane| matches!(lane.state, State::Injected(_)) && lane.axes.contains(&axis);
             let expected = self.all || self.lanes.iter().any(faulty);
@@ -235,7 +248,7 @@ impl Machine {
             match event.kind {
                 EventKind::Stopped(cause) => {
                     assert!(expected, "axis {axis} was stopped for nothing: {event}");
-                    watch.stopped = Some(Stopped { cause, good_at: watch.good.1, told_at: None, off: false });
+                    watch.stopped = Some(Stopped { cause, good_at: watch.good_at, told_at: None, off: false });
                     watch.enabled = false;
                 }
                 EventKind::Ended { command, outcome, .. } => {

@@ -3,7 +3,6 @@
 use fieldbeat::axis::StopCause;
 use fieldbeat::bus::linudp::{ControlWord, StreamCommand};
 use fieldbeat::internals::bus::linudp::wire::Request;
-use fieldbeat::time::Time;
 
 /// What a request asks of a drive.
 pub struct Says {
@@ -44,8 +43,8 @@ pub struct Watch {
     /// A command has not ended.
     pub pending: bool,
     pub stream: Option<Stream>,
-    /// When the last good exchange was taken in, and in which cycle.
-    pub good: (Time, u64),
+    /// The cycle of the last good exchange.
+    pub good_at: u64,
     pub online_at: u64,
 }
 
