@@ -121,7 +121,7 @@ fn with_a_tag_feedback_is_exact_in_any_weather() {
             duplicate: 0.1,
             delay: 0.2,
             delay_ns: 900 * US,
-            // A reply that is held back may come four exchanges late, and only a count tells that one apart.
+            // A reply that is held back may come eight exchanges late, and only a count distinguishes that one.
             reorder: if tag == ReplyTag::Count { 0.05 } else { 0.0 },
             ..FaultPlan::default()
         };
