@@ -1,5 +1,5 @@
 //! The watch over the loop: a thread that takes the wires from a loop whose cycle does not end, and stops the drives
-//! that no watchdog of their own stops.
+//! of the wires that know no watchdog.
 
 use std::io;
 use std::thread::{JoinHandle, park_timeout};
@@ -20,8 +20,9 @@ const RETURN_NS: u64 = S;
 
 /// What [`finish`](super::Master::finish) says of such a loop.
 pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the \
-                                wires and sent the stop to the drives that have no watchdog of their own; look at the \
-                                drives and at what holds the loop's thread up (the in-loop task, a driver of the host)";
+                                wires and sent the stop to the LinMot drives, any other drive acts by its own \
+                                watchdog if that is on; look at the drives and at what holds the loop's thread up (the \
+                                in-loop task, a driver of the host)";
 
 /// The watch of a running machine.
 #[derive(Debug)]
@@ -68,9 +69,9 @@ impl LoopWatch {
     /// has `died` outside of its cycle has stopped no drive.
     pub(super) fn end(&mut self, died: bool) {
         if let Some(thread) = self.thread.take() {
-            // A loop whose thread has ended in order has said so already.
-            let taken = if died { self.wires.take() } else { !self.wires.end() && self.wires.is_stuck() };
-            if taken {
+            // One whose thread has ended in order has said so already. The watch may have taken them before.
+            let _ = if died { self.wires.take() } else { self.wires.end() };
+            if self.wires.is_stuck() {
                 self.wires.give_way();
             }
             thread.thread().unpark();
@@ -138,5 +139,34 @@ fn sleep_until(at: Time) {
     let left_ns = at.since(MonotonicClock::read());
     if left_ns > 0 {
         park_timeout(Duration::from_nanos(left_ns));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_a_loop_that_has_died_is_bounded_whoever_takes_its_wires() {
+        for by_the_watch in [false, true] {
+            let wires = Wires::default();
+            if by_the_watch {
+                assert!(wires.take());
+            }
+            let granted = Granted {
+                policy: "SCHED_OTHER",
+                priority: 0,
+                core: None,
+                memory_locked: false,
+                missing: vec![],
+            };
+            let mut watch = LoopWatch::start(wires, S, MS, granted, Vec::new()).unwrap();
+            let (done, ended) = std::sync::mpsc::channel();
+            std::thread::spawn(move || {
+                watch.end(true);
+                done.send(watch.is_stuck())
+            });
+            assert_eq!(ended.recv_timeout(Duration::from_secs(60)), Ok(true), "by the watch: {by_the_watch}");
+        }
     }
 }
