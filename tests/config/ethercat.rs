@@ -422,6 +422,23 @@ fn a_period_has_to_suit_the_drives() {
 }
 
 #[test]
+fn a_following_error_is_that_of_positions() {
+    let reported = |drive: &str| {
+        fieldbeat::config::parse(&line("", drive), "m.toml").err().map(|errors| errors.to_string())
+    };
+    let key = "limits.following_error = 1.5";
+    assert_eq!(reported(&format!("pdo.outputs = \"0x1701\"\n{key}")), None);
+    let refused = reported(key).unwrap();
+    assert!(
+        refused.starts_with("m.toml:9: ") && refused.contains("limits.following_error = 1.5"),
+        "{refused}"
+    );
+    assert!(refused.contains("gets none from the master; leave it out"), "{refused}");
+    // Not watched is no limit.
+    assert_eq!(reported("limits.following_error = \"off\""), None);
+}
+
+#[test]
 fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
     let device =
         |n| format!("[[bus.device]]\nname = \"d{n}\"\ninputs = {{ start = 0x1000, length = 250 }}\n");

@@ -7,7 +7,7 @@ use super::{
     frame, is_interface,
 };
 use crate::axis::is_plain_name;
-use crate::axis::{HeldBy, Load, PlanFault};
+use crate::axis::{FollowingError, HeldBy, Load, PlanFault};
 use crate::bus::ethercat::TERMINAL_MAX;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::number::{CONTROL_WORD, MODE, STATUS_WORD};
@@ -438,6 +438,15 @@ impl KollmorgenDrive {
             wrong(
                 "torque_permille_per_count",
                 format!("must be at least {least:.4}, so that 16 bits hold the rated torque"),
+            );
+        }
+        if matches!(self.axis.limits.following_error, FollowingError::Most(_))
+            && !matches!(self.setpoint(), Some(Setpoint::Position(_)))
+        {
+            wrong(
+                "limits.following_error",
+                "concerns a demand of positions, and this drive gets none from the master; leave it out"
+                    .into(),
             );
         }
         if self.axis.units.counts_per_unit == 0.0 || !self.axis.units.counts_per_unit.is_finite() {
