@@ -15,8 +15,12 @@ const EV_SYN: u16 = 0;
 const EV_KEY: u16 = 1;
 const SYN_DROPPED: u16 = 3;
 const KEYS: usize = 0x300;
-/// Left and right run the axis. They enable nothing, should somebody name the keyboard itself.
-const RUN_KEYS: [usize; 2] = [105, 106];
+/// The keys that command something in the panel: they enable nothing, should somebody name the keyboard itself. The
+/// arrows and page keys, those of the keypad, `e`, `d`, `h`, `r`, `q`, `+`, `=`, `-`, `*`, `/`, space and tab, where a
+/// keyboard as in the USA has them.
+const PANEL_KEYS: [usize; 25] = [
+    103, 104, 105, 106, 108, 109, 72, 73, 75, 77, 80, 81, 18, 32, 35, 19, 16, 78, 13, 12, 74, 55, 98, 57, 15,
+];
 
 /// A bit for each key and button.
 type Bits = [u8; KEYS / 8];
@@ -114,7 +118,7 @@ impl EnablingDevice {
                 let [t0, t1, c0, c1, value @ ..] = &event[EVENT - 8..] else { return true };
                 let code = u16::from_ne_bytes([*c0, *c1]);
                 match u16::from_ne_bytes([*t0, *t1]) {
-                    EV_KEY => value == [0; 4] && !RUN_KEYS.contains(&code.into()),
+                    EV_KEY => value == [0; 4] && !PANEL_KEYS.contains(&code.into()),
                     EV_SYN => code == SYN_DROPPED,
                     _ => false,
                 }
@@ -126,7 +130,7 @@ impl EnablingDevice {
 
 /// Whether any key is in `bits` that may enable.
 fn is_any(mut bits: Bits) -> bool {
-    for key in RUN_KEYS {
+    for key in PANEL_KEYS {
         bits[key / 8] &= !(1 << (key % 8));
     }
     bits != [0; KEYS / 8]
@@ -257,13 +261,13 @@ mod tests {
         hand.key(BUTTON, false);
         hand.key(PEDAL, false);
         assert_eq!(device.look(), Enabling::Released);
-        for key in RUN_KEYS {
+        for key in PANEL_KEYS {
             hand.key(key as u16, true);
             assert_eq!(device.look(), Enabling::Released);
         }
         hand.key(PEDAL, true);
         assert_eq!(device.look(), Enabling::Held);
-        hand.key(RUN_KEYS[0] as u16, false);
+        hand.key(PANEL_KEYS[0] as u16, false);
         assert_eq!(device.look(), Enabling::Held);
     }
 
