@@ -104,6 +104,7 @@ fn a_segment_that_a_tool_has_run_over_is_set_up_again_and_the_tool_is_named() {
         ("FMMUs of its own in OP", vec![fmmus]),
         ("no watchdog", vec![watchdog, state(AlState::SafeOp)]),
         ("SyncManagers cleared", vec![no_fmmus.clone(), managers, state(AlState::Init)]),
+        ("addresses of its own in SAFEOP", vec![first.clone(), second.clone(), state(AlState::SafeOp)]),
         ("addresses of its own", vec![state(AlState::Init), first, second, no_fmmus]),
     ] {
         let mut machine = Machine::enabled(plan(2));

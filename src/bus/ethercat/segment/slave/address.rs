@@ -129,7 +129,8 @@ impl Slave {
         let restarted =
             self.known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
         self.known &= !restarted;
-        if restarted {
+        if restarted || intruded {
+            // Under the address that another master has given it nothing would be read back.
             (self.clock_set, self.ours) = (false, false);
         }
         if restarted && station != self.station() {
