@@ -192,6 +192,11 @@ impl StopSequence {
         matches!(self.phase, Phase::Braking { .. })
     }
 
+    /// Whether it brakes by a ramp of this master.
+    pub fn is_ramp(&self) -> bool {
+        self.is_braking() && !self.escalated
+    }
+
     /// One cycle of the sequence; returns the command to give when a new phase is reached.
     ///
     /// While nothing is received from the drive, its time does not run: the probes carry the stop, and power off in

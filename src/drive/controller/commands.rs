@@ -159,7 +159,7 @@ impl DriveController {
             if next.call.is_none() && self.acts_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of what its group does stops the group: the others would go on
                 // without it.
-                self.stop_by(Braked::BySetpoints, Some(next.command), cycle, now, StopCause::GroupFailed);
+                self.stop_by(Braked::BySetpoints, cycle, now, StopCause::GroupFailed);
                 break;
             }
             if self.task_command.take().is_none() {
@@ -294,14 +294,14 @@ impl DriveController {
     }
 
     /// A stop that ends within the stop's time-out, however weak a deceleration was requested.
-    fn bounded(&self, command: Command) -> Command {
+    pub(super) fn bounded(&self, command: Command) -> Command {
         let Command::Stop { deceleration } = command else { return command };
         let requested = deceleration.unwrap_or(self.plan.profile.deceleration);
         Command::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
     }
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
-    fn admit(&self, queued: &QueuedCommand) -> Result<(), Failure> {
+    pub(super) fn admit(&self, queued: &QueuedCommand) -> Result<(), Failure> {
         match (queued.command, self.duty.latch()) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)

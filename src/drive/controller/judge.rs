@@ -293,8 +293,6 @@ impl DriveController {
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
-                // What it reports when it is back is read anew.
-                self.doubt.refer();
                 let rests = self.duty.claim() != Claim::Armed
                     && !self.duty.active().is_some_and(|one| acts(&one.command));
                 self.stop(cycle, now, StopCause::LinkLost);

@@ -25,7 +25,7 @@ impl DriveController {
         }
         // A drive that this master has commanded is never only read again.
         if self.plan.on_found_running == FoundRunning::Stop || self.duty.claim() != Claim::Found {
-            self.brake(now, braked, None);
+            self.brake(now, braked, RequestedEnd::default());
         }
     }
 
@@ -89,7 +89,7 @@ impl DriveController {
             let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit)
                 || cause == StopCause::FollowingError;
             let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
-            self.stop_by(braked, None, cycle, now, cause);
+            self.stop_by(braked, cycle, now, cause);
         } else {
             self.stop_again(cycle, now, cause);
         }
@@ -206,23 +206,15 @@ impl DriveController {
     /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
     /// written.
     pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let requested = self.duty.active().map(|active| active.command);
-        self.stop_by(Braked::BySetpoints, requested, cycle, now, cause);
+        self.stop_by(Braked::BySetpoints, cycle, now, cause);
     }
 
-    /// The same, by the drive or by setpoints. What the application has `requested` of the axis for its end is made no
-    /// softer by it.
-    pub(super) fn stop_by(
-        &mut self,
-        braked: Braked,
-        requested: Option<Command>,
-        cycle: &Cycle,
-        now: Time,
-        cause: StopCause,
-    ) {
+    /// The same, by the drive or by setpoints. What was requested of the axis for its end is made no softer by it.
+    pub(super) fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
         if !self.duty.latch().is_open() {
             return;
         }
+        let requested = self.requested_end();
         self.latch(cycle, now, cause);
         if self.duty.claim() != Claim::Found {
             self.brake(now, braked, requested);
@@ -251,18 +243,33 @@ impl DriveController {
         matches!(self.duty.active(), Some(QueuedCommand { command: Command::Native(own), .. }) if *own == owner)
     }
 
+    /// How the axis was to end its motion, by the drive machine's command or by one that was accepted and is about to
+    /// begin.
+    fn requested_end(&self) -> RequestedEnd {
+        let accepted = self.queues.commands.iter().chain(&self.task_command);
+        let accepted = accepted.filter(|queued| self.admit(queued).is_ok()).map(|queued| queued.command);
+        let mut end = RequestedEnd::default();
+        for command in accepted.map(|command| self.bounded(command)).chain(self.machine.command()) {
+            match command {
+                Command::QuickStop => end.quick = true,
+                Command::Disable => end.off = true,
+                Command::Stop { deceleration: Some(own) } => end.deceleration = end.deceleration.max(own),
+                _ => {}
+            }
+        }
+        end
+    }
+
     /// Starts the stop sequence of an axis that is latched, no softer than what was `requested` of it.
-    fn brake(&mut self, now: Time, braked: Braked, requested: Option<Command>) {
+    fn brake(&mut self, now: Time, braked: Braked, requested: RequestedEnd) {
         let Some(cause) = self.duty.latch().cause() else { return };
         let mut stop = self.plan.stop;
-        match requested {
-            Some(Command::Stop { deceleration: Some(own) }) => stop.deceleration = stop.deceleration.max(own),
-            Some(Command::Disable) => stop.then = StopThen::Disable,
-            _ => {}
+        stop.deceleration = stop.deceleration.max(requested.deceleration);
+        if requested.off {
+            stop.then = StopThen::Disable;
         }
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
-        let by_the_drive =
-            braked == Braked::ByTheDrive || self.is_under_torque() || requested == Some(Command::QuickStop);
+        let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque() || requested.quick;
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
         let (sequence, command) = start(stop, self.plan.load, now, self.speed());
         self.duty.set_latch(Latch::Down(cause, sequence));
@@ -270,10 +277,10 @@ impl DriveController {
     }
 
     /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
-    fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+    pub(super) fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let speed = self.speed();
         if matches!(self.duty.latch(), Latch::Kept(_)) {
-            return self.brake(now, Braked::ByTheDrive, None);
+            return self.brake(now, Braked::ByTheDrive, RequestedEnd::default());
         }
         let command = match self.duty.sequence() {
             Some((_, sequence)) if sequence.is_down() => sequence.again(now, speed),
@@ -326,7 +333,7 @@ impl DriveController {
         self.stop(cycle, now, StopCause::Shutdown);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.duty.latch(), Latch::Kept(_)) && self.duty.claim() != Claim::Found {
-            self.brake(now, Braked::BySetpoints, None);
+            self.brake(now, Braked::BySetpoints, RequestedEnd::default());
         }
         // Only ever read: not ours to power off.
         let Some((_, sequence)) = self.duty.sequence() else { return true };
@@ -377,6 +384,17 @@ pub(super) enum Braked {
     BySetpoints,
     /// The quick stop of its drive, whatever its plan names.
     ByTheDrive,
+}
+
+/// What an axis was to end its motion with.
+#[derive(Clone, Copy, Debug, Default)]
+struct RequestedEnd {
+    /// The quick stop of its drive.
+    quick: bool,
+    /// Power off.
+    off: bool,
+    /// The steepest ramp, user units/s²; 0: none.
+    deceleration: f64,
 }
 
 /// Whether the application's command is a stop.

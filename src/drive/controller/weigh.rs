@@ -43,11 +43,6 @@ impl Doubt {
         Doubt { is_open: false, losses: 0, proof, unreferenced: false, settles_until: Time(0), reach }
     }
 
-    /// The drive's own word for its reference counts again.
-    pub(super) fn refer(&mut self) {
-        self.unreferenced = false;
-    }
-
     /// A command has ended.
     pub(super) fn ended(&mut self, now: Time, command: &Command, outcome: Outcome) {
         if matches!(command, Command::Home | Command::Native(_)) {
@@ -158,14 +153,24 @@ impl DriveController {
     }
 
     /// The axis is where two reports agree, and cannot have moved there: its encoder or its drive has lost its place.
-    /// No setpoint of this master leads it from there, so its drive stops it.
+    /// No setpoint of this master leads it from there, nor holds it there, so its drive stops it: whatever has power and
+    /// was not only read.
     #[cold]
     pub(super) fn jump(&mut self, cycle: &Cycle, now: Time, by: f64) {
         self.bounds.forget();
         self.emit(cycle, now, EventKind::PositionJump(by));
-        if self.is_armed() {
-            let requested = self.duty.active().map(|active| active.command);
-            self.stop_by(Braked::ByTheDrive, requested, cycle, now, StopCause::PositionJump);
+        let ours = self.duty.claim() != Claim::Found && self.feedback.status.state.is_powered();
+        let Some((_, sequence)) = self.duty.sequence() else {
+            if ours || self.is_armed() {
+                self.stop_by(Braked::ByTheDrive, cycle, now, StopCause::PositionJump);
+            }
+            return;
+        };
+        if sequence.is_ramp() {
+            sequence.quicken();
+            self.issue(Some(Command::QuickStop));
+        } else if ours && sequence.is_down() {
+            self.stop_again(cycle, now, StopCause::PositionJump);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! What a stop requests of the drive: in place of what, and how steep.
 
 use super::*;
-use crate::axis::{StopHow, StopThen, Unit};
+use crate::axis::{HeldBy, Load, StopHow, StopThen, Unit};
 use crate::drive::at_end::Condition;
 
 #[test]
@@ -97,6 +97,47 @@ fn a_stop_of_the_loop_makes_nothing_softer_that_the_application_has_requested() 
                 assert_eq!(x.controller.newest(), Some(Command::Disable));
             }
             _ => assert_eq!(newest, Some(command)),
+        }
+    }
+}
+
+/// An axis that runs, and is stopped by the loop in the cycle in which `command` was posted, or some cycles later.
+fn stopped_after(load: Load, command: Command, cycles: u32) -> Alone {
+    let mut plan = plan();
+    plan.load = load;
+    (plan.stop.how, plan.stop.then) = (StopHow::Ramp, StopThen::Hold);
+    (plan.stop.deceleration, plan.profile.deceleration) = (1_000.0, 5_000.0);
+    let mut x = Alone::new(plan).enabled();
+    x.post(Command::Velocity { acceleration: 100.0 });
+    x.turn();
+    x.slot.status.velocity = 50.0;
+    x.turn();
+    x.post(command);
+    take_commands(from_mut(&mut x.controller), &mut x.bells);
+    x.turns(cycles);
+    x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::Group);
+    x
+}
+
+#[test]
+fn a_stop_of_the_loop_makes_nothing_softer_that_was_accepted_and_has_not_begun_or_brakes_by_the_profile() {
+    for cycles in [0, 1, 20] {
+        let newest = |command| stopped_after(Load::Level, command, cycles).controller.newest();
+        assert_eq!(newest(Command::QuickStop), Some(Command::QuickStop), "after {cycles} cycles");
+        for (own, steepest) in [(None, 5_000.0), (Some(7_000.0), 7_000.0), (Some(300.0), 1_000.0)] {
+            let stop = Command::Stop { deceleration: own };
+            assert_eq!(newest(stop), Some(Command::Stop { deceleration: Some(steepest) }), "{own:?}");
+        }
+        // Power is not to go from a load in motion that a brake has to hold: that is refused, and requests nothing.
+        for (load, off) in [(Load::Level, true), (Load::Vertical(HeldBy::Brake), false)] {
+            let mut x = stopped_after(load, Command::Disable, cycles);
+            x.slot.status.velocity = 0.0;
+            x.turns(200);
+            assert_eq!(
+                x.controller.newest() == Some(Command::Disable),
+                off,
+                "after {cycles} cycles, {load:?}"
+            );
         }
     }
 }

@@ -1,13 +1,17 @@
 //! Reports that one alone does not prove.
 
 use super::*;
-use crate::axis::DriveStatus;
+use crate::axis::{DriveStatus, StopHow};
 use crate::bus::desired::{Homing, Power};
 
 /// Enabled, 500 mm/s at most, with a drive whose reports may be older than the last one, or not.
 fn enabled(proof: u8) -> Alone {
     let mut plan = plan();
     plan.limits.velocity = Some(500.0);
+    enabled_as(plan, proof)
+}
+
+fn enabled_as(plan: AxisPlan, proof: u8) -> Alone {
     let mut x = Alone::of(plan, Capabilities { power_reports: proof, ..can() }).online();
     let id = x.post(Command::Enable);
     x.turn();
@@ -167,7 +171,7 @@ fn two_reports_that_agree_become_the_place_and_the_axis_stops_without_its_refere
 }
 
 #[test]
-fn a_homing_or_a_restart_or_a_lost_link_makes_the_word_of_the_drive_count_again() {
+fn a_homing_or_a_restart_makes_the_word_of_the_drive_count_again_and_a_lost_link_does_not() {
     let jumped = || {
         let mut x = moving(1);
         x.homed = Some(true);
@@ -204,7 +208,52 @@ fn a_homing_or_a_restart_or_a_lost_link_makes_the_word_of_the_drive_count_again(
     let mut x = jumped();
     (0..40).for_each(|_| x.miss());
     assert_eq!(x.controller.feedback().link, Link::Lost);
-    assert!(is_homed(&mut x));
+    assert!(!is_homed(&mut x), "the drive has not started again: it counts from the same wrong place");
+    assert_eq!(x.controller.feedback().link, Link::Online);
+}
+
+#[test]
+fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_drive() {
+    let stopped = |then: StopThen| {
+        let mut plan = plan();
+        plan.limits.velocity = Some(500.0);
+        (plan.stop.how, plan.stop.then) = (StopHow::Ramp, then);
+        let mut x = enabled_as(plan, 1);
+        x.at(1.0);
+        x.slot.status.velocity = 20.0;
+        x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::Overrun);
+        assert!(matches!(x.controller.newest(), Some(Command::Stop { .. })));
+        x
+    };
+    let jump = |x: &mut Alone| {
+        [340.0, 340.1].into_iter().for_each(|place| x.at(place));
+        x.controller.newest()
+    };
+    // On the ramp.
+    let mut x = stopped(StopThen::Hold);
+    assert_eq!(jump(&mut x), Some(Command::QuickStop));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Overrun), "the first cause stays");
+    // Held after it, and after its reset.
+    for reset in [false, true] {
+        let mut x = stopped(StopThen::Hold);
+        x.slot.status.velocity = 0.0;
+        x.turns(30);
+        if reset {
+            x.done_at_once(Command::Reset);
+        }
+        x.kinds();
+        assert_eq!(jump(&mut x), Some(Command::QuickStop));
+        assert!(x.kinds().contains(&EventKind::Stopped(StopCause::PositionJump)));
+    }
+    // One without power is moved by anything.
+    let mut x = stopped(StopThen::Disable);
+    x.slot.status.velocity = 0.0;
+    x.turns(30);
+    x.slot.status.state = State::ReadyToSwitchOn;
+    x.ends(Ok(()));
+    x.turns(3);
+    [340.0, 340.1].into_iter().for_each(|place| x.at(place));
+    assert_eq!(x.controller.newest(), Some(Command::Disable));
 }
 
 fn begun(x: &mut Alone, command: Command) {
