@@ -248,7 +248,8 @@ impl Machine {
             match event.kind {
                 EventKind::Stopped(cause) => {
                     assert!(expected, "axis {axis} was stopped for nothing: {event}");
-                    watch.stopped = Some(Stopped { cause, good_at: watch.good_at, told_at: None, off: false });
+                    watch.stopped =
+                        Some(Stopped { cause, good_at: watch.good_at, told_at: None, off: false });
                     watch.enabled = false;
                 }
                 EventKind::Ended { command, outcome, .. } => {

@@ -230,7 +230,8 @@ impl Watch {
             }
             EventKind::Stopped(cause) => {
                 // An axis that moves all the same is stopped again; its first cause stays.
-                let moves = matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+                let moves =
+                    matches!(cause, StopCause::Uncommanded | StopCause::Limit | StopCause::PositionJump);
                 assert!(
                     self.latched.is_none() || moves || self.deaf,
                     "{event}: stopped twice, {:?} before",
