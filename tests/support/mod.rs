@@ -280,19 +280,22 @@ impl Program {
     pub fn start<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Program {
         let mut command = Command::new(PROGRAM);
         command.args(arguments);
-        // Whoever runs the tests may ignore SIGHUP (nohup); the program is told of it all the same.
-        // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
-        unsafe {
-            command.pre_exec(|| {
-                libc::signal(libc::SIGHUP, libc::SIG_DFL);
-                Ok(())
-            });
-        }
         Program::spawn(&mut command)
     }
 
     pub fn spawn(command: &mut Command) -> Program {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // Whoever runs the tests may ignore SIGHUP (nohup), or SIGINT and SIGQUIT (a shell's job in the background); the
+        // program gets them all the same.
+        // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
+        unsafe {
+            command.pre_exec(|| {
+                for signal in [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT] {
+                    libc::signal(signal, libc::SIG_DFL);
+                }
+                Ok(())
+            });
+        }
         // Its files and sockets are not to lie among those of whoever runs the tests.
         if command.get_envs().all(|(set, _)| set != "XDG_RUNTIME_DIR") {
             directories_of(command, nix::unistd::geteuid().as_raw());

@@ -153,7 +153,7 @@ impl DriveController {
     }
 
     /// The axis is where two reports agree, and cannot have moved there: its encoder or its drive has lost its place.
-    /// No setpoint of this master leads it from there, nor holds it there, so its drive stops it: whatever has power and
+    /// No setpoint of this master leads it from there, nor holds it there, so its drive stops it, if it has power and
     /// was not only read.
     #[cold]
     pub(super) fn jump(&mut self, cycle: &Cycle, now: Time, by: f64) {

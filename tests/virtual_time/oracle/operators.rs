@@ -2,14 +2,14 @@
 //!
 //! | rule | statement |
 //! |---|---|
-//! | `held` | an axis moves only while its operator's jog is held, or a step or a homing of its operator has not ended |
+//! | `held` | an axis moves only while its operator holds its jog, or a step or homing of its operator has not ended |
 //! | `left` | once its operator has left, an axis comes to rest and, unless its stop holds it, its power goes off |
 //! | `one` | nobody but the operator commands, and nobody else becomes it |
 //! | `turn` | a request out of turn, and one for a jog that has ended, is refused |
 //! | `take` | whoever left or fell silent does not keep the axes from the next operator |
 //!
-//! What is held, who operates and who has left are worked out here from the requests and their answers alone. Bounds are
-//! counted in turns in which the drive can be reached.
+//! What is held, who operates and who has left are worked out here from the requests and their answers alone. Bounds
+//! are counted in turns in which the drive can be reached.
 
 use std::fmt::Write as _;
 

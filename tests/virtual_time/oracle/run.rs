@@ -54,7 +54,8 @@ pub struct Tally {
 /// What happens to a machine, and has to have an effect in a campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// A call of a group was accepted; a set of setpoints and a row of it were taken; a call ended at all members as Done.
+    /// A call of a group was accepted; a set of setpoints and a row of it were taken; a call ended at all members as
+    /// Done.
     Called,
     SetTogether,
     RowsTogether,
