@@ -285,7 +285,7 @@ impl Program {
 
     pub fn spawn(command: &mut Command) -> Program {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Whoever runs the tests may ignore SIGHUP (nohup), or SIGINT and SIGQUIT (a shell's job in the background); the
+        // Whoever runs the tests may ignore SIGHUP (nohup), or SIGINT and SIGQUIT (a job in the background). The
         // program gets them all the same.
         // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
         unsafe {
