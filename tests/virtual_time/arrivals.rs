@@ -191,7 +191,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
     // What runs on each axis: the id of its last command, and when the next one comes although it runs.
     let mut runs: [Option<(u64, u64)>; AXES] = [None; AXES];
     for cycle in 0.. {
-        for index in 0..AXES {
+        for (index, run) in runs.iter_mut().enumerate() {
             let status = sim.feedback(index).status;
             tally.strayed = tally.strayed.max((status.demand - status.position).abs() / allowed);
             let axis = sim.axis(index);
@@ -199,7 +199,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                 match event.kind {
                     EventKind::Ended { id, outcome: Outcome::Done, .. } => {
                         tally.done += 1;
-                        runs[index] = runs[index].filter(|(last, _)| *last != id.0);
+                        *run = run.filter(|(last, _)| *last != id.0);
                     }
                     EventKind::Ended { outcome: Outcome::Aborted(why), .. } => {
                         assert!(matches!(why, Abort::Replaced(_)), "{wire:?} {seed}: {why:?}");
@@ -211,10 +211,10 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                     _ => {}
                 }
             }
-            if runs[index].is_some_and(|(_, next)| cycle < next) || tally.moves >= most {
+            if run.is_some_and(|(_, next)| cycle < next) || tally.moves >= most {
                 continue;
             }
-            let replaces = runs[index].is_some();
+            let replaces = run.is_some();
             let from = status.demand;
             let way = scale.way * random.f64() * if random.bool() { 1.0 } else { -1.0 };
             let to = (from + way).clamp(scale.range.0, scale.range.1);
@@ -260,7 +260,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                 command => command,
             };
             match axis.post(command) {
-                Ok(id) => runs[index] = Some((id.0, runs_for)),
+                Ok(id) => *run = Some((id.0, runs_for)),
                 Err(error) => panic!("{wire:?} {seed}: {command:?}: {error}"),
             }
         }

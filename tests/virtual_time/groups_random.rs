@@ -67,7 +67,7 @@ enum Disturbance {
 
 impl Run {
     fn new(kind: Kind, seed: u64, log: Option<Log>) -> Run {
-        let shape = Shape { hold: seed % 2 != 0, group: 0b111, alike: true, ..Shape::of(kind) };
+        let shape = Shape { hold: !seed.is_multiple_of(2), group: 0b111, alike: true, ..Shape::of(kind) };
         let mut m = Machine::new(shape, log);
         let online = (0..30_000).any(|_| {
             m.step();

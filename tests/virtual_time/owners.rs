@@ -13,8 +13,11 @@ use fieldbeat::{CyclePlan, Flow, Master, Plan};
 use super::replay::{Log, verdict};
 use super::support::*;
 
-/// Each kind of motion, under way.
-const MOTIONS: [(&str, fn(&mut Bench)); 6] = [
+/// A kind of motion, and what begins it.
+type Motion = (&'static str, fn(&mut Bench));
+
+/// Each of them, under way.
+const MOTIONS: [Motion; 6] = [
     ("move", |b| {
         b.post(0, slowly_to(150.0));
     }),

@@ -312,6 +312,21 @@ mod tests {
     }
 
     #[test]
+    fn repeats_that_hang_after_the_end_of_a_hold_begin_none() {
+        let mut hold = shown(false);
+        for at in [0, 500, 530, 560] {
+            hold.stroke(ms(at), Way::Forward, Stroke::Down);
+        }
+        assert!(hold.held(ms(560)).is_some());
+        hold.end(ms(600));
+        // As a press and its first repeats would come.
+        for at in [850, 1_100, 1_150, 1_200] {
+            hold.stroke(ms(at), Way::Forward, Stroke::Down);
+            assert_eq!(hold.held(ms(at)), None, "{at}");
+        }
+    }
+
+    #[test]
     fn repeats_of_a_key_that_has_ended_its_run_begin_none() {
         let mut hold = Hold::new(true);
         hold.stroke(ms(0), Way::Forward, Stroke::Down);

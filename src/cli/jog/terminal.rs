@@ -186,7 +186,8 @@ mod tests {
 
     #[test]
     fn the_answers_of_a_terminal_are_found_among_keys_and_each_other() {
-        let answers: [(&[u8], Option<&[u8]>, Option<&[u8]>); 6] = [
+        type Found = Option<&'static [u8]>;
+        let answers: [(&[u8], Found, Found); 6] = [
             (b"\x1b[?62c", None, Some(b"62")),
             (b"\x1b[?0u\x1b[?62;22c", Some(b"0"), Some(b"62;22")),
             (b"e\x1b[C\x1b[?3u\x1b[?1;2c", Some(b"3"), Some(b"1;2")),

@@ -321,6 +321,24 @@ fn there_is_one_operator_and_the_next_one_comes_when_all_stands() {
 }
 
 #[test]
+fn only_a_power_off_is_accepted_while_an_axis_is_being_stopped() {
+    let mut bench = Bench::linmot().ready();
+    let step = Order::Step { distance: 1.0, velocity: SPEED };
+    for order in [step, Order::Home, Order::Enable, Order::Reset, Order::ResetFault, Order::Disable] {
+        let jog = bench.jog(SPEED);
+        assert!(bench.hold_for(jog, 300));
+        bench.must(Request::Stop);
+        let answer = bench.request(Request::Act(Act::Command { axis: 0, command: order }));
+        match order {
+            Order::Disable => assert!(answer.is_ok(), "{answer:?}"),
+            _ => assert!(answer.unwrap_err().contains("is being stopped: wait until it stands"), "{order:?}"),
+        }
+        bench.pass(bench.ramp_ms);
+        assert!(bench.stands());
+    }
+}
+
+#[test]
 fn a_refused_request_stops_what_moves() {
     let refused: [fn(u64) -> Request; 6] = [
         |_| Request::Act(Act::Command { axis: 0, command: Order::Enable }),

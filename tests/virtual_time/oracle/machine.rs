@@ -963,15 +963,15 @@ impl Machine {
             Kind::Moons => {
                 let [scanner, drive] = self.packets_of(index);
                 let shared = self.taps[index].lock();
-                let kept = if which % 2 == 0 { &shared.motions } else { &shared.replies };
+                let kept = if which.is_multiple_of(2) { &shared.motions } else { &shared.replies };
                 let Some(mut bytes) = kept.get(which / 4).cloned() else { return false };
                 drop(shared);
                 let elsewhere = SocketAddrV4::new(ELSEWHERE, PACKET_PORT);
-                let other = which / 2 % 2 == 0;
+                let other = (which / 2).is_multiple_of(2);
                 if other {
                     bytes[CONNECTION] ^= 0x55;
                 }
-                let [to, from] = if which % 2 == 0 { [drive, scanner] } else { [scanner, drive] };
+                let [to, from] = if which.is_multiple_of(2) { [drive, scanner] } else { [scanner, drive] };
                 self.world().inject(to, if other { from } else { elsewhere }, &bytes, at);
                 return false;
             }

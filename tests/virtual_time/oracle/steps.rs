@@ -157,13 +157,19 @@ pub enum Op {
 impl Op {
     /// It happens to all axes.
     pub fn is_of_all(&self) -> bool {
-        match self {
-            Op::Late(_) | Op::Overload { .. } | Op::Cut(_) | Op::Suspend(_) | Op::Die(_) | Op::Stuck(_) => {
-                true
-            }
-            Op::Together(_) | Op::LevelTogether { .. } | Op::RowsTogether { .. } | Op::Operate { .. } => true,
-            _ => false,
-        }
+        matches!(
+            self,
+            Op::Late(_)
+                | Op::Overload { .. }
+                | Op::Cut(_)
+                | Op::Suspend(_)
+                | Op::Die(_)
+                | Op::Stuck(_)
+                | Op::Together(_)
+                | Op::LevelTogether { .. }
+                | Op::RowsTogether { .. }
+                | Op::Operate { .. }
+        )
     }
 }
 
