@@ -282,8 +282,9 @@ pub struct DriveEnd {
 }
 
 impl DriveEnd {
-    /// In words: how it was left, what was tried, and what to do; nothing of a drive that is off.
-    pub(crate) fn left(&self, unit: Unit) -> Option<String> {
+    /// In words, with the `unit` of its axis: how it was left, what was tried, and what to do; nothing of a drive that
+    /// is off.
+    pub fn left(&self, unit: Unit) -> Option<String> {
         self.at_end.as_ref()?.line(&self.feedback, unit)
     }
 }
