@@ -873,13 +873,17 @@ impl Run {
         if self.axes.iter().any(Option::is_none) {
             return Ok(false);
         }
-        for _ in 0..UP {
-            if self.machine.online() {
-                break;
-            }
-            self.step()?;
-        }
         for _ in 0..ATTEMPTS {
+            // What a tool has done may show itself by then only: a watchdog ends the link.
+            for _ in 0..UP {
+                if self.machine.online() {
+                    break;
+                }
+                self.step()?;
+            }
+            if !self.machine.online() {
+                return Ok(false);
+            }
             let mut ready = true;
             for axis in 0..AXES {
                 if let Some(command) = self.way_back(axis) {
