@@ -31,7 +31,7 @@ use crate::virtual_time::support::{self, Bench, MASTER, Rig, with};
 
 const AXES: usize = 3;
 
-/// The stream of a LinMot has run empty (LinUDP sheet, 6).
+/// The stream of a LinMot has run empty (LinUDP sheet, 3.6).
 const UNDERFLOW: u32 = 0x83;
 /// Moves of one machine.
 const MOVES: u64 = 300;
