@@ -1034,7 +1034,12 @@ impl Machine {
             2 => pass(Apwr(place, register::AL_CONTROL), &state(AlState::Init)),
             3 => pass(Bwr(register::AL_CONTROL), &state(AlState::PreOp)),
             4 => pass(Apwr(place, register::fmmu(0)), &[0; 16]),
-            5 => pass(Apwr(place, register::sync_manager(2)), &[0; 8]),
+            // Without the other state the drive would go on with its last outputs, and no frame would show it: the
+            // memory behind the SyncManager is written all the same.
+            5 => {
+                pass(Apwr(place, register::sync_manager(2)), &[0; 8]);
+                pass(Apwr(place, register::AL_CONTROL), &state(AlState::SafeOp))
+            }
             _ => {
                 // It drives the outputs of the slave itself: enabled, and setpoints of any size.
                 let manager = pass(Aprd(place, register::sync_manager(2)), &[0; 8]);
