@@ -19,6 +19,8 @@ use crate::virtual_time::replay::Log;
 
 /// Turns after the last step of a round in which what it began goes on.
 const TAIL: u64 = 60;
+/// Turns between two tries to make an axis ready whose slave a tool may have lowered.
+const LOWERED: u32 = 100;
 /// Turns in which all ends, after a round.
 const SETTLED: u64 = 4_000;
 /// Turns in which a line comes up, and attempts to make an axis ready.
@@ -900,8 +902,10 @@ impl Run {
                 }
                 self.step()?;
             }
-            // An end is reported a turn before its consequences.
-            self.step()?;
+            // An end is reported a turn before its consequences. What a tool has lowered is read back before it goes on.
+            for _ in 0..if self.tool { LOWERED } else { 1 } {
+                self.step()?;
+            }
         }
         Ok(false)
     }
