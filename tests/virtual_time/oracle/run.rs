@@ -902,7 +902,7 @@ impl Run {
                 }
                 self.step()?;
             }
-            // An end is reported a turn before its consequences. What a tool has lowered is read back before it goes on.
+            // An end is reported a turn before its consequences; what a tool has lowered is read back first.
             for _ in 0..if self.tool { LOWERED } else { 1 } {
                 self.step()?;
             }
