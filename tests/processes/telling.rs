@@ -257,7 +257,12 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     master.signal(SIGUSR1);
     master.await_text("(requested, cycle ");
     sim.kill();
-    master.await_text("(drive d0: link lost, cycle ");
+    // The first one that is lost: on a busy computer either of them may have missed a reply before.
+    master.await_text(": link lost, cycle ");
+    let said = |drive: &str| {
+        format!("{}{}", master.out(), master.err()).contains(&format!("(drive {drive}: link lost"))
+    };
+    let first = if said("d0") { "d0" } else { "d1" };
     master.signal(SIGTERM);
     let ended = master.end();
     let summary = ended.expect(1).json();
@@ -266,7 +271,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     assert!(files.len() >= 2 && reported.len() == files.len(), "{summary}");
     assert!(reported.iter().all(|one| one["error"].is_null() && one["path"].as_str().is_some()), "{summary}");
 
-    let lost = reported.iter().find(|one| one["why"] == "drive d0: link lost").unwrap();
+    let lost = reported.iter().find(|one| one["why"] == format!("drive {first}: link lost")).unwrap();
     let path = Path::new(lost["path"].as_str().unwrap());
     let story = blackbox(path, &["--json"]).expect(0).json();
     assert_eq!((&story["header"]["cycle"], &story["header"]["why"]), (&lost["cycle"], &lost["why"]));
@@ -282,9 +287,10 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
         let (silent, lost) = (place(drive, "no reply", 20), place(drive, "link online -> lost", 1));
         assert!(silent < lost, "{happened:#?}");
     }
-    assert_eq!(happened[place("d0", "link online -> lost", 1)]["cycle"], lost["cycle"]);
+    assert_eq!(happened[place(first, "link online -> lost", 1)]["cycle"], lost["cycle"]);
     let text = blackbox(path, &[]).expect(0).out.clone();
-    assert!(text.contains("drive d0: link lost, in cycle") && text.contains("drive d1, mm"), "{text}");
+    let why = format!("drive {first}: link lost, in cycle");
+    assert!(text.contains(&why) && text.contains("drive d1, mm"), "{text}");
 }
 
 #[test]

@@ -78,7 +78,22 @@ pub fn again(name: &str, role: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     // With one thread its harness would write the name of the test before our first line.
     command.args([name, "--exact", "--include-ignored", "--nocapture", "--test-threads=2"]).env(ROLE, role);
+    gets_signals(&mut command);
     command
+}
+
+/// Whoever runs the tests may ignore SIGHUP (nohup), or SIGINT and SIGQUIT (a job in the background): the command gets
+/// them all the same.
+fn gets_signals(command: &mut Command) {
+    // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
+    unsafe {
+        command.pre_exec(|| {
+            for signal in [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT] {
+                libc::signal(signal, libc::SIG_DFL);
+            }
+            Ok(())
+        });
+    }
 }
 
 /// What this process shall play, if [`again`] started it.
@@ -280,22 +295,12 @@ impl Program {
     pub fn start<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Program {
         let mut command = Command::new(PROGRAM);
         command.args(arguments);
+        gets_signals(&mut command);
         Program::spawn(&mut command)
     }
 
     pub fn spawn(command: &mut Command) -> Program {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Whoever runs the tests may ignore SIGHUP (nohup), or SIGINT and SIGQUIT (a job in the background). The
-        // program gets them all the same.
-        // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
-        unsafe {
-            command.pre_exec(|| {
-                for signal in [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT] {
-                    libc::signal(signal, libc::SIG_DFL);
-                }
-                Ok(())
-            });
-        }
         // Its files and sockets are not to lie among those of whoever runs the tests.
         if command.get_envs().all(|(set, _)| set != "XDG_RUNTIME_DIR") {
             directories_of(command, nix::unistd::geteuid().as_raw());
