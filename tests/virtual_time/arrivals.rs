@@ -229,7 +229,9 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
             let way = scale.way * random.f64() * if random.bool() { 1.0 } else { -1.0 };
             let to = (from + way).clamp(scale.range.0, scale.range.1);
             let velocity = scale.velocity * (0.05 + 0.9 * random.f64());
-            let acceleration = scale.acceleration * (0.1 + 0.9 * random.f64());
+            let ramp = 0.1 + 0.9 * random.f64();
+            // A weaker ramp than that of the motion which it replaces could lead beyond a limit.
+            let acceleration = scale.acceleration * if replaces { 1.0 } else { ramp };
             let (command, runs_for) = match random.u32(0..100) {
                 // One that replaces another begins in motion: no row is near.
                 0..10 if scale.rows && !replaces => {
