@@ -336,7 +336,8 @@ fn steps(station: u64) -> Vec<Slot> {
     // Who it is: six entries; its categories up to the SyncManagers, and those.
     let sii = if is_drive { 6 + 4 + 2 * 4 } else { 6 + 4 + 2 * 2 };
     let mut steps = vec![
-        slot_of([(APRD, AL_STATUS, 18), (APRD, 0x0000, 18)]),
+        // From the state that was requested of it on: another master may have.
+        slot_of([(APRD, AL_CONTROL, 34), (APRD, 0x0000, 18)]),
         slot_of([(APWR, 0x0600, 128)]),
         // By force; to the master, and whether the slave has let it go; it is idle.
         slot_of([(APWR, SII_OWNER, 1)]),
