@@ -162,7 +162,7 @@ impl Tally {
 /// What goes on at an axis over several turns.
 #[derive(Default)]
 struct Around {
-    /// The setpoint that is given anew, and until which turn.
+    /// The setpoint that is given again, and until which turn.
     level: Option<(f64, u64)>,
     /// It is disconnected, or loses datagrams, until then.
     unplugged: Option<u64>,
@@ -217,7 +217,7 @@ pub struct Run {
     axes: Vec<Option<Axis>>,
     /// Calls of the group that have not ended.
     calls: Vec<Call>,
-    /// Setpoints of the group that are given anew, and until which turn.
+    /// Setpoints of the group that are given again, and until which turn.
     level: Option<(f64, u64)>,
     /// A tool has run over the segment, and nothing was written to a parameter.
     tool: bool,

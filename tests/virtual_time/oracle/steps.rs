@@ -63,7 +63,7 @@ pub enum Deed {
 pub enum Op {
     /// These commands are queued at once.
     Post(Vec<Choice>),
-    /// A setpoint, per cent, given anew in each of so many turns.
+    /// A setpoint, per cent, given again in each of so many turns.
     Level {
         percent: i8,
         turns: u8,
@@ -84,7 +84,7 @@ pub enum Op {
     /// Outputs of the native mode, per cent.
     Outputs(i8),
     /// These commands, one for each member of the group, are queued as one call. It concerns all axes, as do the next
-    /// two: a set of setpoints given anew in each of so many turns, and rows.
+    /// two: a set of setpoints given again in each of so many turns, and rows.
     Together(Vec<Choice>),
     LevelTogether {
         percent: i8,

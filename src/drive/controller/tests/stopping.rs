@@ -73,34 +73,6 @@ fn a_drive_that_answers_again_in_its_stop_gets_the_quick_stop_that_the_applicati
     }
 }
 
-#[test]
-fn a_stop_of_the_loop_makes_nothing_softer_that_the_application_has_requested() {
-    // In the cycle in which it begins, before any of it has left.
-    let steep = Command::Stop { deceleration: Some(9e9) };
-    for command in [Command::QuickStop, steep, Command::Disable] {
-        let mut plan = plan();
-        (plan.stop.how, plan.stop.then) = (StopHow::Ramp, StopThen::Hold);
-        let mut x = Alone::new(plan).enabled();
-        x.post(Command::Velocity { acceleration: 100.0 });
-        x.turn();
-        x.slot.status.velocity = 50.0;
-        x.turn();
-        x.post(command);
-        x.turn();
-        x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::GroupFailed);
-        let newest = x.controller.newest();
-        match command {
-            Command::Disable => {
-                assert!(matches!(newest, Some(Command::Stop { .. })), "{newest:?}");
-                x.slot.status.velocity = 0.0;
-                x.turns(200);
-                assert_eq!(x.controller.newest(), Some(Command::Disable));
-            }
-            _ => assert_eq!(newest, Some(command)),
-        }
-    }
-}
-
 /// An axis that runs, and is stopped by the loop in the cycle in which `command` was posted, or some cycles later.
 fn stopped_after(load: Load, command: Command, cycles: u32) -> Alone {
     let mut plan = plan();
@@ -124,13 +96,17 @@ fn a_stop_of_the_loop_makes_nothing_softer_that_was_accepted_and_has_not_begun_o
     for cycles in [0, 1, 20] {
         let newest = |command| stopped_after(Load::Level, command, cycles).controller.newest();
         assert_eq!(newest(Command::QuickStop), Some(Command::QuickStop), "after {cycles} cycles");
-        for (own, steepest) in [(None, 5_000.0), (Some(7_000.0), 7_000.0), (Some(300.0), 1_000.0)] {
+        for (own, steepest) in
+            [(None, 5_000.0), (Some(7_000.0), 7_000.0), (Some(300.0), 1_000.0), (Some(9e9), 9e9)]
+        {
             let stop = Command::Stop { deceleration: own };
             assert_eq!(newest(stop), Some(Command::Stop { deceleration: Some(steepest) }), "{own:?}");
         }
         // Power is not to go from a load in motion that a brake has to hold: that is refused, and requests nothing.
         for (load, off) in [(Load::Level, true), (Load::Vertical(HeldBy::Brake), false)] {
             let mut x = stopped_after(load, Command::Disable, cycles);
+            let newest = x.controller.newest();
+            assert!(matches!(newest, Some(Command::Stop { .. })), "{newest:?}");
             x.slot.status.velocity = 0.0;
             x.turns(200);
             assert_eq!(
