@@ -153,11 +153,12 @@ enum Step {
     Limited(f64),
     FollowWaiting,
     Following,
-    /// The last row has been sent, and rows at standstill follow it; so many reports have shown that another one of
-    /// all these was accepted, the last of them this one.
+    /// The last row has been sent, and rows at standstill follow it. So many reports have shown that another one of
+    /// all these was accepted, the last of them `newest`, since the demand came to `stood_at`.
     FollowEnding {
         taken: u32,
         newest: u64,
+        stood_at: f64,
         last: Row,
     },
     /// It moves, and does not follow what is written yet: what is to be done then.

@@ -6,10 +6,11 @@ use crate::axis::{Failure, Profile, RangeError, Row};
 use crate::bus::desired::{Generator, Motion, Ranges, Setpoint, Velocities};
 use crate::drive::planner::Point;
 
-/// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
-/// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
+/// A stream ends once the drive has accepted more than so many rows at standstill while its demand stood at the last
+/// one: its output runs 1.5 of its periods behind, or a whole buffer where rows were held up on their way to it, and a
+/// position that it has not reached when it leaves streaming is never reached ...
 const LAST_ROWS: u32 = 3;
-/// ... and with at most so many, if its demand is never reported to have arrived.
+/// ... or so many while its demand stood elsewhere.
 const MOST_LAST_ROWS: u32 = 50;
 /// The next target of a velocity is sent when so much of its leash is left.
 const LEASH_LEFT: f64 = 0.75;
@@ -225,7 +226,8 @@ impl State {
         self.row = next.number;
         self.stream(row);
         if next.row.last {
-            self.enter(Step::FollowEnding { taken: 0, newest: self.setpoint.row - 1, last: row });
+            let (newest, stood_at) = (self.setpoint.row - 1, view.evidence.demand);
+            self.enter(Step::FollowEnding { taken: 0, newest, stood_at, last: row });
         } else if self.step != Step::Following {
             self.enter(Step::Following);
         }
@@ -241,7 +243,7 @@ impl State {
     pub(super) fn lead_rows(&mut self, view: &View) -> End {
         match self.step {
             Step::FollowWaiting | Step::Following => self.follow_by_drive(view),
-            Step::FollowEnding { taken, newest, last } if self.sent > 0 => {
+            ending @ Step::FollowEnding { taken, last, .. } if self.sent > 0 => {
                 let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
                 if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
                     self.want_motion(Motion::EndStream);
@@ -250,7 +252,7 @@ impl State {
                 }
                 // The last row was in range, so is this one.
                 self.stream(Row { velocity: 0.0, acceleration: 0.0, ..last });
-                self.enter(Step::FollowEnding { taken, newest, last });
+                self.enter(ending);
                 None
             }
             _ => None,

@@ -269,13 +269,18 @@ impl State {
         }
     }
 
-    /// The last row has gone out. Rows at standstill follow, until the drive has taken enough of them.
+    /// The last row has gone out. Rows at standstill follow, until the drive has taken enough of them while its demand
+    /// stood.
     fn count_last_rows(&mut self, view: &View) {
-        let accepted = view.evidence.accepted.row;
-        if let Step::FollowEnding { taken, newest, .. } = &mut self.step
+        let (accepted, demand) = (view.evidence.accepted.row, view.evidence.demand);
+        if let Step::FollowEnding { taken, newest, stood_at, .. } = &mut self.step
             && accepted > *newest
         {
-            (*taken, *newest) = (*taken + 1, accepted);
+            let stands = (demand - *stood_at).abs() <= view.rules.can.arrival;
+            (*taken, *newest) = (if stands { *taken + 1 } else { 0 }, accepted);
+            if !stands {
+                *stood_at = demand;
+            }
         }
     }
 

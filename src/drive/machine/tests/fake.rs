@@ -68,6 +68,9 @@ pub struct Drive {
     pub wrapped: f64,
     /// It turns at this velocity while it is not halted.
     pub own_reference: Option<f64>,
+    /// Its output runs so many rows behind those that it has accepted.
+    pub buffer: usize,
+    rows: VecDeque<Point>,
     /// The newest first.
     pub reports: VecDeque<Report>,
     /// Each power that it was commanded, without repetitions.
@@ -143,6 +146,8 @@ impl Drive {
             blocked: None,
             wrapped: 0.0,
             own_reference: None,
+            buffer: 0,
+            rows: VecDeque::new(),
             reports: VecDeque::new(),
             powers: Vec::new(),
         }
@@ -228,10 +233,15 @@ impl Drive {
             (Motion::Ramp { deceleration }, _) if is_new => {
                 self.motion = own(Trajectory::run(from, 0.0, deceleration));
             }
-            (Motion::Follow, Generator::Drive { .. }) if setpoint.row > 0 => {
-                self.point = Point { position, velocity };
+            (Motion::Follow, Generator::Drive { .. }) if row > last => {
+                self.rows.push_back(Point { position, velocity });
+                if self.rows.len() > self.buffer {
+                    self.point = self.rows.pop_front().unwrap();
+                }
                 self.motion = None;
             }
+            // What it has not reached by then, it never reaches.
+            (Motion::EndStream, _) => self.rows.clear(),
             (_, Generator::Master(quantity)) if self.mode == ModeIs::Own => {
                 self.motion = None;
                 let dt = T as f64 * 1e-9;

@@ -1,5 +1,7 @@
 //! Moves, velocities, rows, torques, homing, and commands that are refused.
 
+use std::f64::consts::TAU;
+
 use super::*;
 use crate::axis::Lacks;
 use crate::bus::desired::{ModeIs, Ranges};
@@ -367,6 +369,34 @@ fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
     }
 }
 
+/// A host that was held up delivers many rows at once: the drive's buffer is deep from then on.
+#[test]
+fn a_stream_ends_only_once_a_drive_far_behind_has_arrived() {
+    for buffer in [0, 1, 8, 40, 60, 300] {
+        // Slower than its arrival between two exchanges, through the place of the last row, and back to it.
+        for sway in [0.0, 0.1] {
+            let mut rig = Rig::enabled(kinds()[0]);
+            rig.drive.buffer = buffer;
+            rig.start(Command::Follow);
+            const ROWS: u64 = 400;
+            for number in 1..=ROWS {
+                let phase = number as f64 / ROWS as f64;
+                let position = 10.0 + 2.0 * phase.min(0.5) + sway * (2.5 * TAU * phase).sin();
+                rig.row(number, position, number == ROWS);
+                rig.turn();
+            }
+            assert_eq!(rig.finish(), Ok(()), "{buffer} rows behind, {sway}");
+            assert!((rig.drive.point.position - 11.0).abs() < 1e-9, "{:?}", rig.drive.point);
+        }
+    }
+    // One that never goes anywhere.
+    let mut rig = Rig::enabled(kinds()[0]);
+    rig.drive.buffer = usize::MAX;
+    rig.start(Command::Follow);
+    rig.row(1, 10.1, true);
+    assert_eq!(rig.finish(), Err(Failure::NotArrived));
+}
+
 /// A stream at 50 units/s, from its begin on to 20 units further.
 fn streaming(rig: &mut Rig) -> u64 {
     rig.start(Command::Follow);
@@ -544,7 +574,7 @@ fn a_drive_in_another_mode_takes_no_motion() {
 #[test]
 fn the_rows_at_standstill_end_once_the_drive_has_taken_enough_of_them() {
     let can = Capabilities { arrival: 0.5, ..kinds()[0] };
-    for (lost, off, count) in [(0, 0.0, 5), (60, 0.0, 5), (60, 0.5, 5), (60, -0.75, 52)] {
+    for (lost, off, count) in [(0, 0.0, 5), (60, 0.0, 5), (60, 0.5, 5), (60, -0.75, 53)] {
         let mut rig = Rig::enabled(can);
         rig.start(Command::Follow);
         rig.row(1, 10.0, false);
