@@ -68,6 +68,46 @@ fn a_stop_whose_idle_packet_is_lost_is_sent_anew_at_once() {
     m.until("standstill", 100, |sim| !sim.feedback(0).status.moving);
 }
 
+/// A motion behind a command of which the drive has seen no end: the one is no edge behind the other.
+#[test]
+fn a_motion_whose_idle_packets_are_lost_is_sent_a_second_time() {
+    let stop = Command::Stop { deceleration: None };
+    for (before, word, motion) in [
+        (go(1.0), command::MOVE_ABSOLUTE, go(2.0)),
+        (stop, command::STOP, jog(3.0)),
+        (jog(3.0), command::JOG_SPEED, jog(1.0)),
+    ] {
+        let mut m = Moons::with(vec![drive(0)], |settings| settings.firmware.edges = Edges::Strict);
+        m.ready();
+        m.done(0, go(1.0));
+        if word != command::MOVE_ABSOLUTE {
+            m.post(0, jog(2.0));
+            m.run(300);
+        }
+        m.post(0, before);
+        while m.came(0, 0).last().is_none_or(|came| came.word != word) {
+            m.run(1);
+        }
+        m.taps[0].lock().lose = Some((0, u32::MAX));
+        m.run(20);
+        m.until("its end", 200, |sim| word == command::JOG_SPEED || !sim.feedback(0).status.moving);
+        let count = m.count(0);
+        m.post(0, motion);
+        while m.count(0) == count {
+            m.run(1);
+        }
+        m.taps[0].lock().lose = None;
+        let arrived = |m: &Moons| match (motion, m.feedback(0).status) {
+            (Command::Jog(jog), status) => (status.velocity - jog.velocity).abs() < 0.05,
+            (_, status) => (status.demand - 2.0).abs() < 0.001,
+        };
+        assert!(!arrived(&m), "{motion:?}: it was no edge");
+        m.run(1_500);
+        assert!(arrived(&m), "{motion:?}: {:?}", m.truth(0));
+        assert!(m.feedback(0).stopped.is_none());
+    }
+}
+
 #[test]
 fn a_stop_is_never_flatter_than_it_shall_be() {
     // The moves of this axis end gently, and its stop does not.

@@ -127,6 +127,9 @@ pub(super) struct Profile {
     sent: (u64, u64),
     /// The effect of the newest motion was seen.
     is_taken: bool,
+    /// The command word of the newest motion, once it was sent, and whether it is to be sent for the second time.
+    word: u32,
+    is_repeated: bool,
     refused: Option<Refused>,
     /// The jog that runs has this deceleration, 10 rpm/s: it is fixed meanwhile.
     jog: Option<u32>,
@@ -160,6 +163,7 @@ struct Before {
     motion: Intent<Motion>,
     motion_step: Step,
     is_taken: bool,
+    is_repeated: bool,
     refused: Option<Refused>,
     homing: HomingIs,
     zeroed: bool,
@@ -191,6 +195,8 @@ impl Profile {
             has_native: false,
             sent: (0, 0),
             is_taken: false,
+            word: command::IDLE,
+            is_repeated: false,
             refused: None,
             jog: None,
             ramp: None,
@@ -284,7 +290,7 @@ impl Profile {
 
     fn as_it_is(&self) -> Before {
         let &Profile { outputs, power, power_step, motion, motion_step, .. } = self;
-        let &Profile { is_taken, refused, homing, zeroed, may_come_on, .. } = self;
+        let &Profile { is_taken, is_repeated, refused, homing, zeroed, may_come_on, .. } = self;
         Before {
             outputs,
             power,
@@ -292,6 +298,7 @@ impl Profile {
             motion,
             motion_step,
             is_taken,
+            is_repeated,
             refused,
             homing,
             zeroed,
@@ -303,10 +310,10 @@ impl Profile {
     pub(super) fn unsent(&mut self) {
         let Some(before) = self.before.take() else { return };
         let Before { outputs, power, power_step, motion, motion_step, .. } = before;
-        let Before { is_taken, refused, homing, zeroed, may_come_on, .. } = before;
+        let Before { is_taken, is_repeated, refused, homing, zeroed, may_come_on, .. } = before;
         (self.outputs, self.power, self.power_step) = (outputs, power, power_step);
         (self.motion, self.motion_step, self.is_taken) = (motion, motion_step, is_taken);
-        (self.refused, self.homing, self.zeroed) = (refused, homing, zeroed);
+        (self.is_repeated, self.refused, self.homing, self.zeroed) = (is_repeated, refused, homing, zeroed);
         (self.may_come_on, self.next_holder) = (may_come_on, Holder::Nobody);
     }
 
@@ -380,6 +387,7 @@ impl Profile {
         let runs = (seen.moves() || self.holder == Holder::Motion) && is_begun(self.motion.value);
         self.motion = motion;
         (self.refused, self.is_taken, self.homing, self.zeroed) = (None, false, HomingIs::Open, false);
+        self.is_repeated = false;
         native.runs(matches!(motion.value, Motion::Native(_)));
         if was_native || matches!(motion.value, Motion::Native(_)) {
             native.flush();
@@ -439,6 +447,7 @@ impl Profile {
                 self.may_come_on |= self.outputs.command == command::ENABLE;
             }
             Holder::Motion => {
+                self.word = self.outputs.command;
                 match self.motion.value {
                     Motion::Velocity { .. } => {
                         (self.jog, self.ramp) =
@@ -478,10 +487,19 @@ impl Profile {
             Step::Held if stops && !seen => Step::Due,
             Step::Held if self.motion.value == Motion::Home && seen => Step::Runs,
             Step::Held => {
-                if !seen && !self.is_taken {
-                    self.refused = Some(Refused::NotTaken);
+                let lost = !seen && !self.is_taken;
+                // It was no edge if each idle packet before it was lost. Of another speed nothing shows that it was
+                // taken. A relative move or a homing could be made twice.
+                let again = self.word == command::JOG_SPEED
+                    || lost && matches!(self.word, command::MOVE_ABSOLUTE | command::JOG);
+                if again && !std::mem::replace(&mut self.is_repeated, true) {
+                    Step::Due
+                } else {
+                    if lost {
+                        self.refused = Some(Refused::NotTaken);
+                    }
+                    Step::Settled
                 }
-                Step::Settled
             }
             Step::Zeroing { .. } if seen => {
                 (self.homing, self.homed) = (HomingIs::Attained, true);
