@@ -196,6 +196,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
     let mut tally = Tally::default();
     // What runs on each axis: the id of its last command, and when the next one comes although it runs.
     let mut runs: [Option<(u64, u64)>; AXES] = [None; AXES];
+    let mut faulted = None;
     for cycle in 0.. {
         for (index, run) in runs.iter_mut().enumerate() {
             let status = sim.feedback(index).status;
@@ -215,11 +216,24 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                         tally.underflows += 1;
                         return tally;
                     }
+                    // Its number follows.
+                    EventKind::Stopped(StopCause::DriveFault) if wire == Wire::LinMot => {
+                        faulted = Some(cycle)
+                    }
+                    EventKind::Ended { outcome: Outcome::Failed(Failure::DriveFault(UNDERFLOW)), .. }
+                        if faulted.is_some() => {}
                     EventKind::Ended { .. } | EventKind::Stopped(_) | EventKind::Fault(1..) => {
                         panic!("{wire:?} {seed}, axis {index}, cycle {cycle}: {event} {tally:?} {status:?}")
                     }
                     _ => {}
                 }
+            }
+            if let Some(since) = faulted {
+                assert!(
+                    cycle < since + 200,
+                    "{wire:?} {seed}: a fault without a number {tally:?} {status:?}"
+                );
+                continue;
             }
             if run.is_some_and(|(_, next)| cycle < next) || tally.moves >= most {
                 continue;

@@ -203,7 +203,7 @@ impl State {
         };
         match self.step {
             // The time to arrive begins with the end of the demand; the drive may move on for longer.
-            Step::Moving(target) if has_it && !(view.drive_makes_setpoints() && view.status.moving) => {
+            Step::Moving(target) if has_it && !(demand_goes_on(target, view) && view.status.moving) => {
                 self.begin_step(view.now, Step::Arriving { target, stood: 0 });
                 return self.arrive(target, 0, has_it, view);
             }
@@ -242,16 +242,14 @@ impl State {
     /// proves neither.
     fn arrive(&mut self, target: f64, stood: u8, has_it: bool, view: &View) -> End {
         let stands = has_it && !view.status.moving;
-        if !stands && view.drive_makes_setpoints() {
-            // Its setpoints go on.
+        if !stands && demand_goes_on(target, view) {
             self.enter(Step::Moving(target));
             return None;
         }
         let (can, wanted) = (&view.rules.can, &view.rules.in_position);
         let stood = if stands { stood.saturating_add(1) } else { 0 };
         self.step = Step::Arriving { target, stood };
-        let ended = (target - view.evidence.demand).abs() <= can.arrival;
-        if stood >= can.still_reports && !ended {
+        if stood >= can.still_reports && is_elsewhere(target, view) {
             return self.fail(Failure::NotArrived);
         }
         let (distance, near) = view.off(target);
@@ -498,4 +496,14 @@ impl State {
         }
         None
     }
+}
+
+/// The setpoints of the drive go on. One that is said to move and whose demand is at the target has none left: the time
+/// to arrive has begun.
+fn demand_goes_on(target: f64, view: &View) -> bool {
+    view.drive_makes_setpoints() && is_elsewhere(target, view)
+}
+
+fn is_elsewhere(target: f64, view: &View) -> bool {
+    (target - view.evidence.demand).abs() > view.rules.can.arrival
 }
