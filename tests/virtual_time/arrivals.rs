@@ -208,6 +208,14 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                         tally.done += 1;
                         *run = run.filter(|(last, _)| *last != id.0);
                     }
+                    // The number follows.
+                    EventKind::Stopped(StopCause::DriveFault)
+                    | EventKind::Ended {
+                        outcome:
+                            Outcome::Aborted(Abort::Stopped(StopCause::DriveFault))
+                            | Outcome::Failed(Failure::DriveFault(_)),
+                        ..
+                    } if wire == Wire::LinMot => faulted = Some(cycle),
                     EventKind::Ended { outcome: Outcome::Aborted(why), .. } => {
                         assert!(matches!(why, Abort::Replaced(_)), "{wire:?} {seed}: {why:?}");
                         tally.replaced += 1;
@@ -216,12 +224,6 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                         tally.underflows += 1;
                         return tally;
                     }
-                    // Its number follows.
-                    EventKind::Stopped(StopCause::DriveFault) if wire == Wire::LinMot => {
-                        faulted = Some(cycle)
-                    }
-                    EventKind::Ended { outcome: Outcome::Failed(Failure::DriveFault(UNDERFLOW)), .. }
-                        if faulted.is_some() => {}
                     EventKind::Ended { .. } | EventKind::Stopped(_) | EventKind::Fault(1..) => {
                         panic!("{wire:?} {seed}, axis {index}, cycle {cycle}: {event} {tally:?} {status:?}")
                     }
