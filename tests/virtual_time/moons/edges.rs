@@ -108,6 +108,31 @@ fn a_motion_whose_idle_packets_are_lost_is_sent_a_second_time() {
     }
 }
 
+/// The drive ends a jog at its limit switch while another speed is under way to it, or is sent for the second time.
+#[test]
+fn another_speed_never_begins_a_jog_that_the_drive_has_ended() {
+    // One revolution above where its position is set to 0.
+    const LIMIT: i32 = 0;
+    let mut ended = 0;
+    for place in 70..100 {
+        let mut m = Moons::with(vec![drive(0)], |settings| {
+            settings.motor.limits = Some((-100_000, LIMIT));
+        });
+        m.ready();
+        m.post(0, jog(2.0));
+        let place = f64::from(place) / 100.0;
+        m.until("its place", 2_000, |sim| sim.feedback(0).status.demand >= place);
+        let before = m.count(0);
+        m.post(0, jog(1.5));
+        m.run(400);
+        let words = edges(&m.came(0, before));
+        assert!(!words.contains(&command::JOG), "{place}: {words:x?}");
+        assert!(!m.feedback(0).status.moving, "{place}: {:?}", m.feedback(0));
+        ended += u32::from(words.contains(&command::JOG_SPEED));
+    }
+    assert!(ended > 20, "{ended}");
+}
+
 #[test]
 fn a_stop_is_never_flatter_than_it_shall_be() {
     // The moves of this axis end gently, and its stop does not.

@@ -481,6 +481,22 @@ impl Profile {
         }
     }
 
+    /// The same command would be sent again, and acted on: it waits for no later enable, and another speed of a jog that
+    /// is over would begin a new one.
+    fn may_repeat(&self, seen: &Seen) -> bool {
+        self.power.value == Power::EnableOperation
+            && seen.is_enabled()
+            && self.motion_word(self.motion.value, seen) == Some(self.word)
+    }
+
+    /// The motion is not sent any more.
+    fn not_taken(&mut self) -> Step {
+        if !self.is_taken {
+            self.refused = Some(Refused::NotTaken);
+        }
+        Step::Settled
+    }
+
     fn motion_ended(&mut self, seen: bool) {
         let stops = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
         self.motion_step = match self.motion_step {
@@ -492,13 +508,10 @@ impl Profile {
                 // taken. A relative move or a homing could be made twice.
                 let again = self.word == command::JOG_SPEED
                     || lost && matches!(self.word, command::MOVE_ABSOLUTE | command::JOG);
-                if again && !std::mem::replace(&mut self.is_repeated, true) {
+                if again && self.may_repeat(&self.proved) && !std::mem::replace(&mut self.is_repeated, true) {
                     Step::Due
                 } else {
-                    if lost {
-                        self.refused = Some(Refused::NotTaken);
-                    }
-                    Step::Settled
+                    self.not_taken()
                 }
             }
             Step::Zeroing { .. } if seen => {
