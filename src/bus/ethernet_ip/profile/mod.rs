@@ -481,8 +481,8 @@ impl Profile {
         }
     }
 
-    /// The same command would be sent again, and acted on: it waits for no later enable, and another speed of a jog that
-    /// is over would begin a new one.
+    /// The same command would be sent again, and acted on: it waits for no later enable, and another speed of a jog
+    /// that is over would begin a new one.
     fn may_repeat(&self, seen: &Seen) -> bool {
         self.power.value == Power::EnableOperation
             && seen.is_enabled()
