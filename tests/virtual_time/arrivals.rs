@@ -35,8 +35,8 @@ const AXES: usize = 3;
 const UNDERFLOW: u32 = 0x83;
 /// Moves of one machine.
 const MOVES: u64 = 300;
-/// Cycles in which a machine comes up.
-const UP: u64 = 10_000;
+/// Cycles in which a machine comes up: a connection of a MOONS' that fails some times in a row pauses for up to 16 s.
+const UP: u64 = 60_000;
 
 /// A wire whose drives have positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
