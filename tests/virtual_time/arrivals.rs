@@ -237,7 +237,15 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                 );
                 continue;
             }
-            if run.is_some_and(|(_, next)| cycle < next) || tally.moves >= most {
+            if run.is_some_and(|(_, next)| cycle < next) {
+                continue;
+            }
+            if tally.moves >= most {
+                // A jog has no end of its own.
+                if run.is_some() {
+                    let stop = axis.post(Command::Stop { deceleration: None });
+                    *run = stop.ok().map(|id| (id.0, u64::MAX));
+                }
                 continue;
             }
             let replaces = run.is_some();
@@ -292,7 +300,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
                 Err(error) => panic!("{wire:?} {seed}: {command:?}: {error}"),
             }
         }
-        if tally.moves >= most && runs.iter().all(|run| run.is_none_or(|(_, next)| next < u64::MAX)) {
+        if tally.moves >= most && runs.iter().all(Option::is_none) {
             break;
         }
         sim.step();
