@@ -243,7 +243,7 @@ fn moves(wire: Wire, seed: u64, most: u64) -> Tally {
             if tally.moves >= most {
                 // A jog has no end of its own.
                 if run.is_some() {
-                    let stop = axis.post(Command::Stop { deceleration: None });
+                    let stop = axis.post(Command::Stop { deceleration: Some(scale.acceleration) });
                     *run = stop.ok().map(|id| (id.0, u64::MAX));
                 }
                 continue;

@@ -2,8 +2,9 @@
 //! it is not shown, proves nothing and leads to nothing. The next one decides.
 //!
 //! - **A loss** of power, reference or hardware enable takes as many reports in a row as a state of its power
-//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)). What this master has
-//!   requested needs no more proof than its command takes.
+//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)), that say the same of
+//!   power: a reference that has changed and an old state are no two reports of a loss. What this master has requested
+//!   needs no more proof than its command takes.
 //! - **A place** that the axis cannot have reached ([`Reach`]) takes a second report that agrees with it, on every
 //!   wire. Then the axis is there, is no longer homed, and stops.
 //!
@@ -21,6 +22,9 @@ use crate::time::{MS, Time};
 /// After a homing, or after native mode, the positions may change their origin for so long, ns.
 const SETTLES_NS: u64 = 200 * MS;
 
+/// What a report says to be lost: power or the hardware enable, and the reference.
+type Losses = (bool, bool);
+
 /// What is not certain about the reports of one drive.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
@@ -29,8 +33,9 @@ pub(super) struct Doubt {
     is_open: bool,
     /// So many reports in a row say a loss ...
     losses: u8,
-    /// ... of as many that prove it.
+    /// ... of as many that prove it; the newest of them says these.
     proof: u8,
+    said: Losses,
     /// The position has jumped: what the drive says of its reference does not count until it homes, or starts anew.
     unreferenced: bool,
     /// The origin of the positions may change until then.
@@ -40,7 +45,15 @@ pub(super) struct Doubt {
 
 impl Doubt {
     pub(super) fn new(reach: Reach, proof: u8) -> Doubt {
-        Doubt { is_open: false, losses: 0, proof, unreferenced: false, settles_until: Time(0), reach }
+        Doubt {
+            is_open: false,
+            losses: 0,
+            proof,
+            said: Losses::default(),
+            unreferenced: false,
+            settles_until: Time(0),
+            reach,
+        }
     }
 
     /// A command has ended.
@@ -101,9 +114,16 @@ impl DriveController {
         let falls = is_up(desired.power.value)
             && !self.duty.follows().is_free
             && rank(status.state) < rank(before.state);
-        let loses = falls || rehomed || status.inhibited && !before.inhibited;
-        if loses && before.state != State::Unknown && self.doubt.proof > 1 {
-            self.doubt.losses = self.doubt.losses.saturating_add(u8::from(!status.suspect));
+        let says = (falls || status.inhibited && !before.inhibited, rehomed);
+        if says != Losses::default() && before.state != State::Unknown && self.doubt.proof > 1 {
+            if !status.suspect {
+                let Doubt { losses, said, .. } = &mut self.doubt;
+                if says.0 > said.0 || !says.0 && says.1 > said.1 {
+                    // The ones before, if there are any, have not said that.
+                    counters.implausible += u64::from(std::mem::take(losses));
+                }
+                (*losses, *said) = (losses.saturating_add(1), says);
+            }
             if status.suspect || self.doubt.losses < self.doubt.proof {
                 return Weight::Held;
             }

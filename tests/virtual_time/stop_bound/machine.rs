@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, Command, DriveStatus, EventKind, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan,
-    StopThen, Target,
+    self, AxisPlan, Command, DriveStatus, EventKind, Health, Link, Outcome, Row, StopCause, StopHow,
+    StopPlan, StopThen, Target,
 };
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, ReplyTag, StreamCommand};
 use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef};
@@ -326,7 +326,10 @@ impl Machine {
             let command = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
                 Some(_) => Some(Command::Reset),
-                None if feedback.status.fault != 0 => Some(Command::ResetFault),
+                // Its number comes later than its state.
+                None if feedback.status.state == axis::State::Fault || feedback.status.fault != 0 => {
+                    Some(Command::ResetFault)
+                }
                 None => {
                     assert!(
                         !feedback.status.moving,

@@ -103,6 +103,29 @@ fn a_second_report_of_a_loss_proves_it_and_where_none_is_older_the_first_one_doe
 }
 
 #[test]
+fn two_reports_of_different_losses_prove_neither() {
+    let [.., unhomed] = LOSSES;
+    for power in &LOSSES[..6] {
+        for [first, second] in [[&unhomed, power], [power, &unhomed]] {
+            let mut x = moving(2);
+            let before = x.controller.feedback().status;
+            x.reports(first);
+            x.reports(second);
+            let Feedback { status, age, stopped, .. } = *x.controller.feedback();
+            assert_eq!((DriveStatus { at: before.at, ..status }, age, stopped), (before, 2, None));
+            x.turn();
+            assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, 2));
+            assert_eq!((x.controller.feedback().stopped, x.kinds()), (None, vec![]));
+        }
+    }
+    // A loss of power takes the reference along.
+    let mut x = moving(2);
+    x.reports(|status| status.state = State::SwitchedOn);
+    x.reports(|status| (status.state, status.homed) = (State::SwitchedOn, false));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+}
+
+#[test]
 fn a_suspect_report_neither_proves_a_loss_nor_disproves_it() {
     let mut x = moving(2);
     for suspect in [true, true, false, true] {
