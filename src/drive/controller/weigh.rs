@@ -118,7 +118,8 @@ impl DriveController {
         if says != Losses::default() && before.state != State::Unknown && self.doubt.proof > 1 {
             if !status.suspect {
                 let Doubt { losses, said, .. } = &mut self.doubt;
-                if says.0 > said.0 || !says.0 && says.1 > said.1 {
+                let (power, reference) = says;
+                if power && !said.0 || !power && reference && !said.1 {
                     // The ones before, if there are any, have not said that.
                     counters.implausible += u64::from(std::mem::take(losses));
                 }
