@@ -2,9 +2,9 @@
 //! it is not shown, proves nothing and leads to nothing. The next one decides.
 //!
 //! - **A loss** of power, reference or hardware enable takes as many reports in a row as a state of its power
-//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)), that say the same of
-//!   power: a reference that has changed and an old state are no two reports of a loss. What this master has requested
-//!   needs no more proof than its command takes.
+//!   ([`Capabilities::power_reports`](crate::bus::desired::Capabilities::power_reports)). A report of a lost reference
+//!   and one of lost power do not prove each other. What this master has requested needs no more proof than its
+//!   command takes.
 //! - **A place** that the axis cannot have reached ([`Reach`]) takes a second report that agrees with it, on every
 //!   wire. Then the axis is there, is no longer homed, and stops.
 //!
