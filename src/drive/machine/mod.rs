@@ -154,9 +154,11 @@ enum Step {
     FollowWaiting,
     Following,
     /// The last row has been sent, and rows at standstill follow it. So many reports have shown that another one of
-    /// all these was accepted, the last of them `newest`, since the demand came to `stood_at`.
+    /// all these was accepted, the last of them `newest`: `taken` since the demand came to `stood_at`, `all` since the
+    /// last row.
     FollowEnding {
-        taken: u32,
+        taken: u16,
+        all: u16,
         newest: u64,
         stood_at: f64,
         last: Row,

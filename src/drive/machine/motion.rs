@@ -9,9 +9,11 @@ use crate::drive::planner::Point;
 /// A stream ends once the drive has accepted more than so many rows at standstill while its demand stood at the last
 /// one: its output runs 1.5 of its periods behind, or a whole buffer where rows were held up on their way to it, and a
 /// position that it has not reached when it leaves streaming is never reached ...
-const LAST_ROWS: u32 = 3;
+const LAST_ROWS: u16 = 3;
 /// ... or so many while its demand stood elsewhere.
-const MOST_LAST_ROWS: u32 = 50;
+const MOST_LAST_ROWS: u16 = 50;
+/// ... or so many in all: no drive's buffer, and no socket's, is as deep, and what moves on is not the stream.
+const MOST_BEHIND: u16 = 5_000;
 /// The next target of a velocity is sent when so much of its leash is left.
 const LEASH_LEFT: f64 = 0.75;
 
@@ -227,7 +229,7 @@ impl State {
         self.stream(row);
         if next.row.last {
             let (newest, stood_at) = (self.setpoint.row - 1, view.evidence.demand);
-            self.enter(Step::FollowEnding { taken: 0, newest, stood_at, last: row });
+            self.enter(Step::FollowEnding { taken: 0, all: 0, newest, stood_at, last: row });
         } else if self.step != Step::Following {
             self.enter(Step::Following);
         }
@@ -243,9 +245,9 @@ impl State {
     pub(super) fn lead_rows(&mut self, view: &View) -> End {
         match self.step {
             Step::FollowWaiting | Step::Following => self.follow_by_drive(view),
-            ending @ Step::FollowEnding { taken, last, .. } if self.sent > 0 => {
+            ending @ Step::FollowEnding { taken, all, last, .. } if self.sent > 0 => {
                 let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
-                if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
+                if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS || all > MOST_BEHIND {
                     self.want_motion(Motion::EndStream);
                     self.begin_step(view.now, Step::Moving(last.position));
                     return None;

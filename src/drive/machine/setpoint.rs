@@ -355,7 +355,7 @@ impl State {
         (self.row, self.setpoint.row) = (next.number, self.next_serial());
         if next.row.last {
             let last = Row { position, ..next.row };
-            self.enter(Step::FollowEnding { taken: 0, newest: 0, stood_at: position, last });
+            self.enter(Step::FollowEnding { taken: 0, all: 0, newest: 0, stood_at: position, last });
         } else if self.step != Step::Following {
             self.enter(Step::Following);
         }

@@ -268,12 +268,13 @@ impl State {
     }
 
     /// The last row has gone out. Rows at standstill follow, until the drive has taken enough of them while its demand
-    /// stood.
+    /// stood, or more than any buffer holds.
     fn count_last_rows(&mut self, view: &View) {
         let (accepted, demand) = (view.evidence.accepted.row, view.evidence.demand);
-        if let Step::FollowEnding { taken, newest, stood_at, .. } = &mut self.step
+        if let Step::FollowEnding { taken, all, newest, stood_at, .. } = &mut self.step
             && accepted > *newest
         {
+            *all += 1;
             let stands = (demand - *stood_at).abs() <= view.rules.can.arrival;
             (*taken, *newest) = (if stands { *taken + 1 } else { 0 }, accepted);
             if !stands {

@@ -71,6 +71,8 @@ pub struct Drive {
     /// Its output runs so many rows behind those that it has accepted.
     pub buffer: usize,
     rows: VecDeque<Point>,
+    /// Its demand is reported so far from where it is, to either side in turn.
+    pub restless: f64,
     /// The newest first.
     pub reports: VecDeque<Report>,
     /// Each power that it was commanded, without repetitions.
@@ -148,6 +150,7 @@ impl Drive {
             own_reference: None,
             buffer: 0,
             rows: VecDeque::new(),
+            restless: 0.0,
             reports: VecDeque::new(),
             powers: Vec::new(),
         }
@@ -339,6 +342,8 @@ impl Drive {
     fn report(&mut self, now: Time) {
         let Point { position: demand, velocity } = self.point;
         let position = self.blocked.unwrap_or(demand) + self.wrapped;
+        self.restless = -self.restless;
+        let demand = demand + self.restless;
         let status = DriveStatus {
             at: now,
             state: self.state,

@@ -396,6 +396,12 @@ fn a_stream_ends_only_once_a_drive_far_behind_has_arrived() {
     rig.start(Command::Follow);
     rig.row(1, 10.1, true);
     assert_eq!(rig.finish(), Err(Failure::NotArrived));
+    // One whose demand is there, and never rests.
+    let mut rig = Rig::enabled(kinds()[0]);
+    rig.drive.restless = 2.0 * rig.drive.can.arrival;
+    rig.start(Command::Follow);
+    rig.row(1, 10.1, true);
+    assert_eq!(rig.finish(), Err(Failure::NotArrived));
 }
 
 /// A stream at 50 units/s, from its begin on to 20 units further.
