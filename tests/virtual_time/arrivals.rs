@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `ARRIVALS_MOVES` | how many moves a wire the long run has |
 //! | `ARRIVALS_SEED` | its first seed |
+//! | `ARRIVALS_WIRE` | only this wire, by the names of [`Wire`] |
 
 use fastrand::Rng;
 use fieldbeat::axis::{
@@ -338,8 +339,11 @@ fn moves_at_one_per_cent_of_loss_make_no_false_stop() {
 fn a_million_moves_at_one_per_cent_of_loss_make_no_false_stop() {
     let most = variable("ARRIVALS_MOVES").unwrap_or(1_000_000);
     let first = variable("ARRIVALS_SEED").unwrap_or(1);
+    let only = variable::<String>("ARRIVALS_WIRE");
+    let of_it = |wire: &Wire| only.as_ref().is_none_or(|only| *only == format!("{wire:?}"));
+    assert!(Wire::ALL.iter().any(of_it), "no wire of that name: {:?}", Wire::ALL);
     std::thread::scope(|scope| {
-        for wire in Wire::ALL {
+        for wire in Wire::ALL.into_iter().filter(of_it) {
             scope.spawn(move || campaign(wire, first, most));
         }
     });
