@@ -56,6 +56,8 @@ struct Client {
 struct May {
     /// A jog of it is held until then.
     jogs: Option<Time>,
+    /// The last one began.
+    begun: Time,
     /// A step or a homing that has not ended.
     moves: Option<u64>,
     unheld: u32,
@@ -337,8 +339,8 @@ impl Run {
         let (now, deaf, operates) = (self.now(), self.turn <= self.deaf + LOOK, self.operator.is_some());
         let moves = truth.powered && truth.velocity.abs() > self.machine.scales[axis].still;
         let hold = self.machine.shape.hold;
-        // The dead-man time ends a jog that is held, and not renewed because nobody looks.
-        let renewed = self.looked + DEADMAN.as_nanos() as u64 + LOOK * MS;
+        // The dead-man time ends a jog that is held, and not renewed because nobody looks; its begin counts, too.
+        let renewed = self.axes[axis].begun.max(self.looked) + DEADMAN.as_nanos() as u64 + LOOK * MS;
         let link = self.machine.sim.feedback(axis).link;
         let may = &mut self.axes[axis];
         if link != Link::Online {
@@ -435,7 +437,8 @@ impl Run {
                 if let Some(Reply::Jogs(number)) = self.act(client, Act::Jog { axis, velocity })? {
                     self.tally.effects.count(Effect::Jogged);
                     self.axes.iter_mut().for_each(|axis| axis.jogs = None);
-                    self.axes[axis].jogs = Some(self.now() + HOLD_LIMIT);
+                    let now = self.now();
+                    (self.axes[axis].jogs, self.axes[axis].begun) = (Some(now + HOLD_LIMIT), now);
                     let own = &mut self.clients[client];
                     if let Some(before) = own.jog.replace(number) {
                         own.former = before;
