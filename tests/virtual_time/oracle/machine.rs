@@ -61,6 +61,10 @@ const CONNECTION: usize = 6;
 const ELSEWHERE: Ipv4Addr = Ipv4Addr::new(10, 0, 9, 9);
 /// What a tool on a segment does: so many things. Where the data of a frame with one datagram are.
 const TOOLS: usize = 7;
+/// The one that takes a slave's outputs out of the frame, and the turns until the SyncManager's watchdog (100 ms) ends
+/// them.
+const OUTPUTS_CUT: usize = 4;
+const WATCHDOG: u64 = 100;
 const DATA: usize = 26;
 
 /// The address of the first Lenze, of its master, and of another master.
@@ -952,19 +956,24 @@ impl Machine {
         self.world().inject(MASTER, self.addresses[index], &bytes[..size], at);
     }
 
-    /// Frames of a tool on a segment, and datagrams of another sender: true if they may move or stop a drive until
-    /// this master has seen that it is not alone. What another sender says to a MOONS' is of another connection, and
-    /// does nothing, and nor does a reply of another sender.
-    pub fn foreign(&self, index: usize, which: usize, us: u64) -> bool {
+    /// Frames of a tool on a segment, and datagrams of another sender: if they may move or stop a drive until this
+    /// master has seen that it is not alone, or keep its setpoints from it, for how many turns it cannot be reached.
+    /// What another sender says to a MOONS' is of another connection, and does nothing, and nor does a reply of another
+    /// sender.
+    pub fn foreign(&self, index: usize, which: usize, us: u64) -> Option<u64> {
         let at = self.world().now() + us * 1_000;
         match self.shape.kind.of(index) {
-            Kind::Kollmorgen => self.tool(index, which, at),
-            Kind::LinMot => return self.other_sender(index, which, at),
+            Kind::Kollmorgen => {
+                self.tool(index, which, at);
+                // Its outputs are where the tool left them, until its watchdog ends them.
+                Some(if which % TOOLS == OUTPUTS_CUT { WATCHDOG } else { 0 })
+            }
+            Kind::LinMot => self.other_sender(index, which, at),
             Kind::Moons => {
                 let [scanner, drive] = self.packets_of(index);
                 let shared = self.taps[index].lock();
                 let kept = if which.is_multiple_of(2) { &shared.motions } else { &shared.replies };
-                let Some(mut bytes) = kept.get(which / 4).cloned() else { return false };
+                let mut bytes = kept.get(which / 4).cloned()?;
                 drop(shared);
                 let elsewhere = SocketAddrV4::new(ELSEWHERE, PACKET_PORT);
                 let other = (which / 2).is_multiple_of(2);
@@ -973,15 +982,14 @@ impl Machine {
                 }
                 let [to, from] = if which.is_multiple_of(2) { [drive, scanner] } else { [scanner, drive] };
                 self.world().inject(to, if other { from } else { elsewhere }, &bytes, at);
-                return false;
+                None
             }
-            Kind::Unidrive | Kind::Lenze | Kind::Mixed => return false,
+            Kind::Unidrive | Kind::Lenze | Kind::Mixed => None,
         }
-        true
     }
 
     /// A request of another master to a LinMot, or a reply of another drive to this master.
-    fn other_sender(&self, index: usize, which: usize, at: Time) -> bool {
+    fn other_sender(&self, index: usize, which: usize, at: Time) -> Option<u64> {
         let elsewhere = SocketAddrV4::new(ELSEWHERE, MASTER.port());
         let shared = self.taps[index].lock();
         let [reply, motion] = [&shared.replies, &shared.motions].map(|kept| kept.get(which / 4).cloned());
@@ -995,13 +1003,13 @@ impl Machine {
                 if let Some(reply) = reply {
                     self.world().inject(MASTER, elsewhere, &reply, at);
                 }
-                return false;
+                return None;
             }
             1 => {
                 if let Some(motion) = motion {
                     self.world().inject(self.addresses[index], elsewhere, &motion, at);
                 }
-                return true;
+                return Some(0);
             }
             2 => Request { motion: Some(go), ..Request::default() },
             _ => Request { control: Some(words[which / 4 % 4]), ..Request::default() },
@@ -1010,7 +1018,7 @@ impl Machine {
         let mut bytes = [0; 64];
         let size = request.emit(&mut bytes);
         self.world().inject(self.addresses[index], elsewhere, &bytes[..size], at);
-        true
+        Some(0)
     }
 
     /// A tool writes over the segment once; its frames come to this master, too, or not.
@@ -1033,7 +1041,7 @@ impl Machine {
             1 => pass(Apwr(place, register::AL_CONTROL), &state(AlState::SafeOp)),
             2 => pass(Apwr(place, register::AL_CONTROL), &state(AlState::Init)),
             3 => pass(Bwr(register::AL_CONTROL), &state(AlState::PreOp)),
-            4 => pass(Apwr(place, register::fmmu(0)), &[0; 16]),
+            OUTPUTS_CUT => pass(Apwr(place, register::fmmu(0)), &[0; 16]),
             // Without the other state the drive would go on with its last outputs, and no frame would show it: the
             // memory behind the SyncManager is written all the same.
             5 => {

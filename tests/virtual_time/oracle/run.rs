@@ -733,14 +733,15 @@ impl Run {
             }
             Op::Foreign { which, us } => {
                 self.tally.effects.count(Effect::Foreign);
-                if self.machine.foreign(axis, (*which).into(), (*us).into()) {
+                if let Some(cut) = self.machine.foreign(axis, (*which).into(), (*us).into()) {
                     let of_segment = self.machine.shape.kind == Kind::Kollmorgen;
                     self.tool |= of_segment;
                     let concerned = if of_segment { 0..AXES } else { axis..axis + 1 };
-                    for axis in concerned {
+                    for other in concerned {
                         // By then it is seen, and stopped for.
-                        self.around[axis].bad = self.around[axis].bad.max(turn + GRACE);
-                        self.watches[axis].disturbed(GRACE);
+                        let seen = if other == axis { cut + GRACE } else { GRACE };
+                        self.around[other].bad = self.around[other].bad.max(turn + seen);
+                        self.watches[other].disturbed(seen);
                     }
                 }
             }
