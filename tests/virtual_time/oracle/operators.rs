@@ -184,11 +184,13 @@ impl Run {
 
     /// Nobody moves anything any more.
     fn stopped(&mut self) {
+        self.jogs_end();
+        self.axes.iter_mut().for_each(|axis| axis.moves = None);
+    }
+
+    fn jogs_end(&mut self) {
         let now = self.now();
-        self.axes.iter_mut().for_each(|axis| {
-            axis.jogs = axis.jogs.map(|until| until.min(now));
-            axis.moves = None;
-        });
+        self.axes.iter_mut().for_each(|axis| axis.jogs = axis.jogs.map(|until| until.min(now)));
     }
 
     /// The operator, unless it is silent for too long.
@@ -424,9 +426,11 @@ impl Run {
             Deed::LetGo => self.clients[client].holds = false,
             Deed::Release => {
                 if let Some(jog) = self.clients[client].jog.take() {
+                    let runs = self.state().jog.is_some();
                     self.act(client, Act::Release { jog })?;
                     if self.operator.is_some_and(|(operator, _)| operator == client) {
-                        self.stopped();
+                        // One that has ended by itself stops nothing else any more.
+                        if runs { self.stopped() } else { self.jogs_end() }
                     }
                 }
             }
