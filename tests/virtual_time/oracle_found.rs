@@ -8,7 +8,7 @@ use super::oracle::steps::Choice::{
     By, Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
 };
 use super::oracle::steps::Op::{
-    Burst, Late, Level, OldReply, Overload, Post, RepeatReply, RepeatRequest, Write,
+    Burst, Fault, Foreign, Late, Level, OldReply, Overload, Post, RepeatReply, RepeatRequest, Write,
 };
 
 const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
@@ -200,6 +200,18 @@ fn a_reply_from_before_takes_no_power_and_shows_no_other_place() {
         let begin = (0, 2, Post(vec![To(100)]));
         let again = |which| (20 + which % 3 * 30, 2, OldReply { which, us: 10 });
         let rounds: Vec<_> = (0..60).map(|which| [begin.clone(), again(which)]).collect();
+        holds(shape, &rounds.iter().map(|round| &round[..]).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_stop_of_a_stopped_axis_that_does_not_stop_it_has_a_time_limit() {
+    let shape = Shape { group: 0b111, ..shape(Kind::LinMot, true) };
+    let stopped = (0, 1, Fault);
+    for which in (2..18).step_by(4) {
+        // A motion of another sender that has the count of the stop itself.
+        let round = |at| [stopped.clone(), (at, 2, Foreign { which, us: 1_065 }), (at, 2, Post(vec![Stop]))];
+        let rounds: Vec<_> = (60..76).map(round).collect();
         holds(shape, &rounds.iter().map(|round| &round[..]).collect::<Vec<_>>());
     }
 }

@@ -99,11 +99,7 @@ impl DriveController {
     #[inline(never)]
     fn watch_stop(&mut self, cycle: &Cycle, now: Time, fresh: bool) {
         if self.is_stopping_too_long(now) {
-            self.latch(cycle, now, StopCause::StopTimeout);
-            let (stop, load) = (self.plan.stop, self.plan.load);
-            let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
-            self.duty.set_latch(Latch::Down(StopCause::StopTimeout, sequence));
-            self.issue(Some(command));
+            self.stop_harder(cycle, now);
         }
         let sight = Sight {
             fresh,
@@ -124,6 +120,18 @@ impl DriveController {
             }
             self.issue(Some(command));
         }
+    }
+
+    /// The application's stop has not stopped it.
+    fn stop_harder(&mut self, cycle: &Cycle, now: Time) {
+        if !self.duty.latch().is_open() {
+            return self.stop_again(cycle, now, StopCause::StopTimeout);
+        }
+        self.latch(cycle, now, StopCause::StopTimeout);
+        let (stop, load) = (self.plan.stop, self.plan.load);
+        let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
+        self.duty.set_latch(Latch::Down(StopCause::StopTimeout, sequence));
+        self.issue(Some(command));
     }
 
     /// Why an axis that is expected to stay in operation is not.
@@ -184,10 +192,12 @@ impl DriveController {
         (broken && !braking).then_some(StopCause::Limit)
     }
 
-    /// The application's stop has not ended in its time, although the drive answers.
+    /// The application's stop has not ended in its time, although the drive answers. A stop sequence that runs has its
+    /// own time-out; and what was only read is not ours to stop.
     fn is_stopping_too_long(&self, now: Time) -> bool {
         self.duty.active().is_some_and(stops)
-            && self.duty.latch().is_open()
+            && self.duty.latch().is_settled()
+            && !matches!(self.duty.latch(), Latch::Kept(_))
             && self.answers()
             && now.since(self.began) > nanos(self.plan.stop.timeout)
     }

@@ -180,7 +180,7 @@ fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
     let found = again.err().unwrap_or(found);
     let tail = |text: String| {
         let lines: Vec<&str> = text.lines().collect();
-        lines[lines.len().saturating_sub(150)..].join("\n")
+        lines[lines.len().saturating_sub(600)..].join("\n")
     };
     format!(
         "ORACLE_SEED={seed} {shape:?}: rule {:?} is broken by axis {} in turn {} of round {}:\n{}\n\
