@@ -150,7 +150,8 @@ fn the_page_draws_triggers_measures_and_attaches_again() {
     // An event triggers: the drives are lost, and their axes' links with them.
     browser.ask("set #source event");
     browser.ask("click #single");
-    browser.wait("document.querySelector('#trigger-state').textContent.startsWith('armed')");
+    // On a busy host an event of its own may come first.
+    browser.wait("/^(armed|held, cycle)/.test(document.querySelector('#trigger-state').textContent)");
     running.drives.take().unwrap().stop();
     browser.wait("scope.view.held && scope.view.triggered");
     browser.wait("document.querySelector('#events').innerText.includes('link lost')");
