@@ -213,8 +213,8 @@ pub struct NullCarrier {
     counts: Vec<u8>,
     next: usize,
     batch: usize,
-    /// Ready and in operation, each with and without warn word and monitoring channels; and their lengths.
-    replies: [[([u8; RESPONSE_MAX], usize); 4]; 2],
+    /// Ready and in operation, each with and without the blocks that come in turn; and their lengths.
+    replies: [[([u8; RESPONSE_MAX], usize); 1 << IN_TURN.len()]; 2],
     position: i32,
 }
 
@@ -230,10 +230,13 @@ struct Requested {
     read: Option<RtcBlock>,
 }
 
-/// Which of four replies has the blocks that are asked for.
+/// The blocks that are not in each reply.
+const IN_TURN: [ResponseDef; 3] = [ResponseDef::ERROR, ResponseDef::WARN, ResponseDef::MONITOR];
+
+/// Which of the replies has the blocks that are asked for: a bit for each.
 fn variant(requested: ResponseDef) -> usize {
-    usize::from(requested.contains(ResponseDef::WARN))
-        + 2 * usize::from(requested.contains(ResponseDef::MONITOR))
+    let has = |(bit, block): (usize, &ResponseDef)| usize::from(requested.contains(*block)) << bit;
+    IN_TURN.iter().enumerate().map(has).sum()
 }
 
 impl NullCarrier {
@@ -243,15 +246,14 @@ impl NullCarrier {
     const COUNT: usize = 10;
 
     pub fn new(peers: usize) -> NullCarrier {
-        let least = ResponseDef(ResponseDef::CYCLIC.0 & !ResponseDef::WARN.0);
+        let least = IN_TURN.iter().fold(ResponseDef::CYCLIC.0, |all, block| all & !block.0);
+        let with = |variant: usize| {
+            let blocks = IN_TURN.iter().enumerate().filter(|(bit, _)| variant >> bit & 1 == 1);
+            blocks.fold(ResponseDef(least), |all, (_, block)| all.with(*block))
+        };
         let reply = |status: u16, state: StateVar| {
-            [
-                least,
-                least.with(ResponseDef::WARN),
-                least.with(ResponseDef::MONITOR),
-                least.with(ResponseDef::WARN).with(ResponseDef::MONITOR),
-            ]
-            .map(|response_def| {
+            std::array::from_fn(|variant| {
+                let response_def = with(variant);
                 let response = Response {
                     request_def: RequestDef::NONE,
                     response_def,
