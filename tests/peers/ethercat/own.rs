@@ -511,7 +511,7 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
             .map(|request| (request.command, request.object.unwrap(), request.data))
             .filter(|(_, object, _)| *object != SETTLES)
             .collect();
-        // One whose answer was late is requested anew.
+        // A request whose answer was late is sent again.
         asked.dedup();
         let written = asked.iter().filter(|(command, ..)| *command == DOWNLOAD);
         let written: Vec<_> = written.map(|(_, object, data)| (*object, data.unwrap())).collect();

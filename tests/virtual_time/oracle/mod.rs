@@ -20,6 +20,7 @@
 //! | `ORACLE_FROM`, `ORACLE_SEQUENCES` | the first seed, and how many sequences the long run has |
 //! | `ORACLE_KIND` | only machines of this protocol, by the names of [`Kind`] |
 //! | `ORACLE_WITHOUT` | what is left out, by the names of [`Without`] |
+//! | `ORACLE_FAILURES` | after so many failures the long run ends; by default after the first one |
 
 mod judge;
 pub mod machine;
