@@ -229,15 +229,21 @@ impl Watch {
                 }
             }
             EventKind::Stopped(cause) => {
-                // An axis that moves all the same is stopped again; its first cause stays.
-                let moves =
-                    matches!(cause, StopCause::Uncommanded | StopCause::Limit | StopCause::PositionJump);
+                // An axis that moves all the same, or that the application's stop has not stopped in time, is stopped
+                // again; its first cause stays.
+                let again = matches!(
+                    cause,
+                    StopCause::Uncommanded
+                        | StopCause::Limit
+                        | StopCause::PositionJump
+                        | StopCause::StopTimeout
+                );
                 assert!(
-                    self.latched.is_none() || moves || self.deaf,
+                    self.latched.is_none() || again || self.deaf,
                     "{event}: stopped twice, {:?} before",
                     self.latched
                 );
-                let first = self.latched.filter(|_| moves && !self.deaf);
+                let first = self.latched.filter(|_| again && !self.deaf);
                 (self.latched, self.armed, self.stopped_at) = (first.or(Some(cause)), false, executed);
             }
             EventKind::PositionJump(_) => self.unreferenced = true,
