@@ -16,10 +16,10 @@ mod support;
 use std::fs::File;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::internals::cycle::record::{CycleRecord, Record, SkippedRecord};
-use fieldbeat::internals::net::Os;
 use fieldbeat::time::{MS, Ns, S, US};
 use fieldbeat::{CyclePlan, Granted, Guard};
+use fieldbeat_core::cycle::record::{CycleRecord, Record, SkippedRecord};
+use fieldbeat_core::net::Os;
 use serde_json::json;
 use support::fleet::{Fleet, Side};
 use support::rig::{self, Calls, Pace, Rig};

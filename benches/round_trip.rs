@@ -28,11 +28,13 @@ mod support;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::internals::bus::{ethercat, modbus, profibus};
-use fieldbeat::internals::net::Os;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{Granted, Wait};
+use fieldbeat_core::net::Os;
+use fieldbeat_ethercat as ethercat;
+use fieldbeat_modbus as modbus;
+use fieldbeat_profibus as profibus;
 use serde_json::{Value, json};
 use support::bare::{Duel, Rival};
 use support::fleet::{self, Fleet, Side};

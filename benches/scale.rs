@@ -33,32 +33,35 @@
 mod support;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
-use std::io;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fmt, io};
 
 use fieldbeat::axis::{Acyclic, CallTicket};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
-use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
-use fieldbeat::internals::bus::linudp::upid;
-use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, RtcCommand};
-use fieldbeat::internals::bus::profibus::wire::telegram;
-use fieldbeat::internals::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
-use fieldbeat::internals::cycle::record::{DriveRecord, Record};
-use fieldbeat::internals::net::{
-    Carriers, Datagrams, Frames, Os, Outbox, Serial, SerialLine, StreamPeer, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::{MonotonicClock, Usage};
 use fieldbeat::telemetry::{DriveEnd, Numbers};
 use fieldbeat::time::{MS, Ns, S, US};
 use fieldbeat::{Granted, Wait};
+use fieldbeat_core::cycle::record::{DriveRecord, Record};
+use fieldbeat_core::net::{
+    Carriers, Datagrams, Frames, Os, Outbox, Serial, SerialLine, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat_core::rt::{MonotonicClock, Usage};
+use fieldbeat_ethercat as ethercat;
+use fieldbeat_ethercat::wire::frame::FRAME_MAX;
+use fieldbeat_ethernet_ip as ethernet_ip;
+use fieldbeat_ethernet_ip::wire::io::Outgoing;
+use fieldbeat_linudp as linudp;
+use fieldbeat_linudp::upid;
+use fieldbeat_linudp::wire::{Request, ResponseDef, RtcCommand};
+use fieldbeat_modbus as modbus;
+use fieldbeat_profibus as profibus;
+use fieldbeat_profibus::wire::telegram;
 use serde_json::{Value, json};
 use support::bare::{Duel, Outcome, Rival};
 use support::budgets::{self, Budgets};
@@ -67,12 +70,11 @@ use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
 use support::lenze::{self, NullSerial, NullWires};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
-use support::packets;
 use support::rig::{self, Calls, Count, Metered, Pace, Rig};
 use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
-use support::{Args, Report, Steal, in_turns, shown, unidrive};
+use support::{Args, Report, Steal, in_turns, packets, shown, unidrive};
 
 /// Drives of the segments on sockets: alone, and against the bare loop.
 const SEGMENT_ALONE: usize = 16;

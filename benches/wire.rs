@@ -39,27 +39,32 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, StateVar, StatusWord, WarnWord};
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::bus::profibus::DATA_MAX;
-use fieldbeat::internals::axis::acyclic::AcyclicEnds;
-use fieldbeat::internals::bus::ethercat::wire::frame::FRAME_MAX;
-use fieldbeat::internals::bus::ethernet_ip::exchange::{self, Connection, News, SessionEnd};
-use fieldbeat::internals::bus::ethernet_ip::wire::io::{OUTGOING_MAX, Outgoing, Packet};
-use fieldbeat::internals::bus::linudp::station::Station;
-use fieldbeat::internals::bus::linudp::wire::{
-    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
-};
-use fieldbeat::internals::bus::modbus::wire::{
-    ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
-};
-use fieldbeat::internals::bus::modbus::{Finding, Found};
-use fieldbeat::internals::bus::profibus::line::Answer;
-use fieldbeat::internals::bus::profibus::wire::sap::Service;
-use fieldbeat::internals::bus::profibus::wire::telegram::{self, Next, Telegram};
-use fieldbeat::internals::bus::{Bus, Exchange, Slot, ethercat, ethernet_ip, linudp, modbus, profibus};
-use fieldbeat::internals::drive::machine::Machine;
-use fieldbeat::internals::inputs::InputLog;
-use fieldbeat::internals::net::Frames;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat_core::axis::acyclic::AcyclicEnds;
+use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::drive::machine::Machine;
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_core::net::Frames;
+use fieldbeat_ethercat as ethercat;
+use fieldbeat_ethercat::wire::frame::FRAME_MAX;
+use fieldbeat_ethernet_ip as ethernet_ip;
+use fieldbeat_ethernet_ip::exchange;
+use fieldbeat_ethernet_ip::exchange::{Connection, News, SessionEnd};
+use fieldbeat_ethernet_ip::wire::io::{OUTGOING_MAX, Outgoing, Packet};
+use fieldbeat_linudp as linudp;
+use fieldbeat_linudp::station::Station;
+use fieldbeat_linudp::wire::{REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
+use fieldbeat_modbus as modbus;
+use fieldbeat_modbus::handshake::{Finding, Found};
+use fieldbeat_modbus::wire::{
+    ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
+};
+use fieldbeat_profibus as profibus;
+use fieldbeat_profibus::line::Answer;
+use fieldbeat_profibus::wire::sap::Service;
+use fieldbeat_profibus::wire::telegram;
+use fieldbeat_profibus::wire::telegram::{Next, Telegram};
 use serde_json::{Value, json};
 use support::callgrind::{counted as collected, paused};
 use support::count::{self, Ran, Scenario};
@@ -198,7 +203,7 @@ fn reply(request_def: RequestDef, response_def: ResponseDef, state: MainState) -
 /// The station of a Unidrive, and a drive that answers it from memory.
 struct Requested {
     machine: Machine,
-    station: modbus::Station,
+    station: modbus::station::Station,
     /// Kept, as an application would.
     _native: modbus::Native,
     slot: Slot,
@@ -220,7 +225,8 @@ impl Requested {
             ..Finding::default()
         });
         let mappings = unidrive::mappings(&drive);
-        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found, &InputLog::default());
+        let (station, native, _acyclic) =
+            modbus::station::Station::new(&drive, mappings, found, &InputLog::default());
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machine = machine(&modbus::ModbusPlan::new(vec![drive]), 0);
         let mut requested =

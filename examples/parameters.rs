@@ -9,8 +9,8 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fieldbeat::axis::{Move, Target};
-use fieldbeat::bus::linudp::curve::file as curve_file;
 use fieldbeat::bus::linudp::service::Services;
+use fieldbeat::config::linmot::curve as curve_file;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::{Command, Master};
 

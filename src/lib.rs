@@ -37,9 +37,9 @@
 //! use fieldbeat::sim::server::{ServerOptions, SimServer};
 //! use fieldbeat::{Master, Profile};
 //!
-//! # #[cfg(not(feature = "config"))]
+//! # #[cfg(not(feature = "files"))]
 //! # fn main() {}
-//! # #[cfg(feature = "config")]
+//! # #[cfg(feature = "files")]
 //! fn main() -> Result<(), Box<dyn std::error::Error>> {
 //!     let setup = Master::from_file("rt-config/demo.toml")?;
 //!     let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
@@ -64,86 +64,225 @@
 //!
 //! # Features
 //!
-//! The default is the whole program. With `default-features = false` there is the runtime for a program of your own, in
-//! at most 25 crates: [`Master`], [`axis`], [`bus`], [`Simulation`], [`sim`] and the histograms of [`telemetry`], for a
-//! [`Plan`] that is built in code.
+//! The default is the whole program. With `default-features = false` there is the runtime for a program of your own:
+//! [`Master`], [`axis`], [`bus`] and the histograms of [`telemetry`], for a [`Plan`] that is built in code. Each wire
+//! is a feature, and with one of them at most 25 packages are compiled: no simulator, no reader of files, no other
+//! wire.
 //!
 //! | feature | what it adds |
 //! |---|---|
-//! | `config` | [`config`]: a plan from TOML, [`Master::from_file`] |
-//! | `summary` | [`telemetry::summary`]: a run as one object and as a table; serde's traits of acyclic calls |
-//! | `replay` | [`replay`]: the run of a recording with the wire, repeated; brings `config` |
-//! | `report` | [`telemetry::report`]: a directory with a page of plots, the summary and `.hgrm` histograms; brings `summary` |
-//! | `metrics` | [`telemetry::metrics`]: a page for Prometheus; brings `summary` |
-//! | `record` | [`telemetry::recording`]: every cycle in a file for Foxglove, PlotJuggler and Rerun; brings `summary` |
-//! | `black-box` | [`telemetry::blackbox`]: the last cycles in a file when something fails; brings `summary` |
-//! | `control` | the program's socket by which other processes reach a running master; brings `summary` |
-//! | `doctor` | [`doctor`]: what this host is worth; brings `summary` |
+//! | `linudp`, `modbus`, `ethercat`, `ethernet-ip`, `profibus` | that module of [`bus`] |
+//! | `wires` | all five |
+//! | `sim` | [`sim`] and [`Simulation`]: simulated drives, the machine in virtual time; brings `wires` |
+//! | `files` | [`config`]: a plan from TOML, [`Master::from_file`]; recordings, reports, black boxes and metrics in [`telemetry`]; [`replay`]; [`doctor`]; brings `sim` |
+//! | `cli` | the program; the default; brings `files` |
 //! | `jog` | the program's panel in the terminal; brings `cli` |
 //! | `scope` | the program's page of a running machine in the browser, with a web server; brings `cli` |
-//! | `cli` | the program, with all of them; the default |
 //!
 //! # Architecture
 //!
-//! Arrows point down only: `cli` -> `control`, [`doctor`], [`config`], [`replay`], `master` -> [`telemetry`] -> `cycle`
-//! -> `drive`, `bus` (the contract) -> [`axis`], `net`, `rt`; `bus/x` -> [`axis`], `net`; a `wire` module depends on
-//! nothing. Loop, drive machine, wires and sockets are not public: what is listed here is kept, and the rest changes
-//! freely.
+//! This package re-exports. The packages below it point down only: the program -> `master` -> `config`, `record`,
+//! `telemetry`, `sim` -> the wires -> the core, in which the loop stands on the drive machine, on the contract of a
+//! bus, and on axes and sockets. What is listed here is kept; the packages below change freely.
 
-pub mod axis;
 pub mod bus;
-#[cfg(feature = "config")]
-pub mod config;
-#[cfg(feature = "control")]
-mod control;
-mod cycle;
-#[cfg(feature = "doctor")]
-pub mod doctor;
-mod drive;
-mod errors;
-mod inputs;
-#[doc(hidden)]
-pub mod internals;
-#[cfg(feature = "config")]
-mod keys;
-mod logged;
-mod master;
-mod named;
-mod net;
-mod packed;
-pub mod replay;
-mod rt;
-#[cfg(feature = "scope")]
-mod scope;
+#[cfg(feature = "files")]
+mod files;
+#[cfg(feature = "sim")]
 pub mod sim;
-mod simulation;
-#[cfg(feature = "config")]
-mod soak;
-#[cfg(feature = "summary")]
-mod style;
-mod sync;
-pub mod telemetry;
-pub mod time;
 
-pub use axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, Row};
-pub use bus::OpenError;
-pub use bus::contract::Cycle;
-pub use cycle::engine::Flow;
-pub use cycle::task::Axes;
-pub use cycle::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, WatchAfter};
-pub use master::{Master, MasterError, Setup, StartError, StopHandle};
-pub use rt::{Granted, Memory, Realtime, RealtimeError};
-pub use simulation::{SimulateError, Simulation};
-pub use telemetry::{Monitor, Run};
-pub use time::Time;
+pub mod axis {
+    //! What an application holds: the handles of its axes, their commands, feedback and events, units.
 
-/// The programs of README.md and docs/ compile, or the doctests fail.
-#[cfg(all(doctest, feature = "record", feature = "replay"))]
-#[doc = include_str!("../README.md")]
-#[doc = include_str!("../docs/src/library.md")]
-#[doc = include_str!("../docs/src/replay.md")]
-struct Programs;
+    /// # Example
+    ///
+    /// ```
+    /// # use fieldbeat::{Master, Plan, Profile};
+    /// # use std::time::Duration;
+    /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    /// # use fieldbeat::sim::WorldOptions;
+    /// # let named = |(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into());
+    /// # let drives = ["x", "y"].into_iter().zip(10..).map(named);
+    /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+    /// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+    /// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+    /// # master.wait_online(Duration::from_secs(30))?;
+    /// let mut x = master.axis("x")?;
+    /// x.enable()?;
+    /// x.home()?;
+    /// x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
+    ///
+    /// let feedback = x.feedback();
+    /// assert!((feedback.status.position - 120.0).abs() < 0.1);
+    /// // What cannot work is refused before anything is sent.
+    /// assert!(x.move_to(f64::NAN, x.profile()).is_err());
+    /// x.disable()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[doc(inline)]
+    pub use fieldbeat_core::axis::Axis;
+    /// # Example
+    ///
+    /// ```
+    /// # use fieldbeat::{Group, Master, Plan};
+    /// # use std::time::Duration;
+    /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    /// # use fieldbeat::sim::WorldOptions;
+    /// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| {
+    /// #     let mut drive = LinUdpDrive::new(name, [10, 0, 0, host].into());
+    /// #     drive.axis.stop.group = Some(1);
+    /// #     drive
+    /// # });
+    /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+    /// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+    /// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+    /// # master.wait_online(Duration::from_secs(30))?;
+    /// let mut gantry = Group::new([master.axis("x")?, master.axis("y")?])?;
+    /// gantry.enable()?;
+    /// gantry.home()?;
+    /// gantry.move_to(&[100.0, 50.0])?;
+    /// let [x, y] = [0, 1].map(|index| gantry.feedback()[index].status.position);
+    /// assert!((x - 100.0).abs() < 0.1 && (y - 50.0).abs() < 0.1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[doc(inline)]
+    pub use fieldbeat_core::axis::Group;
+    /// # Example
+    ///
+    /// ```
+    /// # use fieldbeat::{Master, Plan};
+    /// # use std::time::Duration;
+    /// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    /// # use fieldbeat::sim::WorldOptions;
+    /// # let named = |(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into());
+    /// # let drives = ["x", "y"].into_iter().zip(10..).map(named);
+    /// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+    /// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+    /// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+    /// # master.wait_online(Duration::from_secs(30))?;
+    /// let parameters = master.parameter("x")?;
+    /// // The home position, in RAM; 0.1 um.
+    /// let home: i32 = parameters.read("0x13C7")?;
+    /// parameters.write("0x13C7", home + 10_000)?;
+    /// assert_eq!(parameters.read::<i32>("0x13C7")?, home + 10_000);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[doc(inline)]
+    pub use fieldbeat_core::axis::Parameters;
+    #[doc(inline)]
+    pub use fieldbeat_core::axis::{
+        Abort, Acyclic, Answer, AxisError, AxisPlan, Call, CallError, CallTicket, Cannot, Command, CommandId,
+        DriveStatus, Emergency, Event, EventKind, Failure, Fault, Feedback, FollowingError, FoundRunning,
+        GroupCommand, GroupError, GroupRefused, Health, HeldBy, InPosition, Jog, Lacks, Limits, Link, Listed,
+        Load, MonitorChannel, Move, NativeOwner, NotationError, Observer, Outcome, OwnerLost, ParameterError,
+        ParameterTicket, PlanFault, PostError, Profile, Pulse, RangeError, Request, Row, Samples, Scalar,
+        Series, Shown, State, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Underrun, Unit,
+        Units,
+    };
+}
 
-#[cfg(all(doctest, feature = "record"))]
-#[doc = include_str!("../docs/src/recording.md")]
-struct Recordings;
+pub mod telemetry {
+    //! What the loop reports: histograms, causes of late cycles, how the axes moved.
+
+    #[cfg(feature = "files")]
+    pub use crate::files::telemetry::{Summary, blackbox, metrics, recording, report, summary};
+    #[doc(inline)]
+    pub use fieldbeat_telemetry::{
+        AtEnd, AxisMotion, Band, BusClock, Cause, Causes, Condition, Counters, DeviceEnd, DriveEmergency,
+        DriveEnd, DriveHistograms, Extent, Failure, Happened, Histograms, Judged, Largest, LoopPanic, Mark,
+        Marks, Measured, Monitor, Motion, Moved, Numbers, Peak, Peaks, Quantiles, Quantity, Recorded,
+        ReferenceStatus, Run, Stage, Status, StopRequest, Stretch, Tally, Timeline, Unmatched, WireSummary,
+        Written,
+    };
+}
+
+#[cfg(feature = "files")]
+pub use self::files::{config, doctor, replay};
+#[doc(inline)]
+pub use fieldbeat_core::time;
+
+#[doc(no_inline)]
+pub use self::axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, Row};
+#[doc(no_inline)]
+pub use self::bus::OpenError;
+#[cfg(feature = "sim")]
+pub use self::sim::machine::{SimulateError, Simulation};
+#[doc(no_inline)]
+pub use self::telemetry::{Monitor, Run};
+#[doc(no_inline)]
+pub use self::time::Time;
+#[doc(inline)]
+pub use fieldbeat_core::bus::Cycle;
+/// # Example
+///
+/// ```
+/// use fieldbeat::Plan;
+/// use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
+/// use fieldbeat::CyclePlan;
+///
+/// let mut drive = UnidriveDrive::new("winder", [192, 168, 1, 20].into());
+/// drive.axis.limits.velocity = Some(25.0);
+/// // 2 ms, and the drive in every fourth cycle.
+/// drive.axis.divisor = 4;
+/// let cycle = CyclePlan { period_ns: 2_000_000, ..CyclePlan::default() };
+/// let plan = Plan { cycle, buses: vec![Box::new(ModbusPlan::new(vec![drive]))], ..Plan::default() };
+/// plan.check()?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[doc(inline)]
+pub use fieldbeat_core::cycle::Plan;
+#[doc(inline)]
+pub use fieldbeat_core::cycle::engine::Flow;
+#[doc(inline)]
+pub use fieldbeat_core::cycle::task::Axes;
+#[doc(inline)]
+pub use fieldbeat_core::cycle::{CyclePlan, GroupPlan, Guard, Overrun, PlanErrors, Wait, WatchAfter};
+#[doc(inline)]
+pub use fieldbeat_core::rt::{Granted, Memory, Realtime, RealtimeError};
+/// # Example
+///
+/// ```
+/// # use fieldbeat::{Master, Plan};
+/// # use std::time::Duration;
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::WorldOptions;
+/// # let drives = ["x", "y"].into_iter().zip(10..).map(|(name, host)| LinUdpDrive::new(name, [10, 0, 0, host].into()));
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), drives.collect());
+/// # let setup = Master::from_plan(Plan { buses: vec![Box::new(bus)], ..Plan::default() });
+/// # let master = setup.simulate(WorldOptions::default())?.into_master(20.0)?;
+/// # master.wait_online(Duration::from_secs(30))?;
+/// // From another thread, at any time.
+/// let monitor = master.monitor();
+/// assert_eq!(monitor.status().online, 2);
+///
+/// let run = master.finish();
+/// assert_eq!(run.end.status.planned, run.end.status.executed + run.end.status.skipped);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[doc(inline)]
+pub use fieldbeat_master::Master;
+/// # Example
+///
+/// ```
+/// use fieldbeat::{Master, Plan};
+/// # use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+/// # use fieldbeat::sim::WorldOptions;
+/// # let drive = LinUdpDrive::new("x", [10, 0, 0, 10].into());
+/// # let bus = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
+/// # let plan = Plan { buses: vec![Box::new(bus)], ..Plan::default() };
+///
+/// // `start` in place of `simulate` runs it on its drives, in real time.
+/// let setup = Master::from_plan(plan).with_task(|cycle, axes| {
+///     // On the real-time thread: it sees the feedback of this cycle, and its commands leave in the next one.
+///     let _position = axes.feedback(0).map(|feedback| feedback.status.position);
+///     let _now = cycle.grid;
+/// });
+/// let mut machine = setup.simulate(WorldOptions::default())?;
+/// machine.run(1_000);
+/// assert_eq!(machine.status().executed, 1_000);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[doc(inline)]
+pub use fieldbeat_master::Setup;
+#[doc(inline)]
+pub use fieldbeat_master::{MasterError, StartError, StopHandle};

@@ -1,9 +1,5 @@
-//! The program: parses the arguments and calls `cli`.
+//! The program: all of it is in `fieldbeat-cli`.
 
-mod cli;
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    cli::main()
+fn main() -> std::process::ExitCode {
+    fieldbeat_cli::main()
 }

@@ -13,10 +13,6 @@ use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link, Stop
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::internals::axis::acyclic::Notation;
-use fieldbeat::internals::bus::ethercat::object::Objects;
-use fieldbeat::internals::cycle::record::Record;
-use fieldbeat::internals::inputs::recording::LogReader;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
 use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings, ProfibusSegment};
@@ -25,6 +21,10 @@ use fieldbeat::sim::{
 };
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
+use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::inputs::recording::LogReader;
+use fieldbeat_ethercat::object::Objects;
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
 use support::counting::{Counting, allocations, watch};
 use support::{LONG, Machine};

@@ -20,11 +20,11 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, unbounded};
-use fieldbeat::internals::rt::thread::{enter, helper_thread};
-use fieldbeat::internals::rt::{Clock, MonotonicClock, RealtimePlan, Regions};
 use fieldbeat::telemetry::{Cause, Causes, Judged, Stage};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Guard, Master, Memory, Realtime};
+use fieldbeat_core::rt::thread::{enter, helper_thread};
+use fieldbeat_core::rt::{Clock, MonotonicClock, RealtimePlan, Regions};
 use libc::{SIGCONT, SIGSTOP};
 use support::hold::{Hold, thread};
 use support::{LONG, Machine, PROGRAM, Program, again, plan, role};
@@ -124,7 +124,7 @@ impl Bench {
         // A slot may begin late by half of the window: those that are passed over run no task.
         (cycle.receive_deadline, cycle.guard) = (0.9, guard);
         // By number: this thread, which starts one loop after the other, is kept off the core of the first.
-        let cores = fieldbeat::internals::rt::host::online_cores().unwrap();
+        let cores = fieldbeat_core::rt::host::online_cores().unwrap();
         let (near, far) = (cores[0].to_string(), *cores.last().unwrap());
         cycle.core = Some(far);
         change(cycle);

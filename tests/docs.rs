@@ -8,7 +8,7 @@
 //! | `sh` | commands, options, examples, tests and benches exist |
 //! | `console` | the same of each line behind `$` |
 //! | `console,run` | the commands run, against the simulated drives of the demo, and print what stands there |
-//! | `rust` | it compiles: src/lib.rs includes the page as a doctest |
+//! | `rust` | it compiles: src/files.rs includes the page as a doctest |
 //!
 //! The tests own 127.p.250.0/23, p from the process as in `tests/support`.
 
@@ -19,11 +19,12 @@ use std::path::{Path, PathBuf};
 use std::process::{self, Child, Output, Stdio};
 
 use fieldbeat::axis::{Command, Link, Outcome};
-use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
+use fieldbeat::config::linmot::curve as curve_file;
+use fieldbeat::config::linmot::table as table_file;
 use fieldbeat::config::{self, Configuration};
-use fieldbeat::internals::config::schema;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{Master, Simulation};
+use fieldbeat_config::schema;
 use serde_json::Value;
 
 /// The program as a user has it.
@@ -577,7 +578,7 @@ fn the_book_has_every_page() {
 
 #[test]
 fn every_page_with_rust_in_it_is_compiled() {
-    let library = fs::read_to_string(checkout("src/lib.rs")).unwrap();
+    let library = fs::read_to_string(checkout("src/files.rs")).unwrap();
     let mut seen = 0;
     for page in pages() {
         if page.blocks().iter().any(|block| block.is("rust")) {
@@ -586,6 +587,121 @@ fn every_page_with_rust_in_it_is_compiled() {
         }
     }
     assert!(seen > 0);
+}
+
+/// The source of a path as this book writes it: `core/bus/contract.rs`.
+fn source(path: &str) -> PathBuf {
+    let (package, file) = path.split_once('/').unwrap();
+    checkout("crates").join(package).join("src").join(file)
+}
+
+/// Each file of a walk is there, and each of its functions is in one of the files of its step.
+#[test]
+fn the_walks_of_the_architecture_name_files_and_functions_that_are_there() {
+    let text = fs::read_to_string(checkout("docs/src/architecture.md")).unwrap();
+    let walks = |from: &str, to: &str| text.split_once(from).unwrap().1.split_once(to).unwrap().0.to_owned();
+    let to_wire = walks("## From a command to the wire", "## From the wire to the feedback");
+    let from_wire = walks("## From the wire to the feedback", "## Exchanges");
+    let mut seen = 0;
+    for step in [&to_wire, &from_wire].into_iter().flat_map(|walk| steps(walk)) {
+        let (mut folder, mut texts) = (String::new(), String::new());
+        for name in step.split('`').skip(1).step_by(2) {
+            if name.ends_with(".rs") {
+                let short = source_of(&folder, name);
+                let path = source(&short);
+                texts = fs::read_to_string(&path).unwrap_or_else(|_| panic!("{name}: {}", path.display()))
+                    + &texts;
+                folder = short.rsplit_once('/').unwrap().0.to_owned();
+                continue;
+            }
+            let function = name.rsplit("::").next().unwrap();
+            let is_there = ["fn ", "struct ", "enum ", "    "].iter().any(|kind| {
+                texts.match_indices(&format!("{kind}{function}")).any(|(at, found)| {
+                    !texts[at + found.len()..].starts_with(|c: char| c.is_alphanumeric() || c == '_')
+                })
+            });
+            assert!(is_there || name == "Motion::Move", "`{name}` is not in {step}");
+            seen += 1;
+        }
+    }
+    assert!(seen > 100, "{seen}");
+    let protocols = ["LinMot", "Kollmorgen", "Unidrive", "MOONS'", "Lenze"];
+    for (walk, protocol) in [&to_wire, &from_wire].iter().flat_map(|walk| protocols.map(|name| (walk, name)))
+    {
+        assert!(walk.contains(protocol), "no walk of a {protocol}");
+    }
+}
+
+/// Numbered items, each as one line.
+fn steps(walk: &str) -> Vec<String> {
+    let mut steps: Vec<String> = Vec::new();
+    for line in walk.lines() {
+        let is_next = line.split_once(". ").is_some_and(|(number, _)| number.parse::<u32>().is_ok());
+        match (is_next, line.starts_with("   "), steps.last_mut()) {
+            (true, ..) => steps.push(line.to_owned()),
+            (_, true, Some(step)) => step.push_str(line),
+            _ => {}
+        }
+    }
+    steps
+}
+
+/// A file next to the one before it may be named by itself, or by its path from the package on.
+fn source_of(folder: &str, name: &str) -> String {
+    let package = name.split('/').next().unwrap();
+    let is_whole = name.contains('/') && checkout("crates").join(package).is_dir();
+    if is_whole { name.to_owned() } else { format!("{folder}/{name}") }
+}
+
+/// What a module of the core uses stands below it in the table. Between packages cargo sees to that.
+#[test]
+fn the_modules_of_the_core_point_down() {
+    let text = fs::read_to_string(checkout("docs/src/architecture.md")).unwrap();
+    let table = text.split_once("Inside of `core`, from the top:").unwrap().1;
+    let rows =
+        table.lines().skip_while(|line| !line.starts_with("| `")).take_while(|line| line.starts_with('|'));
+    let modules: Vec<String> = rows.map(|row| row.split('`').nth(1).unwrap().to_owned()).collect();
+    let place = |name: &str| modules.iter().position(|module| module == name);
+    let mut seen = 0;
+    for (own, module) in modules.iter().enumerate() {
+        let mut files = Vec::new();
+        let source = source(&format!("core/{module}"));
+        if source.is_dir() {
+            texts(&source, &mut files);
+        }
+        files.extend([source.with_extension("rs")].into_iter().filter(|file| file.exists()));
+        assert!(!files.is_empty(), "{module} is gone");
+        for file in files.iter().filter(|file| !file.to_string_lossy().contains("tests")) {
+            let text = fs::read_to_string(file).unwrap();
+            let code = text.split("#[cfg(test)]\nmod ").next().unwrap();
+            let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+            let text: String = lines.collect::<Vec<_>>().join("\n");
+            for (at, _) in text.match_indices("crate::") {
+                let name: String =
+                    text[at + 7..].chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+                if let Some(used) = place(&name) {
+                    seen += 1;
+                    assert!(used >= own, "{} uses {name}, which stands above {module}", file.display());
+                }
+            }
+        }
+    }
+    assert!(seen > 100, "{seen}");
+}
+
+/// Each source that the architecture names is there.
+#[test]
+fn the_architecture_names_no_file_that_is_gone() {
+    let text = fs::read_to_string(checkout("docs/src/architecture.md")).unwrap();
+    let mut seen = 0;
+    for name in text.split('`').skip(1).step_by(2) {
+        let package = name.split('/').next().unwrap_or_default();
+        if name.contains('/') && checkout("crates").join(package).is_dir() && !name.contains(' ') {
+            seen += 1;
+            assert!(source(name).exists(), "{name}");
+        }
+    }
+    assert!(seen > 40, "{seen}");
 }
 
 /// The text files of the checkout that people read, by their paths in it.

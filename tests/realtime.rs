@@ -10,9 +10,9 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::Duration;
 
-use fieldbeat::internals::rt::thread::{helper_thread, spare_core};
 use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::{Master, Memory, Realtime};
+use fieldbeat_core::rt::thread::{helper_thread, spare_core};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
 use support::controller::{self, RAMP, TARGET, Way};
 use support::counting::{Counting, count, watch};

@@ -10,25 +10,24 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, StatusWord, UnidriveDrive};
-use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
-use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
-use fieldbeat::internals::bus::modbus::wire::{ADU_MAX, HEADER, Response};
-use fieldbeat::internals::cycle::record::{DriveRecord, Record, Stage};
-use fieldbeat::internals::net::frames::Unsent;
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, Os, UdpOptions};
-use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::{S, Time};
 use fieldbeat::{Granted, Wait};
+use fieldbeat_core::cycle::record::{DriveRecord, Record, Stage};
+use fieldbeat_core::net::frames::Unsent;
+use fieldbeat_core::net::{Carriers, Datagrams, Frames, Os, UdpOptions};
+use fieldbeat_core::rt::{Clock, MonotonicClock, Regions};
+use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
+use fieldbeat_linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
+use fieldbeat_modbus::wire::{ADU_MAX, HEADER, Response};
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 
 use super::bare_wire::BareWire;
 use super::fleet::{self, Fleet, Side};
-use super::handshake;
 use super::libmodbus::{Client, Libmodbus};
 use super::rig::{self, Calls, Count, Pace, Rig, give_up, thread_cpu_ns};
-use super::unidrive;
+use super::{handshake, unidrive};
 
 /// What one loop measured.
 #[derive(Debug, Default)]

@@ -12,11 +12,11 @@ use std::task::Waker;
 
 use fieldbeat::Wait;
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::internals::net::{
+use fieldbeat::time::Time;
+use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, LinkNotes, Os, Serial, SerialLine, Streams, UdpOptions,
 };
-use fieldbeat::internals::rt::{MonotonicClock, Regions};
-use fieldbeat::time::Time;
+use fieldbeat_core::rt::{MonotonicClock, Regions};
 
 use super::bare::unless_blocked;
 use super::rig::{self, Calls, Pace, Rig};

@@ -5,13 +5,13 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::task::Waker;
 
-use fieldbeat::internals::net::frames::Unsent;
-use fieldbeat::internals::net::{
+use fieldbeat::time::Time;
+use fieldbeat_core::net::frames::Unsent;
+use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, Frames, LinkNotes, Os, Outbox, Received, Sent, Serial, SerialLine,
     StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::internals::rt::Regions;
-use fieldbeat::time::Time;
+use fieldbeat_core::rt::Regions;
 
 use super::callgrind::paused;
 use super::rig::Calls;
@@ -26,7 +26,7 @@ pub struct CountedNet<N = Os> {
 impl CountedNet {
     /// Those of the operating system. Counts in `calls`.
     pub fn new(calls: &Calls) -> CountedNet {
-        CountedNet::over(Os::off_core(fieldbeat::internals::rt::thread::default_core()), calls)
+        CountedNet::over(Os::off_core(fieldbeat_core::rt::thread::default_core()), calls)
     }
 }
 

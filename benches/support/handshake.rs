@@ -6,10 +6,10 @@ use std::net::{SocketAddrV4, TcpStream};
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus::ModbusPlan;
-use fieldbeat::internals::bus::modbus::wire::ADU_MAX;
-use fieldbeat::internals::net::{Carriers, Datagrams, HandshakeState, StreamPeer, Streams, UdpOptions};
-use fieldbeat::internals::rt::MonotonicClock;
 use fieldbeat::time::S;
+use fieldbeat_core::net::{Carriers, Datagrams, HandshakeState, StreamPeer, Streams, UdpOptions};
+use fieldbeat_core::rt::MonotonicClock;
+use fieldbeat_modbus::wire::ADU_MAX;
 
 /// A connection to each drive of `plan`, with the master's own handshake: the drive is set up as ours is.
 pub fn connect(plan: &ModbusPlan) -> io::Result<Vec<TcpStream>> {

@@ -7,13 +7,11 @@ use std::time::Duration;
 
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
-use fieldbeat::internals::bus::profibus::wire::sap::Service;
-use fieldbeat::internals::bus::profibus::wire::telegram::MAX;
-use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, LinkNotes, Serial, SerialLine, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::time::{S, Time};
+use fieldbeat_core::net::{Broken, Carriers, Datagrams, LinkNotes, Serial, SerialLine, Streams, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_profibus::wire::sap::Service;
+use fieldbeat_profibus::wire::telegram::MAX;
 
 use super::rig;
 

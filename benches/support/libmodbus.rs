@@ -6,12 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use fieldbeat::Granted;
-use fieldbeat::internals::bus::modbus::parameter::DRIVE_UNIT;
 use fieldbeat::time::Time;
+use fieldbeat_modbus::parameter::DRIVE_UNIT;
 
 use super::fleet::{Fleet, Side};
-use super::handshake;
-use super::{rig, unidrive};
+use super::{handshake, rig, unidrive};
 
 /// The compiled client.
 #[derive(Debug)]

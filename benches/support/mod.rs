@@ -43,7 +43,7 @@ use std::fmt::Display;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use fieldbeat::internals::rt::host;
+use fieldbeat_core::rt::host;
 use serde_json::{Map, Value, json};
 
 use budgets::Budgets;

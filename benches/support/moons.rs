@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::ethernet_ip::{IO_PORT, MoonsDrive, command, status};
-use fieldbeat::internals::net::{HandshakeState, StreamPeer};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
+use fieldbeat_core::net::{HandshakeState, StreamPeer};
 
 use super::rig;
 

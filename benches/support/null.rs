@@ -7,17 +7,15 @@ use std::sync::{Mutex, PoisonError};
 
 use fieldbeat::bus::ethernet_ip::{self, IO_PORT};
 use fieldbeat::bus::linudp::{ControlWord, MainState, StateVar, StatusWord};
-use fieldbeat::internals::bus::linudp::wire::{
-    RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
-};
-use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
-    UdpOptions,
-};
-use fieldbeat::internals::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;
+use fieldbeat_core::net::{
+    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
+    UdpOptions,
+};
+use fieldbeat_core::rt::{MonotonicClock, Regions};
+use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock};
 
 use super::callgrind::resumed;
 use super::unidrive::{self, Canned};

@@ -7,13 +7,11 @@ use std::os::fd::{BorrowedFd, RawFd};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use fieldbeat::Wait;
-use fieldbeat::internals::bus::ethernet_ip::wire::io::Outgoing;
-use fieldbeat::internals::cycle::record::{DriveRecord, Record, Stage};
-use fieldbeat::internals::net::{
-    Carriers, Datagrams, Os, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::{Clock, MonotonicClock, Regions};
 use fieldbeat::time::Time;
+use fieldbeat_core::cycle::record::{DriveRecord, Record, Stage};
+use fieldbeat_core::net::{Carriers, Datagrams, Os, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
+use fieldbeat_core::rt::{Clock, MonotonicClock, Regions};
+use fieldbeat_ethernet_ip::wire::io::Outgoing;
 
 use super::fleet::{Fleet, Side};
 use super::rig::{self, Calls, Count, Pace, Rig};

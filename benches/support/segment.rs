@@ -11,15 +11,15 @@ use fieldbeat::axis::{Limits, State};
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Owner, SlavePlan, Watchdog,
 };
-use fieldbeat::internals::bus::ethercat::cia402::StatusWord;
-use fieldbeat::internals::bus::ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
-use fieldbeat::internals::bus::ethercat::wire::sii::Identity;
-use fieldbeat::internals::net::frames::{MAC, Unsent};
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, UdpOptions};
-use fieldbeat::internals::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Model, SlaveSettings};
 use fieldbeat::time::{MS, Time};
+use fieldbeat_core::bus::cia402::StatusWord;
+use fieldbeat_core::net::frames::{MAC, Unsent};
+use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
+use fieldbeat_core::rt::{MonotonicClock, Regions};
+use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
+use fieldbeat_ethercat::wire::sii::Identity;
 
 use super::rig;
 

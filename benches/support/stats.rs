@@ -1,6 +1,6 @@
 //! The doctor's statistics, and what only a bench needs.
 
-pub use fieldbeat::internals::doctor::stats::*;
+pub use fieldbeat_doctor::stats::*;
 
 /// A straight line through points.
 #[derive(Clone, Copy, Debug)]

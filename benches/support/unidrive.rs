@@ -7,11 +7,11 @@ use fieldbeat::axis::Limits;
 use fieldbeat::bus::modbus::{
     ControlWord, Mapping, Parameter, Role, StatusWord, UnidriveDrive, Via, Watchdog,
 };
-use fieldbeat::internals::bus::modbus::parameter::DRIVE_UNIT;
-pub use fieldbeat::internals::bus::modbus::wire::ADU_MAX;
-use fieldbeat::internals::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
+use fieldbeat_modbus::parameter::DRIVE_UNIT;
+pub use fieldbeat_modbus::wire::ADU_MAX;
+use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 
 use super::rig;
 

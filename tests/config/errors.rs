@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use fieldbeat::axis::{AxisError, GroupError};
-use fieldbeat::internals::control::AskError;
 use fieldbeat::{MasterError, OpenError, StartError, config};
+use fieldbeat_control::AskError;
 
 #[test]
 fn debug_of_an_error_is_its_sentence() {
@@ -45,7 +45,7 @@ fn sources(directory: &Path, found: &mut Vec<PathBuf>) {
 #[test]
 fn no_error_type_of_the_library_derives_debug() {
     let mut files = Vec::new();
-    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut files);
+    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("crates"), &mut files);
     let mut seen = 0;
     // What the program's own files have for themselves never leaves it.
     for file in files.iter().filter(|file| !file.components().any(|part| part.as_os_str() == "cli")) {

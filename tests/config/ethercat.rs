@@ -3,9 +3,9 @@
 use fieldbeat::Plan;
 use fieldbeat::axis::{HeldBy, Load, Unit};
 use fieldbeat::config::Configuration;
-use fieldbeat::internals::bus::ethercat::cia402::Mode;
-use fieldbeat::internals::config::describe;
 use fieldbeat::time::US;
+use fieldbeat_config::describe;
+use fieldbeat_ethercat::mode::Mode;
 
 use super::{keys, mistakes, read, read_all, tells_the_truth};
 

@@ -15,13 +15,14 @@ use std::time::Duration;
 use fieldbeat::axis::{FoundRunning, Health, OwnerLost, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::config::{Configuration, load, parse};
-use fieldbeat::internals::bus::linudp::upid::Upid;
-use fieldbeat::internals::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json};
-use fieldbeat::internals::cycle::bound::{stop_bound, stop_bound_cycles};
-use fieldbeat::internals::cycle::starvation;
-use fieldbeat::internals::rt::host::Throttling;
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Guard, Overrun, Plan, Realtime, Wait};
+use fieldbeat_config::demo::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, is_demo};
+use fieldbeat_config::{describe, json};
+use fieldbeat_core::cycle::bound::{stop_bound, stop_bound_cycles};
+use fieldbeat_core::cycle::starvation;
+use fieldbeat_core::rt::host::Throttling;
+use fieldbeat_linudp::upid::Upid;
 use proptest::prelude::*;
 
 /// One drive with a fragment in one of its sections. The fragment begins in line 2, 6 or 10.
@@ -273,7 +274,7 @@ fn files_that_cannot_be_read_say_so() {
         let said = error(&path("long.toml"));
         assert!(said.contains(&what) && (what.is_empty() == said.contains(":1: not UTF-8")), "{said}");
     }
-    let curve = fieldbeat::bus::linudp::curve::file::load(path("pipe")).unwrap_err().to_string();
+    let curve = fieldbeat::config::linmot::curve::load(path("pipe")).unwrap_err().to_string();
     assert!(curve.contains("it is a pipe"), "{curve}");
     symlink(std::fs::canonicalize("rt-config/demo.toml").unwrap(), path("demo.toml")).unwrap();
     assert!(load(path("demo.toml")).is_ok() && is_demo(path("demo.toml")));

@@ -6,10 +6,10 @@ use fieldbeat::bus::profibus::{
     DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, RATES, Rs485, StatusBit,
 };
 use fieldbeat::config::Configuration;
-use fieldbeat::internals::config::describe;
-use fieldbeat::internals::cycle::bound::stop_bound;
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Plan};
+use fieldbeat_config::describe;
+use fieldbeat_core::cycle::bound::stop_bound;
 
 use super::{keys, mistakes, read, read_all, tells_the_truth};
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use fieldbeat::config::parse;
-use fieldbeat::internals::config::schema;
+use fieldbeat_config::schema;
 use serde_json::Value;
 
 use super::any_machine;

@@ -1,6 +1,6 @@
 //! `[soak]`: how axes move of which nothing is said, and moves that their limits refuse.
 
-use fieldbeat::internals::config::soak::{Criteria, Pattern, SoakPlan};
+use fieldbeat_config::soak::{Criteria, Pattern, SoakPlan};
 
 use super::{mistakes, read_all};
 

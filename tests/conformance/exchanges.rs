@@ -1,11 +1,12 @@
 //! When something is sent, what is owed for it, and how long a window stays open.
 
 use fieldbeat::axis::Command;
-use fieldbeat::internals::bus::{Exchange, OWN_COUNTERS};
-use fieldbeat::internals::rt::Clock;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
+use fieldbeat_core::bus::Exchange;
+use fieldbeat_core::bus::counters::OWN_COUNTERS;
+use fieldbeat_core::rt::Clock;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
 use crate::conformance::subject::{Subject, not_applicable};
@@ -403,7 +404,7 @@ pub fn the_end_comes_and_leaves_nothing_owed(subject: &'static dyn Subject) {
             assert!(turns < 1_000, "no end within 1000 cycles");
             line.turn();
         }
-        let owed = |slot: &fieldbeat::internals::bus::Slot| matches!(slot.exchange, Exchange::Owed { .. });
+        let owed = |slot: &fieldbeat_core::bus::Slot| matches!(slot.exchange, Exchange::Owed { .. });
         assert!(!line.slots.iter().any(owed), "{:?}", line.slots);
         let sends = line.wire.log().sends;
         line.world.advance(100 * PERIOD);

@@ -1,8 +1,8 @@
 //! A wire for one request at a time: what is due waits for its turn.
 
 use fieldbeat::axis::Command;
-use fieldbeat::internals::bus::Exchange;
 use fieldbeat::time::US;
+use fieldbeat_core::bus::Exchange;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD};
 use crate::conformance::machine::Machine;

@@ -7,13 +7,13 @@ use std::net::SocketAddrV4;
 use fieldbeat::Cycle;
 use fieldbeat::axis::{Command, Failure, Jog, Link, Move, NativeOwner, Profile, Row, State, Target};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::internals::bus::{Bus, Exchange, Slot};
-use fieldbeat::internals::drive::machine::{Machine, NumberedRow};
-use fieldbeat::internals::rt::{Clock, PollSet};
-use fieldbeat::internals::sim::world::WorldClock;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::drive::machine::{Machine, NumberedRow};
+use fieldbeat_core::rt::{Clock, PollSet};
+use fieldbeat_sim::world::WorldClock;
 
 use crate::conformance::rules::{self, Around};
 use crate::conformance::subject::{Can, Drive, Said, Subject};

@@ -255,7 +255,7 @@ impl Machine {
     pub fn stop_bound(&self, index: usize) -> u64 {
         let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(self.wire.clone())];
         let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
-        fieldbeat::internals::cycle::bound::stop_bound(&plan, index)
+        fieldbeat_core::cycle::bound::stop_bound(&plan, index)
     }
 
     /// Turns until the loop has ended.

@@ -1,4 +1,4 @@
-//! What every `Bus` must do, whatever its protocol: the contract of `src/bus/mod.rs`, clause by clause.
+//! What every `Bus` must do, whatever its protocol: the contract in `core/bus/contract.rs`, clause by clause.
 //!
 //! | file | what |
 //! |---|---|

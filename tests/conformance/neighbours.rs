@@ -1,10 +1,10 @@
 //! One drive never hurts another: whatever befalls the first of three, the others do not notice.
 
 use fieldbeat::axis::Command;
-use fieldbeat::internals::bus::{Exchange, Slot};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
+use fieldbeat_core::bus::{Exchange, Slot};
 
 use crate::conformance::line::{Line, PERIOD};
 use crate::conformance::subject::{Said, Subject};

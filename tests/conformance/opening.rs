@@ -1,9 +1,9 @@
 //! The plan, and the bus before its first cycle.
 
 use fieldbeat::bus::BusPlan;
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::Simulated;
 use fieldbeat::time::S;
+use fieldbeat_core::rt::Regions;
 
 use crate::conformance::line::{Line, PERIOD, drives};
 use crate::conformance::subject::{Subject, not_applicable};

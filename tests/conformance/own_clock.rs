@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::internals::bus::Exchange;
 use fieldbeat::telemetry::Counters;
+use fieldbeat_core::bus::Exchange;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD};
 use crate::conformance::machine::Machine;

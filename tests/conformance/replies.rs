@@ -3,10 +3,11 @@
 use std::net::SocketAddrV4;
 
 use fieldbeat::axis::Link;
-use fieldbeat::internals::bus::{Exchange, OWN_COUNTERS};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::US;
+use fieldbeat_core::bus::Exchange;
+use fieldbeat_core::bus::counters::OWN_COUNTERS;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD, Seen, WINDOW};
 use crate::conformance::rules;

@@ -1,7 +1,7 @@
 //! What a drive says, in user units: only what it said, only when it said it.
 
 use fieldbeat::axis::{Command, DriveStatus, Units};
-use fieldbeat::internals::bus::Slot;
+use fieldbeat_core::bus::Slot;
 
 use crate::conformance::line::Line;
 use crate::conformance::rules::{is_as_told, near};

@@ -2,9 +2,10 @@
 
 use fieldbeat::Cycle;
 use fieldbeat::axis::{DriveStatus, Units};
-use fieldbeat::internals::bus::{Exchange, Notices, Slot};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::Time;
+use fieldbeat_core::bus::contract::Notices;
+use fieldbeat_core::bus::{Exchange, Slot};
 
 use crate::conformance::subject::{Can, Drive, Said};
 use crate::conformance::wire::Tape;

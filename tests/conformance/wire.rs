@@ -9,15 +9,15 @@ use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::bus::BusPlan;
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::net::frames::Unsent;
-use fieldbeat::internals::net::{
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
+use fieldbeat::{OpenError, Time};
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net::frames::Unsent;
+use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, Frames, Groups, LinkNotes, Outbox, Received, Sent, Serial, SerialLine,
     StreamPeer, Streams, UdpOptions,
 };
-use fieldbeat::internals::rt::Regions;
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
-use fieldbeat::{OpenError, Time};
+use fieldbeat_core::rt::Regions;
 
 use self::serial::{TappedSerial, TappedSlave};
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};

@@ -8,17 +8,17 @@
 pub mod axis {
     //! As in the library.
 
-    #[path = "../../src/axis/acyclic/mod.rs"]
+    #[path = "../../crates/core/src/axis/acyclic/mod.rs"]
     pub mod acyclic;
-    #[path = "../../src/axis/cell.rs"]
+    #[path = "../../crates/core/src/axis/cell.rs"]
     pub mod cell;
-    #[path = "../../src/axis/doorbell.rs"]
+    #[path = "../../crates/core/src/axis/doorbell.rs"]
     pub mod doorbell;
-    #[path = "../../src/axis/feedback.rs"]
+    #[path = "../../crates/core/src/axis/feedback.rs"]
     pub mod feedback;
-    #[path = "../../src/axis/newest.rs"]
+    #[path = "../../crates/core/src/axis/newest.rs"]
     pub mod newest;
-    #[path = "../../src/axis/pulse.rs"]
+    #[path = "../../crates/core/src/axis/pulse.rs"]
     pub mod pulse;
 
     pub use feedback::Feedback;
@@ -46,6 +46,7 @@ pub mod axis {
 
         use super::cell::Reader;
         use super::feedback::Feedback;
+        use crate::rt::Wires;
 
         pub const LOOK_EVERY: Duration = Duration::ZERO;
         pub const GRACE: Duration = Duration::ZERO;
@@ -54,6 +55,10 @@ pub mod axis {
         pub struct Observer(pub Reader<Feedback>);
 
         impl Observer {
+            pub fn new(reader: Reader<Feedback>, _wires: Wires) -> Observer {
+                Observer(reader)
+            }
+
             pub fn feedback(&self) -> Feedback {
                 self.0.read()
             }
@@ -64,18 +69,18 @@ pub mod axis {
         }
     }
 }
-#[path = "../../src/errors.rs"]
+#[path = "../../crates/core/src/errors.rs"]
 mod errors;
-#[path = "../../src/named.rs"]
+#[path = "../../crates/core/src/named.rs"]
 mod named;
-#[path = "../../src/time.rs"]
+#[path = "../../crates/core/src/time.rs"]
 pub mod time;
 
 #[path = "."]
 pub mod rt {
     //! Rings, the word that owns the wires, and no memory to be locked.
 
-    #[path = "../../src/rt/wires.rs"]
+    #[path = "../../crates/core/src/rt/wires.rs"]
     mod wires;
     pub use wires::Wires;
 
@@ -103,9 +108,9 @@ pub mod rt {
 pub mod inputs {
     //! Queues, no log of what is taken from them, and the ring of that log by itself.
 
-    #[path = "../../src/inputs/entry.rs"]
+    #[path = "../../crates/core/src/inputs/entry.rs"]
     pub mod entry;
-    #[path = "../../src/inputs/recording.rs"]
+    #[path = "../../crates/core/src/inputs/recording.rs"]
     pub mod recording;
 
     use crate::sync::Consumer;

@@ -6,11 +6,11 @@ use std::net::TcpStream;
 use std::process::{Command, Stdio};
 
 use crate::support::{LONG, Machine, Program, checkout, simulated, until};
-use fieldbeat::internals::cycle::record::{CycleRecord, DriveRecord, Record, measured};
-use fieldbeat::internals::telemetry::hgrm::distribution;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Histograms, Peak, Quantity};
 use fieldbeat::time::MS;
+use fieldbeat_core::cycle::record::{CycleRecord, DriveRecord, Record, measured};
+use fieldbeat_record::hgrm::distribution;
 use libc::SIGINT;
 
 /// What `command` prints about `input`.

@@ -8,11 +8,11 @@ use std::process::Command;
 use fieldbeat::axis::{Command as Order, Feedback, Move, Profile, Target};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, Native, NativeInputs};
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::telemetry::recording::reading::{Reading, Wrong};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::recording::Recorder;
 use fieldbeat::time::{MS, Time};
 use fieldbeat::{CyclePlan, Master, Plan};
+use fieldbeat_record::recording::reading::{Reading, Wrong};
 use serde_json::{Value, json};
 
 use crate::support::checkout;

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::{Command, Output};
 
 use fieldbeat::config::parse;
-use fieldbeat::internals::config::schema;
+use fieldbeat_config::schema;
 use serde_json::Value;
 
 use crate::peer::Peer;

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::{JoinHandle, sleep};
 use std::time::Duration;
 
-use fieldbeat::internals::control::Operator;
+use fieldbeat_control::Operator;
 use nix::poll::{PollFd, PollFlags, poll};
 
 use super::operate::{SPEED, assert_rest, await_axis, config, is_left, moves, online, seen, socket_of};

@@ -11,6 +11,7 @@ use std::thread::sleep;
 
 use fieldbeat::Master;
 use fieldbeat::axis::{Link, StopCause};
+use fieldbeat::telemetry::Summary;
 use libc::{SIGINT, SIGTERM};
 use serde_json::Value;
 
@@ -277,7 +278,7 @@ fn play(config: &str) {
     while !ended.load(Ordering::Relaxed) {
         sleep(5 * MS);
     }
-    println!("{}", serde_json::to_string(&master.finish().summary()).unwrap());
+    println!("{}", serde_json::to_string(&Summary::from(&master.finish())).unwrap());
 }
 
 #[test]

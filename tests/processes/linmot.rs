@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fieldbeat::Master;
-use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
+use fieldbeat::config::linmot::curve as curve_file;
+use fieldbeat::config::linmot::table as table_file;
 use libc::{SIGCONT, SIGINT, SIGSTOP, SIGTERM};
 
 use super::support::onlooker::Onlooker;

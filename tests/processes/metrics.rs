@@ -9,13 +9,14 @@ use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::internals::bus::modbus::counters::OWN;
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::telemetry::Status;
+use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::metrics::Endpoint;
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
+use fieldbeat_modbus::counters::OWN;
 use libc::SIGINT;
 
 use super::support::{LONG, Machine, Program, assert_sums, carried, patient, served, until};
@@ -314,7 +315,7 @@ fn a_program_of_its_own_watches_its_machine_and_closes_the_endpoint() {
     let server = endpoint.serve(monitor.clone()).unwrap();
     master.wait_online(LONG).unwrap();
     let watched = std::thread::spawn(move || {
-        assert!(until(LONG, || monitor.summary().drives[0].rtt_ns.count > 20));
+        assert!(until(LONG, || Summary::from(&monitor).drives[0].rtt_ns.count > 20));
         monitor
     });
     let monitor = watched.join().unwrap();
@@ -382,7 +383,7 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
     };
     let not_connected = || ["d0", "d1"].map(|drive| sample("not_connected", &format!("drive=\"{drive}\"")));
     assert_eq!(not_connected(), [0.0, 1.0]);
-    let summary = master.summary();
+    let summary = Summary::from(&*master);
     assert_eq!(
         (&summary.drives[0].not_connected, summary.drives[1].not_connected.as_deref()),
         (&None, Some(why.as_str()))

@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use fieldbeat::internals::control::{
+use fieldbeat_control::{
     AskError, Ended, HOLD_EVERY, OperateError, OperationState, Operator, Order, Watched,
 };
 use serde_json::{Value, json};

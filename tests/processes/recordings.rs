@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use fieldbeat::internals::telemetry::recording::reading::{Entry, Reading, Wrong};
+use fieldbeat_record::recording::reading::{Entry, Reading, Wrong};
 use libc::{SIGINT, SIGUSR1};
 use serde_json::Value;
 

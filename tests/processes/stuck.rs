@@ -15,11 +15,12 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::bus::linudp::wire::Request;
-use fieldbeat::internals::net::{Carriers, Datagrams, Outbox, Received, Sent, UdpOptions};
-use fieldbeat::internals::rt::Regions;
+use fieldbeat::telemetry::Summary;
 use fieldbeat::{Master, MasterError, OpenError};
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_linudp::wire::Request;
 use libc::{SIGCONT, SIGSTOP};
 
 use super::support::controller::{TARGET, VELOCITY, set_out};
@@ -111,7 +112,7 @@ fn play(role: &str) -> ! {
         exit(1)
     }
     let run = master.finish();
-    let summary = run.summary();
+    let summary = Summary::from(&run);
     println!("{}", serde_json::to_string(&summary).unwrap());
     exit(if summary.has_failed() { 1 } else { 0 })
 }

@@ -12,8 +12,9 @@ use std::time::Duration;
 
 use fieldbeat::axis::{AxisError, StopCause};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-use fieldbeat::internals::control::Server;
+use fieldbeat::telemetry::Summary;
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
+use fieldbeat_control::Server;
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
 
@@ -525,7 +526,7 @@ fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
         let run = master.finish();
         let panic = run.end.panic.as_ref().unwrap();
         assert_eq!(panic.left_out.is_empty(), !left_out, "{panic}");
-        let summary = run.summary();
+        let summary = Summary::from(&run);
         assert!(summary.has_failed() && !summary.is_whole());
         assert_eq!(summary.failures[0].what, panic.to_string());
         // Requests are built between two cycles as well, where the host has taken one.

@@ -3,10 +3,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Cursors } from "../../src/scope/assets/cursors.js";
-import { Store } from "../../src/scope/assets/store.js";
-import { Trigger } from "../../src/scope/assets/trigger.js";
-import { View } from "../../src/scope/assets/view.js";
+import { Cursors } from "../../crates/scope/src/assets/cursors.js";
+import { Store } from "../../crates/scope/src/assets/store.js";
+import { Trigger } from "../../crates/scope/src/assets/trigger.js";
+import { View } from "../../crates/scope/src/assets/view.js";
 
 /** What a browser is for the link: its address, its history, its sockets and its answers. */
 function browser(hash, answers) {
@@ -38,7 +38,7 @@ function browser(hash, answers) {
 test("the token leaves the address at once, and is named to the websocket and nowhere else", async () => {
   const refused = { ok: false, text: async () => "open the address\n" };
   const seen = browser("#token=0a1b", refused);
-  const { Link } = await import("../../src/scope/assets/link.js");
+  const { Link } = await import("../../crates/scope/src/assets/link.js");
   assert.deepEqual(seen.replaced, ["/"]);
   const reasons = [];
   const link = new Link({ closed: (why) => reasons.push(why) });

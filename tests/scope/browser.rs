@@ -340,7 +340,7 @@ fn trigger_and_cursors_find_what_they_are_set_to() {
     // A copy: whatever its age, node takes files for modules that a package calls so.
     let copy = tempfile::tempdir().unwrap();
     std::fs::write(copy.path().join("package.json"), r#"{ "type": "module" }"#).unwrap();
-    for of in ["tests/scope", "src/scope/assets"] {
+    for of in ["tests/scope", "crates/scope/src/assets"] {
         std::fs::create_dir_all(copy.path().join(of)).unwrap();
         for file in std::fs::read_dir(checkout(of)).unwrap().map(|entry| entry.unwrap().path()) {
             std::fs::copy(&file, copy.path().join(of).join(file.file_name().unwrap())).unwrap();

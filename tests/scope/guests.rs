@@ -8,11 +8,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fieldbeat::Master;
-use fieldbeat::internals::control::{About, Ended, Operator, Order, Part, Station, Watch, Watched};
-use fieldbeat::internals::cycle::record::Record;
-use fieldbeat::internals::scope::{Control, Endpoint, Server, Source};
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::MS;
+use fieldbeat_control::{About, Ended, Operator, Order, Part, Station, Watch, Watched};
+use fieldbeat_core::cycle::record::Record;
+use fieldbeat_scope::{Control, Endpoint, Server, Source};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 use crate::socket::{Message, Socket, ask, cycles, get, status, upgrade, upgrade_from_any};

@@ -18,9 +18,9 @@ use fieldbeat::axis::{
     Acyclic, Axis, CallError, CallTicket, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row,
     Target,
 };
-use fieldbeat::internals::bus::linudp::upid;
-use fieldbeat::internals::bus::linudp::wire::RtcCommand;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat_linudp::upid;
+use fieldbeat_linudp::wire::RtcCommand;
 
 use super::{LONG, Machine, simulated, until};
 

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use fieldbeat::Master;
 use fieldbeat::axis::{Axis, AxisError, Command, Move, Profile, Target};
+use fieldbeat::telemetry::Summary;
 use serde_json::Value;
 
 use super::{Ended, LONG, Machine, Program, again, until};
@@ -91,7 +92,7 @@ pub fn play(role: &str) {
         }
         sleep(Duration::from_millis(5));
     }
-    println!("{}", serde_json::to_string(&master.finish().summary()).unwrap());
+    println!("{}", serde_json::to_string(&Summary::from(&master.finish())).unwrap());
 }
 
 /// Sends `axis` on its long way.

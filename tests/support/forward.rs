@@ -62,11 +62,11 @@ macro_rules! forward_bus_plan {
             self.$field.reaching(index)
         }
 
-        fn notation(&self) -> std::sync::Arc<dyn fieldbeat::internals::axis::acyclic::Notation> {
+        fn notation(&self) -> std::sync::Arc<dyn fieldbeat_core::axis::acyclic::Notation> {
             self.$field.notation()
         }
 
-        fn native_layout(&self, index: usize) -> fieldbeat::internals::bus::NativeLayout {
+        fn native_layout(&self, index: usize) -> fieldbeat_core::bus::native::NativeLayout {
             self.$field.native_layout(index)
         }
 
@@ -78,19 +78,15 @@ macro_rules! forward_bus_plan {
             self.$field.describe_turns(grid)
         }
 
-        fn own_counters(&self) -> &'static [fieldbeat::internals::bus::OwnCounter] {
+        fn own_counters(&self) -> &'static [fieldbeat_core::bus::OwnCounter] {
             self.$field.own_counters()
         }
 
-        fn capabilities(
-            &self,
-            index: usize,
-            period_ns: u64,
-        ) -> fieldbeat::internals::bus::desired::Capabilities {
+        fn capabilities(&self, index: usize, period_ns: u64) -> fieldbeat_core::bus::desired::Capabilities {
             self.$field.capabilities(index, period_ns)
         }
 
-        fn fault_names(&self) -> fieldbeat::internals::axis::feedback::FaultNames {
+        fn fault_names(&self) -> fieldbeat_core::axis::feedback::FaultNames {
             self.$field.fault_names()
         }
 

@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::internals::axis::acyclic::AcyclicEnds;
-use fieldbeat::internals::bus::{Bus, Slot};
-use fieldbeat::internals::net::Carriers;
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::{Cycle, OpenError};
+use fieldbeat_core::axis::acyclic::AcyclicEnds;
+use fieldbeat_core::bus::{Bus, Slot};
+use fieldbeat_core::net::Carriers;
+use fieldbeat_core::rt::Regions;
 
 /// The call of a bus that panics.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use std::net::{SocketAddrV4, UdpSocket};
 use std::time::Duration;
 
 use fieldbeat::bus::linudp::{MASTER_PORT, MainState};
-use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request, Response, ResponseDef};
+use fieldbeat_linudp::wire::{REQUEST_MAX, Request, Response, ResponseDef};
 
 use super::{LONG, Machine, until};
 

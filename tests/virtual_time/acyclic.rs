@@ -4,10 +4,10 @@ use std::collections::HashMap;
 
 use fieldbeat::axis::{Call, CallError, CallTicket, Command, EventKind, Health, Link, NativeOwner};
 use fieldbeat::bus::linudp::{MonitorPlan, Native, NativeOutput, ReplyTag};
-use fieldbeat::internals::bus::linudp::upid::{Upid, call};
-use fieldbeat::internals::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::MS;
+use fieldbeat_linudp::upid::{Upid, call};
+use fieldbeat_linudp::wire::{Refusal, RtcBlock, RtcCommand};
 
 use crate::virtual_time::support::*;
 

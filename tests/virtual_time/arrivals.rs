@@ -17,13 +17,13 @@ use fieldbeat::bus::ethercat::{EthercatPlan, Family, Object, Start, Type};
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::config::{Configuration, load};
-use fieldbeat::internals::bus::linudp::wire::Response;
-use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, Simulated, WorldOptions};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_linudp::wire::Response;
 
 use crate::virtual_time::kollmorgen::{self, LINE, Machine};
 use crate::virtual_time::moons;

@@ -8,7 +8,7 @@ use fieldbeat::{Master, Setup, config};
 
 fn setup() -> Setup {
     let config::Configuration { plan, simulation, .. } =
-        fieldbeat::internals::config::demo_plan(2, 1_000_000, 0).unwrap();
+        fieldbeat_config::demo::demo_plan(2, 1_000_000, 0).unwrap();
     Master::from_plan(plan).with_simulation(simulation)
 }
 

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::time::Duration;
 
 use fieldbeat::axis::{Acyclic, Answer, Call, CallError, CallTicket, Series};
-use fieldbeat::internals::axis::acyclic::{Carrier, Condition};
+use fieldbeat_core::axis::acyclic::{Carrier, Condition};
 
 use crate::virtual_time::support::Bench;
 

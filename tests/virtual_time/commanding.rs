@@ -12,10 +12,10 @@ use fieldbeat::axis::{
     ParameterError, PostError,
 };
 use fieldbeat::bus::linudp::MainState;
-use fieldbeat::internals::bus::ethercat::cia402::Mode;
-use fieldbeat::internals::bus::linudp::wire::{RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
+use fieldbeat_ethercat::mode::Mode;
+use fieldbeat_linudp::wire::{RtcBlock, RtcCommand};
 
 use crate::virtual_time::carrier::LIMIT;
 use crate::virtual_time::kollmorgen::{self, Machine};

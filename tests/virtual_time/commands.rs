@@ -6,8 +6,8 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, NativeOutput, StatusWord};
-use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef, ResponseView, RtcBlock, RtcCommand};
 use fieldbeat::time::{Time, US};
+use fieldbeat_linudp::wire::{Request, ResponseDef, ResponseView, RtcBlock, RtcCommand};
 
 use crate::virtual_time::support::*;
 

@@ -3,9 +3,9 @@
 
 use fieldbeat::axis::{Command, EventKind, Failure, Outcome, State, StopCause, Target};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MonitorPlan, ReplyTag, StatusWord};
-use fieldbeat::internals::bus::linudp::wire::{MainState, Response, StateVar};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, US};
+use fieldbeat_linudp::wire::{MainState, Response, StateVar};
 
 use crate::virtual_time::support::*;
 

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, State, StopCause, StopThen};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, StatusWord};
-use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat::time::Time;
+use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 
 use crate::virtual_time::support::*;
 

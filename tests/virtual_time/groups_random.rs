@@ -13,7 +13,7 @@ use fastrand::Rng;
 use fieldbeat::axis::{
     Abort, AxisError, Command, EventKind, Group, GroupCommand, GroupError, Link, Move, Outcome, Target,
 };
-use fieldbeat::internals::replay::TaskOf;
+use fieldbeat_replay::machine::TaskOf;
 
 use super::oracle::machine::{AXES, Kind, Machine, Scale, Shape, plan};
 use super::oracle::variable;

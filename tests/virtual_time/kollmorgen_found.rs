@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::{Command, FoundRunning, Link, Outcome, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object, Watchdog};
-use fieldbeat::internals::bus::ethercat::cia402::Mode;
-use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
+use fieldbeat_ethercat::mode::Mode;
+use fieldbeat_ethercat::wire::registers::AlState;
 
 use super::kollmorgen::drives::take_over;
 use super::kollmorgen::{LINE, Machine, drive, jog};

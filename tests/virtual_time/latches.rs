@@ -6,8 +6,8 @@ use fieldbeat::Flow;
 use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
 use fieldbeat::bus::linudp::ErrorCode;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::internals::bus::linudp::wire::Request;
 use fieldbeat::time::MS;
+use fieldbeat_linudp::wire::Request;
 
 use crate::virtual_time::faults::inject;
 use crate::virtual_time::support::*;

@@ -24,7 +24,6 @@ mod limits;
 mod loads;
 mod lock;
 mod moons;
-#[cfg(feature = "record")]
 mod native;
 mod oracle;
 mod oracle_found;
@@ -33,7 +32,6 @@ mod owners;
 mod panics;
 mod powered;
 mod queues;
-#[cfg(feature = "record")]
 mod recordings;
 mod replay;
 mod replies;

@@ -4,14 +4,14 @@
 use fieldbeat::axis::{FoundRunning, Link, StopCause};
 use fieldbeat::bus::ethercat::{Family, Watchdog};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
-use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
-use fieldbeat::internals::bus::linudp::wire::Request;
-use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::telemetry::Condition;
 use fieldbeat::time::{MS, Time};
+use fieldbeat_core::net::frames::MAC;
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
+use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat_linudp::wire::Request;
 
 use super::faults::inject;
 use super::kollmorgen::drives::take_over;

@@ -5,8 +5,8 @@ use std::time::Duration;
 use fieldbeat::Overrun;
 use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::{ControlWord, StateVar};
-use fieldbeat::internals::bus::linudp::wire::{REQUEST_MAX, Request};
 use fieldbeat::time::MS;
+use fieldbeat_linudp::wire::{REQUEST_MAX, Request};
 
 use super::support::*;
 

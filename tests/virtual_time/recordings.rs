@@ -4,11 +4,11 @@ use std::path::Path;
 
 use fieldbeat::axis::{Command, Move, Profile, Target};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-use fieldbeat::internals::telemetry::recording::reading::{Entry, Reading};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::recording::{RecordError, Recorder};
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_record::recording::reading::{Entry, Reading};
 
 const AXES: usize = 2;
 

@@ -4,11 +4,11 @@
 use fastrand::Rng;
 use fieldbeat::axis::Target;
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
-use fieldbeat::internals::bus::linudp::upid::call;
-use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef, RtcCommand};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
 use fieldbeat::time::{MS, US};
+use fieldbeat_linudp::upid::call;
+use fieldbeat_linudp::wire::{Request, Response, ResponseDef, RtcCommand};
 
 use crate::virtual_time::support::*;
 

@@ -11,12 +11,12 @@ use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
 use fieldbeat::bus::linudp::service::{CurvePut, Progress, Saved, ServiceError, Services};
 use fieldbeat::bus::linudp::table::{Entry, Table};
-use fieldbeat::internals::axis::acyclic::{Carrier, Condition};
-use fieldbeat::internals::bus::linudp::upid::{Upid, Usage};
-use fieldbeat::internals::bus::linudp::wire::{Refusal, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::linudp::FlashMode;
 use fieldbeat::time::S;
+use fieldbeat_core::axis::acyclic::{Carrier, Condition};
+use fieldbeat_linudp::upid::{Upid, Usage};
+use fieldbeat_linudp::wire::{Refusal, RtcCommand};
 
 use crate::virtual_time::carrier::Turning;
 use crate::virtual_time::support::*;

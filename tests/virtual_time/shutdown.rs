@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Abort, Command, Link, StopCause, StopHow, StopThen, Target};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpPlan, MainState, StatusWord};
-use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::{Condition, StopRequest};
 use fieldbeat::{CyclePlan, Flow, Master, Plan};
+use fieldbeat_core::net::SendMode;
 
 use super::fuse::Fused;
 use crate::virtual_time::support::*;

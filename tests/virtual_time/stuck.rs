@@ -5,11 +5,11 @@ use std::sync::{Arc, OnceLock};
 
 use fieldbeat::axis::{Abort, CommandId, Outcome, StopCause};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::internals::net::SendMode;
-use fieldbeat::internals::replay::TaskOf;
-use fieldbeat::internals::rt::Wires;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{CyclePlan, Flow, Master, Plan};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_core::rt::Wires;
+use fieldbeat_replay::machine::TaskOf;
 
 use super::replay::{Log, replay};
 use super::support::{Bench, MASTER, Rig, drive, slowly_to};

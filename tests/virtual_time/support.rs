@@ -17,17 +17,17 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{
     DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
 };
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::bus::linudp::wire::{Request, Response};
-use fieldbeat::internals::net::{
-    Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim, LinMots};
 use fieldbeat::sim::{FaultPlan, SimDrive, World, WorldOptions};
 use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::Time;
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Master, OpenError, Plan, Simulation};
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net::{
+    Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_linudp::wire::{Request, Response};
 
 pub const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), MASTER_PORT);
 

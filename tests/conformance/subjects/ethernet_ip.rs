@@ -10,9 +10,9 @@ use fieldbeat::bus::ethernet_ip::{
     EthernetIpPlan, Homing, HomingMethod, Inputs, Layout, MoonsDrive, Originator, PORT, Version, command,
     status,
 };
-use fieldbeat::internals::bus::ethernet_ip::wire::io::Packet;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, SimDrive, Simulated};
+use fieldbeat_ethernet_ip::wire::io::Packet;
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};

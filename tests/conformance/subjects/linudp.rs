@@ -8,12 +8,10 @@ use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::{
     COUNTS_PER_MM, ControlWord, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MainState, ReplyTag,
 };
-use fieldbeat::internals::bus::linudp::upid;
-use fieldbeat::internals::bus::linudp::wire::{
-    Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand,
-};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{SimPlan, Simulated};
+use fieldbeat_linudp::upid;
+use fieldbeat_linudp::wire::{Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand};
 
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 

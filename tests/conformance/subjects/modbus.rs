@@ -10,17 +10,17 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus::{
     Addressing, ControlWord, ModbusPlan, PORT, Parameter, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::bus::modbus::notation::Target;
-use fieldbeat::internals::bus::modbus::wire;
-use fieldbeat::internals::bus::modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
-use fieldbeat::internals::net;
-use fieldbeat::internals::net::{Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
 use fieldbeat::{OpenError, Time};
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net;
+use fieldbeat_core::net::{Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_modbus::notation::Target;
+use fieldbeat_modbus::wire;
+use fieldbeat_modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 

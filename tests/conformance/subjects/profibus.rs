@@ -5,12 +5,12 @@ use std::any::Any;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, Watchdog};
-use fieldbeat::internals::bus::profibus::wire::sap;
-use fieldbeat::internals::bus::profibus::wire::telegram::{Frame, Head, Next, Telegram};
-use fieldbeat::internals::bus::profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
 use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, SimSerial, Simulated};
 use fieldbeat::time::MS;
+use fieldbeat_profibus::wire::sap;
+use fieldbeat_profibus::wire::telegram::{Frame, Head, Next, Telegram};
+use fieldbeat_profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
 
 use crate::conformance::line::LATENCY;
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};

@@ -15,20 +15,20 @@ use fieldbeat::axis::{
     AxisPlan, Call, CallError, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units,
 };
 use fieldbeat::bus::{BusPlan, Grid};
-use fieldbeat::internals::axis::acyclic;
-use fieldbeat::internals::axis::acyclic::{AcyclicEnds, Commanding, Notation, Port};
-use fieldbeat::internals::bus::desired::{
-    Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
-};
-use fieldbeat::internals::bus::linudp::notation::Upids;
-use fieldbeat::internals::bus::{Bus, Exchange, Slot};
-use fieldbeat::internals::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
-use fieldbeat::internals::rt::Regions;
-use fieldbeat::internals::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive, Simulated};
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{Time, US};
 use fieldbeat::{Cycle, OpenError};
+use fieldbeat_core::axis::acyclic;
+use fieldbeat_core::axis::acyclic::{AcyclicEnds, Commanding, Notation, Port};
+use fieldbeat_core::bus::desired::{
+    Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
+};
+use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_linudp::notation::Upids;
+use fieldbeat_sim::physics::Generator;
 
 use crate::conformance::line::{PERIOD, WINDOW};
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};

@@ -5,10 +5,10 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 
 use fieldbeat::Time;
-use fieldbeat::internals::net::{Broken, LinkNotes, Serial, Streams};
-use fieldbeat::internals::rt::Regions;
-use fieldbeat::internals::sim::fault::{Datagram, Injector, Queue, Way};
 use fieldbeat::sim::{Carrier, FaultPlan, SimSerial};
+use fieldbeat_core::net::{Broken, LinkNotes, Serial, Streams};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_sim::fault::{Datagram, Injector, Queue, Way};
 
 use super::{Delivery, Wire};
 use crate::conformance::subject::{NoMessage, Said};

@@ -16,14 +16,14 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::{
     COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, NativeOutput, ReplyTag,
 };
-use fieldbeat::internals::axis::acyclic::Carrier;
-use fieldbeat::internals::bus::linudp::rtc::UNACKNOWLEDGED;
-use fieldbeat::internals::bus::linudp::upid::{Upid, call};
-use fieldbeat::internals::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat::sim::linudp::{FlashMode, LinMotSettings};
 use fieldbeat::sim::{FaultPlan, SimDrive, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Simulation};
+use fieldbeat_core::axis::acyclic::Carrier;
+use fieldbeat_linudp::rtc::UNACKNOWLEDGED;
+use fieldbeat_linudp::upid::{Upid, call};
+use fieldbeat_linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
 
 use super::input::Input;
 use super::machine::hostile::HostileBus;

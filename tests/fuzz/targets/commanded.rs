@@ -9,10 +9,10 @@ use std::mem::{discriminant, replace};
 
 use fieldbeat::axis::{Command, Failure, Row};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::internals::bus::Slot;
-use fieldbeat::internals::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
-use fieldbeat::internals::drive::machine::{Machine, NumberedRow};
 use fieldbeat::time::Time;
+use fieldbeat_core::bus::Slot;
+use fieldbeat_core::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
+use fieldbeat_core::drive::machine::{Machine, NumberedRow};
 
 pub struct Commanded {
     machine: Machine,

@@ -3,7 +3,7 @@
 use fieldbeat::axis::{Command, Jog, Move, NativeOwner, Profile, Row, Target};
 use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::{ControlWord, NativeOutput};
-use fieldbeat::internals::bus::linudp::wire::{RtcBlock, RtcCommand};
+use fieldbeat_linudp::wire::{RtcBlock, RtcCommand};
 
 use super::input::Input;
 

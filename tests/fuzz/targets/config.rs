@@ -4,11 +4,12 @@ use std::fmt::Write;
 
 use fieldbeat::axis::{Command, Move, Row, Target};
 use fieldbeat::config::{ConfigErrors, Configuration, duration, parse};
-use fieldbeat::internals::config::{demo_plan, describe};
-use fieldbeat::internals::cycle::bound::stop_bound_cycles;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::US;
 use fieldbeat::{Flow, Master, Wait};
+use fieldbeat_config::demo::demo_plan;
+use fieldbeat_config::describe;
+use fieldbeat_core::cycle::bound::stop_bound_cycles;
 
 use super::input::Input;
 

@@ -9,12 +9,12 @@ use fieldbeat::bus::linudp::motion::CATALOGUE;
 use fieldbeat::bus::linudp::{
     ControlWord, DRIVE_PORT, ErrorCode, MASTER_PORT, MainState, MotionBlock, StatusWord,
 };
-use fieldbeat::internals::bus::linudp::wire::{
-    REQUEST_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
-};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{FlashMode, LinMotSettings, LinMotSim, UnknownCommands};
 use fieldbeat::time::{MS, S, Time};
+use fieldbeat_linudp::wire::{
+    REQUEST_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
+};
 
 use super::input::Input;
 

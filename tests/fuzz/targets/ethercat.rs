@@ -20,17 +20,17 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Terminals, Watchdog,
 };
-use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
-use fieldbeat::internals::bus::ethercat::cia402::ControlWord;
-use fieldbeat::internals::bus::ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
-use fieldbeat::internals::bus::ethercat::{Returned, returned};
-use fieldbeat::internals::bus::{Bus, Exchange, Slot};
-use fieldbeat::internals::net::frames::{MAC, Unsent};
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, UdpOptions};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimSegment;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SiiSettings, SlaveSettings};
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat_core::bus::cia402::ControlWord;
+use fieldbeat_core::bus::desired::{Desired, Motion, Power};
+use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::net::frames::{MAC, Unsent};
+use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_ethercat::image::{Returned, returned};
+use fieldbeat_ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
 
 use super::commanded::Commanded;
 use super::commands::command;

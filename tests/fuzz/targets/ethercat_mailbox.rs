@@ -9,11 +9,11 @@ use std::collections::VecDeque;
 
 use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Object, SlavePlan};
-use fieldbeat::internals::bus::Counters;
-use fieldbeat::internals::bus::ethercat::service::{Service, Transfer};
-use fieldbeat::internals::bus::ethercat::slot::{Answer, Ask};
-use fieldbeat::internals::bus::ethercat::wire::frame::Command;
 use fieldbeat::time::{MS, Time};
+use fieldbeat_core::bus::Counters;
+use fieldbeat_ethercat::service::{Service, Transfer};
+use fieldbeat_ethercat::slot::{Answer, Ask};
+use fieldbeat_ethercat::wire::frame::Command;
 
 use super::input::Input;
 

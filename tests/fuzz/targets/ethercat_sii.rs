@@ -3,10 +3,10 @@
 //! Whatever comes, the reading ends: each answer that is not lost and not busy brings it closer. What it requests are
 //! the registers of the SII, and nothing else.
 
-use fieldbeat::internals::bus::ethercat::sii::{Managers, Reader, Reading};
-use fieldbeat::internals::bus::ethercat::slot::{Answer, Ask};
-use fieldbeat::internals::bus::ethercat::wire::frame::Command;
-use fieldbeat::internals::bus::ethercat::wire::registers::address;
+use fieldbeat_ethercat::sii::{Managers, Reader, Reading};
+use fieldbeat_ethercat::slot::{Answer, Ask};
+use fieldbeat_ethercat::wire::frame::Command;
+use fieldbeat_ethercat::wire::registers::address;
 
 use super::input::Input;
 

@@ -1,14 +1,14 @@
 //! A frame, a mailbox message and the words of an EEPROM, for every parser of what comes from a line: no bytes make it
 //! panic, nothing reaches beyond what it was given, and what was understood is built again as the same bytes.
 
-use fieldbeat::internals::bus::ethercat::wire::frame::{
+use fieldbeat_ethercat::image::{Returned, returned};
+use fieldbeat_ethercat::wire::frame::{
     Builder, DATAGRAM_HEADER, Datagram, FRAME_MAX, HEADER, WORKING_COUNTER, datagrams, set_command, set_index,
 };
-use fieldbeat::internals::bus::ethercat::wire::mailbox::Message;
-use fieldbeat::internals::bus::ethercat::wire::sdo::Response;
-use fieldbeat::internals::bus::ethercat::wire::sii::Category;
-use fieldbeat::internals::bus::ethercat::wire::{mailbox, sii};
-use fieldbeat::internals::bus::ethercat::{Returned, returned};
+use fieldbeat_ethercat::wire::mailbox::Message;
+use fieldbeat_ethercat::wire::sdo::Response;
+use fieldbeat_ethercat::wire::sii::Category;
+use fieldbeat_ethercat::wire::{mailbox, sii};
 
 pub fn ethercat_wire(data: &[u8]) {
     frame(data);
@@ -62,7 +62,7 @@ fn again(bytes: &[u8], read: &[Datagram<'_>]) {
         assert_eq!(back, Returned::Counted(0), "a frame is its own reply");
     }
     if let Some(mut builder) = Builder::resume(&mut out[..FRAME_MAX], stem) {
-        assert!(builder.push(fieldbeat::internals::bus::ethercat::wire::frame::Command::Nop, 0, 2).is_some());
+        assert!(builder.push(fieldbeat_ethercat::wire::frame::Command::Nop, 0, 2).is_some());
         let length = builder.finish();
         assert_eq!(datagrams(&out[..length]).expect("it is one").count(), 1, "what stood behind is gone");
     }
@@ -82,11 +82,7 @@ fn held_against(sent: &[u8], received: &[u8]) {
         }
         let mut short = received.to_vec();
         set_index(&mut short, datagram.place, 7);
-        set_command(
-            &mut short,
-            datagram.place,
-            fieldbeat::internals::bus::ethercat::wire::frame::Command::Brd(0),
-        );
+        set_command(&mut short, datagram.place, fieldbeat_ethercat::wire::frame::Command::Brd(0));
         assert_eq!(short.len(), received.len());
     }
 }

@@ -2,15 +2,15 @@
 //! it was given, a stream gives the same messages wherever it is cut, and an assembly is one of exactly its size.
 
 use fieldbeat::bus::ethernet_ip::{IoCode, Layout, Version};
-use fieldbeat::internals::bus::ethernet_ip::wire::assembly::{Inputs, input_size};
-use fieldbeat::internals::bus::ethernet_ip::wire::cip::Reply;
-use fieldbeat::internals::bus::ethernet_ip::wire::connection::{Opened, Triad, closed};
-use fieldbeat::internals::bus::ethernet_ip::wire::cpf::Items;
-use fieldbeat::internals::bus::ethernet_ip::wire::encapsulation::{
+use fieldbeat_ethernet_ip::wire::assembly::{Inputs, input_size};
+use fieldbeat_ethernet_ip::wire::cip::Reply;
+use fieldbeat_ethernet_ip::wire::connection::{Opened, Triad, closed};
+use fieldbeat_ethernet_ip::wire::cpf::Items;
+use fieldbeat_ethernet_ip::wire::encapsulation::{
     Connected, DATA_MAX, Frame, HEADER, Identity, Listed, Malformed, Unconnected,
 };
-use fieldbeat::internals::bus::ethernet_ip::wire::io::Packet;
-use fieldbeat::internals::bus::ethernet_ip::wire::message::{Immediate, ProfileCode};
+use fieldbeat_ethernet_ip::wire::io::Packet;
+use fieldbeat_ethernet_ip::wire::message::{Immediate, ProfileCode};
 
 pub fn ethernet_ip_wire(data: &[u8]) {
     packet(data);

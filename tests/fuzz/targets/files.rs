@@ -4,7 +4,7 @@
 use fieldbeat::bus::linudp::curve::{Curve, INFO_SIZE};
 use fieldbeat::bus::linudp::motion::EntryId;
 use fieldbeat::bus::linudp::table::{ENTRY_SIZE, Entry, Table};
-use fieldbeat::bus::linudp::{curve::file as curve_file, table::file as table_file};
+use fieldbeat::config::linmot::{curve as curve_file, table as table_file};
 
 pub fn files(data: &[u8]) {
     let Some((kind, bytes)) = data.split_first() else { return };

@@ -15,18 +15,18 @@ use fieldbeat::Cycle;
 use fieldbeat::axis::{Link, NativeOwner};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus::{ControlWord, ModbusPlan, UnidriveDrive, Via};
-use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
-use fieldbeat::internals::bus::modbus::counters::Own;
-use fieldbeat::internals::bus::modbus::wire::function::READ_WRITE;
-use fieldbeat::internals::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
-use fieldbeat::internals::bus::{Bus, Exchange, Slot};
-use fieldbeat::internals::net::{
-    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, StreamPeer, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::time::{MS, Time, US};
+use fieldbeat_core::bus::desired::{Desired, Motion, Power};
+use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::net::{
+    Broken, Carriers, Datagrams, HandshakeState, LinkNotes, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_modbus::counters::Own;
+use fieldbeat_modbus::wire::function::READ_WRITE;
+use fieldbeat_modbus::wire::{REGISTERS_MAX, Request, frame};
 
 use super::commanded::Commanded;
 use super::commands::command;

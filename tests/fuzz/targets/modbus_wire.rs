@@ -3,9 +3,9 @@
 //! value of a parameter.
 
 use fieldbeat::bus::modbus::{Addressing, Parameter};
-use fieldbeat::internals::axis::acyclic::Notation;
-use fieldbeat::internals::bus::modbus::notation::{Parameters, Target};
-use fieldbeat::internals::bus::modbus::wire::{
+use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_modbus::notation::{Parameters, Target};
+use fieldbeat_modbus::wire::{
     ADU_MAX, FrameError, HEADER, Header, Registers, Request, RequestFault, Response, ResponseError, frame,
 };
 

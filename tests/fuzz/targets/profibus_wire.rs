@@ -2,16 +2,14 @@
 //! given, telegrams are the same wherever they are cut, and a telegram that is read is written the same.
 
 use fieldbeat::axis::State;
-use fieldbeat::internals::bus::profibus::wire::base_mode::{Outcome, Response};
-use fieldbeat::internals::bus::profibus::wire::dp::{Configuration, Diagnosis};
-use fieldbeat::internals::bus::profibus::wire::fc::FunctionCode;
-use fieldbeat::internals::bus::profibus::wire::job::Job;
-use fieldbeat::internals::bus::profibus::wire::msac1::Answer;
-use fieldbeat::internals::bus::profibus::wire::telegram::{
-    Frame, Head, MAX, Malformed, Next, Telegram, token,
-};
-use fieldbeat::internals::bus::profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
-use fieldbeat::internals::bus::profibus::wire::{drivecom, pkw};
+use fieldbeat_profibus::wire::base_mode::{Outcome, Response};
+use fieldbeat_profibus::wire::dp::{Configuration, Diagnosis};
+use fieldbeat_profibus::wire::fc::FunctionCode;
+use fieldbeat_profibus::wire::job::Job;
+use fieldbeat_profibus::wire::msac1::Answer;
+use fieldbeat_profibus::wire::telegram::{Frame, Head, MAX, Malformed, Next, Telegram, token};
+use fieldbeat_profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
+use fieldbeat_profibus::wire::{drivecom, pkw};
 
 /// The first byte is where the others are cut.
 pub fn profibus_wire(data: &[u8]) {

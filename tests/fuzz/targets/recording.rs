@@ -3,10 +3,10 @@
 
 use std::io::sink;
 
-use fieldbeat::internals::telemetry::recording::csv::Wide;
-use fieldbeat::internals::telemetry::recording::perfetto::Trace;
-use fieldbeat::internals::telemetry::recording::reading::Reading;
 use fieldbeat::replay::Replay;
+use fieldbeat_record::recording::csv::Wide;
+use fieldbeat_record::recording::perfetto::Trace;
+use fieldbeat_record::recording::reading::Reading;
 
 use super::input::Input;
 

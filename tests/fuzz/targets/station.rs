@@ -13,14 +13,14 @@ use fieldbeat::bus::linudp::{
     COUNTS_PER_MM, ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, ReplyTag, StateVar,
     StatusWord, StreamCommand, WarnWord,
 };
-use fieldbeat::internals::bus::desired::{Desired, Motion, Power};
-use fieldbeat::internals::bus::linudp::station::Station;
-use fieldbeat::internals::bus::linudp::wire::{
+use fieldbeat::time::{MS, Time};
+use fieldbeat_core::bus::desired::{Desired, Motion, Power};
+use fieldbeat_core::bus::{Exchange, Slot};
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_linudp::station::Station;
+use fieldbeat_linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
 };
-use fieldbeat::internals::bus::{Exchange, Slot};
-use fieldbeat::internals::inputs::InputLog;
-use fieldbeat::time::{MS, Time};
 
 use super::commanded::Commanded;
 use super::commands::{command, output, row};

@@ -27,11 +27,11 @@ use std::sync::Mutex;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, SlavePlan, Watchdog,
 };
-use fieldbeat::internals::net::{Carriers, Frames, Os};
 use fieldbeat::sim::SimPlan;
 use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, Model, SegmentSettings, SlaveSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
+use fieldbeat_core::net::{Carriers, Frames, Os};
 use nix::sched::{CloneFlags, setns};
 
 use crate::capture::Capture;

@@ -6,8 +6,8 @@ use std::time::Duration;
 use fieldbeat::Master;
 use fieldbeat::axis::{Axis, Command, Jog, ParameterError, State};
 use fieldbeat::bus::modbus::{Mapped, Native, Parameter, UnidriveDrive, Width};
-use fieldbeat::internals::bus::modbus::counters::Own;
 use fieldbeat::telemetry::Counters;
+use fieldbeat_modbus::counters::Own;
 
 use super::Library::{Libmodbus, Pymodbus};
 use super::{Library, PORT, drive, long, plan};

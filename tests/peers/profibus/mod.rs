@@ -21,11 +21,11 @@ use std::sync::{Arc, Mutex};
 use fieldbeat::Time;
 use fieldbeat::axis::Profile;
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::internals::bus::profibus::wire::dp::Watchdog;
 use fieldbeat::sim::profibus::{Broken, DpState, Events, LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{SimSerial, Simulated};
 use fieldbeat::time::{MS, S};
+use fieldbeat_profibus::wire::dp::Watchdog;
 
 use self::cable::Cable;
 

@@ -12,15 +12,15 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::axis::acyclic::{Carrier, Condition, Notation};
-use fieldbeat::internals::bus::ethercat::faults::Fault;
-use fieldbeat::internals::bus::ethercat::object::{Objects, Target};
-use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, position};
-use fieldbeat::internals::bus::ethercat::wire::registers::address;
-use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::{CyclePlan, MasterError, Plan};
+use fieldbeat_core::axis::acyclic::{Carrier, Condition, Notation};
+use fieldbeat_core::net::frames::MAC;
+use fieldbeat_ethercat::faults::Fault;
+use fieldbeat_ethercat::object::{Objects, Target};
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, position};
+use fieldbeat_ethercat::wire::registers::address;
 
 use super::drives::{answer, left};
 use super::{LINE, Machine, drive};

@@ -11,13 +11,13 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Native, Object, SlavePlan,
     Terminals, Type, Watchdog,
 };
-use fieldbeat::internals::bus::ethercat::counters::Own;
-use fieldbeat::internals::bus::ethercat::faults::Fault;
-use fieldbeat::internals::bus::ethercat::object;
-use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{FaultPlan, Simulated, WorldOptions};
 use fieldbeat::time::MS;
+use fieldbeat_ethercat::counters::Own;
+use fieldbeat_ethercat::faults::Fault;
+use fieldbeat_ethercat::object;
+use fieldbeat_ethercat::wire::registers::AlState;
 
 use super::{LINE, Machine, STOP, drive, jog, plan, with};
 
@@ -365,7 +365,7 @@ fn terminals_between_drives_exchange_in_the_same_cycle() {
     let area = |start, length| Area { start, length };
     let slave =
         SlavePlan { outputs: vec![area(0x1000, 4)], inputs: vec![area(0x1100, 4)], ..SlavePlan::new(1) };
-    let terminals = fieldbeat::internals::sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
+    let terminals = fieldbeat_sim::ethercat::coupler::Terminals { digital: 16, analogue: 1 };
     let coupler = fieldbeat::sim::ethercat::Coupler { outputs: terminals, inputs: terminals };
     let io = Device { name: "io".into(), slave };
     let drives = vec![drive(0, Family::S700), drive(2, Family::S700)];

@@ -3,10 +3,10 @@
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::Terminals;
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::bus::ethercat::wire::frame::{Builder, Command as Frame};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::MS;
 use fieldbeat::{Master, Simulation};
+use fieldbeat_ethercat::wire::frame::{Builder, Command as Frame};
 
 use super::{LINE, Machine, UP};
 

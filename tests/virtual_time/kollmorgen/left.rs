@@ -3,11 +3,11 @@
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{self, FoundRunning, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
-use fieldbeat::internals::bus::ethercat::wire::frame::{Builder, Command, position};
-use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, Fmmu, address};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::{MS, S, Time, US};
+use fieldbeat_ethercat::wire::frame::{Builder, Command, position};
+use fieldbeat_ethercat::wire::registers::{AlState, Fmmu, address};
 
 use super::drives::left;
 use super::{LINE, Machine, UP, drive, jog};

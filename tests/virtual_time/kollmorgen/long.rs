@@ -2,9 +2,9 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, SlavePlan};
-use fieldbeat::internals::bus::ethercat::wire::registers::AlState;
 use fieldbeat::sim::ethercat::{EthercatSegment, MailboxSettings, Model, SiiSettings, SlaveSettings};
 use fieldbeat::time::MS;
+use fieldbeat_ethercat::wire::registers::AlState;
 
 use super::{LINE, Machine, jog, plan, with};
 

@@ -33,13 +33,13 @@ use std::time::Duration;
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
-use fieldbeat::internals::bus::ethercat::object::pdo;
-use fieldbeat::internals::sim::ethercat::Drive;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Misuse};
 use fieldbeat::sim::{SimPlan, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
+use fieldbeat_ethercat::object::pdo;
+use fieldbeat_sim::ethercat::Drive;
 
 /// The interface of the line.
 pub const LINE: &str = "local:line";

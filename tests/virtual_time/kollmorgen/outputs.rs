@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::{Command, Move, NativeOwner, Outcome, Profile, State, Target};
 use fieldbeat::bus::ethercat::{Native, Object};
-use fieldbeat::internals::bus::ethercat::cia402::Mode;
+use fieldbeat_ethercat::mode::Mode;
 
 use super::foreign::machine_of;
 use super::{Machine, jog};

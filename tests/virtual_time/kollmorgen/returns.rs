@@ -2,12 +2,12 @@
 
 use fieldbeat::axis::{Command, EventKind, Jog, Link, Outcome, StopCause};
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, FRAME_MAX};
-use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address};
 use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::Time;
 use fieldbeat::{Master, Simulation};
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, FRAME_MAX};
+use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address};
 
 use super::{LINE, Machine, UP, plan};
 

@@ -4,13 +4,11 @@
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
-use fieldbeat::internals::bus::ethercat::wire::frame::{
-    BROADCAST, Builder, Command as Frame, FRAME_MAX, position,
-};
-use fieldbeat::internals::bus::ethercat::wire::registers::address;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
 use fieldbeat::time::Time;
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, FRAME_MAX, position};
+use fieldbeat_ethercat::wire::registers::address;
 
 use super::{LINE, Machine, drive, jog, plan};
 

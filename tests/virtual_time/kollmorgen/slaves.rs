@@ -3,10 +3,10 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan, Terminals};
-use fieldbeat::internals::bus::ethercat::counters::Own;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::time::MS;
+use fieldbeat_ethercat::counters::Own;
 
 use super::drives::left;
 use super::{CyclePlan, Machine, jog, plan};

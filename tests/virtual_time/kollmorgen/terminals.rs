@@ -5,11 +5,11 @@ use fieldbeat::CyclePlan;
 use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, SlavePlan, Terminals};
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, position};
-use fieldbeat::internals::bus::ethercat::wire::registers::address;
-use fieldbeat::internals::net::frames::MAC;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Model, SlaveSettings};
 use fieldbeat::sim::{SimSegment, WorldOptions};
+use fieldbeat_core::net::frames::MAC;
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, position};
+use fieldbeat_ethercat::wire::registers::address;
 
 use super::drives::left;
 use super::{LINE, Machine, drive};

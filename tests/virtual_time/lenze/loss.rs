@@ -2,10 +2,10 @@
 
 use fieldbeat::Simulation;
 use fieldbeat::axis::{Command, Link, State, StopCause};
-use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings, ProfibusSegment};
 use fieldbeat::time::{MS, S, Time, US};
+use fieldbeat_profibus::counters::Own;
 
 use super::tap::TapWire;
 use super::turns::{STOP, jog};

@@ -25,13 +25,13 @@ use std::sync::{Arc, Mutex};
 use fieldbeat::axis::{Command, Feedback, Link, Outcome, Profile};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
-use fieldbeat::internals::bus::profibus::counters::Own;
-use fieldbeat::internals::bus::{Bus, Notes};
-use fieldbeat::internals::net::Carriers;
 use fieldbeat::sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::{SerialWire, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::{CyclePlan, Master, OpenError, Plan, Simulation};
+use fieldbeat_core::bus::{Bus, Notes};
+use fieldbeat_core::net::Carriers;
+use fieldbeat_profibus::counters::Own;
 
 /// The master's port.
 pub const PORT: &str = "/dev/ttyS1";

@@ -3,10 +3,10 @@
 
 use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::bus::{BusPlan, Grid};
-use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::telemetry::{Counters, Summary};
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Granted, Plan};
+use fieldbeat_profibus::counters::Own;
 
 use super::{Lenze, cycle, own, wire};
 

@@ -2,9 +2,9 @@
 
 use fieldbeat::axis::{Command, Jog, State};
 use fieldbeat::bus::profibus::{DriveProfile, RATES};
-use fieldbeat::internals::bus::profibus::counters::Own;
 use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
+use fieldbeat_profibus::counters::Own;
 
 use super::{Lenze, PROFILE, cycle, own, wire};
 

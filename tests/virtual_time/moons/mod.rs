@@ -19,12 +19,12 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Move, Outcome, Profile, Target};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Homing, HomingMethod, MoonsDrive, Originator};
-use fieldbeat::internals::cycle::bound;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation, Time};
+use fieldbeat_core::cycle::bound;
 
 /// Where the master is.
 pub const BIND: Ipv4Addr = Ipv4Addr::new(10, 0, 5, 1);

@@ -16,13 +16,13 @@ use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::internals::bus::modbus::wire::{Request, Response};
-use fieldbeat::internals::cycle::record::NativeRecord;
-use fieldbeat::internals::telemetry::recording::reading::{Entry, Reading};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::recording::Recorder;
 use fieldbeat::time::{MS, Time};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::cycle::record::NativeRecord;
+use fieldbeat_modbus::wire::{Request, Response};
+use fieldbeat_record::recording::reading::{Entry, Reading};
 
 use self::wire::{Both, Logs, Passed};
 

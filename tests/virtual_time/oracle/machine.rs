@@ -16,9 +16,6 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus, address as register};
-use fieldbeat::internals::bus::linudp::wire::{Request, Response, ResponseDef};
-use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
@@ -27,6 +24,9 @@ use fieldbeat::sim::profibus::{Misuse, ProfibusSegment};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
@@ -837,7 +837,7 @@ impl Machine {
             // Its phase current is too large.
             None if let Some(wire) = &self.wire => wire.drives[index].lock().drive.provoke(0x2310),
             None => {
-                let fault = fieldbeat::internals::bus::ethercat::faults::Fault::FOLLOWING;
+                let fault = fieldbeat_ethercat::faults::Fault::FOLLOWING;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
         }
@@ -848,7 +848,7 @@ impl Machine {
         match self.taps.get(index) {
             Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(Trip(252)),
             None if self.wire.is_none() => {
-                let fault = fieldbeat::internals::bus::ethercat::faults::Fault::SYNCHRONISATION;
+                let fault = fieldbeat_ethercat::faults::Fault::SYNCHRONISATION;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
             _ => self.provoke(index),
@@ -1023,8 +1023,11 @@ impl Machine {
 
     /// A tool writes over the segment once; its frames come to this master, too, or not.
     fn tool(&self, place: usize, which: usize, at: Time) {
-        use fieldbeat::internals::bus::ethercat::wire::frame::Command::{Aprd, Apwr, Brd, Bwr};
-        use fieldbeat::internals::bus::ethercat::wire::frame::position;
+        use fieldbeat_ethercat::wire::frame::Command::Aprd;
+        use fieldbeat_ethercat::wire::frame::Command::Apwr;
+        use fieldbeat_ethercat::wire::frame::Command::Brd;
+        use fieldbeat_ethercat::wire::frame::Command::Bwr;
+        use fieldbeat_ethercat::wire::frame::position;
         let place = position(place as u16);
         let pass = |command, data: &[u8]| {
             let mut frame = frame([0x30; 6], command, data);

@@ -24,7 +24,6 @@
 
 mod judge;
 pub mod machine;
-#[cfg(feature = "control")]
 mod operators;
 pub mod run;
 pub mod steps;
@@ -60,7 +59,7 @@ pub fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
     let (group, alike, operated) = match bits >> 2 & 3 {
         1 if !in_turn => (0b111, true, false),
         2 if !in_turn => (0b011, false, false),
-        3 => (0, false, cfg!(feature = "control")),
+        3 => (0, false, true),
         _ => (0, false, false),
     };
     let shape =
@@ -77,7 +76,6 @@ pub fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
 
 /// A run by an application, or by operators.
 fn run_of(shape: Shape, rounds: &[Round], story: bool) -> (Result<(), Found>, Tally, Option<String>) {
-    #[cfg(feature = "control")]
     if shape.operated {
         return operators::Run::rounds(shape, rounds, story);
     }

@@ -14,11 +14,11 @@
 use std::fmt::Write as _;
 
 use fieldbeat::axis::Link;
-use fieldbeat::internals::control::{
+use fieldbeat::time::{MS, Time};
+use fieldbeat_control::{
     Act, AxisState, Ended, HOLD_LIMIT, OPERATOR_LIMIT, Operated, Operation, OperationState, Order, Reply,
     Request,
 };
-use fieldbeat::time::{MS, Time};
 
 use super::judge::{GRACE, REACTION};
 use super::machine::{AXES, DEADMAN, Machine, STOP_TIMEOUT, Shape};

@@ -4,12 +4,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use fieldbeat::axis::{Command, EventKind, Move, Outcome, Profile, Row, StopCause, Target};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::internals::inputs::entry::{Head, Kind};
-use fieldbeat::internals::net::SendMode;
-use fieldbeat::internals::replay::{Replay, TaskOf, Verdict};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::US;
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Guard, Master, Plan, Simulation, Wait};
+use fieldbeat_core::inputs::entry::{Head, Kind};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_replay::machine::TaskOf;
+use fieldbeat_replay::{Replay, Verdict};
 
 use super::{Log, replay};
 use crate::virtual_time::oracle::machine::{Kind as KindOf, Machine, Shape, plan as machine_plan};

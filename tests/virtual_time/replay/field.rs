@@ -2,10 +2,10 @@
 
 use fieldbeat::Master;
 use fieldbeat::axis::{Command, Link, Move, Outcome, Profile, StopCause, Target};
-use fieldbeat::internals::telemetry::recording::reading::{Entry, Reading};
 use fieldbeat::replay::{LogEnd, Recorded, Replay, ReplayError};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::recording::Recorder;
+use fieldbeat_record::recording::reading::{Entry, Reading};
 
 /// From the directory in which cargo runs tests: the path of the configuration stands in the record.
 const RECORD: &str = "tests/records/lost.mcap";

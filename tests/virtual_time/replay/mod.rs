@@ -3,14 +3,14 @@
 //! The runs are those of the oracle: random commands, parameter writes, native process data, faults and restarts.
 
 mod differences;
-#[cfg(all(feature = "record", feature = "replay"))]
 mod field;
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::Setup;
-use fieldbeat::internals::inputs::recording::LogReader;
-use fieldbeat::internals::replay::{Replay, TaskOf, Verdict};
+use fieldbeat_core::inputs::recording::LogReader;
+use fieldbeat_replay::machine::TaskOf;
+use fieldbeat_replay::{Replay, Verdict};
 
 use super::oracle::drawn;
 use super::oracle::machine::{Kind, plan};

@@ -7,16 +7,17 @@ use std::path::Path;
 use fieldbeat::axis::{Link, StopCause};
 use fieldbeat::bus::modbus::Parameter;
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::internals::config::soak::SoakPlan;
-use fieldbeat::internals::soak::Soak;
-use fieldbeat::internals::soak::criteria::{Judged, judge};
-use fieldbeat::internals::soak::directory::page;
-use fieldbeat::internals::soak::progress::{AxisProgress, Progress};
-use fieldbeat::internals::telemetry::archive::Archive;
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
+use fieldbeat::telemetry::Summary;
 use fieldbeat::time::{MS, S};
 use fieldbeat::{Master, Simulation};
+use fieldbeat_config::soak::SoakPlan;
+use fieldbeat_record::archive::Archive;
+use fieldbeat_soak::Soak;
+use fieldbeat_soak::criteria::{Judged, judge};
+use fieldbeat_soak::directory::page;
+use fieldbeat_soak::progress::{AxisProgress, Progress};
 
 /// Two LinMots, one of which follows a sine, and a Unidrive; so many ms a cycle.
 fn machine(period_ms: u64, soak: &str) -> String {
@@ -138,7 +139,7 @@ impl Test {
 
 /// What a machine has done so far.
 fn archive(machine: &Simulation) -> Archive {
-    Archive::of(machine.plan(), &machine.numbers(), machine.measured(), &machine.summary())
+    Archive::of(machine.plan(), &machine.numbers(), machine.measured(), &Summary::from(machine))
 }
 
 fn failed(judged: &[Judged]) -> Vec<String> {

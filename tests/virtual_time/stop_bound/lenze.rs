@@ -5,11 +5,11 @@ use std::collections::BTreeSet;
 
 use fieldbeat::axis::{Command, Link, StopHow};
 use fieldbeat::bus::profibus::{ParameterPath, ProfibusPlan};
-use fieldbeat::internals::cycle::bound::stop_bound;
 use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{Simulated, WorldOptions};
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Plan, Simulation, Time};
+use fieldbeat_core::cycle::bound::stop_bound;
 
 use crate::virtual_time::lenze::tap::TapWire;
 use crate::virtual_time::lenze::turns::jog;

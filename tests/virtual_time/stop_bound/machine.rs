@@ -10,13 +10,13 @@ use fieldbeat::axis::{
     StopPlan, StopThen, Target,
 };
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, ReplyTag, StreamCommand};
-use fieldbeat::internals::bus::linudp::wire::{Request, ResponseDef};
-use fieldbeat::internals::cycle::bound::stop_bound_cycles;
-use fieldbeat::internals::cycle::record::{Record, Reply};
-use fieldbeat::internals::telemetry::tap::Tap;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::time::{MS, US};
 use fieldbeat::{Axes, Cycle, Flow, Overrun};
+use fieldbeat_core::cycle::bound::stop_bound_cycles;
+use fieldbeat_core::cycle::record::{Record, Reply};
+use fieldbeat_linudp::wire::{Request, ResponseDef};
+use fieldbeat_telemetry::tap::Tap;
 
 use super::Fault::{self, *};
 use super::watch::{Stopped, Stream, Watch, says};

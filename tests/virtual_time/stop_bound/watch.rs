@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::StopCause;
 use fieldbeat::bus::linudp::{ControlWord, StreamCommand};
-use fieldbeat::internals::bus::linudp::wire::Request;
+use fieldbeat_linudp::wire::Request;
 
 /// What a request asks of a drive.
 pub struct Says {

@@ -19,14 +19,16 @@ use fieldbeat::bus::modbus::{
     Addressing, ControlWord, Functions, ModbusPlan, Parameter, StatusWord, Trip, UnidriveDrive, Via,
     Watchdog, Width,
 };
-use fieldbeat::internals::bus::modbus::counters::{OWN, Own};
-use fieldbeat::internals::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
-use fieldbeat::internals::net::SendMode;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, WorldOptions};
+use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::{Counters, Numbers};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_modbus::counters::OWN;
+use fieldbeat_modbus::counters::Own;
+use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 
 use super::support::Paired;
 
@@ -327,9 +329,7 @@ fn spoil_reference(request: &mut Vec<u8>) {
     let mut out = vec![0; 260];
     let Ok((header, parsed)) = Request::parse(request) else { return };
     let mut data = RegistersBuffer::new();
-    let spoilt = |from: fieldbeat::internals::bus::modbus::wire::Registers<'_>,
-                  data: &mut RegistersBuffer,
-                  place: usize| {
+    let spoilt = |from: fieldbeat_modbus::wire::Registers<'_>, data: &mut RegistersBuffer, place: usize| {
         for index in 0..from.len() / 2 {
             data.push_long(if index == place { i32::MAX } else { from.long(index).unwrap() });
         }
@@ -727,7 +727,7 @@ fn a_drive_that_is_found_running_fails_no_run_and_neither_does_its_group() {
         b.online();
         b.run(200);
         assert_eq!(causes(&b), [Some(StopCause::Group), Some(StopCause::FoundRunning)]);
-        assert!(!b.sim.summary().has_failed());
+        assert!(!Summary::from(&b.sim).has_failed());
         if is_provoked {
             // Somebody goes on with it, and it trips.
             b.done(1, Command::Reset);
@@ -735,7 +735,7 @@ fn a_drive_that_is_found_running_fails_no_run_and_neither_does_its_group() {
             b.tap(1).drive.provoke(Trip::OVER_VOLTS);
             b.run(50);
             assert_eq!(causes(&b), [Some(StopCause::Group), Some(StopCause::DriveFault)]);
-            let summary = b.sim.summary();
+            let summary = Summary::from(&b.sim);
             assert!(summary.drives.iter().all(|drive| drive.failed_by().is_some()) && summary.has_failed());
         }
     }

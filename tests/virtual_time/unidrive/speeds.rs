@@ -4,10 +4,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use fieldbeat::Granted;
 use fieldbeat::axis::{EventKind, Group, Move, Target};
-use fieldbeat::internals::cycle::engine::Control;
-use fieldbeat::internals::master::{Assembly, assemble};
 use fieldbeat::sim::World;
 use fieldbeat::telemetry::{Measured, Summary};
+use fieldbeat_core::cycle::engine::Control;
+use fieldbeat_master::{Assembly, assemble};
 use serde_json::{Value, json};
 
 use super::*;

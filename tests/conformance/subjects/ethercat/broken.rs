@@ -6,12 +6,12 @@ use std::os::fd::RawFd;
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::EthercatPlan;
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::bus::ethercat::wire::registers::{AlState, AlStatus};
-use fieldbeat::internals::net::frames::Unsent;
-use fieldbeat::internals::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::{OpenError, Time};
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net::frames::Unsent;
+use fieldbeat_core::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_ethercat::wire::registers::{AlState, AlStatus};
 
 use super::{AL, COUNTER, INPUTS, OUTPUTS, image};
 

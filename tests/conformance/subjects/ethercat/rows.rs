@@ -7,15 +7,15 @@ use std::ops::Range;
 
 use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Terminals};
-use fieldbeat::internals::bus::ethercat::counters::Own;
-use fieldbeat::internals::bus::ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, position};
-use fieldbeat::internals::bus::ethercat::wire::registers::{Features, Links, address};
-use fieldbeat::internals::bus::ethercat::wire::sii::Status;
-use fieldbeat::internals::net::frames::MAC;
-use fieldbeat::internals::sim::ethercat::esc::Met;
 use fieldbeat::sim::ethercat::{ClockKind, EthercatSim, MailboxSettings, Misuse, Model, SiiContent};
 use fieldbeat::sim::{FaultPlan, SimSegment};
 use fieldbeat::time::{MS, S, Time};
+use fieldbeat_core::net::frames::MAC;
+use fieldbeat_ethercat::counters::Own;
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, position};
+use fieldbeat_ethercat::wire::registers::{Features, Links, address};
+use fieldbeat_ethercat::wire::sii::Status;
+use fieldbeat_sim::ethercat::esc::Met;
 
 use super::FREE;
 use super::slaves::{COUPLER, Front, IO, PLAIN, Slaves, UNWATCHED, WATCHED, area};

@@ -2,9 +2,9 @@
 //! its reply is overdue.
 
 use fieldbeat::Cycle;
-use fieldbeat::internals::bus::{Exchange, Slot};
-use fieldbeat::internals::net::Sent;
 use fieldbeat::time::{Time, US};
+use fieldbeat_core::bus::{Exchange, Slot};
+use fieldbeat_core::net::Sent;
 
 use super::{Defect, ToyBus};
 use crate::conformance::line::{PERIOD, WINDOW};

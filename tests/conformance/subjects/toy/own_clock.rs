@@ -4,8 +4,9 @@
 //! A simulated drive speaks here only when it is sent something, so that several packets between two requests are the
 //! suite's to inject.
 
-use fieldbeat::internals::bus::{Exchange, Notices, Slot};
 use fieldbeat::time::Time;
+use fieldbeat_core::bus::contract::Notices;
+use fieldbeat_core::bus::{Exchange, Slot};
 
 use super::{Answer, Defect, Station};
 use crate::conformance::line::PERIOD;

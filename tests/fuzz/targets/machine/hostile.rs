@@ -9,15 +9,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use fieldbeat::OpenError;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{ErrorCode, LinUdpPlan, StateVar, StatusWord, WarnWord};
-use fieldbeat::internals::bus::Bus;
-use fieldbeat::internals::bus::linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
-use fieldbeat::internals::net::{
-    Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
-};
-use fieldbeat::internals::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
+use fieldbeat_core::bus::Bus;
+use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
 
 use super::super::input::Input;
 

@@ -10,9 +10,9 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::linudp::motion::CommandInfo;
 use fieldbeat::bus::linudp::{ControlWord, LinUdpDrive, MotionBlock, ReplyTag, StatusWord, StreamCommand};
-use fieldbeat::internals::bus::linudp::wire::{Request, Response, RtcBlock};
 use fieldbeat::telemetry::DriveEnd;
 use fieldbeat::time::Time;
+use fieldbeat_linudp::wire::{Request, Response, RtcBlock};
 
 use super::hostile::{Came, Requested};
 

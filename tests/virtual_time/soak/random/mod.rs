@@ -25,8 +25,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use fieldbeat::internals::config::soak::Pattern;
 use fieldbeat::time::MS;
+use fieldbeat_config::soak::Pattern;
 
 use self::run::{Found, Judged, Run, Tally};
 use self::steps::{Op, Sequence, Step, drawn};

@@ -5,11 +5,11 @@ use std::ops::AddAssign;
 use fastrand::Rng;
 use fieldbeat::Flow;
 use fieldbeat::axis::Link;
-use fieldbeat::internals::config::soak::{AxisSoak, Criteria, Pattern, SoakPlan};
-use fieldbeat::internals::soak::Soak;
-use fieldbeat::internals::soak::criteria::judge;
-use fieldbeat::internals::soak::progress::{AxisProgress, Progress};
 use fieldbeat::time::{MS, S};
+use fieldbeat_config::soak::{AxisSoak, Criteria, Pattern, SoakPlan};
+use fieldbeat_soak::Soak;
+use fieldbeat_soak::criteria::judge;
+use fieldbeat_soak::progress::{AxisProgress, Progress};
 
 use super::guard::{Breach, Guard};
 use super::steps::{Op, Sequence, Step, pattern};
@@ -369,7 +369,7 @@ impl Run {
         let failed: Vec<_> =
             judge(&self.plan, &self.saved.0, true).into_iter().filter(|one| !one.passed).collect();
         for (axis, (known, plan)) in self.saved.0.axes.iter().zip(&self.plan.axes).enumerate() {
-            let names = |one: &&fieldbeat::internals::soak::criteria::Judged| {
+            let names = |one: &&fieldbeat_soak::criteria::Judged| {
                 matches!(one.criterion, "given_up" | "stops" | "faults" | "lost_links")
                     && one.note.contains(&plan.name)
             };

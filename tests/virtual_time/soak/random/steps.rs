@@ -2,9 +2,9 @@
 
 use fastrand::Rng;
 use fieldbeat::axis::Profile;
-use fieldbeat::internals::config::soak::Pattern;
-use fieldbeat::internals::soak::wave::Swing;
 use fieldbeat::time::MS;
+use fieldbeat_config::soak::Pattern;
+use fieldbeat_config::soak::Swing;
 
 use super::run::PERIOD_NS;
 use crate::virtual_time::oracle::machine::{AXES, Kind, Shape};

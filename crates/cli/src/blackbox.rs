@@ -1,0 +1,56 @@
+//! `fieldbeat blackbox`: what led up to a failure.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use fieldbeat_record::blackbox::list::Listing;
+use fieldbeat_record::blackbox::{default_directory, events, file};
+use serde_json::json;
+
+use super::{Stop, print, show};
+
+/// Arguments of `blackbox`.
+#[derive(Debug, Args)]
+pub struct BlackBox {
+    /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1.
+    #[arg(required_unless_present = "list", conflicts_with = "list")]
+    file: Option<PathBuf>,
+    /// List the files of the directory to which the master writes them, the newest first.
+    #[arg(long)]
+    list: bool,
+    /// The directory to list; without it the state directory of the service, or of the user.
+    #[arg(long, value_name = "DIR", requires = "list")]
+    black_box: Option<PathBuf>,
+    /// Show this many cycles before the failure as a table, and a quarter as many after it.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    cycles: u64,
+    /// Print the header, the events and the tables of the drives, or the list, as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl BlackBox {
+    /// Prints it.
+    pub fn run(self) -> Result<(), Stop> {
+        let Some(path) = &self.file else { return self.list() };
+        let (header, records) = file::load(path).map_err(Stop::usage)?;
+        if self.json {
+            let happened = events::events(&header, &records);
+            let drives = events::courses(&header, &records, &happened, self.cycles);
+            return print(json!({ "header": header, "happened": happened, "drives": drives }));
+        }
+        print(events::text(&header, &records, self.cycles).trim_end())
+    }
+
+    fn list(self) -> Result<(), Stop> {
+        let directory = self.black_box.unwrap_or_else(default_directory);
+        let listing = Listing::of(&directory).map_err(|error| {
+            let remedy = "name a directory that this user may read, with --black-box DIR";
+            Stop::usage(format!("cannot list {}: {error}; {remedy}", directory.display()))
+        })?;
+        if self.json {
+            return print(serde_json::to_string(&listing).map_err(Stop::failed)?);
+        }
+        show(listing)
+    }
+}

@@ -1,0 +1,84 @@
+//! What every command that runs a master offers meanwhile: metrics, the scope, and the black box.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use fieldbeat_core::cycle::Plan;
+use fieldbeat_master::{Master, Setup};
+use fieldbeat_record::blackbox::default_directory;
+use fieldbeat_record::metrics;
+use fieldbeat_record::metrics::{Endpoint, MetricsError, Server};
+
+use super::scope;
+use super::{Stop, complain};
+
+/// Arguments of every command that runs a master: what it offers meanwhile.
+#[derive(Debug, Args)]
+pub struct Serving {
+    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only, NAME:PORT
+    /// for clients that use another name of this computer.
+    #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
+    metrics: Option<metrics::Address>,
+    #[command(flatten)]
+    scope: scope::Page,
+    /// Where the black box writes its files; without it the state directory of the service, or of the user.
+    #[arg(long, value_name = "DIR")]
+    black_box: Option<PathBuf>,
+}
+
+/// All of it can be had.
+#[derive(Debug)]
+pub struct Served {
+    endpoint: Option<Endpoint>,
+    scope: scope::Served,
+    black_box: PathBuf,
+}
+
+/// Answer for as long as they are held.
+#[derive(Debug)]
+pub struct Servers {
+    _metrics: Option<Server>,
+    _scope: scope::Held,
+}
+
+impl Serving {
+    /// Finds out whether it can be had, before anything is sent.
+    pub fn prepare(self) -> Result<Served, Stop> {
+        let bind = |metrics::Address { socket, name }| {
+            let endpoint = Endpoint::bind(socket)?;
+            Ok(name.into_iter().fold(endpoint, Endpoint::named))
+        };
+        let endpoint =
+            self.metrics.map(bind).transpose().map_err(|error: MetricsError| Stop::usage(error))?;
+        Ok(Served {
+            endpoint,
+            scope: self.scope.prepare()?,
+            black_box: self.black_box.unwrap_or_else(default_directory),
+        })
+    }
+}
+
+impl Served {
+    /// The machine of `plan`, with its black box.
+    pub fn setup(&self, plan: Plan) -> Setup {
+        Master::from_plan(plan).with_black_box(&self.black_box)
+    }
+
+    /// Answers with the numbers of `master` for as long as what it returns is held.
+    pub fn serve(self, master: &Master) -> Result<Servers, Stop> {
+        let serve = |endpoint: Endpoint| {
+            let address = endpoint.address();
+            complain(&format!("metrics at http://{address}/metrics"));
+            if !address.ip().is_loopback() {
+                complain(
+                    "anyone on that network can read the metrics; --metrics with a port alone keeps them here",
+                );
+            }
+            endpoint.serve(master.monitor()).map_err(Stop::failed)
+        };
+        Ok(Servers {
+            _metrics: self.endpoint.map(serve).transpose()?,
+            _scope: self.scope.serve(&master.monitor())?,
+        })
+    }
+}

@@ -1,0 +1,177 @@
+//! `[cycle]`, and what of it cannot work.
+
+use std::ops::RangeInclusive;
+
+use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Wait, WatchAfter};
+use fieldbeat_core::rt::{Memory, Realtime};
+use fieldbeat_core::time::{Ns, S, US};
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::table::{Table, time, within_times};
+use fieldbeat_keys::value::{SHORT_NAME, alternatives, plain_name};
+
+pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];
+pub(super) const REALTIMES: [(&str, Realtime); 3] =
+    [("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)];
+pub(super) const MEMORIES: [(&str, Memory); 2] = [("process", Memory::Process), ("own", Memory::Own)];
+
+/// The periods that a cycle may have, ns.
+const PERIODS: RangeInclusive<u64> = 50 * US..=S;
+const PERIOD_HINT: &str = "1ms is 1000 cycles a second";
+
+/// Why a cycle cannot have this period.
+pub(super) fn period_fault(period_ns: u64) -> Option<String> {
+    within_times(period_ns, &PERIODS, PERIOD_HINT).err()
+}
+
+/// Reads `[cycle]`; every key has its default in [`CyclePlan`].
+pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
+    let default = CyclePlan::default();
+    let period_ns = table.time("period", PERIODS, PERIOD_HINT).unwrap_or(default.period_ns);
+    CyclePlan {
+        period_ns,
+        core: table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one"),
+        priority: table
+            .integer("priority", 1..=99, "80 is above interrupt threads and below the kernel's own")
+            .unwrap_or(default.priority),
+        guard: guard(table).unwrap_or(default.guard),
+        receive_deadline: table
+            .number("receive_deadline", 0.05..=0.95, "a share of the period, 0.5 is half of it")
+            .unwrap_or(default.receive_deadline),
+        wait: table.word("wait", &WAITS).unwrap_or(default.wait),
+        overrun: overrun(table, period_ns).unwrap_or(default.overrun),
+        max_skip_rate: table
+            .number(
+                "max_skip_rate",
+                0.0..=1.0,
+                "the largest share of the last 100 slots that may be skipped; 1.0 is not watched",
+            )
+            .unwrap_or(default.max_skip_rate),
+        realtime: table.word("realtime", &REALTIMES).unwrap_or(default.realtime),
+        memory: table.word("memory", &MEMORIES).unwrap_or(default.memory),
+        task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
+        heartbeat_ns: table.time(
+            "heartbeat",
+            period_ns..=3600 * S,
+            "the longest silence of the application while an axis is enabled; leave it out for no limit",
+        ),
+        watch_after: watch_after(table, period_ns).unwrap_or(default.watch_after),
+        late_ns: table.time(
+            "late",
+            US..=period_ns,
+            "the lateness above which a cycle is counted as late, with its cause",
+        ),
+        black_box_ns: table
+            .time(
+                "black_box",
+                0..=60 * S,
+                "the length of the recording that is kept for a failure; 0s keeps none",
+            )
+            .unwrap_or(default.black_box_ns),
+        record_native: default.record_native,
+        reference: table.text(
+            "reference",
+            SHORT_NAME,
+            "the name of a bus, whose clock leads the grid",
+            plain_name,
+        ),
+    }
+}
+
+/// The bus whose clock leads has to be there, and to have one.
+pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<dyn BusPlan>]) {
+    let Some(reference) = &cycle.reference else { return };
+    let clocked: Vec<&str> = buses.iter().filter(|bus| bus.has_clock()).map(|bus| bus.name()).collect();
+    if clocked.contains(&reference.as_str()) {
+        return;
+    }
+    let what = match buses.iter().find(|bus| bus.name() == reference) {
+        Some(bus) => format!("is a bus without a clock ({})", bus.protocol()),
+        None => "is not a bus of this machine".to_owned(),
+    };
+    let remedy = match clocked.as_slice() {
+        [] => "no bus here has a clock, leave it out".to_owned(),
+        names => format!("use {}", alternatives(names.iter().copied())),
+    };
+    root.fault("cycle.reference", format!("{what}; {remedy}"));
+}
+
+fn guard(table: &mut Table<'_>) -> Option<Guard> {
+    table.read("guard", Form::Time.or(Form::words(["off", "auto"])), |value| match value.as_str() {
+        Some("off") => Ok(Guard::Off),
+        Some("auto") => Ok(Guard::Auto),
+        _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),
+    })
+}
+
+fn watch_after(table: &mut Table<'_>, period_ns: u64) -> Option<WatchAfter> {
+    let range = CyclePlan::watch_range_ns(period_ns);
+    table.read("watch_after", Form::Time.or(Form::words(["off"])), |value| match value.as_str() {
+        Some("off") => Ok(WatchAfter::Off),
+        _ => time(value, &range, "or \"off\"; the loop counts as stuck after so long without a sign of life")
+            .map(WatchAfter::Fixed),
+    })
+}
+
+fn overrun(table: &mut Table<'_>, period_ns: u64) -> Option<Overrun> {
+    let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
+    let max_skip =
+        table.count("max_skip", 1..=1_000_000, period_ns, "the most slots that may be skipped in a row");
+    match (skips, max_skip) {
+        (Some(false), Some(_)) => {
+            table.fault("max_skip", "needs overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out");
+            None
+        }
+        (Some(false), None) => Some(Overrun::Stop),
+        (_, Some(max_skip)) => Some(Overrun::Skip { max_skip }),
+        (_, None) => None,
+    }
+}
+
+/// The loop's own work between the deadline and the next grid point: twice what the `scale` bench allows it, so that a
+/// plan at the edge is refused and not found out by overruns.
+fn preparation_ns(drives: usize) -> u64 {
+    5 * US + drives as u64 * 500
+}
+
+/// The guard and the work that lies between the deadline and the next grid point must fit into the rest of the period.
+pub(super) fn check_period(root: &Table<'_>, cycle: &CyclePlan, drives: usize) {
+    let guard_ns = match cycle.guard {
+        Guard::Fixed(ns) => ns,
+        // Calibrated at the start, and bounded there.
+        Guard::Off | Guard::Auto => 0,
+    };
+    let deadline_ns = cycle.deadline_ns();
+    let task_ns = cycle.task_budget_ns.unwrap_or(0);
+    let preparation_ns = preparation_ns(drives);
+    let rest = guard_ns.saturating_add(task_ns).saturating_add(preparation_ns);
+    if deadline_ns.saturating_add(rest) <= cycle.period_ns {
+        return;
+    }
+    let mut parts = vec![format!("replies until {}", Ns(deadline_ns))];
+    let mut key = "cycle.receive_deadline";
+    if task_ns > 0 {
+        parts.push(format!("an in-loop task of {}", Ns(task_ns)));
+        key = "cycle.task_budget";
+    }
+    if guard_ns > 0 {
+        parts.push(format!("a guard of {}", Ns(guard_ns)));
+        key = "cycle.guard";
+    }
+    // Whole per cents, downwards, so that the advice itself fits.
+    let fitting = cycle.period_ns.saturating_sub(rest) * 100 / cycle.period_ns;
+    let remedy = match fitting {
+        0..5 => "lengthen the period".to_owned(),
+        share => format!("receive_deadline = {} fits", share.min(95) as f64 / 100.0),
+    };
+    root.fault(
+        key,
+        format!(
+            "{} and {} to prepare {drives} drive{} exceed the period of {}; {remedy}",
+            parts.join(", "),
+            Ns(preparation_ns),
+            if drives == 1 { "" } else { "s" },
+            Ns(cycle.period_ns)
+        ),
+    );
+}

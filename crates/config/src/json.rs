@@ -1,0 +1,145 @@
+//! A plan as one JSON object: what `check --json` prints.
+
+use serde_json::{Value, json};
+
+use super::cycle::{MEMORIES, REALTIMES, WAITS};
+use fieldbeat_core::axis::{AxisPlan, Load};
+use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::cycle::bound::{stop_bound, stopping_with};
+use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan};
+use fieldbeat_core::time::nanos;
+use fieldbeat_keys::drive::{HOLDERS, HOWS, THENS, TIMEOUTS};
+use fieldbeat_keys::error::ConfigError;
+
+/// The plan as one object. Times are in ns, lengths in the drive's `unit`; what is not set is null. The keys are
+/// stable:
+///
+/// - `source`: the file; null for a plan built in code.
+/// - `cycle`: `period_ns`, `core` (null: the last one), `priority`, `realtime`, `memory`, `guard` (`"off"`, `"fixed"`
+///   or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `late_ns`, `task_budget_ns`,
+///   `heartbeat_ns`, `reference`, `black_box_ns`.
+/// - `buses`: a list of `name`, `protocol`, `has_clock`, and the names of its `drives` and `devices`.
+/// - `drives`: a list in slot order of `name`, `bus`, `protocol`, `address`, `unit`, `divisor`, `phase`, `period_ns`
+///   (of its exchanges), `reply_within_ns` (on a connection), `stops_with` (the drives that stop together, itself
+///   included), `stop_bound_cycles` and `stop_bound_ns` (from the last good exchange of a dead link to the stop
+///   request), `stop` (`how`, `deceleration`, `then`, `timeout_ns`, `on_timeout`), `limits` (`position`, `velocity`,
+///   `acceleration`, `step`, `torque`), `load`, `held_by`, `drive_watchdog_ns` (if the master dies, the drive stops by
+///   itself within this time; null: it does not), and the same in words as `if_master_dies`.
+/// - `groups`: a list of `name` and `axes`.
+/// - `errors`: why this host cannot carry the plan; empty if it can. Each has `file`, `line`, `key`, `value` and
+///   `message`.
+pub fn json(plan: &Plan, errors: &[ConfigError]) -> Value {
+    let buses: Vec<Value> = plan
+        .buses
+        .iter()
+        .map(|bus| {
+            json!({
+                "name": bus.name(),
+                "protocol": bus.protocol(),
+                "has_clock": bus.has_clock(),
+                "drives": bus.axes().iter().map(|axis| &axis.name).collect::<Vec<_>>(),
+                "devices": bus.devices(),
+            })
+        })
+        .collect();
+    let mut drives = Vec::new();
+    for bus in &plan.buses {
+        let described = bus.describe(plan.cycle.period_ns);
+        for (index, (axis, lines)) in bus.axes().into_iter().zip(described).enumerate() {
+            let slot = drives.len();
+            drives.push(drive(plan, slot, &**bus, index, axis, &lines));
+        }
+    }
+    let groups: Vec<Value> =
+        plan.groups.iter().map(|group| json!({ "name": group.name, "axes": group.axes })).collect();
+    json!({
+        "source": plan.source,
+        "cycle": cycle(&plan.cycle),
+        "buses": buses,
+        "drives": drives,
+        "groups": groups,
+        "errors": errors,
+    })
+}
+
+fn cycle(cycle: &CyclePlan) -> Value {
+    let (guard, guard_ns) = match cycle.guard {
+        Guard::Off => ("off", None),
+        Guard::Fixed(ns) => ("fixed", Some(ns)),
+        Guard::Auto => ("auto", None),
+    };
+    let (overrun, max_skip) = match cycle.overrun {
+        Overrun::Skip { max_skip } => ("skip", Some(max_skip)),
+        Overrun::Stop => ("stop", None),
+    };
+    json!({
+        "period_ns": cycle.period_ns,
+        "core": cycle.core,
+        "priority": cycle.priority,
+        "realtime": word(&REALTIMES, cycle.realtime),
+        "memory": word(&MEMORIES, cycle.memory),
+        "guard": guard,
+        "guard_ns": guard_ns,
+        "wait": word(&WAITS, cycle.wait),
+        "deadline_ns": cycle.deadline_ns(),
+        "overrun": overrun,
+        "max_skip": max_skip,
+        "max_skip_rate": cycle.max_skip_rate,
+        "late_ns": cycle.late_ns(),
+        "task_budget_ns": cycle.task_budget_ns,
+        "heartbeat_ns": cycle.heartbeat_ns,
+        "watch_after_ns": cycle.watch_after_ns(),
+        "reference": cycle.reference,
+        "black_box_ns": cycle.black_box_ns,
+    })
+}
+
+/// The drive of this slot, `index` on its bus; `lines` are what `check` says of it.
+fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisPlan, lines: &str) -> Value {
+    let stop_bound_cycles = stop_bound(plan, slot);
+    let (load, held_by) = match axis.load {
+        Load::Level => ("level", None),
+        Load::Vertical(held_by) => ("vertical", word(&HOLDERS, held_by)),
+    };
+    let limits = &axis.limits;
+    json!({
+        "name": axis.name,
+        "bus": bus.name(),
+        "protocol": bus.protocol(),
+        "address": lines.lines().next(),
+        "unit": axis.units.unit.to_string(),
+        "divisor": axis.divisor,
+        "phase": axis.phase,
+        "period_ns": plan.cycle.period_ns.saturating_mul(axis.divisor.into()),
+        "reply_within_ns": bus.reply_within_ns(index),
+        "stops_with": stopping_with(plan, slot),
+        "stop_bound_cycles": stop_bound_cycles,
+        "stop_bound_ns": stop_bound_cycles.saturating_mul(plan.cycle.period_ns),
+        "stop": {
+            "how": word(&HOWS, axis.stop.how),
+            "deceleration": axis.stop.deceleration,
+            "then": word(&THENS, axis.stop.then),
+            "timeout_ns": nanos(axis.stop.timeout),
+            "on_timeout": word(&TIMEOUTS, axis.stop.on_timeout),
+        },
+        "limits": {
+            "position": limits.position,
+            "velocity": limits.velocity,
+            "acceleration": limits.acceleration,
+            "step": limits.step,
+            "torque": limits.torque,
+        },
+        "load": load,
+        "held_by": held_by,
+        "drive_watchdog_ns": bus.drive_watchdog_ns(index),
+        "if_master_dies": lines.lines().find_map(|line| line.strip_prefix(DEATH)),
+    })
+}
+
+/// The word of the configuration for `value`.
+fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> Option<&'static str> {
+    words.iter().find(|(_, meaning)| *meaning == value).map(|(word, _)| *word)
+}
+
+/// What the sentence begins with that every protocol has for each of its drives.
+const DEATH: &str = "if the master dies: ";

@@ -1,0 +1,381 @@
+//! `[soak]`: how a soak test moves the axes, and what it has to keep to.
+
+use toml::de::DeValue;
+
+use fieldbeat_core::axis::limits::{check_command, check_row};
+use fieldbeat_core::axis::{AxisPlan, Command, Failure, Jog, Lacks, Move, Profile, Row, Target, Unit};
+use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::time::{MS, Ns, S, nanos};
+use fieldbeat_keys::form::{Form, Range};
+use fieldbeat_keys::table::{POSITIVE, Table, number, set};
+
+/// A soak test as configured and checked.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SoakPlan {
+    /// The axes, in the order of the plan.
+    pub axes: Vec<AxisSoak>,
+    /// What it has to keep to.
+    pub criteria: Criteria,
+}
+
+/// What becomes of one axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisSoak {
+    /// Its name.
+    pub name: String,
+    /// How it moves.
+    pub pattern: Pattern,
+    /// The largest following error, in its units; `None`: it is shown and not judged.
+    pub following_error: Option<f64>,
+}
+
+/// A sine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Swing {
+    /// Its middle, user units.
+    pub centre: f64,
+    /// To each side of it.
+    pub amplitude: f64,
+    /// Time of one swing, s.
+    pub period_s: f64,
+}
+
+/// How an axis moves.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Pattern {
+    /// Not at all, for this reason: it is not even enabled.
+    Still(String),
+    /// From target to target.
+    Moves {
+        /// Positions, one after the other, again and again.
+        targets: Vec<f64>,
+        /// Of each move.
+        profile: Profile,
+        /// Between two moves, ns.
+        pause_ns: u64,
+    },
+    /// At one velocity after the other.
+    Velocities {
+        /// User units/s.
+        velocities: Vec<f64>,
+        /// Each for so long, ns.
+        hold_ns: u64,
+    },
+    /// Along a sine, streamed row by row.
+    Sine(Swing),
+}
+
+impl Pattern {
+    /// In words, of an axis with this unit.
+    pub fn describe(&self, unit: Unit) -> String {
+        let list = |values: &[f64]| {
+            let shown = values.iter().take(4).map(f64::to_string).collect::<Vec<_>>().join(", ");
+            if values.len() > 4 { format!("{shown} ... ({} of them)", values.len()) } else { shown }
+        };
+        match self {
+            Pattern::Still(why) => format!("stays where it is: {why}"),
+            Pattern::Moves { targets, profile, pause_ns } => format!(
+                "moves to {} {unit} at {} {unit}/s, with pauses of {}",
+                list(targets),
+                profile.velocity,
+                Ns(*pause_ns)
+            ),
+            Pattern::Velocities { velocities, hold_ns } => {
+                format!("turns at {} {unit}/s, each for {}", list(velocities), Ns(*hold_ns))
+            }
+            Pattern::Sine(Swing { centre, amplitude, period_s }) => {
+                format!("swings {amplitude} {unit} around {centre} {unit} in {period_s} s")
+            }
+        }
+    }
+}
+
+/// What a soak test has to keep to. Shares are of 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Criteria {
+    /// Skipped slots, and late cycles that skipped none, of all slots.
+    pub late_share: f64,
+    /// Missed exchanges of each drive, of those that were sent.
+    pub missed_share: f64,
+    /// Lost links of all drives.
+    pub lost_links: u64,
+    /// Faults of all drives.
+    pub faults: u64,
+    /// Stops of all axes, but for the end.
+    pub stops: u64,
+    /// Growth of the memory of a process after its warm-up, MB.
+    pub memory_growth: f64,
+    /// Growth of the number of its descriptors.
+    pub descriptor_growth: f64,
+    /// How much larger a p99 is in the last quarter than in the first, of the first.
+    pub drift: f64,
+    /// Telemetry records lost.
+    pub telemetry_lost: u64,
+    /// Checkpoints that could not be written.
+    pub files_lost: u64,
+    /// A process has grown to its size by then, ns.
+    pub warm_up_ns: u64,
+}
+
+impl Default for Criteria {
+    fn default() -> Criteria {
+        Criteria {
+            late_share: 0.001,
+            missed_share: 0.001,
+            lost_links: 0,
+            faults: 0,
+            stops: 0,
+            memory_growth: 8.0,
+            descriptor_growth: 0.0,
+            drift: 0.5,
+            telemetry_lost: 0,
+            files_lost: 0,
+            warm_up_ns: 600 * S,
+        }
+    }
+}
+
+/// Defaults keep to this share of a range around its middle, and of a largest velocity.
+const SHARE: f64 = 0.1;
+
+/// A velocity is held for so long by default, and axes pause for so long.
+const HOLD_NS: u64 = 2 * S;
+const PAUSE_NS: u64 = 500 * MS;
+
+/// A velocity is renewed this often: a jog has its dead-man time.
+pub const RENEW_EVERY_NS: u64 = 100 * MS;
+
+/// A jog with a shorter dead-man time could end between two renewals.
+const LEAST_DEAD_MAN_NS: u64 = 3 * RENEW_EVERY_NS;
+
+/// Reads `[soak]` of a machine that is `plan`.
+pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
+    let mut axes: Vec<AxisSoak> = known(plan)
+        .map(|(axis, lacks)| AxisSoak {
+            name: axis.name.clone(),
+            pattern: usual(axis, &lacks),
+            following_error: None,
+        })
+        .collect();
+    let mut named: Vec<usize> = Vec::new();
+    for mut table in table.tables("axis") {
+        table.require("drive", "the name of the drive whose axis it is");
+        let name = table.text("drive", None, "the name of a drive", |name| Some(name.to_owned()));
+        let given = Given::read(&mut table);
+        let place = name.as_ref().and_then(|name| axes.iter().position(|axis| axis.name == *name));
+        match (name, place.and_then(|place| Some((place, known(plan).nth(place)?)))) {
+            (Some(_), Some((place, (axis, lacks)))) => {
+                if named.contains(&place) {
+                    table.fault("drive", "has its pattern already: each axis has one [[soak.axis]]");
+                }
+                named.push(place);
+                given.apply(&table, &mut axes[place], axis, &lacks);
+            }
+            (Some(_), None) => {
+                let names: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
+                table.fault("drive", format!("is no drive of this machine; there are: {}", names.join(", ")));
+            }
+            (None, _) => {}
+        }
+        table.finish();
+    }
+    let criteria = table.table("criteria", criteria);
+    SoakPlan { axes, criteria }
+}
+
+/// The axes, and what their drives do not do.
+fn known(plan: &Plan) -> impl Iterator<Item = (&AxisPlan, Lacks)> {
+    let period_ns = plan.cycle.period_ns;
+    plan.buses.iter().flat_map(move |bus| {
+        let axes = bus.axes().into_iter().enumerate();
+        axes.map(move |(index, axis)| (axis, bus.capabilities(index, period_ns).lacks))
+    })
+}
+
+/// How an axis moves of which nothing is said: well inside its limits, or not at all.
+fn usual(axis: &AxisPlan, lacks: &Lacks) -> Pattern {
+    if let Some(why) = lacks.control.or(lacks.enable) {
+        return Pattern::Still(why.to_owned());
+    }
+    match (lacks.moves, axis.limits.position, axis.limits.velocity) {
+        (None, Some((low, high)), _) => {
+            let (middle, reach) = ((low + high) / 2.0, (high - low) * SHARE);
+            Pattern::Moves {
+                targets: vec![middle - reach, middle + reach],
+                profile: axis.profile,
+                pause_ns: PAUSE_NS,
+            }
+        }
+        (None, None, _) => Pattern::Still("it has no limits.position; give it targets".into()),
+        (Some(_), _, Some(most)) if lacks.velocities.is_none() => match ends_between_renewals(axis) {
+            Some(why) => Pattern::Still(why),
+            None => Pattern::Velocities { velocities: vec![most * SHARE, -most * SHARE], hold_ns: HOLD_NS },
+        },
+        (Some(_), _, _) => Pattern::Still("it has no limits.velocity; give it velocities".into()),
+    }
+}
+
+/// Why the axis cannot turn at velocities for long, if its dead-man time is too short for that.
+fn ends_between_renewals(axis: &AxisPlan) -> Option<String> {
+    let dead_man_ns = axis.jog_deadman.map(nanos).filter(|ns| *ns < LEAST_DEAD_MAN_NS)?;
+    Some(format!(
+        "its jog_deadman of {} is too short, since a velocity is renewed each {}: make it {} or more",
+        Ns(dead_man_ns),
+        Ns(RENEW_EVERY_NS),
+        Ns(LEAST_DEAD_MAN_NS)
+    ))
+}
+
+/// What `[[soak.axis]]` says of one axis.
+struct Given {
+    moves: bool,
+    targets: Option<Vec<f64>>,
+    velocities: Option<Vec<f64>>,
+    sine: Option<Swing>,
+    velocity: Option<f64>,
+    acceleration: Option<f64>,
+    pause_ns: u64,
+    hold_ns: u64,
+    following_error: Option<f64>,
+}
+
+impl Given {
+    fn read(table: &mut Table<'_>) -> Given {
+        let has_sine = table.gives("sine");
+        Given {
+            moves: table.flag("move").unwrap_or(true),
+            targets: numbers(table, "targets", "positions, like [10.0, 90.0]"),
+            velocities: numbers(table, "velocities", "velocities, like [1.0, 0.0, -1.0]"),
+            sine: table.table("sine", |table| sine(table, has_sine)),
+            velocity: table.number("velocity", POSITIVE, "of each move, user units/s"),
+            acceleration: table.number("acceleration", POSITIVE, "of each move, user units/s²"),
+            pause_ns: table.time("pause", ..=3600 * S, "between two moves").unwrap_or(PAUSE_NS),
+            hold_ns: table
+                .time("hold", 10 * MS..=3600 * S, "each velocity is held for so long")
+                .unwrap_or(HOLD_NS),
+            following_error: table.number(
+                "following_error",
+                POSITIVE,
+                "the largest one that is good, user units",
+            ),
+        }
+    }
+
+    /// Makes `soak` of it, if the axis and its drive can do that.
+    fn apply(self, table: &Table<'_>, soak: &mut AxisSoak, axis: &AxisPlan, lacks: &Lacks) {
+        soak.following_error = self.following_error;
+        let patterns = [self.targets.is_some(), self.velocities.is_some(), self.sine.is_some()];
+        if patterns.iter().filter(|given| **given).count() > 1 {
+            return table.fault("drive", "has several patterns: give one of targets, velocities and sine");
+        }
+        if !self.moves {
+            soak.pattern = Pattern::Still("move = false".into());
+            return;
+        }
+        let mut profile = axis.profile;
+        set(&mut profile.velocity, self.velocity);
+        set(&mut profile.acceleration, self.acceleration);
+        set(&mut profile.deceleration, self.acceleration);
+        let pattern = match (self.targets, self.velocities, self.sine, soak.pattern.clone()) {
+            (Some(targets), ..) => Pattern::Moves { targets, profile, pause_ns: self.pause_ns },
+            (_, Some(velocities), ..) => Pattern::Velocities { velocities, hold_ns: self.hold_ns },
+            (.., Some(sine), _) => Pattern::Sine(sine),
+            (.., Pattern::Moves { targets, .. }) => {
+                Pattern::Moves { targets, profile, pause_ns: self.pause_ns }
+            }
+            (.., Pattern::Velocities { velocities, .. }) => {
+                Pattern::Velocities { velocities, hold_ns: self.hold_ns }
+            }
+            (.., still) => still,
+        };
+        if let (Pattern::Velocities { .. }, Some(why)) = (&pattern, ends_between_renewals(axis)) {
+            return table.fault("velocities", why);
+        }
+        match pattern.refused(axis, lacks) {
+            None => soak.pattern = pattern,
+            Some((key, why)) => {
+                // Where the pattern is not given, it can only be the profile of its moves.
+                let key = [key, "velocity", "acceleration"].into_iter().find(|key| table.gives(key));
+                table.fault(key.unwrap_or("drive"), why.to_string());
+            }
+        }
+    }
+}
+
+impl Pattern {
+    /// Why the axis cannot move so, with the key that says it.
+    fn refused(&self, axis: &AxisPlan, lacks: &Lacks) -> Option<(&'static str, Failure)> {
+        let check = |command: Command| check_command(axis, lacks, &command).err();
+        match self {
+            Pattern::Still(_) => None,
+            Pattern::Moves { targets, profile, .. } => targets.iter().find_map(|target| {
+                let target = Target::Absolute(*target);
+                Some(("targets", check(Command::Move(Move { target, profile: *profile }))?))
+            }),
+            Pattern::Velocities { velocities, .. } => velocities.iter().find_map(|velocity| {
+                let jog = Jog { velocity: *velocity, acceleration: axis.profile.acceleration };
+                Some(("velocities", check(Command::Jog(jog))?))
+            }),
+            Pattern::Sine(swing) => {
+                let row = |row: &Row| check_row(axis, row, None).err();
+                let failure = check(Command::Follow).or_else(|| extremes(swing).iter().find_map(row))?;
+                Some(("sine", failure))
+            }
+        }
+    }
+}
+
+/// Where the values of a sine are largest.
+fn extremes(swing: &Swing) -> [Row; 4] {
+    let Swing { centre, amplitude, period_s } = *swing;
+    // While its amplitude rises, within a second, it is a little steeper than later: the bounds of that.
+    let w = std::f64::consts::TAU / period_s + 2.5;
+    let row = |position, velocity, acceleration| Row { position, velocity, acceleration, last: false };
+    [
+        row(centre + amplitude, 0.0, 0.0),
+        row(centre - amplitude, 0.0, 0.0),
+        row(centre, amplitude * w, 0.0),
+        row(centre, 0.0, amplitude * w * w),
+    ]
+}
+
+fn sine(table: &mut Table<'_>, is_given: bool) -> Option<Swing> {
+    for key in ["centre", "amplitude", "period"].into_iter().filter(|_| is_given) {
+        table.require(key, "sine = { centre = 50.0, amplitude = 10.0, period = \"2s\" }");
+    }
+    let centre = table.number("centre", .., "a position");
+    let amplitude = table.number("amplitude", POSITIVE, "to each side of the centre");
+    let period_ns = table.time("period", 100 * MS..=3600 * S, "time of one swing");
+    Some(Swing { centre: centre?, amplitude: amplitude?, period_s: period_ns? as f64 / S as f64 })
+}
+
+/// A list of at least one number.
+fn numbers(table: &mut Table<'_>, key: &'static str, hint: &str) -> Option<Vec<f64>> {
+    table.read(key, Form::Number(Range::ALL).list(1, 1000), |value| {
+        let one = |element: &toml::Spanned<DeValue<'_>>| number(element.get_ref());
+        let list = value.as_array().and_then(|array| array.iter().map(one).collect::<Option<Vec<f64>>>());
+        list.filter(|list| (1..=1000).contains(&list.len()))
+            .ok_or_else(|| format!("must be a list of 1 to 1000 {hint}"))
+    })
+}
+
+/// No count of a test comes so far.
+const MOST_COUNT: i128 = 1_000_000_000_000;
+
+fn criteria(table: &mut Table<'_>) -> Criteria {
+    let mut all = Criteria::default();
+    let share = "the largest share that is good, 0.001 is one in a thousand";
+    set(&mut all.late_share, table.number("late_share", 0.0..=1.0, share));
+    set(&mut all.missed_share, table.number("missed_share", 0.0..=1.0, share));
+    let most = "the most that are good";
+    set(&mut all.lost_links, table.integer("lost_links", 0..=MOST_COUNT, most));
+    set(&mut all.faults, table.integer("faults", 0..=MOST_COUNT, most));
+    set(&mut all.stops, table.integer("stops", 0..=MOST_COUNT, most));
+    set(&mut all.memory_growth, table.number("memory_growth", 0.0.., "MB"));
+    set(&mut all.descriptor_growth, table.number("descriptor_growth", 0.0.., most));
+    set(&mut all.drift, table.number("drift", 0.0.., "0.5: a p99 may grow by half of what it was"));
+    set(&mut all.telemetry_lost, table.integer("telemetry_lost", 0..=MOST_COUNT, most));
+    set(&mut all.files_lost, table.integer("files_lost", 0..=MOST_COUNT, most));
+    set(&mut all.warm_up_ns, table.time("warm_up", .., "memory and descriptors are judged from then on"));
+    all
+}

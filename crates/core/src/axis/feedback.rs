@@ -1,0 +1,411 @@
+//! What a drive reported last, in user units.
+
+use std::fmt;
+
+use super::cell::{Packed, Writer};
+use crate::named;
+use crate::time::Time;
+
+named! {
+    /// State of the CiA 402 power drive system, onto which every protocol maps its own state words.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum State {
+        /// Nothing known yet.
+        #[default]
+        Unknown = 0: "Unknown",
+        /// Booting, or the motion software is stopped.
+        NotReadyToSwitchOn = 1: "NotReadyToSwitchOn",
+        /// Power off; switching on is locked until the control word was low once.
+        SwitchOnDisabled = 2: "SwitchOnDisabled",
+        /// Power off, ready.
+        ReadyToSwitchOn = 3: "ReadyToSwitchOn",
+        /// Powered or powering, operation not enabled.
+        SwitchedOn = 4: "SwitchedOn",
+        /// Powered and following commands.
+        OperationEnabled = 5: "OperationEnabled",
+        /// A quick stop is running or holding.
+        QuickStopActive = 6: "QuickStopActive",
+        /// The drive reacts to a fault.
+        FaultReactionActive = 7: "FaultReactionActive",
+        /// Stopped by a fault, power off.
+        Fault = 8: "Fault",
+    }
+}
+
+impl State {
+    /// Whether the power stage may be on.
+    pub fn is_powered(self) -> bool {
+        matches!(
+            self,
+            State::SwitchedOn | State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive
+        )
+    }
+}
+
+named! {
+    /// The link to a drive as the loop evaluates it.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum Link {
+        /// No answer since the start; probed slowly.
+        #[default]
+        Unseen = 0: "unseen",
+        /// Answers, but not yet often enough in a row (quality gate).
+        Qualifying = 1: "qualifying",
+        /// Up.
+        Online = 2: "online",
+        /// Was up and became silent; probed slowly.
+        Lost = 3: "lost",
+    }
+}
+
+named! {
+    /// Why an axis was stopped by the master. It stays latched until `reset`.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    #[non_exhaustive]
+    pub enum StopCause {
+        /// The program or the application ended the master.
+        Shutdown = 1: "shutdown",
+        /// The link to the drive was lost.
+        LinkLost = 2: "link lost",
+        /// The drive reported a fault.
+        DriveFault = 3: "drive fault",
+        /// The loop overran and its policy is to stop.
+        Overrun = 4: "overrun",
+        /// The stream ran empty and its policy is to stop.
+        Underrun = 5: "stream underrun",
+        /// A setpoint was outside the limits.
+        Limit = 6: "limit",
+        /// The in-loop task panicked or overran its budget.
+        Task = 7: "in-loop task",
+        /// The drive was found enabled or moving when the master started.
+        FoundRunning = 8: "found running",
+        /// Another axis of its stop group was stopped.
+        Group = 9: "stop group",
+        /// The drive left operation by itself (its own panel, a limit switch).
+        DriveDropped = 10: "drive left operation",
+        /// The drive's hardware enable (STO) went away.
+        HardwareEnable = 11: "hardware enable (STO) missing",
+        /// The application gave no sign of life within the heartbeat time.
+        Heartbeat = 12: "application silent",
+        /// The application gave no sign of life within the heartbeat time.
+        StaleSetpoint = 13: "setpoint too old",
+        /// A jog was not renewed within its dead-man time.
+        DeadMan = 14: "jog not renewed",
+        /// The members of its group missed too many exchanges together.
+        GroupLink = 15: "too many misses in its group",
+        /// An enable or a motion of its group failed at this axis, or was ended here alone.
+        GroupFailed = 16: "command of its group failed",
+        /// It moved, with power on, although nothing commanded it.
+        Uncommanded = 17: "motion without a command",
+        /// A stop of the application took longer than the stop's time-out.
+        StopTimeout = 18: "stop not complete in time",
+        /// The computer was suspended.
+        Suspended = 19: "computer suspended",
+        /// The loop panicked: an error of this software.
+        Panic = 20: "internal error (panic)",
+        /// The thread that opens the connections of its bus ended: an error of this software.
+        LinkThread = 21: "link thread ended",
+        /// Another master commands the drive, or has frames on its segment.
+        OtherMaster = 22: "another master",
+        /// The application dropped the [`Axis`](super::Axis), or its group, while the axis moved or was about to.
+        OwnerLost = 23: "axis dropped (on_owner_lost)",
+        /// The loop's cycle did not end: the watch took the wires from it.
+        LoopStuck = 24: "loop stuck",
+        /// It did not follow its demand.
+        FollowingError = 25: "following error",
+        /// Its reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
+        PositionJump = 26: "position jumped",
+    }
+}
+
+/// The protocol's names for the fault codes of its drives; `None` = not known.
+pub type FaultNames = fn(u32) -> Option<&'static str>;
+
+/// Whether a fault code says that the drive's master was silent.
+pub type SilenceFaults = fn(u32) -> bool;
+
+/// A fault of a drive for messages: its code, in hex and in decimal as manuals write it, and its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fault<'a> {
+    /// Fault code, 0 = none.
+    pub code: u32,
+    /// The protocol's name for it.
+    pub name: Option<&'a str>,
+}
+
+impl Fault<'static> {
+    /// The fault with this code, named by `names` of its protocol.
+    pub fn new(code: u32, names: FaultNames) -> Fault<'static> {
+        Fault { code, name: names(code) }
+    }
+}
+
+impl fmt::Display for Fault<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let code = self.code;
+        match self.name {
+            _ if code == 0 => f.write_str("none"),
+            Some(name) => write!(f, "{code:#06x} ({code}, {name})"),
+            None => write!(f, "{code:#06x} ({code})"),
+        }
+    }
+}
+
+/// What a drive reported last, in user units.
+///
+/// The order of the fields keeps together what is copied and compared in each cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+pub struct DriveStatus {
+    /// When the values were taken in.
+    pub at: Time,
+    /// Actual position, user units; NaN if the drive reports none, like the three below.
+    pub position: f64,
+    /// Demand position as the drive reports it, user units.
+    pub demand: f64,
+    /// Actual velocity, user units/s. Of a drive that reports none, the difference of the last two fresh positions
+    /// over the time between their requests (EtherCAT: between the grid points of their frames). If the drive takes
+    /// one of them later after its request than the other, by a twentieth of the period, that shows as 5 %.
+    pub velocity: f64,
+    /// Motor current, A.
+    pub current: f64,
+    /// The drive's warning word, 0 = none.
+    pub warning: u32,
+    /// The drive's fault code, 0 = none.
+    pub fault: u32,
+    /// The drive's state.
+    pub state: State,
+    /// Homed, as the drive reports it.
+    pub homed: bool,
+    /// The drive's setpoint generator is running.
+    pub moving: bool,
+    /// In the target window, as the drive reports it.
+    pub in_target: bool,
+    /// The drive's hardware enable (STO) is missing: power cannot come on.
+    pub inhibited: bool,
+    /// The reply could be that of an earlier request (no sequence number on this wire).
+    pub suspect: bool,
+    /// The monitored variables, in the units of the plan; `None` where no variable is configured, or it is not set
+    /// up yet.
+    pub monitor: [Option<f64>; MONITOR_CHANNELS],
+}
+
+/// The newest feedback of one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+#[repr(C)]
+pub struct Feedback {
+    /// The cycle that published it.
+    pub cycle: u64,
+    /// Round trip of the last clean exchange, ns.
+    pub rtt_ns: Option<u32>,
+    /// Cycles since the status left the drive: 0 = from this cycle. A missed exchange keeps the status.
+    pub age: u32,
+    /// Link health.
+    pub link: Link,
+    /// The latch: why the master stopped this axis.
+    pub stopped: Option<StopCause>,
+    /// What the drive reported last.
+    pub status: DriveStatus,
+}
+
+/// The most variables that a drive may report in addition to its process data.
+pub const MONITOR_CHANNELS: usize = 4;
+
+/// The monitored values in compact form: the values, and a bit for each channel that has one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shown {
+    mask: u8,
+    values: [f64; MONITOR_CHANNELS],
+}
+
+impl From<[Option<f64>; MONITOR_CHANNELS]> for Shown {
+    fn from(values: [Option<f64>; MONITOR_CHANNELS]) -> Shown {
+        Shown { mask: Shown::mask(&values), values: values.map(Option::unwrap_or_default) }
+    }
+}
+
+impl Shown {
+    /// A bit for each channel that has a value, the first one the lowest.
+    #[inline]
+    fn mask([a, b, c, d]: &[Option<f64>; MONITOR_CHANNELS]) -> u8 {
+        let bit = |value: &Option<f64>| u8::from(value.is_some());
+        bit(a) | bit(b) << 1 | bit(c) << 2 | bit(d) << 3
+    }
+
+    /// Whether no channel has a value.
+    pub fn is_empty(&self) -> bool {
+        self.mask == 0
+    }
+
+    /// The value of each channel.
+    pub fn values(&self) -> [Option<f64>; MONITOR_CHANNELS] {
+        std::array::from_fn(|channel| (self.mask >> channel & 1 != 0).then_some(self.values[channel]))
+    }
+
+    /// The bits of the channels (the first is the lowest), and the values as bits.
+    #[doc(hidden)]
+    pub fn to_words(self) -> (u8, [u64; MONITOR_CHANNELS]) {
+        (self.mask, self.values.map(f64::to_bits))
+    }
+
+    /// The inverse of [`to_words`](Self::to_words); `None` if a bit belongs to no channel.
+    #[doc(hidden)]
+    pub fn from_words(mask: u8, words: [u64; MONITOR_CHANNELS]) -> Option<Shown> {
+        (mask >> MONITOR_CHANNELS == 0).then(|| Shown { mask, values: words.map(f64::from_bits) })
+    }
+}
+
+impl Feedback {
+    /// Ready for motion commands.
+    pub fn is_operational(&self) -> bool {
+        self.link == Link::Online && self.status.state == State::OperationEnabled
+    }
+}
+
+impl Feedback {
+    /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
+    /// those that are not new stand there still.
+    #[inline]
+    #[doc(hidden)]
+    pub fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool) {
+        if shows {
+            return self.write_all_to(cell);
+        }
+        cell.write_words(self.first_words(Shown::mask(&self.status.monitor)).into_iter());
+    }
+
+    #[inline(never)]
+    fn write_all_to(&self, cell: &mut Writer<Feedback>) {
+        cell.write(self);
+    }
+
+    /// Its words but for the monitored values; `shown` has a bit for each of these that there is.
+    #[inline]
+    fn first_words(&self, shown: u8) -> [u64; 9] {
+        let status = &self.status;
+        let flags = u64::from(status.homed)
+            | u64::from(status.moving) << 1
+            | u64::from(status.in_target) << 2
+            | u64::from(status.suspect) << 3
+            | u64::from(self.rtt_ns.is_some()) << 4
+            | u64::from(status.inhibited) << 5
+            | (self.link as u64) << 8
+            | (status.state as u64) << 16
+            | self.stopped.map_or(0, |cause| cause as u64) << 24
+            | u64::from(self.age) << 32;
+        [
+            self.cycle,
+            flags,
+            status.at.0,
+            status.position.to_bits(),
+            status.demand.to_bits(),
+            status.velocity.to_bits(),
+            status.current.to_bits(),
+            u64::from(status.warning) | u64::from(status.fault) << 32,
+            u64::from(self.rtt_ns.unwrap_or(0)) | u64::from(shown) << 32,
+        ]
+    }
+}
+
+impl Packed for Feedback {
+    type Words = [u64; 13];
+
+    #[inline]
+    fn pack(&self) -> [u64; 13] {
+        let (shown, values) = Shown::from(self.status.monitor).to_words();
+        let mut words = [0; 13];
+        words[..9].copy_from_slice(&self.first_words(shown));
+        words[9..].copy_from_slice(&values);
+        words
+    }
+
+    fn unpack(words: &[u64; 13]) -> Feedback {
+        let flags = words[1];
+        let byte = |shift: u32| usize::from((flags >> shift) as u8);
+        let shown = Shown::from_words((words[8] >> 32) as u8, [words[9], words[10], words[11], words[12]]);
+        let status = DriveStatus {
+            at: Time(words[2]),
+            state: State::ALL.get(byte(16)).copied().unwrap_or_default(),
+            homed: flags & 1 != 0,
+            moving: flags & 2 != 0,
+            in_target: flags & 4 != 0,
+            suspect: flags & 8 != 0,
+            inhibited: flags & 32 != 0,
+            position: f64::from_bits(words[3]),
+            demand: f64::from_bits(words[4]),
+            velocity: f64::from_bits(words[5]),
+            current: f64::from_bits(words[6]),
+            warning: words[7] as u32,
+            fault: (words[7] >> 32) as u32,
+            monitor: shown.unwrap_or_default().values(),
+        };
+        Feedback {
+            cycle: words[0],
+            age: (flags >> 32) as u32,
+            link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
+            stopped: byte(24).checked_sub(1).and_then(|index| StopCause::ALL.get(index).copied()),
+            rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
+            status,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_is_told_in_both_notations_with_its_name_if_it_has_one() {
+        let names: FaultNames = |code| (code == 30).then_some("watchdog");
+        let reported = [0, 30, 999].map(|code| Fault::new(code, names).to_string());
+        assert_eq!(reported, ["none", "0x001e (30, watchdog)", "0x03e7 (999)"]);
+    }
+
+    #[test]
+    fn what_a_drive_does_not_tell_comes_out_as_it_went_in() {
+        let none = f64::NAN;
+        let status = DriveStatus {
+            position: none,
+            demand: none,
+            current: none,
+            velocity: 2.5,
+            ..DriveStatus::default()
+        };
+        let read = Feedback::unpack(&Feedback { status, ..Feedback::default() }.pack()).status;
+        assert!(read.position.is_nan() && read.demand.is_nan() && read.current.is_nan());
+        assert_eq!(read.velocity, 2.5);
+    }
+
+    #[test]
+    fn packs_and_unpacks_to_itself() {
+        for (link, state, stopped) in [
+            (Link::Online, State::OperationEnabled, None),
+            (Link::Lost, State::Fault, Some(StopCause::Shutdown)),
+            (Link::Unseen, State::Unknown, Some(StopCause::GroupFailed)),
+        ] {
+            let status = DriveStatus {
+                at: Time(12),
+                state,
+                homed: true,
+                moving: false,
+                in_target: true,
+                suspect: true,
+                inhibited: true,
+                position: -1.25,
+                demand: 3.5,
+                velocity: f64::MIN,
+                current: 0.1,
+                warning: 0x80,
+                fault: 0xFFFF_FFFF,
+                monitor: [None, Some(-0.5), None, Some(1e9)],
+            };
+            let rtt_ns = Some(4_000_000_000);
+            let feedback = Feedback { cycle: u64::MAX, age: 77, link, stopped, rtt_ns, status };
+            assert_eq!(Feedback::unpack(&feedback.pack()), feedback);
+        }
+    }
+}

@@ -1,0 +1,494 @@
+//! One axis as configured, already checked. `config/` builds it from TOML, an embedder by hand.
+
+use std::time::Duration;
+
+use super::command::Profile;
+use super::units::{Unit, Units};
+use crate::time::{Ns, S, nanos};
+
+/// Names stand in messages, file names and arguments, so they are kept plain.
+pub fn is_plain_name(name: &str) -> bool {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    (1..=32).contains(&name.chars().count()) && name.chars().all(plain)
+}
+
+/// What the loop and the application need to know of one axis. Settings that only its protocol needs are in the
+/// protocol's own drive plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AxisPlan {
+    /// Its name, unique in the machine.
+    pub name: String,
+    /// User units.
+    pub units: Units,
+    /// Limits in user units.
+    pub limits: Limits,
+    /// The profile of moves that name none.
+    pub profile: Profile,
+    /// An exchange every so many cycles, at least 1.
+    pub divisor: u32,
+    /// The cycle of these in which it exchanges, `0 .. divisor`.
+    pub phase: u32,
+    /// When a link counts as up and as lost.
+    pub health: Health,
+    /// How the axis stops when the master stops it.
+    pub stop: StopPlan,
+    /// When a move has arrived.
+    pub in_position: InPosition,
+    /// What a stream that runs empty does.
+    pub underrun: Underrun,
+    /// What to do with a drive that is found enabled or moving.
+    pub on_found_running: FoundRunning,
+    /// What the axis does when the application drops its [`Axis`](super::Axis).
+    pub on_owner_lost: OwnerLost,
+    /// What its load does when nothing holds it.
+    pub load: Load,
+    /// A cyclic velocity or torque setpoint older than so many cycles stops the axis.
+    pub setpoint_age: u32,
+    /// A jog that is not renewed within this time stops the axis; `None`: it runs until another command replaces
+    /// it.
+    pub jog_deadman: Option<Duration>,
+    /// Longest time for Enable, Disable and ResetFault.
+    pub enable_timeout: Duration,
+    /// Longest time for Home.
+    pub home_timeout: Duration,
+    /// Room in the command queue.
+    pub command_queue: usize,
+    /// Room in the stream, rows.
+    pub stream_queue: usize,
+    /// Room in the event queue.
+    pub event_queue: usize,
+    /// Room for the feedback of every cycle; 0 = only the newest is kept.
+    pub sample_queue: usize,
+    /// Room in the queue of acyclic calls.
+    pub parameter_queue: usize,
+}
+
+/// A variable that a drive reports in addition to its process data.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MonitorChannel {
+    /// Its name.
+    pub name: String,
+    /// The unit of its values; empty for a plain number.
+    pub unit: &'static str,
+}
+
+impl AxisPlan {
+    /// An axis of this name and unit, with the defaults of the configuration for everything else.
+    pub fn new(name: impl Into<String>, units: Units) -> AxisPlan {
+        // Usual values of the unit: speed, acceleration, and the speed that counts as standstill.
+        let (velocity, acceleration, standstill) = match units.unit {
+            Unit::Millimetre => (100.0, 1000.0, 5.0),
+            Unit::Revolution => (1.0, 10.0, 0.05),
+        };
+        AxisPlan {
+            name: name.into(),
+            in_position: InPosition::new(&units, standstill),
+            units,
+            limits: Limits::default(),
+            profile: Profile { velocity, acceleration, deceleration: acceleration },
+            divisor: 1,
+            phase: 0,
+            health: Health::default(),
+            stop: StopPlan {
+                how: StopHow::Ramp,
+                deceleration: acceleration,
+                then: StopThen::Disable,
+                timeout: Duration::from_secs(3),
+                on_timeout: StopTimeout::Disable,
+                standstill,
+                standstill_for: 20,
+                group: None,
+            },
+            underrun: Underrun::Stop,
+            on_found_running: FoundRunning::Stop,
+            on_owner_lost: OwnerLost::Stop,
+            load: Load::Level,
+            setpoint_age: 10,
+            jog_deadman: Some(Duration::from_millis(500)),
+            enable_timeout: Duration::from_secs(5),
+            home_timeout: Duration::from_secs(60),
+            command_queue: 64,
+            stream_queue: 1024,
+            event_queue: 256,
+            sample_queue: 0,
+            parameter_queue: 64,
+        }
+    }
+}
+
+/// A mistake in a plan: the key as the configuration calls it, and what would be right.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlanFault {
+    /// The key below the axis, like `stop.then`.
+    pub key: &'static str,
+    /// What is wrong, and the remedy.
+    pub message: String,
+}
+
+impl PlanFault {
+    /// `key` is wrong for this reason.
+    pub fn new(key: &'static str, message: impl Into<String>) -> PlanFault {
+        PlanFault { key, message: message.into() }
+    }
+}
+
+impl AxisPlan {
+    /// What contradicts itself in this plan, or would not work: the same checks for a file and for a plan built in
+    /// code.
+    pub fn faults(&self) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        self.check_numbers(&mut faults);
+        self.check_schedule(&mut faults);
+        self.check_stop(&mut faults);
+        self.check_load(&mut faults);
+        faults
+    }
+
+    fn check_numbers(&self, faults: &mut Vec<PlanFault>) {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        let units = &self.units;
+        if !positive(units.counts_per_unit.abs()) || !units.offset.is_finite() {
+            wrong("scale", "must be a finite number other than 0, and offset must be finite".into());
+        }
+        if units.modulo.is_some_and(|turn| !positive(turn)) {
+            wrong("modulo", "must be above 0: the length of one turn".into());
+        }
+        if let Some((low, high)) = self.limits.position {
+            // NaN is not a limit either.
+            if low.partial_cmp(&high) != Some(std::cmp::Ordering::Less) {
+                wrong("limits.position", "must rise: [lowest, highest]".into());
+            }
+            if units.modulo.is_some() {
+                wrong("limits.position", "a modulo axis turns without end; leave out one of the two".into());
+            }
+        }
+        let most = [
+            ("limits.velocity", self.limits.velocity),
+            ("limits.acceleration", self.limits.acceleration),
+            ("limits.step", self.limits.step),
+            ("limits.torque", self.limits.torque),
+            ("limits.homing", self.limits.homing),
+        ];
+        for (key, limit) in most {
+            if limit.is_some_and(|limit| !positive(limit)) {
+                wrong(key, "must be above 0; leave it out for no limit".into());
+            }
+        }
+        let count = (1.0 / units.counts_per_unit).abs();
+        let most = match self.limits.following_error {
+            FollowingError::Most(most) => Some(most),
+            FollowingError::Derived | FollowingError::Off => None,
+        };
+        for (key, window) in
+            [("in_position.window", self.in_position.window), ("limits.following_error", most)]
+        {
+            // Written so that no number is not wide enough.
+            if window.is_some_and(|window| !(window.is_finite() && window >= count)) {
+                wrong(
+                    key,
+                    format!("must be a count of the drive at least, {count} {}; or \"off\"", units.unit),
+                );
+            }
+        }
+        let profile = [
+            ("profile.velocity", self.profile.velocity, "velocity", self.limits.velocity),
+            ("profile.acceleration", self.profile.acceleration, "acceleration", self.limits.acceleration),
+            ("profile.deceleration", self.profile.deceleration, "acceleration", self.limits.acceleration),
+        ];
+        for (key, value, limit, most) in profile {
+            match most {
+                _ if !positive(value) => wrong(key, "must be above 0".into()),
+                Some(most) if value > most => {
+                    wrong(key, format!("exceeds limits.{limit} = {most}; lower it or raise the limit"));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn check_schedule(&self, faults: &mut Vec<PlanFault>) {
+        if self.phase >= self.divisor {
+            faults.push(PlanFault::new(
+                "phase",
+                format!("must be below divisor = {}; 0 is the first of its cycles", self.divisor),
+            ));
+        }
+        for (key, value) in [
+            ("health.bucket", self.health.bucket),
+            ("health.leak", self.health.leak),
+            ("health.gate", self.health.gate),
+            ("stop.standstill_for", self.stop.standstill_for),
+            ("in_position.for", self.in_position.reports.into()),
+            ("setpoint_age", self.setpoint_age),
+        ] {
+            if value == 0 {
+                faults.push(PlanFault::new(key, "must be at least 1"));
+            }
+        }
+        for (key, room) in [
+            ("command_queue", self.command_queue),
+            ("stream_queue", self.stream_queue),
+            ("event_queue", self.event_queue),
+        ] {
+            if room == 0 {
+                faults.push(PlanFault::new(key, "must have room for at least one entry"));
+            }
+        }
+    }
+
+    /// A ramp that cannot end in time would always end by `on_timeout`.
+    fn check_stop(&self, faults: &mut Vec<PlanFault>) {
+        let (stop, unit) = (&self.stop, self.units.unit);
+        if !(stop.deceleration > 0.0 && stop.deceleration.is_finite()) {
+            return faults.push(PlanFault::new("stop.deceleration", "must be above 0"));
+        }
+        if !(stop.standstill > 0.0 && stop.standstill.is_finite()) {
+            faults.push(PlanFault::new("stop.standstill", "must be above 0"));
+        }
+        let velocity = self.limits.velocity.unwrap_or(self.profile.velocity);
+        let needed = velocity / stop.deceleration;
+        if stop.how == StopHow::Ramp && needed > stop.timeout.as_secs_f64() {
+            let needed_ns = Ns((needed.min(1e9) * S as f64) as u64);
+            faults.push(PlanFault::new(
+                "stop.timeout",
+                format!(
+                    "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; \
+                     allow more, or \
+                     raise stop.deceleration",
+                    stop.deceleration,
+                    Ns(nanos(stop.timeout)),
+                ),
+            ));
+        }
+    }
+
+    /// What would let a vertical load drop.
+    fn check_load(&self, faults: &mut Vec<PlanFault>) {
+        let Load::Vertical(held_by) = self.load else { return };
+        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
+        if self.stop.how == StopHow::Coast {
+            wrong("stop.how", "would let a vertical load drop; use \"ramp\" or \"quick\"");
+        }
+        if held_by == HeldBy::Drive {
+            let remedy = "would drop a load that only the drive holds; use \"hold\", or name a brake: held_by \
+                = \"brake\"";
+            if self.stop.then == StopThen::Disable {
+                wrong("stop.then", remedy);
+            }
+            if self.stop.on_timeout == StopTimeout::Disable {
+                wrong("stop.on_timeout", remedy);
+            }
+        }
+    }
+}
+
+/// What the load of an axis does when nothing holds it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Load {
+    /// It stays where it is.
+    #[default]
+    Level,
+    /// It drops.
+    Vertical(HeldBy),
+}
+
+/// What holds a vertical load while the axis stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeldBy {
+    /// A brake that the drive is configured to close before it powers off. Power goes off at standstill, or by the
+    /// stop's time-out.
+    Brake,
+    /// The powered drive alone. The master never powers it off by itself, not even at its own end.
+    Drive,
+}
+
+/// Limits of an axis in user units; `None` = the drive's own limit only.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Limits {
+    /// Smallest and largest position.
+    pub position: Option<(f64, f64)>,
+    /// Largest speed, units/s.
+    pub velocity: Option<f64>,
+    /// Largest acceleration and deceleration, units/s².
+    pub acceleration: Option<f64>,
+    /// Largest distance between two streamed rows, units.
+    pub step: Option<f64>,
+    /// Largest torque in either direction, per cent of the motor's rated torque.
+    pub torque: Option<f64>,
+    /// Largest speed while it homes, units/s; `None` = as `velocity`.
+    pub homing: Option<f64>,
+    /// Largest distance between the demand and the actual position in a motion.
+    pub following_error: FollowingError,
+}
+
+/// A motor lags behind its demand by no more than the way in this time, s: a position controller without a feed-forward
+/// of the velocity has a gain of 20 1/s at least.
+const LAG_S: f64 = 0.05;
+
+impl AxisPlan {
+    /// The largest following error where the actual position of a report is that of `behind_ns` before its demand;
+    /// `None` = it is not watched.
+    #[doc(hidden)]
+    pub fn most_following_error(&self, behind_ns: u64) -> Option<f64> {
+        match self.limits.following_error {
+            FollowingError::Off => None,
+            FollowingError::Most(most) => Some(most),
+            FollowingError::Derived => {
+                let lag_s = behind_ns as f64 * 1e-9 + LAG_S;
+                let counts = (InPosition::COUNTS / self.units.counts_per_unit).abs();
+                let margin = self.in_position.window.unwrap_or(0.0).max(counts);
+                self.limits.velocity.map(|velocity| velocity * lag_s + margin)
+            }
+        }
+    }
+}
+
+/// The largest following error of an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum FollowingError {
+    /// Where the demand is the master's and the velocity has a limit: the way at that limit in the age of the feedback
+    /// and 50 ms, and the window of [`InPosition`].
+    #[default]
+    Derived,
+    /// Not watched.
+    Off,
+    /// So many units, whatever makes the demand.
+    Most(f64),
+}
+
+impl Limits {
+    /// Largest speed while it homes, units/s.
+    pub fn homing_velocity(&self) -> Option<f64> {
+        self.homing.or(self.velocity)
+    }
+}
+
+/// Link health: a leaky bucket over exchanges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Health {
+    /// So many misses fill the bucket, and the link is lost.
+    pub bucket: u32,
+    /// So many good exchanges in a row let one miss leak away.
+    pub leak: u32,
+    /// So many good exchanges in a row bring a link up.
+    pub gate: u32,
+    /// Interval of the requests to a drive that was never seen, or is lost.
+    pub probe_interval: Duration,
+}
+
+impl Default for Health {
+    /// Lost after 5 misses (20 good exchanges in a row cancel one), up after 10 in a row, probed every 100 ms.
+    fn default() -> Health {
+        Health { bucket: 5, leak: 20, gate: 10, probe_interval: Duration::from_millis(100) }
+    }
+}
+
+/// When a move has arrived: its drive has it, its demand is at the target, and the actual position is near it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InPosition {
+    /// So near, units; `None` = the end of the demand is the end of the move.
+    pub window: Option<f64>,
+    /// In so many good exchanges in a row, at least 1.
+    pub reports: u16,
+    /// The longest time from the end of the demand until then; later the move fails.
+    pub timeout: Duration,
+}
+
+impl InPosition {
+    /// The default window is the way at the speed of standstill in a tenth of a second.
+    const PER_SECOND: f64 = 10.0;
+    /// A position controller comes to rest some counts away.
+    const COUNTS: f64 = 4.0;
+
+    /// The default of an axis that stands still below `standstill`, units/s.
+    pub fn new(units: &Units, standstill: f64) -> InPosition {
+        let counts = (InPosition::COUNTS / units.counts_per_unit).abs();
+        InPosition {
+            window: Some((standstill / InPosition::PER_SECOND).max(counts)),
+            reports: 10,
+            timeout: Duration::from_secs(1),
+        }
+    }
+}
+
+/// How the master stops an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StopPlan {
+    /// How the axis is brought to standstill.
+    pub how: StopHow,
+    /// Deceleration of the ramp, units/s².
+    pub deceleration: f64,
+    /// What follows standstill.
+    pub then: StopThen,
+    /// Longest time to standstill.
+    pub timeout: Duration,
+    /// What follows when standstill does not come in time.
+    pub on_timeout: StopTimeout,
+    /// Standstill: speed below this, units/s ...
+    pub standstill: f64,
+    /// ... for so many good exchanges in a row.
+    pub standstill_for: u32,
+    /// Axes of one group stop together; `None` = alone.
+    pub group: Option<u16>,
+}
+
+/// How an axis is brought to standstill.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopHow {
+    /// Along the stop plan's deceleration.
+    Ramp,
+    /// The drive's own quick stop.
+    Quick,
+    /// Power off at once.
+    Coast,
+}
+
+/// What follows standstill.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopThen {
+    /// Stay powered and in position.
+    Hold,
+    /// Power off.
+    Disable,
+}
+
+/// What follows when standstill does not come in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopTimeout {
+    /// Stay powered.
+    Hold,
+    /// Power off.
+    Disable,
+}
+
+/// What an empty stream does. It is an event in every case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Underrun {
+    /// Repeat the last position with velocity 0 until rows come again.
+    Hold,
+    /// Go on with the last velocity for so many exchanges, then stop.
+    Extrapolate(u32),
+    /// Stop the axis.
+    Stop,
+}
+
+/// What to do with a drive that is found enabled or moving at start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FoundRunning {
+    /// Take over the control bits as found, then stop it as the stop plan says.
+    Stop,
+    /// Only read it; write nothing until the application commands the axis.
+    Refuse,
+}
+
+/// What an axis does when the application drops its [`Axis`](super::Axis), or the [`Group`](super::Group) that has it.
+/// An axis that stands still, or runs a command of the in-loop task, goes on in either case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OwnerLost {
+    /// What runs or waits is aborted, and the axis is stopped as the stop plan says. A stop or power off that was
+    /// requested before goes on.
+    Stop,
+    /// What was commanded goes on to its end.
+    Finish,
+}

@@ -1,0 +1,393 @@
+//! What the loop wants of a drive, and what shows that the drive has it: the interface of IEC 61800-7. Desired state
+//! goes down, status comes up. No protocol interprets a command of an application, and the loop knows no wire.
+//!
+//! Positions are user units, not folded into one turn.
+
+use crate::axis::command::NativeOwner;
+use crate::axis::{Cannot, Failure, Lacks, Profile};
+use crate::time::Time;
+
+/// What a drive shall do from its next request on. It holds until it is replaced.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Desired {
+    /// Its power.
+    pub power: Intent<Power>,
+    /// Its mode of operation.
+    pub mode: Intent<Mode>,
+    /// Its motion.
+    pub motion: Intent<Motion>,
+    /// The setpoint of the next send, with [`Motion::Follow`] and where the master makes all setpoints.
+    pub setpoint: Setpoint,
+}
+
+/// One part of what is desired. A new serial is a new intent, even with the same value: it is carried out once.
+/// Setpoints are values, and have none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Intent<T> {
+    /// Grows with each intent; 0 = none yet.
+    pub serial: u64,
+    /// What is wanted.
+    pub value: T,
+}
+
+/// The power of a drive, as the command of the one transition that is requested of it (CiA 402).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Power {
+    /// As it was found: nothing is written.
+    #[default]
+    Untouched,
+    /// Off, at once.
+    Off,
+    /// Off, and ready to switch on.
+    Shutdown,
+    /// On, out of operation.
+    SwitchOn,
+    /// In operation: it follows its motion.
+    EnableOperation,
+    /// Out of operation by the drive's own quick stop.
+    QuickStop,
+    /// Off, and the fault acknowledged. It comes after a request without it, since the drive waits for an edge.
+    FaultReset,
+}
+
+impl Power {
+    /// A drive that has it has no power.
+    pub fn is_off(self) -> bool {
+        matches!(self, Power::Off | Power::Shutdown | Power::FaultReset)
+    }
+}
+
+/// The mode of operation of a drive that has several.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// The one that it is in.
+    #[default]
+    AsIs,
+    /// That of its setpoint.
+    Own,
+    /// Homing.
+    Homing,
+}
+
+/// The motion of a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Motion {
+    /// None of its own. Where the master makes the setpoints, it follows them.
+    #[default]
+    Hold,
+    /// To a position, made by the drive.
+    Move {
+        /// The target.
+        position: f64,
+        /// Its profile.
+        profile: Profile,
+    },
+    /// At a velocity, made by the drive; another one is another intent.
+    Velocity {
+        /// Signed, user units/s; not 0.
+        velocity: f64,
+        /// User units/s², up and down.
+        acceleration: f64,
+    },
+    /// To standstill along a ramp, made by the drive.
+    Ramp {
+        /// User units/s².
+        deceleration: f64,
+    },
+    /// The rows of a stream, one an exchange.
+    Follow,
+    /// The end of a stream, on a drive that does not notice it.
+    EndStream,
+    /// The drive's fastest stop that keeps its power.
+    Halt,
+    /// The drive's homing.
+    Home,
+    /// What the application writes.
+    Native(NativeOwner),
+}
+
+/// A setpoint: a value, good for one send.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Setpoint {
+    /// User units.
+    pub position: f64,
+    /// User units/s.
+    pub velocity: f64,
+    /// User units/s²; 0 where it is not known.
+    pub acceleration: f64,
+    /// Per cent of the rated torque.
+    pub torque: f64,
+    /// The number of the row that it is, which grows by one a row; 0 = none.
+    pub row: u64,
+}
+
+/// What has left of the desired state, as the bus writes it when a request goes out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Gone {
+    /// The slot of the grid that the request was built for; `None`: none has gone out since the loop last looked.
+    pub grid: Option<Time>,
+}
+
+/// What shows that a drive has its desired state, written by the bus with each report. What changes with most of them
+/// stands first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+pub struct Evidence {
+    /// What is written reaches the drive and counts there.
+    pub outputs_count: bool,
+    /// Its power stays on, if it is on: the drive reports that it is commanded to be on.
+    pub stays_on: bool,
+    /// It can take the next motion.
+    pub ready: bool,
+    /// Its settings are those of its plan; they are written before its power comes on.
+    pub is_set_up: bool,
+    /// Its mode.
+    pub mode: ModeIs,
+    /// How far its homing is.
+    pub homing: Homing,
+    /// Whether it has its reference; `None`: not known since that may have changed.
+    pub reference: Option<Reference>,
+    /// It has refused the newest motion.
+    pub refused: Option<Refused>,
+    /// The actual position, not folded into one turn.
+    pub position: f64,
+    /// The demand position, not folded into one turn.
+    pub demand: f64,
+    /// The velocity of the demand, user units/s.
+    pub demand_velocity: f64,
+    /// The newest serials that the drive has accepted, as far as its wire can prove.
+    pub accepted: Accepted,
+    /// It follows what is written.
+    pub follows: Follows,
+    /// What is known of its fault.
+    pub fault: FaultIs,
+    /// Why it cannot be enabled or moved at present.
+    pub obstacle: Cannot,
+}
+
+/// Why a drive has refused a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// It has not taken it.
+    NotTaken,
+    /// It must not have it, for this reason.
+    Because(&'static str),
+}
+
+#[doc(hidden)]
+impl From<Refused> for Failure {
+    fn from(refused: Refused) -> Failure {
+        match refused {
+            Refused::NotTaken => Failure::NotTaken,
+            Refused::Because(why) => Failure::Unsupported(why),
+        }
+    }
+}
+
+/// A drive of which nothing is known, whose protocol proves nothing of these.
+impl Default for Evidence {
+    fn default() -> Evidence {
+        Evidence {
+            accepted: Accepted::default(),
+            outputs_count: true,
+            stays_on: true,
+            ready: true,
+            follows: Follows::Yes,
+            is_set_up: true,
+            mode: ModeIs::Own,
+            homing: Homing::Open,
+            reference: Some(Reference::Silent),
+            fault: FaultIs::default(),
+            obstacle: None,
+            refused: None,
+            position: 0.0,
+            demand: 0.0,
+            demand_velocity: 0.0,
+        }
+    }
+}
+
+/// The newest serial of each part that a drive has accepted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Accepted {
+    /// Of its power.
+    pub power: u64,
+    /// Of its motion.
+    pub motion: u64,
+    /// The number of the newest row.
+    pub row: u64,
+}
+
+/// Whether a drive follows what is written to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Follows {
+    /// It does.
+    #[default]
+    Yes,
+    /// It will: a setting is being written.
+    NotYet,
+    /// It does not, for this reason.
+    Never(&'static str),
+}
+
+/// The mode of operation that a drive is in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ModeIs {
+    /// That of its setpoint, or it has only one.
+    #[default]
+    Own,
+    /// Homing.
+    Homing,
+    /// Another one, or on the way between two.
+    Other,
+}
+
+/// How far a homing is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Homing {
+    /// None runs, or it is not over.
+    #[default]
+    Open,
+    /// It has found home.
+    Attained,
+    /// It has failed.
+    Failed,
+}
+
+/// Whether a drive has its reference, as it reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reference {
+    /// It has.
+    Set,
+    /// It has not.
+    Lost,
+    /// It does not report it.
+    Silent,
+}
+
+/// What is known of a fault, besides its code.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FaultIs {
+    /// There is one.
+    pub active: bool,
+    /// Its code is known, as far as it will ever be.
+    pub named: bool,
+    /// When it can be acknowledged.
+    pub resettable: Resettable,
+}
+
+/// When a fault can be acknowledged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resettable {
+    /// Now.
+    #[default]
+    Now,
+    /// From this instant on; `Time(u64::MAX)`: its reaction is not over.
+    At(Time),
+    /// Never, for this reason; `None`: its code says it.
+    Never(Cannot),
+}
+
+/// What a drive can do, and what proves it: fixed by its plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Capabilities {
+    /// What makes its setpoints.
+    pub generator: Generator,
+    /// What it does not do.
+    pub lacks: Lacks,
+    /// Power comes on, and it goes into operation, with one command.
+    pub switches_on_at_once: bool,
+    /// It goes from its quick stop back into operation.
+    pub leaves_quick_stop: bool,
+    /// So many reports in a row that say the same prove a state of its power, and that it has lost its power, its
+    /// reference or its hardware enable. One where a report is certainly newer than the one before: it has a number, a
+    /// working counter or the wire to itself. Two where one that comes again may look like the newest ...
+    pub power_reports: u8,
+    /// ... and so many its standstill.
+    pub still_reports: u8,
+    /// A drive that is released after a halt has to stand for so long, ns.
+    pub stands_ns: u64,
+    /// The end of a move may be so far from its target, user units.
+    pub arrival: f64,
+    /// The actual position of a report has followed the demand until so long before the demand of the same report, ns.
+    pub behind_ns: u64,
+    /// What the wire can carry.
+    pub ranges: Ranges,
+}
+
+/// What makes the setpoints of a drive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Generator {
+    /// The drive, along profiles.
+    Drive {
+        /// How it comes to a velocity; `None`: it has none.
+        velocities: Option<Velocities>,
+    },
+    /// The master: this quantity goes out in each request.
+    Master(Quantity),
+}
+
+/// How a drive that makes its own setpoints comes to a velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Velocities {
+    /// By moves to a target that rolls at most so far ahead, user units: the drive stands at the target if nothing
+    /// comes any more.
+    Leash(f64),
+    /// By a motion of its own, [`Motion::Velocity`]. From the report of a place to the begin of a ramp that it causes
+    /// there may be so much time, ns.
+    Own {
+        /// ns.
+        reaction_ns: u64,
+    },
+}
+
+/// The quantity of a setpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// A position.
+    Position,
+    /// A velocity.
+    Velocity,
+    /// A torque.
+    Torque,
+    /// Not known: it stays 0.
+    Unknown,
+}
+
+/// The largest values that the wire carries, user units; the smallest step, where a smaller value would be nothing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ranges {
+    /// How far a position may be from 0, or on a rotary axis from the demand.
+    pub position: (f64, f64),
+    /// Velocities of moves, user units/s.
+    pub velocity: (f64, f64),
+    /// Accelerations of moves, user units/s².
+    pub acceleration: (f64, f64),
+}
+
+impl Ranges {
+    /// Those of a drive whose setpoints wrap around or saturate.
+    pub const UNLIMITED: Ranges = Ranges {
+        position: (f64::NEG_INFINITY, f64::INFINITY),
+        velocity: (0.0, f64::INFINITY),
+        acceleration: (0.0, f64::INFINITY),
+    };
+}
+
+impl Capabilities {
+    /// A drive that can do all, in all ranges, and that says the truth in each report: none is older than the last.
+    pub fn of(generator: Generator) -> Capabilities {
+        Capabilities {
+            generator,
+            lacks: Lacks::default(),
+            switches_on_at_once: true,
+            leaves_quick_stop: true,
+            power_reports: 1,
+            still_reports: 1,
+            stands_ns: 0,
+            arrival: f64::INFINITY,
+            behind_ns: 0,
+            ranges: Ranges::UNLIMITED,
+        }
+    }
+}

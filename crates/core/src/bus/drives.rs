@@ -1,0 +1,73 @@
+//! What the buses of all protocols do with their drives: locks, the application's ends, the faults of their plans.
+
+use std::any::Any;
+use std::net::SocketAddrV4;
+
+use super::OpenError;
+use crate::axis::acyclic::AcyclicEnds;
+use crate::axis::{AxisPlan, PlanFault};
+use crate::net::{Carriers, Lock, Place};
+
+/// The application's ends of the drives of a bus, in slot order, until they are taken: once each, before the start.
+#[derive(Debug, Default)]
+pub struct Ends(Vec<End>);
+
+#[derive(Debug)]
+struct End {
+    native: Option<Box<dyn Any + Send>>,
+    acyclic: Option<AcyclicEnds>,
+}
+
+impl Ends {
+    /// Those of the next drive: of its native process data, and of its acyclic access.
+    pub fn push(&mut self, native: impl Any + Send, acyclic: AcyclicEnds) {
+        self.0.push(End { native: Some(Box::new(native)), acyclic: Some(acyclic) });
+    }
+
+    /// The native process data of drive `index`.
+    pub fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        self.0.get_mut(index)?.native.take()
+    }
+
+    /// The acyclic access to drive `index`.
+    pub fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.0.get_mut(index)?.acyclic.take()
+    }
+}
+
+/// Locks drives of `bus` at these addresses for this master, or none of them.
+pub fn lock<'a>(
+    bus: &str,
+    drives: impl Iterator<Item = (&'a AxisPlan, SocketAddrV4)>,
+    carriers: &dyn Carriers,
+) -> Result<Vec<Lock>, OpenError> {
+    let lock = |(axis, address): (&AxisPlan, SocketAddrV4)| {
+        carriers.lock(Place::Drive(address)).map_err(|why| {
+            let what = format!("drive {} at {address}", axis.name);
+            OpenError::InUse { bus: bus.to_owned(), what, why }
+        })
+    };
+    drives.map(lock).collect()
+}
+
+/// What is wrong with the plans of drives, each with its index: with their axes, by themselves in a cycle of their own,
+/// and with an address that is `same` as that of an earlier one, for the reason `taken`.
+pub fn faults<D>(
+    drives: &[D],
+    period_ns: u64,
+    axis: fn(&D) -> &AxisPlan,
+    own: fn(&D, u64) -> Vec<PlanFault>,
+    same: fn(&D, &D) -> bool,
+    taken: &'static str,
+) -> Vec<(usize, PlanFault)> {
+    let of = |(index, drive): (usize, &D)| {
+        let axis = axis(drive);
+        let mut faults = axis.faults();
+        faults.extend(own(drive, period_ns.saturating_mul(u64::from(axis.divisor))));
+        if drives[..index].iter().any(|other| same(other, drive)) {
+            faults.push(PlanFault::new("address", taken));
+        }
+        faults.into_iter().map(move |fault| (index, fault)).collect::<Vec<_>>()
+    };
+    drives.iter().enumerate().flat_map(of).collect()
+}

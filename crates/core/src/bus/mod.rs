@@ -1,0 +1,29 @@
+//! The contract between the loop and a protocol.
+//!
+//! | file | what |
+//! |---|---|
+//! | `contract` | [`Bus`]: an open bus on the real-time thread, and what passes between it and the loop |
+//! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
+//! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
+//! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
+//! | `native` | the native process data of a drive for a recording |
+//! | `drives` | what the buses of all protocols do with their drives |
+//! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
+//! | `variant` | a bus in a machine that is otherwise like its own |
+
+pub mod cia402;
+pub mod contract;
+pub mod counters;
+pub mod desired;
+pub mod drives;
+mod error;
+pub mod native;
+mod plan;
+pub mod reader;
+pub mod variant;
+
+pub use self::contract::{Bus, Cycle, Exchange, LastResort, Notes, Slot};
+pub use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmatched};
+pub use self::drives::Ends;
+pub use self::error::OpenError;
+pub use self::plan::{BusPlan, Grid};

@@ -1,0 +1,308 @@
+//! How a drive was left at the end of a run: by its last report, and by what was requested of it.
+
+use std::fmt;
+
+use crate::axis::{Command, Feedback, State, StopCause, Unit};
+use crate::named;
+use crate::time::Time;
+
+named! {
+    /// How a drive was left at the end of a run.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    #[non_exhaustive]
+    pub enum Condition {
+        /// Its last report says so: without power, and at standstill.
+        Off = 0: "off",
+        /// Powered and at standstill, as planned: only the drive holds its vertical load.
+        Held = 1: "held",
+        /// At standstill, and its power stage may be on.
+        Powered = 2: "powered",
+        /// Faster than the standstill window, or its motion has not ended; without power it coasts or falls.
+        Moving = 3: "moving",
+        /// It does not answer, and it had power, was moving, or power was requested after its last report.
+        Unknown = 4: "unknown",
+    }
+}
+
+named! {
+    /// What a stop requests of a drive.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    #[non_exhaustive]
+    pub enum StopRequest {
+        /// A ramp, or the drive's halt.
+        Ramp = 0: "ramp",
+        /// The drive's own quick stop.
+        QuickStop = 1: "quick stop",
+        /// Power off.
+        PowerOff = 2: "power off",
+    }
+}
+
+/// The set of what the stop of an axis has requested of its drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Requested(u8);
+
+impl Requested {
+    /// Adds what the command requests, if it belongs to a stop.
+    pub(super) fn note(&mut self, command: Option<Command>) {
+        let request = match command {
+            Some(Command::Stop { .. }) => StopRequest::Ramp,
+            Some(Command::QuickStop) => StopRequest::QuickStop,
+            Some(Command::Disable) => StopRequest::PowerOff,
+            _ => return,
+        };
+        self.0 |= 1 << request as u8;
+    }
+
+    fn list(self) -> Vec<StopRequest> {
+        StopRequest::ALL.into_iter().filter(|request| self.0 & 1 << *request as u8 != 0).collect()
+    }
+}
+
+/// What the loop knows of a drive besides its last report.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Known {
+    /// The standstill window, user units/s.
+    pub standstill: f64,
+    /// It answered until its bus ended the link.
+    pub answers: bool,
+    /// Something was requested of it.
+    pub ours: bool,
+    /// Power on was requested, and no later report shows that it is off.
+    pub may_rise: bool,
+    /// Its stop is complete, and leaves it powered because only the drive holds its load.
+    pub holds: bool,
+    /// What its stop has requested.
+    pub requested: Requested,
+    /// The wires were taken from the loop.
+    pub stuck: bool,
+}
+
+/// A drive at the end of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct AtEnd {
+    /// How it was left.
+    pub condition: Condition,
+    /// What its stop has requested of it, in this order; empty: it was only read, or the loop was stuck.
+    pub requested: Vec<StopRequest>,
+    /// The loop has not come to an orderly end, and read no report in it.
+    #[cfg_attr(feature = "serde", serde(skip))]
+    abandoned: bool,
+}
+
+impl AtEnd {
+    /// `None`: the drive has never reported its state, and nothing was requested of it.
+    pub(super) fn of(known: Known, feedback: &Feedback) -> Option<AtEnd> {
+        let status = &feedback.status;
+        let (state, powered) = (status.state, status.state.is_powered());
+        // A velocity that is not known (NaN) says nothing. Without power no setpoint generator moves the axis.
+        let moves = status.velocity.abs() > known.standstill || powered && status.moving;
+        let condition = match known.answers {
+            true if state == State::Unknown => known.ours.then_some(Condition::Unknown)?,
+            true if moves => Condition::Moving,
+            true if powered && known.holds => Condition::Held,
+            true if powered => Condition::Powered,
+            false if powered || moves || known.may_rise => Condition::Unknown,
+            false if state == State::Unknown => known.ours.then_some(Condition::Unknown)?,
+            _ => Condition::Off,
+        };
+        Some(AtEnd { condition, requested: known.requested.list(), abandoned: known.stuck })
+    }
+
+    /// Of a drive that the loop has left alone: it has died, or its cycle does not end.
+    #[doc(hidden)]
+    pub fn abandoned(feedback: &Feedback) -> Option<AtEnd> {
+        let end = || AtEnd { condition: Condition::Unknown, requested: Vec::new(), abandoned: true };
+        // The link of a loop that is stuck is shown as lost.
+        (feedback.status.at != Time(0)).then(end)
+    }
+
+    /// Whether the drive is known to be off, or held as planned.
+    pub fn is_safe(&self) -> bool {
+        matches!(self.condition, Condition::Off | Condition::Held)
+    }
+
+    /// In words: how it was left, what was tried, and what to do; nothing of a drive that is off.
+    #[doc(hidden)]
+    pub fn line(&self, feedback: &Feedback, unit: Unit) -> Option<String> {
+        let (state, velocity, cycles) = (feedback.status.state, feedback.status.velocity, feedback.age);
+        let speed = if velocity.is_nan() { String::new() } else { format!(" at {velocity:.3} {unit}/s") };
+        let how = match self.condition {
+            Condition::Off => return None,
+            Condition::Held => return Some("stays powered: only the drive holds its vertical load".into()),
+            Condition::Powered => format!("is still powered at the end ({state})"),
+            Condition::Moving => format!("still moves at the end ({state}{speed})"),
+            Condition::Unknown => {
+                format!(
+                    "may be powered or moving at the end: its last report ({state}) is {cycles} cycles old"
+                )
+            }
+        };
+        let only_read = match feedback.stopped {
+            Some(StopCause::OtherMaster) => "another master commands it, and this one has only read it",
+            Some(StopCause::FoundRunning) => {
+                "it was found running and only read, as on_found_running = \"refuse\" says"
+            }
+            _ => "this master has only read it",
+        };
+        let off =
+            "take its power away by its hardware enable (STO) or its supply before anybody comes near it";
+        let (tried, remedy) = match &*self.requested {
+            _ if self.abandoned => {
+                ("the loop did not come to its end, and has not seen it since".to_owned(), off)
+            }
+            [] => (only_read.to_owned(), "stop it by what commands it, or by its hardware enable (STO)"),
+            requested => (
+                match self.condition {
+                    Condition::Unknown => format!("{} requested, and nothing answered", Listed(requested)),
+                    _ => format!("{} requested and had no effect", Listed(requested)),
+                },
+                off,
+            ),
+        };
+        Some(format!("{how}; {tried}; {remedy}"))
+    }
+}
+
+/// Requests in words.
+struct Listed<'a>(&'a [StopRequest]);
+
+impl fmt::Display for Listed<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            [] => Ok(()),
+            [one] => write!(f, "{one} was"),
+            [before @ .., last] => {
+                let before: Vec<&str> = before.iter().map(|request| request.name()).collect();
+                write!(f, "{} and {last} were", before.join(", "))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::{DriveStatus, Link};
+
+    const OURS: Known = Known {
+        standstill: 1.0,
+        answers: true,
+        ours: true,
+        may_rise: false,
+        holds: false,
+        requested: Requested(0),
+        stuck: false,
+    };
+
+    fn seen(link: Link, state: State, velocity: f64) -> Feedback {
+        let status = DriveStatus { state, velocity, ..DriveStatus::default() };
+        Feedback { link, status, ..Feedback::default() }
+    }
+
+    fn condition(known: Known, feedback: &Feedback) -> Option<Condition> {
+        let known = Known { answers: matches!(feedback.link, Link::Online | Link::Qualifying), ..known };
+        AtEnd::of(known, feedback).map(|end| end.condition)
+    }
+
+    #[test]
+    fn a_drive_that_answers_is_as_it_reports() {
+        use State::{Fault, FaultReactionActive, OperationEnabled, SwitchOnDisabled, SwitchedOn, Unknown};
+        for (state, velocity, expected) in [
+            (SwitchOnDisabled, 0.9, Some(Condition::Off)),
+            (SwitchOnDisabled, f64::NAN, Some(Condition::Off)),
+            // It coasts, or falls.
+            (SwitchOnDisabled, -1.1, Some(Condition::Moving)),
+            (Fault, 0.0, Some(Condition::Off)),
+            (Fault, 1.1, Some(Condition::Moving)),
+            (SwitchedOn, 0.0, Some(Condition::Powered)),
+            (FaultReactionActive, 0.0, Some(Condition::Powered)),
+            (OperationEnabled, f64::NAN, Some(Condition::Powered)),
+            (OperationEnabled, -1.1, Some(Condition::Moving)),
+            (Unknown, 0.0, Some(Condition::Unknown)),
+        ] {
+            for link in [Link::Online, Link::Qualifying] {
+                let feedback = seen(link, state, velocity);
+                assert_eq!(condition(OURS, &feedback), expected, "{link} {state} {velocity}");
+                // A later report shows that it is off.
+                let rising = Known { may_rise: true, ..OURS };
+                assert_eq!(condition(rising, &feedback), expected, "{link} {state} {velocity}");
+            }
+        }
+        let mut feedback = seen(Link::Online, OperationEnabled, 0.0);
+        feedback.status.moving = true;
+        assert_eq!(condition(OURS, &feedback), Some(Condition::Moving));
+        feedback.status.state = SwitchOnDisabled;
+        assert_eq!(condition(OURS, &feedback), Some(Condition::Off), "no generator moves it");
+    }
+
+    #[test]
+    fn only_what_stands_and_is_held_as_planned_is_held() {
+        let holds = Known { holds: true, ..OURS };
+        for (link, state, velocity, expected) in [
+            (Link::Online, State::OperationEnabled, 0.0, Condition::Held),
+            (Link::Online, State::OperationEnabled, 1.1, Condition::Moving),
+            (Link::Online, State::SwitchOnDisabled, 0.0, Condition::Off),
+            (Link::Lost, State::OperationEnabled, 0.0, Condition::Unknown),
+        ] {
+            assert_eq!(condition(holds, &seen(link, state, velocity)), Some(expected), "{link} {state}");
+        }
+    }
+
+    #[test]
+    fn a_drive_that_is_silent_is_off_only_if_nothing_can_have_powered_it_since() {
+        let found = Known { ours: false, ..OURS };
+        let rising = Known { may_rise: true, ..OURS };
+        let off = seen(Link::Lost, State::ReadyToSwitchOn, 0.0);
+        assert_eq!(
+            [OURS, rising].map(|known| condition(known, &off)),
+            [Some(Condition::Off), Some(Condition::Unknown)]
+        );
+        for last in [(State::OperationEnabled, 0.0), (State::SwitchOnDisabled, 2.0)] {
+            let feedback = seen(Link::Lost, last.0, last.1);
+            assert_eq!(condition(OURS, &feedback), Some(Condition::Unknown), "{last:?}");
+            assert_eq!(condition(found, &feedback), Some(Condition::Unknown), "{last:?}");
+        }
+        // Nothing is known of it, and nothing was requested.
+        assert_eq!(condition(found, &seen(Link::Unseen, State::Unknown, 0.0)), None);
+        assert_eq!(condition(OURS, &seen(Link::Lost, State::Unknown, 0.0)), Some(Condition::Unknown));
+    }
+
+    #[test]
+    fn what_was_tried_is_named_in_its_order() {
+        let mut requested = Requested::default();
+        requested.note(Some(Command::Enable));
+        requested.note(None);
+        assert_eq!(requested.list(), []);
+        let line = |requested: Requested, feedback: &Feedback| {
+            let known = Known { requested, ..OURS };
+            AtEnd::of(known, feedback).and_then(|end| end.line(feedback, Unit::Millimetre))
+        };
+        let feedback = seen(Link::Online, State::OperationEnabled, 20.0);
+        let expected = "still moves at the end (OperationEnabled at 20.000 mm/s); this master has only read it; stop \
+                        it by what commands it, or by its hardware enable (STO)";
+        assert_eq!(line(requested, &feedback).as_deref(), Some(expected));
+        for (command, tried) in [
+            (Command::Disable, "; power off was requested and had no effect; "),
+            (Command::Stop { deceleration: None }, "; ramp and power off were requested and had no effect; "),
+            (Command::QuickStop, "; ramp, quick stop and power off were requested and had no effect; "),
+        ] {
+            requested.note(Some(command));
+            let line = line(requested, &feedback).unwrap();
+            assert!(line.contains(tried), "{line}");
+        }
+        for (cause, why) in [
+            (StopCause::OtherMaster, "another master commands it"),
+            (StopCause::FoundRunning, "on_found_running = \"refuse\""),
+        ] {
+            let feedback = Feedback { stopped: Some(cause), ..feedback };
+            let line = line(Requested::default(), &feedback).unwrap();
+            assert!(line.contains(why), "{line}");
+        }
+        assert_eq!(line(requested, &seen(Link::Online, State::SwitchOnDisabled, 0.0)), None);
+    }
+}

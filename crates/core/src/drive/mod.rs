@@ -1,0 +1,37 @@
+//! The drive machine: what the loop keeps and does for one drive, whatever its protocol.
+//!
+//! | file | what |
+//! |---|---|
+//! | `controller` | the loop's side of one drive: its queues, the running command, its latch |
+//! | `controller/judge`, `controller/watch` | the end of its exchange; what it must not do, and its stops |
+//! | `controller/commands` | the application's commands in their order |
+//! | `controller/setpoints` | rows, velocities and torques for the next send, and their age |
+//! | `stop` | the stop sequence |
+//! | `at_end` | how a drive was left at the end of a run |
+//! | `groups` | group synchronisation |
+//! | `bounds` | bounds of the drive's own demand, whatever commands it |
+//! | `rest` | motion that nobody commands |
+//! | `machine` | what a command does to a drive, step by step; `power`: the states of CiA 402 |
+//! | `planner` | the setpoint at an instant |
+//! | `health` | the link to one drive: leaky bucket, schedule, probes |
+//! | `reach` | which reports an axis can have reached |
+//! | `record`, `numbers` | what the loop reports and counts of one drive |
+//! | `journal` | its commands and events, until they are reported |
+//!
+//! It reads the instants of the grid and the stamps of exchanges, and never a clock: the same code runs in virtual
+//! time.
+
+pub mod at_end;
+mod bounds;
+pub mod controller;
+pub mod groups;
+mod health;
+pub mod journal;
+pub mod machine;
+pub mod numbers;
+pub mod planner;
+mod power;
+mod reach;
+pub mod record;
+mod rest;
+mod stop;

@@ -1,0 +1,274 @@
+//! The records of one drive: what it did in an executed cycle, and what happened to it. With those of the loop they go
+//! to the telemetry thread through a ring.
+
+mod event;
+
+use std::num::NonZeroU32;
+
+pub use self::event::EventRecord;
+use crate::axis::units::way;
+use crate::axis::{Command, CommandId, DriveStatus, Emergency, Link, QueuedCommand, Shown, State, StopCause};
+use crate::named;
+
+/// The result of a drive's exchange in a cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Reply {
+    /// None was under way.
+    #[default]
+    None = 0,
+    /// Owed in a later window.
+    Owed = 1,
+    /// Answered.
+    Answered = 2,
+    /// Answered, but possibly by the reply to an earlier request.
+    Suspect = 3,
+    /// Not answered in time.
+    Missed = 4,
+    /// Refused by the operating system.
+    Unsent = 5,
+    /// Answered by the newest packet of a drive that sends by its own clock, without a round trip.
+    Current = 6,
+    /// Due, and waiting for its turn on a half-duplex wire.
+    Queued = 7,
+}
+
+impl Reply {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Reply; 8] = [
+        Reply::None,
+        Reply::Owed,
+        Reply::Answered,
+        Reply::Suspect,
+        Reply::Missed,
+        Reply::Unsent,
+        Reply::Current,
+        Reply::Queued,
+    ];
+}
+
+/// One drive in an executed cycle, as it was published.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DriveRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The exchange.
+    pub reply: Reply,
+    /// The link as evaluated.
+    pub link: Link,
+    /// The link was up before that.
+    pub was_online: bool,
+    /// State of the drive.
+    pub state: State,
+    /// The latch.
+    pub stopped: Option<StopCause>,
+    /// The command that runs, as [`Command::code`](crate::axis::Command::code); 0 = none.
+    pub command: u8,
+    /// Moving, as the drive reports it.
+    pub moving: bool,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
+    /// The request left so long after the grid point, ns; `None` = none left in this cycle.
+    pub phase_ns: Option<NonZeroU32>,
+    /// Difference between the distance to its request before and that of their grid points, ns.
+    pub jitter_ns: Option<NonZeroU32>,
+    /// From the send stamp until the reply was taken in, ns; `None` for a suspect reply, and where nothing replies.
+    pub rtt_ns: Option<NonZeroU32>,
+    /// How old the values were when the window closed, ns; `None` before the first, and while the link is down.
+    pub age_ns: Option<NonZeroU32>,
+    /// Fault code, 0 = none.
+    pub fault: u32,
+    /// Warning word, 0 = none.
+    pub warning: u32,
+    /// The emergency that it reported in this cycle.
+    pub emergency: Option<ShortEmergency>,
+    /// Motor current, A.
+    pub current: f32,
+    /// Actual velocity, user units/s.
+    pub velocity: f32,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+}
+
+/// What a cycle has measured of a drive, as in its [`DriveRecord`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Measured {
+    pub reply: Reply,
+    pub was_online: bool,
+    pub emergency: Option<ShortEmergency>,
+    pub phase_ns: Option<NonZeroU32>,
+    pub jitter_ns: Option<NonZeroU32>,
+    pub rtt_ns: Option<NonZeroU32>,
+    pub age_ns: Option<NonZeroU32>,
+    /// Not measured, and here since here is room: there is something in the axis' journal.
+    pub noted: bool,
+}
+
+/// What is published of an axis besides the status of its drive, as in its [`DriveRecord`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Published {
+    pub index: u64,
+    pub axis: u16,
+    pub link: Link,
+    pub stopped: Option<StopCause>,
+    pub command: u8,
+}
+
+/// An emergency in compact form.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShortEmergency([u8; 2], u8);
+
+impl From<Emergency> for ShortEmergency {
+    fn from(Emergency { code, register }: Emergency) -> ShortEmergency {
+        ShortEmergency(code.to_le_bytes(), register)
+    }
+}
+
+#[doc(hidden)]
+impl From<ShortEmergency> for Emergency {
+    fn from(ShortEmergency(code, register): ShortEmergency) -> Emergency {
+        Emergency { code: u16::from_le_bytes(code), register }
+    }
+}
+
+impl DriveRecord {
+    /// A value of a drive that has not answered yet is none.
+    pub fn reported(&self, value: f64) -> f64 {
+        if self.link == Link::Unseen { f64::NAN } else { value }
+    }
+
+    /// From the position to the demand: on a rotary axis, of this [`modulo`](crate::axis::Units::modulo), by the
+    /// shorter way.
+    pub fn following_error(&self, modulo: Option<f64>) -> f64 {
+        self.reported(way(modulo, self.position, self.demand))
+    }
+
+    /// What was published, what was measured, and what it shows of a drive's status.
+    #[inline]
+    pub(crate) fn new(of: Published, measured: Measured, status: &DriveStatus) -> DriveRecord {
+        let Published { index, axis, link, stopped, command } = of;
+        let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns, .. } = measured;
+        DriveRecord {
+            index,
+            axis,
+            reply,
+            link,
+            was_online,
+            state: status.state,
+            stopped,
+            command,
+            moving: status.moving,
+            inhibited: status.inhibited,
+            phase_ns,
+            jitter_ns,
+            rtt_ns,
+            age_ns,
+            fault: status.fault,
+            warning: status.warning,
+            emergency,
+            current: status.current as f32,
+            velocity: status.velocity as f32,
+            position: status.position,
+            demand: status.demand,
+        }
+    }
+
+    /// The emergency that it reported in this cycle.
+    pub fn emergency(&self) -> Option<Emergency> {
+        self.emergency.map(Emergency::from)
+    }
+}
+
+/// The monitored variables of a drive, in the units of the plan: only of cycles in which it reported some.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MonitorRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The values.
+    pub shown: Shown,
+}
+
+named! {
+    /// Where a command is.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum CommandStep {
+        /// The loop has taken it; it waits for its turn.
+        #[default]
+        Taken = 0: "taken",
+        /// It begins.
+        Begun = 1: "begun",
+    }
+}
+
+/// A command that the loop has taken, or that begins. Its end is an event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// Of a command to a group: the first axis of it.
+    pub group: Option<u16>,
+    /// Where it is.
+    pub step: CommandStep,
+    /// Its id.
+    pub id: CommandId,
+    /// The command.
+    pub command: Command,
+}
+
+impl CommandRecord {
+    /// Of a command in a slot that is still to be named.
+    pub fn new(step: CommandStep, queued: &QueuedCommand) -> CommandRecord {
+        let QueuedCommand { id, member, command, call, .. } = *queued;
+        let group = call.map(|call| call.lead as u16);
+        CommandRecord { index: 0, axis: member as u16, group, step, id, command }
+    }
+}
+
+/// Nanoseconds in a record: saturate at 4.29 s.
+pub fn short(ns: u64) -> u32 {
+    u32::try_from(ns).unwrap_or(u32::MAX)
+}
+
+/// A measured time in a record, at least 1 ns.
+pub fn measured(ns: u64) -> Option<NonZeroU32> {
+    NonZeroU32::new(short(ns).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_shows_the_status_of_its_cycle() {
+        let status = DriveStatus {
+            state: State::Fault,
+            moving: true,
+            inhibited: true,
+            ..DriveStatus {
+                current: 0.25,
+                velocity: 0.5,
+                position: 3.0,
+                demand: 4.0,
+                ..DriveStatus::default()
+            }
+        };
+        let status = DriveStatus { fault: 1, warning: 2, ..status };
+        let of = Published { index: 7, axis: 3, link: Link::Online, stopped: None, command: 5 };
+        let shown = DriveRecord::new(of, Measured { rtt_ns: measured(0), ..Measured::default() }, &status);
+        assert_eq!((shown.index, shown.axis, shown.rtt_ns), (7, 3, NonZeroU32::new(1)));
+        assert_eq!((shown.link, shown.command), (Link::Online, 5));
+        assert_eq!((shown.state, shown.moving, shown.inhibited), (State::Fault, true, true));
+        assert_eq!((shown.fault, shown.warning), (1, 2));
+        assert_eq!((shown.current, shown.velocity, shown.position, shown.demand), (0.25, 0.5, 3.0, 4.0));
+        assert_eq!(measured(u64::MAX), NonZeroU32::new(u32::MAX));
+    }
+}

@@ -1,0 +1,200 @@
+//! Locks of what has one master: a network interface, a serial port, or the address of a drive.
+//!
+//! A lock is a listening Unix socket with an abstract address (unix(7)). It needs no right, leaves nothing in the file
+//! system, and the kernel releases it when its process ends, however that ends; a child does not inherit it. Abstract
+//! addresses belong to a network namespace, as interfaces do: the lock does not reach into another namespace or to
+//! another host. Any user of this host may bind such an address without being a master. It is refused then, too: the
+//! message names that process, and to go on next to a possible master is worse.
+
+use std::io;
+use std::net::SocketAddrV4;
+use std::os::fd::AsRawFd;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use nix::net::if_::if_nametoindex;
+use nix::sys::socket::{
+    AddressFamily, SockFlag, SockType, UnixAddr, connect, getsockopt, socket, sockopt::PeerCredentials,
+};
+use thiserror::Error;
+
+use super::local;
+use crate::errors::no_descriptor;
+
+/// A lock is released within this time after its master has ended: a process that is just being started has a copy of
+/// it until it executes its program, and a process that was killed may take a moment to die.
+const RELEASED_WITHIN: Duration = Duration::from_millis(100);
+
+/// What has one master.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place<'a> {
+    /// A network interface, or `local:NAME`.
+    Interface(&'a str),
+    /// The address of a drive, whatever is spoken there.
+    Drive(SocketAddrV4),
+    /// A serial port, or `local:NAME`.
+    Port(&'a str),
+}
+
+/// A place that is locked for as long as this lives; or a place that needs no lock.
+#[derive(Debug, Default)]
+pub struct Lock(Option<UnixListener>);
+
+impl Lock {
+    /// Something is locked.
+    pub fn is_held(&self) -> bool {
+        self.0.is_some()
+    }
+}
+
+/// Why a place cannot be locked. The message follows the name of the place.
+#[derive(Error)]
+pub enum Refused {
+    /// This process has locked it.
+    #[error("is in use by another master or bus of this process: end that one first")]
+    Own,
+    /// Another process has locked it.
+    #[error("is in use by another master, process {pid}{name}: end that one first")]
+    Process {
+        /// Its id.
+        pid: i32,
+        /// Its name in parentheses, if it can be read.
+        name: String,
+    },
+    /// A process has locked it that this one cannot see.
+    #[error(
+        "is in use by another master, whose process is not visible from here: end that one first (`ss -xlp` lists \
+        its @fieldbeat- socket)"
+    )]
+    Unseen,
+    /// The operating system refused.
+    #[error(
+        "cannot be locked for this master: {0}; {remedy}",
+        remedy = no_descriptor(.0).unwrap_or("let this program open Unix sockets (RestrictAddressFamilies)")
+    )]
+    Failed(io::Error),
+}
+crate::debug_as_display!(Refused);
+
+impl Place<'_> {
+    /// Its abstract address. An interface counts by its number, a port by its own path: each may have several names.
+    /// `None`: there is no such interface or port, and nobody can use it.
+    fn key(self) -> Option<String> {
+        Some(match self {
+            Place::Interface(interface) => match local::name(interface) {
+                // As long as the prefix of the segment's own address, so that each of its names fits.
+                Some(name) => format!("fieldbeat-owner/{name}"),
+                None => format!("fieldbeat-interface/{}", if_nametoindex(interface).ok()?),
+            },
+            Place::Drive(address) => format!("fieldbeat-drive/{address}"),
+            Place::Port(port) => match local::name(port) {
+                Some(_) => format!("fieldbeat-port/{port}"),
+                None => format!("fieldbeat-port/{}", std::fs::canonicalize(port).ok()?.display()),
+            },
+        })
+    }
+
+    /// Locks it. For normal threads: a place in use is tried again for a moment.
+    pub fn lock(self) -> Result<Lock, Refused> {
+        let Some(key) = self.key() else { return Ok(Lock::default()) };
+        // A name that is too long is no segment's; opening it says so.
+        let Ok(address) = SocketAddr::from_abstract_name(&key) else { return Ok(Lock::default()) };
+        let begun = Instant::now();
+        loop {
+            match UnixListener::bind_addr(&address) {
+                Ok(socket) => return Ok(Lock(Some(socket))),
+                Err(error) if error.kind() == io::ErrorKind::AddrInUse => {}
+                Err(error) => return Err(Refused::Failed(error)),
+            }
+            if begun.elapsed() > RELEASED_WITHIN {
+                return Err(used_by(owner(&key)));
+            }
+            sleep(RELEASED_WITHIN / 20);
+        }
+    }
+}
+
+/// Who uses a place, by the process that listens at its address.
+fn used_by(owner: Option<i32>) -> Refused {
+    match owner {
+        Some(pid) if pid.cast_unsigned() == std::process::id() => Refused::Own,
+        // A process of a PID namespace that is not below ours has no id here.
+        Some(pid) if pid > 0 => Refused::Process { pid, name: name(pid) },
+        _ => Refused::Unseen,
+    }
+}
+
+/// The process that listens there (SO_PEERCRED of a connection). It never waits: a full queue is no answer.
+fn owner(key: &str) -> Option<i32> {
+    let address = UnixAddr::new_abstract(key.as_bytes()).ok()?;
+    let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
+    let socket = socket(AddressFamily::Unix, SockType::Stream, flags, None).ok()?;
+    connect(socket.as_raw_fd(), &address).ok()?;
+    Some(getsockopt(&socket, PeerCredentials).ok()?.pid())
+}
+
+/// The name of a process in parentheses; empty if it cannot be read.
+fn name(pid: i32) -> String {
+    let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+    let name: String = name.trim_end().chars().filter(|char| !char.is_control()).collect();
+    if name.is_empty() { name } else { format!(" ({name})") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(place: Place<'_>) -> String {
+        place.lock().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_place_is_locked_once_and_free_again_at_once() {
+        let [.., a, b] = std::process::id().to_be_bytes();
+        let drive = |port| Place::Drive(SocketAddrV4::new([127, 9, a, b].into(), port));
+        let name = format!("local:lock-{}", std::process::id());
+        for (place, other) in [(drive(502), drive(503)), (Place::Interface(&name), drive(502))] {
+            let lock = place.lock().unwrap();
+            assert!(lock.is_held());
+            assert_eq!(refused(place), Refused::Own.to_string());
+            drop(other.lock().unwrap());
+            drop(lock);
+            drop(place.lock().unwrap());
+        }
+    }
+
+    #[test]
+    fn a_segment_and_its_lock_have_different_addresses_and_the_longest_name_fits() {
+        let name = format!("local:{}-{}", "n".repeat(70), std::process::id());
+        let segment = local::Local::serve(local::name(&name).unwrap()).unwrap();
+        let lock = Place::Interface(&name).lock().unwrap();
+        assert!(lock.is_held());
+        drop(segment);
+        let longest = format!("local:{}", "n".repeat(91));
+        assert!(Place::Interface(&longest).lock().unwrap().is_held());
+        assert!(local::Local::open(local::name(&longest).unwrap()).is_ok());
+        assert!(local::Local::open(local::name(&format!("{longest}n")).unwrap()).is_err());
+    }
+
+    #[test]
+    fn an_interface_counts_by_its_number() {
+        assert_eq!(Place::Interface("lo").key().unwrap(), "fieldbeat-interface/1");
+    }
+
+    #[test]
+    fn what_does_not_exist_needs_no_lock() {
+        assert!(!Place::Interface("nosuch0").lock().unwrap().is_held());
+    }
+
+    #[test]
+    fn an_address_that_is_bound_without_listening_is_refused_too() {
+        let [.., a, b] = std::process::id().to_be_bytes();
+        let place = Place::Drive(SocketAddrV4::new([127, 9, a, b].into(), 504));
+        let address = UnixAddr::new_abstract(place.key().unwrap().as_bytes()).unwrap();
+        let squatter = socket(AddressFamily::Unix, SockType::Stream, SockFlag::SOCK_CLOEXEC, None).unwrap();
+        nix::sys::socket::bind(squatter.as_raw_fd(), &address).unwrap();
+        assert_eq!(refused(place), Refused::Unseen.to_string());
+    }
+}

@@ -1,0 +1,82 @@
+//! Why slaves are not in operation, for normal threads.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use crate::counters::DeviceCounters;
+use crate::segment::note::Notes as SegmentNotes;
+use fieldbeat_core::bus::Notes;
+use fieldbeat_core::bus::counters::OWN_COUNTERS;
+use fieldbeat_core::net::frames::Dropped;
+use fieldbeat_core::net::local;
+
+/// The state of the wire.
+pub(super) const WELL: u8 = 0;
+pub(super) const DOWN: u8 = 1;
+pub(super) const NOTHING_BACK: u8 = 2;
+pub(super) const OTHER_MASTER: u8 = 3;
+
+/// The notes of drives and devices, in the order of the plan.
+#[derive(Debug)]
+pub(super) struct SlaveNotes {
+    pub(super) notes: SegmentNotes,
+    pub(super) remarks: SegmentNotes,
+    /// The slave of each drive, and its position.
+    pub(super) drives: Vec<(usize, u16)>,
+    /// The same of each device.
+    pub(super) devices: Vec<(usize, u16)>,
+    /// What is counted of each device.
+    pub(super) counters: Vec<Arc<DeviceCounters>>,
+    pub(super) dropped: Option<Arc<dyn Dropped>>,
+    pub(super) wire: Arc<AtomicU8>,
+    pub(super) interface: String,
+}
+
+impl Notes for SlaveNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        self.note(*self.drives.get(index)?)
+    }
+
+    fn device(&self, index: usize) -> Option<String> {
+        self.note(*self.devices.get(index)?)
+    }
+
+    fn remark(&self, index: usize) -> Option<String> {
+        let (slave, place) = *self.drives.get(index)?;
+        self.remarks.get(slave).text(place)
+    }
+
+    fn device_remark(&self, index: usize) -> Option<String> {
+        let (slave, place) = *self.devices.get(index)?;
+        self.remarks.get(slave).text(place)
+    }
+
+    fn device_counters(&self, index: usize) -> [u64; OWN_COUNTERS] {
+        self.counters.get(index).map_or([0; OWN_COUNTERS], |counters| counters.get())
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped.as_ref().map_or(0, |dropped| dropped.count())
+    }
+}
+
+impl SlaveNotes {
+    fn note(&self, (slave, place): (usize, u16)) -> Option<String> {
+        let interface = &self.interface;
+        match self.wire.load(Ordering::Relaxed) {
+            DOWN if local::name(interface).is_some() => {
+                Some(format!("nothing serves {interface}: start it: fieldbeat sim CONFIG"))
+            }
+            DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
+            NOTHING_BACK => Some(format!(
+                "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the \
+                master"
+            )),
+            // While it is there no slave is brought up; those that are in operation stay so.
+            OTHER_MASTER => self.notes.get(slave).text(place).map(|_| {
+                format!("another master has frames on {interface}: end it, or look where its cable leads")
+            }),
+            _ => self.notes.get(slave).text(place),
+        }
+    }
+}

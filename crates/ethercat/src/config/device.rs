@@ -1,0 +1,56 @@
+//! `[[bus.device]]` of `protocol = "ethercat"`: a slave that is no drive.
+
+use super::slave;
+use super::values::start;
+use crate::{Area, Device, SlavePlan, TERMINAL_MAX};
+use fieldbeat_keys::drive::name;
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::machine::Machine;
+use fieldbeat_keys::table::Table;
+
+/// The most bytes of process data, each way.
+const MOST_BYTES: i128 = TERMINAL_MAX as i128;
+
+/// Reads one; its place comes later.
+pub(super) fn device(table: &mut Table<'_>, machine: &mut Machine) -> Device {
+    let name = name(table, machine, "device", "every device needs a name for programs and messages");
+    let outputs = areas(table, "outputs");
+    let inputs = areas(table, "inputs");
+    let mut plan = SlavePlan { outputs, inputs, ..SlavePlan::new(0) };
+    slave(table, &mut plan);
+    table.later("simulate");
+    Device { name, slave: plan }
+}
+
+/// Where its process data of one direction are: a table, or a list of them; none if the key is absent.
+fn areas(table: &mut Table<'_>, key: &'static str) -> Vec<Area> {
+    let is_list =
+        table.read(key, Form::Table.or(Form::Tables), |value| match (value.as_table(), value.as_array()) {
+            (Some(_), _) => Ok(false),
+            (_, Some(list))
+                if !list.is_empty() && list.iter().all(|area| area.get_ref().as_table().is_some()) =>
+            {
+                Ok(true)
+            }
+            _ => Err("must be { start = 0x1000, length = 1 }, or a list of them".into()),
+        });
+    let read = |mut table: Table<'_>| {
+        let area = area(&mut table);
+        table.finish();
+        area
+    };
+    match is_list {
+        Some(true) => table.tables(key).into_iter().map(read).collect(),
+        Some(false) => vec![table.table(key, area)],
+        None => Vec::new(),
+    }
+}
+
+fn area(table: &mut Table<'_>) -> Area {
+    table.require("start", "their start address, like 0x1000");
+    table.require("length", "their number of bytes");
+    Area {
+        start: start(table, "start").unwrap_or(0x1000),
+        length: table.integer("length", 1..=MOST_BYTES, "their number of bytes").unwrap_or(1),
+    }
+}

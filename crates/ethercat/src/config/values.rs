@@ -1,0 +1,215 @@
+//! What stands in an EtherCAT bus, as people write it: numbers with `0x`, areas of memory, objects, PDOs.
+
+use toml::de::DeValue;
+
+use crate::object::pdo::{self, Entry, Layout};
+use crate::object::{Family, Object, Objects, Target, Type, catalogue, string};
+use crate::{Area, Expected, Start};
+use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::table::{Table, integer};
+use fieldbeat_keys::value::closest;
+
+/// The most objects in a PDO: what its subindices count comfortably.
+const MOST_OBJECTS: usize = 32;
+/// The most objects that are written at the start.
+const MOST_START_UP: usize = 64;
+
+/// A number, or its text with `0x`.
+fn number(value: &DeValue<'_>) -> Option<i128> {
+    let hex = || {
+        let digits = value.as_str()?.strip_prefix("0x")?;
+        let is_hex = digits.bytes().all(|byte| byte.is_ascii_hexdigit());
+        i128::from_str_radix(digits, 16).ok().filter(|_| is_hex)
+    };
+    integer(value).or_else(hex)
+}
+
+/// What a number with `0x` looks like.
+const HEX: &str = "^0x[0-9A-Fa-f]+$";
+
+/// What [`number`] takes, up to `most`.
+fn number_form(most: i128) -> Form {
+    Form::integer(0..=most).or(Form::Text(Some(HEX)))
+}
+
+/// What [`word`] takes.
+fn word_form() -> Form {
+    number_form(u16::MAX.into())
+}
+
+fn word(value: &DeValue<'_>) -> Option<u16> {
+    u16::try_from(number(value)?).ok()
+}
+
+/// Who a slave has to be; what the file leaves out is as in `default`.
+pub(super) fn identity(table: &mut Table<'_>, default: Expected) -> Expected {
+    let mut read = |key, default| {
+        let form = number_form(u32::MAX.into()).or(Form::word("any"));
+        let value = table.read(key, form, |value| {
+            let any = (value.as_str() == Some("any")).then_some(None);
+            let given = || number(value).and_then(|number| u32::try_from(number).ok()).map(Some);
+            any.or_else(given).ok_or("must be a number of 32 bits like 0x6A, or \"any\"".into())
+        });
+        value.unwrap_or(default)
+    };
+    Expected {
+        vendor: read("vendor", default.vendor),
+        product: read("product", default.product),
+        revision: read("revision", default.revision),
+    }
+}
+
+/// `[start, bytes]`
+pub(super) fn mailbox(table: &mut Table<'_>, default: Option<[Area; 2]>) -> Option<[Area; 2]> {
+    if !table.gives("mailbox") {
+        table.sub_table("mailbox").finish();
+        return default;
+    }
+    table.table("mailbox", |table| {
+        let [out, read] = default.unwrap_or_default();
+        if default.is_none() {
+            for key in ["out", "in"] {
+                table.require(key, "the place of that mailbox: [start, bytes], like [0x1800, 128]");
+            }
+        }
+        Some([area(table, "out").unwrap_or(out), area(table, "in").unwrap_or(read)])
+    })
+}
+
+fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
+    table.read(key, word_form().list(2, 2), |value| {
+        let pair = value.as_array().filter(|array| array.len() == 2);
+        let words: Option<Vec<u16>> =
+            pair.and_then(|pair| pair.iter().map(|value| word(value.get_ref())).collect());
+        match words.as_deref() {
+            Some(&[start, length]) if (16..=1486).contains(&length) => Ok(Area { start, length }),
+            _ => Err("must be its start and its bytes, 16 ... 1486: [0x1800, 16]".into()),
+        }
+    })
+}
+
+/// Where something begins.
+pub(super) fn start(table: &mut Table<'_>, key: &'static str) -> Option<u16> {
+    table.read(key, word_form(), |value| {
+        word(value).ok_or("must be an address of 16 bits, like 0x1100".into())
+    })
+}
+
+const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is not \
+    known here: \"0x3612:0.i32\"";
+
+/// An object and its type.
+fn object(value: &DeValue<'_>) -> Result<Entry, String> {
+    let text = value.as_str().ok_or_else(|| format!("must be {OBJECT}"))?;
+    let target =
+        Target::parse(text).ok_or_else(|| match closest(text, catalogue::all().map(|known| known.name)) {
+            Some(name) => format!("has an unknown object; did you mean \"{name}\"?"),
+            None => format!("must be {OBJECT}"),
+        })?;
+    let kind = target.kind.ok_or_else(|| {
+        let object = target.object;
+        format!("{object} is not known here; write its type behind it, like \"{object}.i32\"")
+    })?;
+    Ok(Entry { object: target.object, kind })
+}
+
+fn objects(value: &DeValue<'_>) -> Result<Vec<Entry>, String> {
+    let array = value.as_array().filter(|array| (1..=MOST_OBJECTS).contains(&array.len()));
+    let array = array.ok_or_else(|| format!("must be a list of 1 to {MOST_OBJECTS} objects"))?;
+    array.iter().map(|value| object(value.get_ref())).collect()
+}
+
+/// `false`, or objects that are shown besides.
+pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<(Object, Type)>; N], String> {
+    let mut shown = [None; N];
+    if value.as_bool() == Some(false) {
+        return Ok(shown);
+    }
+    let array = value.as_array().filter(|array| (1..=N).contains(&array.len()));
+    let array = array
+        .ok_or_else(|| format!("must be false, or up to {N} objects like [\"torque\", \"0x6061:0\"]"))?;
+    for (place, value) in shown.iter_mut().zip(array) {
+        let entry = object(value.get_ref())?;
+        *place = Some((entry.object, entry.kind));
+    }
+    Ok(shown)
+}
+
+/// What [`index`] takes.
+fn index_form() -> Form {
+    Form::integer(0x1600..=0x17FF).or(Form::integer(0x1A00..=0x1BFF)).or(Form::Text(Some(HEX)))
+}
+
+/// What [`layout`] takes.
+pub(super) fn layout_form() -> Form {
+    let objects = || Form::Text(None).list(1, MOST_OBJECTS);
+    let whole = Form::Fields(vec![("pdo", index_form(), true), ("objects", objects(), false)]);
+    index_form().or(objects()).or(whole)
+}
+
+/// A PDO that is known of `family`, one with its objects, or objects to be mapped into the PDO `free`.
+pub(super) fn layout(value: &DeValue<'_>, family: Family, free: u16) -> Result<Layout, String> {
+    if value.as_array().is_some() {
+        return Ok(Layout { pdo: free, entries: objects(value)? });
+    }
+    let Some(table) = value.as_table() else { return known(value, family) };
+    let unknown = table.keys().any(|key| !matches!(key.get_ref().as_ref(), "pdo" | "objects"));
+    let (number, list) = (table.get("pdo"), table.get("objects"));
+    match (number, list) {
+        (Some(number), Some(list)) if !unknown => {
+            Ok(Layout { pdo: index(number.get_ref())?, entries: objects(list.get_ref())? })
+        }
+        (Some(number), None) if !unknown => known(number.get_ref(), family),
+        _ => Err("must be { pdo = \"0x1704\", objects = [\"0x607A:0\", \"0x6040:0\"] }".into()),
+    }
+}
+
+fn known(value: &DeValue<'_>, family: Family) -> Result<Layout, String> {
+    let index = index(value)?;
+    let fixed = pdo::fixed(family);
+    fixed.iter().find(|layout| layout.pdo == index).cloned().ok_or_else(|| {
+        let list: Vec<String> = fixed.iter().map(|layout| format!("{:#06X}", layout.pdo)).collect();
+        format!(
+            "is not a known PDO of this type ({}); list its objects: {{ pdo = \"{index:#06X}\", objects = [...] }}",
+            list.join(", ")
+        )
+    })
+}
+
+/// The number of a PDO.
+fn index(value: &DeValue<'_>) -> Result<u16, String> {
+    let index = word(value).filter(|index| matches!(index, 0x1600..=0x17FF | 0x1A00..=0x1BFF));
+    index.ok_or(
+        "must be the number of a PDO, \"0x1702\" or \"0x1B03\", or a list of objects to be mapped".into(),
+    )
+}
+
+/// What [`start_up`] takes.
+pub(super) fn start_up_form() -> Form {
+    let value = Form::Text(None).or(Form::integer(..));
+    Form::Fields(vec![("object", Form::Text(None), true), ("value", value, true)]).list(0, MOST_START_UP)
+}
+
+/// What is written in PREOP.
+pub(super) fn start_up(value: &DeValue<'_>) -> Result<Vec<Start>, String> {
+    const FORM: &str = "must be a list like [{ object = \"0x35D5:1\", value = 4 }]";
+    let array = value.as_array().filter(|array| array.len() <= MOST_START_UP).ok_or(FORM)?;
+    let one = |value: &DeValue<'_>| {
+        let table = value.as_table().filter(|table| table.len() == 2).ok_or(FORM)?;
+        let (address, value) = table.get("object").zip(table.get("value")).ok_or(FORM)?;
+        let Entry { object: target, kind } = object(address.get_ref())?;
+        let text = match (value.get_ref().as_str(), integer(value.get_ref())) {
+            (Some(text), _) => text.to_owned(),
+            (None, Some(number)) => number.to_string(),
+            _ => return Err(FORM.to_owned()),
+        };
+        let address = format!("{target}.{}", kind.name());
+        let raw = Objects.value(&address, &text).map_err(|error| format!("{target}: {error}"))?;
+        Ok(match string(kind, &text).filter(|_| kind.is_string()) {
+            Some(bytes) => Start::string(target, kind, bytes),
+            None => Start::new(target, kind, raw),
+        })
+    };
+    array.iter().map(|value| one(value.get_ref())).collect()
+}

@@ -1,0 +1,554 @@
+//! What is desired of a Kollmorgen drive as control word and setpoint, and what its answers prove.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | what is desired, as outputs; what is proved |
+//! | `capabilities` | what a drive can do, by its plan |
+//! | `offsets` | where the values are in the PDOs |
+//!
+//! Inputs that come with a frame are from before its outputs: an output is answered by the exchange after it.
+//!
+//! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is
+//! commanded to switch on and stays off without a fault has no hardware enable.
+
+pub mod capabilities;
+mod offsets;
+
+pub use self::capabilities::capabilities;
+use self::capabilities::quantity;
+use self::offsets::Offsets;
+pub use self::offsets::reports_position;
+use super::mode::Mode;
+use super::native::{NativeOutput, NativePort};
+use super::plan::{KollmorgenDrive, Start, Watchdog};
+use fieldbeat_core::axis::State;
+use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::bus::cia402::{ControlCommand, ControlWord, StatusWord};
+use fieldbeat_core::bus::desired::{
+    self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable, Setpoint,
+};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::{MS, S, Time};
+
+/// The answer to an output comes with so many exchanges.
+const ANSWERS: u64 = 2;
+/// Exchanges that a drive may take from its order to home until bit 12 refers to this homing (assumed).
+const HOME_ANSWERS: u64 = 3;
+/// A drive that is commanded to switch on does so within this time, ns, or its hardware enable is missing
+/// (assumed).
+const ON_WITHIN_NS: u64 = 500 * MS;
+/// A missing hardware enable is reported for so long, ns, after the drive was last commanded to switch on: only the
+/// next such command shows whether it is back.
+const DARK_NS: u64 = S;
+/// A motion is over with so many answers at standstill in a row: between two directions of an overshoot the motor
+/// stands for a moment.
+const SETTLED: u8 = 3;
+
+const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, \
+    so that it can be set up again";
+const MODE_REFUSED: &str =
+    "the drive refuses the homing mode or its method: look at 6060h and 6098h, and at home_method";
+const COLD_START: &str =
+    "its fault needs a cold start: remove its cause, then switch the drive's auxiliary power off and on";
+
+/// The drive's last report.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Inputs {
+    /// It is in OP: outputs count.
+    pub operational: bool,
+    /// Its status word.
+    pub status: StatusWord,
+    /// By the status word.
+    pub state: State,
+    /// It has power, as it is reported: below OP it follows no setpoint.
+    pub is_powered: bool,
+    /// Actual position, user units, not folded into one turn.
+    pub position: f64,
+    /// User units/s.
+    pub velocity: f64,
+    /// Its fault; 0: not known.
+    pub fault: u16,
+    /// Its fault is known, as far as it will ever be.
+    pub named: bool,
+    /// Only switching it off and on ends its fault.
+    pub cold: bool,
+}
+
+impl Inputs {
+    fn faulted(&self) -> bool {
+        matches!(self.state, State::Fault | State::FaultReactionActive)
+    }
+}
+
+/// A serial, and the number of answered exchanges when the first one with it was sent.
+#[derive(Clone, Copy, Debug, Default)]
+struct Carried {
+    serial: u64,
+    since: u64,
+}
+
+impl Carried {
+    #[inline]
+    fn sent(&mut self, serial: u64, answers: u64) {
+        if serial != self.serial {
+            *self = Carried { serial, since: answers };
+        }
+    }
+
+    /// Delivered: an exchange after the one that carried it was answered.
+    #[inline]
+    fn is_delivered(self, answers: u64) -> bool {
+        answers - self.since >= ANSWERS
+    }
+
+    #[inline]
+    fn accepted(self, answers: u64, so_far: u64) -> u64 {
+        if self.is_delivered(answers) { self.serial } else { so_far }
+    }
+}
+
+/// The profile of one drive.
+#[derive(Debug)]
+#[repr(C)] // What an exchange touches in any case comes first, and is dense.
+pub struct Profile {
+    /// The slot of the grid that the prepared exchange is built for, and the serials and the row desired in it.
+    pub grid: Time,
+    serials: (u64, u64, u64),
+    wanted_row: u64,
+    row: Carried,
+    /// The exchanges that were answered.
+    answers: u64,
+    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
+    /// axis is inverted. `origin`: the position that is 0 there.
+    scale: f64,
+    origin: f64,
+    quantity: Quantity,
+    /// What is neither control word nor setpoint is in the outputs.
+    is_filled: bool,
+    /// Who owns the control word in native mode; `None`: that does not run.
+    native_owner: Option<NativeOwner>,
+    /// The next native output of the application went out.
+    is_sent: bool,
+    control: ControlWord,
+    setpoint: i32,
+    sent: Sent,
+    /// The offsets of its process data.
+    pub offsets: Offsets,
+    native: NativePort,
+    /// What is desired in the prepared exchange.
+    wanted: Desired,
+    /// Bits that the mode of the setpoint needs while the drive is in operation.
+    mode_bits: u16,
+    /// It may have a watchdog: the configuration does not switch it off.
+    watched: bool,
+    /// It was found with another watchdog than configured.
+    pub found_otherwise: bool,
+    mode_refused: bool,
+    /// It homes, or has not left the mode of that.
+    homes: bool,
+    /// The mode of homing was wanted, and the drive was not seen in its own one since: there the bits of its own mode
+    /// start a homing.
+    is_away: bool,
+    /// The next native output of the application.
+    output: Option<NativeOutput>,
+    power: Carried,
+    motion: Carried,
+    switching: Switching,
+    /// When it was last seen without its hardware enable.
+    dark_at: Option<Time>,
+    /// Where the drive holds itself by a target that its mode follows and that is not the setpoint.
+    held: Option<i32>,
+}
+
+/// What went out.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sent {
+    /// The last exchange had a drive follow setpoints, or home.
+    follows: bool,
+    homes: bool,
+    /// The setpoints of the last exchange, and of the one before.
+    setpoints: (i32, i32),
+    /// The control words of the last exchange, and of the one before.
+    control: Option<ControlWord>,
+    before: Option<ControlWord>,
+    /// Both command it to be on.
+    is_on: bool,
+}
+
+/// A drive that is commanded to switch on: it was powered since; or commanded for the first time then.
+#[derive(Clone, Copy, Debug, Default)]
+struct Switching {
+    was_powered: bool,
+    since: Option<Time>,
+}
+
+impl Profile {
+    pub(super) fn new(drive: &KollmorgenDrive, native: NativePort) -> Profile {
+        let (quantity, scale) = quantity(drive);
+        let mode = drive.mode();
+        Profile {
+            offsets: Offsets::new(drive),
+            native,
+            quantity,
+            scale,
+            origin: drive.axis.units.offset,
+            mode_bits: if mode == Some(Mode::INTERPOLATED) { ControlWord::START } else { 0 },
+            watched: drive.slave.watchdog != Watchdog::Off,
+            found_otherwise: false,
+            mode_refused: false,
+            native_owner: None,
+            grid: Time(0),
+            serials: (0, 0, 0),
+            wanted_row: 0,
+            wanted: Desired::default(),
+            control: ControlWord(0),
+            setpoint: 0,
+            is_filled: false,
+            homes: false,
+            is_away: false,
+            output: None,
+            is_sent: true,
+            sent: Sent::default(),
+            answers: 0,
+            power: Carried::default(),
+            motion: Carried::default(),
+            row: Carried::default(),
+            switching: Switching::default(),
+            dark_at: None,
+            held: None,
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.native.memory(regions);
+        self.offsets.memory(regions);
+    }
+
+    /// Takes what is desired; true: it is something else than before, and not only another setpoint.
+    #[inline]
+    pub(super) fn desire(&mut self, desired: &Desired) -> bool {
+        let Desired { power, mode, motion, .. } = desired;
+        let (of_power, of_mode, of_motion) = self.serials;
+        let is_new = power.serial != of_power || mode.serial != of_mode || motion.serial != of_motion;
+        if is_new {
+            self.serials = (power.serial, mode.serial, motion.serial);
+            self.change(desired);
+        }
+        is_new
+    }
+
+    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the
+    /// newest count of its position, and whether it was in operation there, for targets that are not the setpoint.
+    /// Built again for the same send, it is the same: state that changes with every exchange changes in
+    /// [`sent`](Self::sent).
+    #[inline]
+    pub(super) fn encode(
+        &mut self,
+        grid: Time,
+        setpoint: &Setpoint,
+        actual: (i32, bool),
+        outputs: &mut [u8],
+    ) {
+        self.grid = grid;
+        self.wanted_row = setpoint.row;
+        self.setpoint = if self.quantity == Quantity::Position {
+            // The lowest 32 bits of a count: the drive's own count wraps as well.
+            rounded((setpoint.position - self.origin) * self.scale) as i64 as i32
+        } else {
+            let is_velocity = self.quantity == Quantity::Velocity;
+            // Without a setpoint its scale is 0.
+            rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
+        };
+        if !std::mem::replace(&mut self.is_filled, true) {
+            self.offsets.fill(outputs);
+        }
+        self.offsets.write(self.control.0, self.setpoint, outputs);
+        if self.offsets.follows {
+            self.follow(actual, outputs);
+        }
+        if let Some(owner) = self.native_owner {
+            self.encode_native(owner, outputs);
+        }
+    }
+
+    /// Writes the actual position where a position target is that is not the setpoint. One that the mode follows, in
+    /// native mode, stays as it was when the drive came into operation, or when the application's motion ended: with a
+    /// target that follows the motor the position loop has no error to work against, and the axis sinks under its load.
+    #[cold]
+    fn follow(&mut self, (actual, is_enabled): (i32, bool), outputs: &mut [u8]) {
+        let Desired { power, motion, .. } = &self.wanted;
+        let is_written = self.native_owner.is_some() && self.output.is_some();
+        let is_led = is_written || motion.value == Motion::Halt || self.is_away;
+        let holds = is_enabled && power.value == Power::EnableOperation && !is_led;
+        self.held = holds.then_some(self.held.unwrap_or(actual));
+        self.offsets.follow(actual, self.held.unwrap_or(actual), outputs);
+    }
+
+    /// The outputs are not the ones that were written last.
+    pub(super) fn outputs_replaced(&mut self) {
+        self.is_filled = false;
+    }
+
+    /// These are the drive's own values of objects in the outputs.
+    pub(super) fn own_values(&mut self, values: &[Start]) {
+        values.iter().for_each(|value| self.offsets.own_value(value));
+        self.is_filled = false;
+    }
+
+    /// The outputs carry this mode of operation from now on, if they carry one.
+    pub(super) fn carry_mode(&mut self, mode: Mode) {
+        self.is_filled &= !self.offsets.carry_mode(mode);
+    }
+
+    /// Writes the native outputs of the application over those of the master.
+    fn encode_native(&mut self, owner: NativeOwner, outputs: &mut [u8]) {
+        if self.is_sent
+            && let Some(output) = self.native.next()
+        {
+            // Each one is sent, even if a request fails.
+            (self.output, self.is_sent) = (Some(output), false);
+        }
+        let Some(output) = &self.output else { return };
+        self.is_filled = false;
+        let size = output.bytes().len().min(outputs.len());
+        outputs[..size].copy_from_slice(&output.bytes()[..size]);
+        if owner == NativeOwner::Master {
+            self.offsets.write_control(self.control.0, outputs);
+        }
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
+    }
+
+    /// Publishes the inputs to the application.
+    #[inline]
+    pub(super) fn publish(&mut self, at: Time, is_native: bool, inputs: &[u8]) {
+        self.native.publish(at, is_native, inputs);
+    }
+
+    /// Something else is desired.
+    #[cold]
+    fn change(&mut self, desired: &Desired) {
+        let Desired { power, mode, motion, .. } = *desired;
+        if motion.serial != self.wanted.motion.serial {
+            (self.output, self.is_sent) = (None, true);
+            self.native.flush();
+        }
+        self.wanted = *desired;
+        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
+        self.homes |= motion.value == Motion::Home;
+        self.is_away |= self.homes || mode.value == desired::Mode::Homing;
+        let word = match power.value {
+            Power::Untouched | Power::Off => ControlWord(0),
+            Power::Shutdown => ControlCommand::Shutdown.word(),
+            Power::SwitchOn => ControlCommand::SwitchOn.word(),
+            Power::EnableOperation => ControlCommand::EnableOperation.word(),
+            Power::QuickStop => ControlCommand::QuickStop.word(),
+            Power::FaultReset => ControlWord(ControlWord::FAULT_RESET),
+        };
+        let bits = match motion.value {
+            _ if power.value != Power::EnableOperation => 0,
+            Motion::Home => ControlWord::START,
+            // The start of a homing needs an edge of the same bit.
+            _ if self.is_away => 0,
+            _ => self.mode_bits,
+        };
+        let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
+        self.control = word.with(bits | halt);
+    }
+
+    /// Native mode runs.
+    #[inline]
+    pub(super) fn is_native(&self) -> bool {
+        self.native_owner.is_some()
+    }
+
+    /// Something is desired of it: the drive is commanded from now on. Before, it is only read, and a drive found in
+    /// OP continues as it was.
+    pub fn writes(&self) -> bool {
+        self.wanted.power.serial > 0
+    }
+
+    /// The mode of operation that the drive shall have.
+    pub(super) fn mode_wanted(&self) -> desired::Mode {
+        self.wanted.mode.value
+    }
+
+    /// The drive refuses the mode of homing, or its homing cannot be configured.
+    pub(super) fn mode_refused(&mut self) {
+        self.mode_refused = self.mode_wanted() == desired::Mode::Homing;
+    }
+
+    /// The last built exchange was sent, and its outputs count. Since the one before, nothing may have changed but the
+    /// setpoint and its row.
+    #[inline]
+    pub(super) fn sent(&mut self) {
+        self.row.sent(self.wanted_row, self.answers);
+        self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
+        self.is_sent = true;
+    }
+
+    /// More may have changed in the exchange that was [`sent`](Self::sent).
+    #[inline(never)]
+    pub(super) fn sent_anew(&mut self) {
+        let Desired { power, motion, .. } = &self.wanted;
+        self.power.sent(power.serial, self.answers);
+        self.motion.sent(motion.serial, self.answers);
+        let sent = &mut self.sent;
+        sent.follows = power.value == Power::EnableOperation;
+        sent.homes = motion.value == Motion::Home;
+        if sent.control != Some(self.control) || sent.before != Some(self.control) {
+            sent.before = sent.control.replace(self.control);
+            let on = ControlWord::ENABLE_VOLTAGE | ControlWord::NO_QUICK_STOP;
+            let is_on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(on));
+            sent.is_on = is_on(sent.control) && is_on(sent.before);
+        }
+    }
+
+    /// An exchange was answered by a drive that outputs reach.
+    #[inline]
+    pub(super) fn answered(&mut self) {
+        self.answers += 1;
+    }
+
+    /// Outputs no longer reach the drive.
+    pub(super) fn dropped(&mut self) {
+        self.switching = Switching::default();
+        // What is sent from now on is proved anew.
+        (self.power.since, self.motion.since, self.row.since) = (self.answers, self.answers, self.answers);
+    }
+
+    /// The drive has lost its commands.
+    pub(super) fn drive_restarted(&mut self) {
+        self.dropped();
+        (self.sent.control, self.sent.before, self.sent.is_on) = (None, None, false);
+    }
+
+    /// The setpoint of the last sent exchange, if it is one.
+    #[inline]
+    pub(super) fn setpoint_sent(&self) -> i32 {
+        self.sent.setpoints.0
+    }
+
+    /// Something moves the drive: the setpoint of the last sent exchange.
+    #[inline]
+    pub(super) fn is_moving(&self) -> bool {
+        let Sent { follows, homes, setpoints: (last, before), .. } = self.sent;
+        homes
+            || match self.quantity {
+                Quantity::Position => follows && last != before,
+                Quantity::Velocity | Quantity::Torque => last != 0,
+                Quantity::Unknown => false,
+            }
+    }
+
+    /// The drive homes: its positions are about to change their origin.
+    #[inline]
+    pub(super) fn is_homing(&self) -> bool {
+        self.homes
+    }
+
+    /// Its reference may change any time.
+    #[inline]
+    pub(super) fn is_finding_home(&self) -> bool {
+        self.homes && self.mode_wanted() == desired::Mode::Homing
+    }
+
+    /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
+    #[inline]
+    pub(super) fn is_inhibited(&self) -> bool {
+        self.dark_at.is_some_and(|dark_at| self.grid.since(dark_at) < DARK_NS)
+    }
+
+    /// Checks its report: whether it stays off although it is commanded to switch on.
+    #[inline]
+    pub(super) fn look(&mut self, inputs: &Inputs) {
+        if !(inputs.operational && self.sent.is_on) {
+            self.switching = Switching::default();
+        } else if inputs.state.is_powered() {
+            self.switching = Switching { was_powered: true, since: None };
+        } else if !inputs.faulted() {
+            let since = *self.switching.since.get_or_insert(self.grid);
+            if self.switching.was_powered || self.grid.since(since) > ON_WITHIN_NS {
+                self.dark_at = Some(self.grid);
+            }
+        }
+    }
+
+    /// What a report proves, of a drive in this mode.
+    #[inline]
+    pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
+        if self.mode_wanted() != desired::Mode::Homing {
+            self.mode_refused = false;
+            if self.is_away && mode == ModeIs::Own {
+                (self.homes, self.is_away) = (false, false);
+                // The bits of its mode are back.
+                self.serials = (0, 0, 0);
+            }
+        }
+        let accepted = &mut evidence.accepted;
+        accepted.power = self.power.accepted(self.answers, accepted.power);
+        accepted.motion = self.motion.accepted(self.answers, accepted.motion);
+        evidence.outputs_count = inputs.operational;
+        evidence.mode = mode;
+        let refers = self.sent.homes && self.answers - self.motion.since > HOME_ANSWERS;
+        evidence.homing = if refers { homing(inputs.status) } else { Homing::Open };
+        let faulted = inputs.faulted();
+        let resettable = if faulted { resettable(inputs) } else { Resettable::Now };
+        evidence.fault = FaultIs { active: faulted, named: inputs.named, resettable };
+        evidence.obstacle = None;
+        if self.mode_refused {
+            evidence.obstacle = Some(MODE_REFUSED);
+        } else if self.found_otherwise && self.watched {
+            evidence.obstacle = Some(FOUND_UNWATCHED);
+        }
+        self.prove_values(inputs, evidence);
+    }
+
+    /// The same, if nothing has changed but the row and the values.
+    #[inline]
+    pub(super) fn prove_values(&self, inputs: &Inputs, evidence: &mut Evidence) {
+        evidence.accepted.row = self.row.accepted(self.answers, evidence.accepted.row);
+        evidence.position = inputs.position;
+    }
+
+    /// What is desired was sent and proved; what else is written and proved stays the same while the status does.
+    pub(super) fn is_steady(&self, inputs: &Inputs) -> bool {
+        let Desired { power, mode, motion, .. } = &self.wanted;
+        let is_delivered =
+            |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
+        let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
+        let is_written = self.sent.control == Some(self.control) && self.sent.before == Some(self.control);
+        let homes = self.is_away || self.sent.homes || mode.value == desired::Mode::Homing;
+        // A missing hardware enable shows in the course of time.
+        let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
+        is_proved && is_written && !homes && !self.is_native() && !is_dark
+    }
+}
+
+fn homing(status: StatusWord) -> Homing {
+    match () {
+        () if status.has(StatusWord::MODE_13) => Homing::Failed,
+        () if status.has(StatusWord::MODE_12) => Homing::Attained,
+        () => Homing::Open,
+    }
+}
+
+#[cold]
+fn resettable(inputs: &Inputs) -> Resettable {
+    match () {
+        () if inputs.cold => Resettable::Never(Some(COLD_START)),
+        () if inputs.state == State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
+        () => Resettable::Now,
+    }
+}
+
+/// So that the cast that follows rounds to nearest. By hand: without SSE4.1 `round` is a call.
+#[inline]
+fn rounded(value: f64) -> f64 {
+    value + 0.5_f64.copysign(value)
+}

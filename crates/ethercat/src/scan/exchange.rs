@@ -1,0 +1,260 @@
+//! A frame out and back.
+//!
+//! Each frame begins with a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is that
+//! of another master. Broken, circulated and late frames are skipped.
+
+use super::ScanError;
+use crate::image::Mark;
+use crate::wire::frame::{
+    BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position, source,
+};
+use fieldbeat_core::net::Frames;
+use fieldbeat_core::time::{MS, Time};
+
+/// No master is expected to be slower than this.
+const LISTEN_NS: u64 = 100 * MS;
+/// A segment needs microseconds; the rest is for the two computers, one of which may be busy, or simulated.
+const BACK_WITHIN_NS: u64 = 200 * MS;
+/// A frame may be lost, and so may its repetition.
+const ATTEMPTS: usize = 3;
+/// How often it checks whether to go on.
+const LOOK_MS: u8 = 10;
+
+/// A datagram to be sent.
+#[derive(Debug)]
+pub struct Ask {
+    command: Command,
+    data: Vec<u8>,
+}
+
+impl Ask {
+    pub(super) fn new(command: Command, data: &[u8]) -> Ask {
+        Ask { command, data: data.to_vec() }
+    }
+
+    pub(super) fn read(command: Command, length: usize) -> Ask {
+        Ask { command, data: vec![0; length] }
+    }
+
+    /// Reads of the slave at a position.
+    pub(super) fn read_of(place: u16, register: u16, length: usize) -> Ask {
+        Ask::read(Command::Aprd(position(place), register), length)
+    }
+
+    /// Writes to the slave at a position.
+    pub(super) fn write_to(place: u16, register: u16, data: &[u8]) -> Ask {
+        Ask { command: Command::Apwr(position(place), register), data: data.to_vec() }
+    }
+
+    /// Whether this is the reply to it: slaves count positions, and leave the register.
+    fn is(&self, back: &Datagram) -> bool {
+        (back.number, back.address >> 16, back.data.len())
+            == (self.command.number(), self.command.address() >> 16, self.data.len())
+    }
+}
+
+/// A datagram that came back.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Answer {
+    pub(super) data: Vec<u8>,
+    /// How many slaves have carried it out.
+    pub(super) count: u16,
+}
+
+/// The meaning of a received frame.
+#[derive(Debug, PartialEq, Eq)]
+enum Delivery {
+    Answers(Vec<Answer>),
+    /// Of no use, and not another master's.
+    Nothing,
+    Foreign(Mac),
+}
+
+/// Sends frames one by one.
+pub(super) struct Exchange<'a> {
+    frames: &'a mut dyn Frames,
+    go_on: &'a dyn Fn() -> bool,
+    mark: Mark,
+}
+
+impl<'a> Exchange<'a> {
+    pub(super) fn new(frames: &'a mut dyn Frames, go_on: &'a dyn Fn() -> bool) -> Exchange<'a> {
+        let master = (frames.now().0 as u32).rotate_left(16) ^ std::process::id();
+        Exchange { frames, go_on, mark: Mark { master, number: 0 } }
+    }
+
+    pub(super) fn now(&mut self) -> Time {
+        self.frames.now()
+    }
+
+    /// Listens for another master before anything is sent.
+    pub(super) fn listen(&mut self) -> Result<(), ScanError> {
+        let until = self.now() + LISTEN_NS;
+        self.hear(&[], until).map(drop)
+    }
+
+    /// Sends these in one frame, again if it does not come back. `None`: it never did.
+    pub(super) fn ask(&mut self, asks: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
+        self.ask_until(asks, |_| true)
+    }
+
+    /// The same until the answer is `good`.
+    pub(super) fn ask_until(
+        &mut self,
+        asks: &[Ask],
+        good: impl Fn(&[Answer]) -> bool,
+    ) -> Result<Option<Vec<Answer>>, ScanError> {
+        for _ in 0..ATTEMPTS {
+            self.mark.number = self.mark.number.wrapping_add(1);
+            self.send(asks)?;
+            let until = self.now() + BACK_WITHIN_NS;
+            if let Some(answers) = self.hear(asks, until)?.filter(|answers| good(answers)) {
+                return Ok(Some(answers));
+            }
+        }
+        Ok(None)
+    }
+
+    fn send(&mut self, asks: &[Ask]) -> Result<(), ScanError> {
+        let mut room = [0; FRAME_MAX];
+        let mac = self.frames.mac();
+        let Some(mut frame) = Builder::new(&mut room, BROADCAST, mac) else { return Ok(()) };
+        frame.push_with(Command::Nop, 0, &self.mark.bytes());
+        for (index, ask) in (1..).zip(asks) {
+            frame.push_with(ask.command, index, &ask.data);
+        }
+        let length = frame.finish();
+        self.frames.send(&room[..length]).map(drop).map_err(ScanError::Unsent)
+    }
+
+    /// Waits for the frame with the present mark.
+    fn hear(&mut self, asks: &[Ask], until: Time) -> Result<Option<Vec<Answer>>, ScanError> {
+        let mut room = [0; FRAME_MAX];
+        loop {
+            if !(self.go_on)() {
+                return Err(ScanError::Interrupted);
+            }
+            let Some((_, length)) = self.frames.receive(&mut room) else {
+                if self.now() >= until {
+                    return Ok(None);
+                }
+                self.frames.wait(LOOK_MS);
+                continue;
+            };
+            match self.judge(&room[..length.min(FRAME_MAX)], asks) {
+                Delivery::Answers(answers) => return Ok(Some(answers)),
+                Delivery::Foreign(mac) => return Err(ScanError::Foreign(mac)),
+                Delivery::Nothing if self.now() >= until => return Ok(None),
+                Delivery::Nothing => {}
+            }
+        }
+    }
+
+    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Delivery {
+        let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
+            return Delivery::Nothing;
+        };
+        let Some((_, rest)) = read.split_first() else { return Delivery::Nothing };
+        let mark = Mark::of(frame);
+        if mark.is_none_or(|mark| mark.master != self.mark.master) {
+            return source(frame).map_or(Delivery::Nothing, Delivery::Foreign);
+        }
+        let is_whole = rest.len() == asks.len()
+            && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
+        if mark != Some(self.mark) || !is_whole || asks.is_empty() {
+            return Delivery::Nothing;
+        }
+        let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
+        Delivery::Answers(rest.iter().map(answer).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::frame::FRAME_MIN;
+    use fieldbeat_core::net::frames::Unsent;
+    use fieldbeat_core::rt::Regions;
+
+    struct Nobody;
+
+    impl Frames for Nobody {
+        fn fd(&self) -> Option<i32> {
+            None
+        }
+        fn send(&mut self, _: &[u8]) -> Result<Time, Unsent> {
+            Ok(Time(0))
+        }
+        fn receive(&mut self, _: &mut [u8]) -> Option<(Time, usize)> {
+            None
+        }
+        fn now(&mut self) -> Time {
+            Time(7)
+        }
+        fn mac(&self) -> Mac {
+            [0x10; 6]
+        }
+        fn memory(&self, _: &mut Regions) {}
+    }
+
+    /// A frame that begins with `mark`, and the answers to `asks`.
+    fn frame(mark: &[u8], asks: &[Ask]) -> Vec<u8> {
+        let mut room = [0; FRAME_MAX];
+        let mut frame = Builder::new(&mut room, BROADCAST, [0x12; 6]).unwrap();
+        frame.push_with(Command::Nop, 0, mark);
+        for ask in asks {
+            frame.push_with(ask.command, 1, &ask.data);
+        }
+        let length = frame.finish();
+        room[..length].to_vec()
+    }
+
+    #[test]
+    fn a_reply_counts_by_its_mark_and_its_shape() {
+        let mut nobody = Nobody;
+        let mut exchange = Exchange::new(&mut nobody, &|| true);
+        exchange.mark.number = 3;
+        let asks = [Ask::read(Command::Brd(0), 2)];
+        let mark = exchange.mark.bytes();
+        let good = frame(&mark, &asks);
+        let answer = Answer { data: vec![0, 0], count: 0 };
+        assert_eq!(exchange.judge(&good, &asks), Delivery::Answers(vec![answer]));
+        // Late, of another shape, circulated, broken, or no datagrams at all.
+        let mut late = mark;
+        late[4] = 2;
+        let other = [Ask::read(Command::Brd(0x0130), 2)];
+        let mut circulated = good.clone();
+        circulated[16 + 20 + 7] |= 1 << 6;
+        let mut broken = good.clone();
+        broken[14] = 0xFF;
+        let mut gateway = good.clone();
+        gateway[15] = 0x50;
+        for nothing in [
+            &frame(&late, &asks),
+            &frame(&mark, &other),
+            &frame(&mark, &[]),
+            &circulated,
+            &broken,
+            &gateway,
+            &vec![0; FRAME_MIN],
+            &vec![],
+        ] {
+            assert_eq!(exchange.judge(nothing, &asks), Delivery::Nothing, "{nothing:02x?}");
+        }
+    }
+
+    #[test]
+    fn whoever_does_not_bear_the_mark_is_another_master() {
+        let mut nobody = Nobody;
+        let exchange = Exchange::new(&mut nobody, &|| true);
+        let asks = [Ask::read(Command::Brd(0), 2)];
+        let mut other = exchange.mark.bytes();
+        other[0] ^= 1;
+        for frame in [frame(&other, &asks), frame(&[0; 4], &asks)] {
+            assert_eq!(
+                exchange.judge(&frame, &asks),
+                Delivery::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12])
+            );
+        }
+    }
+}

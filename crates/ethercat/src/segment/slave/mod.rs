@@ -1,0 +1,478 @@
+//! One slave on its way to OP, and back there when it falls: one step per slot.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the slave, and how it leaves its steps |
+//! | `step` | its steps |
+//! | `request`, `receive` | the request of a step; the answer to it |
+//! | `address` | whether it is there, and its station address |
+//! | `identity` | its SII |
+//! | `objects` | what is written and read over its mailbox |
+//! | `found` | a drive that is in OP already |
+//! | `sync` | its clock and SYNC0 |
+//! | `setup` | its SyncManagers, FMMUs and watchdog |
+//! | `resume` | whether they are still those that were set up here |
+//! | `frames` | its content in the frames |
+//!
+//! | step | what |
+//! |---|---|
+//! | look | whether it is there, its state, the features of its controller, its station address |
+//! | unmap | FMMUs of others, unless it is a drive that may move |
+//! | SII | taken from its processor, and given back: its identity, its buffers |
+//! | INIT | down, whatever its state was; errors acknowledged |
+//! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address, taken from whoever has it |
+//! | clock | delay and offset, as soon as the segment has a time for it |
+//! | PREOP | the mailbox, then the objects of its start-up |
+//! | process data | watchdog, SyncManagers, FMMUs; read back |
+//! | settled | its own clock is synchronised to the segment's; SYNC0 |
+//! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the segment |
+//!
+//! A slave that comes back, or fell to SAFEOP, is resumed from there only if its settings read back as they were set up
+//! here. Otherwise another master has been there, and it is set up from INIT.
+//!
+//! A step is repeated while its frames are lost; with a slave that does not answer it begins anew after a while.
+
+mod address;
+mod found;
+mod frames;
+mod identity;
+mod objects;
+mod receive;
+mod request;
+mod resume;
+mod setup;
+mod step;
+mod sync;
+
+use self::objects::List;
+pub use self::step::Missing;
+use self::step::{Change, Pause, Setting, Step};
+use super::clock::SegmentClock;
+use super::note::Note;
+use crate::image::Offsets;
+use crate::mode::Mode;
+use crate::plan::{Owner, SlavePlan, Start};
+use crate::sii::Managers;
+use crate::wire::frame::{Command, position};
+use crate::wire::registers::{AlState, AlStatus, Features};
+use fieldbeat_core::axis::FoundRunning;
+use fieldbeat_core::bus::Cycle;
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::{MS, S, Time};
+
+/// The interval of looks at a position where no slave answers, or one that cannot be used.
+const LOOK_EVERY_NS: u64 = 100 * MS;
+/// The pause after the first refusal; after each further one twice as long, up to the longest.
+const REFUSED_FOR_NS: u64 = S;
+const REFUSED_MOST_NS: u64 = 30 * S;
+/// A slave that leaves OP sooner than this after it came there counts as refused again, ns.
+const STAYS_NS: u64 = 2 * S;
+/// FMMUs and SyncManagers that are cleared in a slot.
+const FMMUS_AT_ONCE: u8 = 8;
+const MANAGERS_AT_ONCE: u8 = 8;
+/// SyncManagers that are written, or read, in a slot.
+const MANAGERS_SET: u8 = 2;
+
+/// What a step has to know of the segment.
+#[derive(Clone, Copy, Debug)]
+pub struct Context<'a> {
+    /// The cycle whose frame is built, or was received.
+    pub cycle: &'a Cycle,
+    /// When that frame was sent.
+    pub sent_at: Time,
+    /// The time of the segment.
+    pub clock: SegmentClock,
+    /// The station address of the slave whose clock is the segment's, or is to be.
+    pub reference: Option<u16>,
+    /// Its time goes to all.
+    pub timed: bool,
+    /// It does, or may begin to.
+    pub may_begin: bool,
+    /// The position of a slave that runs on a time other than the segment's: it may not begin yet.
+    pub other_time: Option<u16>,
+    /// How much later than the first slave of all the first one with SYNC0 receives, ns.
+    pub first_delay_ns: Option<u32>,
+    /// The segment has a time, and not from this slave.
+    pub has_time: bool,
+    /// How many slaves the broadcast counts in this answer's frame.
+    pub counted: u16,
+    /// The other slave of this segment that has the station address in this answer, by its position.
+    pub in_use: Option<u16>,
+    /// The same of one that was given this address, and may not be reached by it any more.
+    pub given: Option<u16>,
+    /// The request to which this is the answer, or a part of it, was not carried out.
+    pub missing: Option<Missing>,
+    /// The longest wait of a slave for its turn, ns.
+    pub turn_ns: u64,
+    /// The drive wants its outputs to go out.
+    pub wants_outputs: bool,
+    /// Whether its power stage may be on, by a report since this instant; `None`: there was none.
+    pub powered: Option<(bool, Time)>,
+}
+
+/// Which of its process data the frames carry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mapped {
+    /// None.
+    #[default]
+    None,
+    /// AL status and inputs.
+    Inputs,
+    /// Outputs too.
+    All,
+}
+
+/// What happened to a slave that others have to know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Happened {
+    /// Nothing.
+    Nothing,
+    /// It came up to OP.
+    Operational,
+    /// It reported an AL error.
+    Error,
+    /// It has lost its settings: it was switched off and on.
+    Restarted,
+    /// What was written at its position may have reached another slave, behind it.
+    Misplaced,
+    /// Another master has changed its state or its settings.
+    Intruded,
+}
+
+/// What was reached on the way to OP. It begins anew with another one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Way {
+    /// It has its station address.
+    addressed: bool,
+    /// Its process data are in the frames.
+    pub mapped: Mapped,
+    /// Its mailbox can be used.
+    pub mailbox_open: bool,
+    /// How often its objects were begun.
+    lists: u8,
+    /// It was joined in OP: not all of it was set up here.
+    pub joined: bool,
+    /// How often its clock was set anew while it settled.
+    set_anew: u8,
+    /// It has been in OP.
+    was_operational: bool,
+    /// Its state, as far as is known; `None`: it is not there.
+    pub al: Option<AlState>,
+}
+
+/// One slave of the segment.
+#[derive(Debug)]
+pub struct Slave {
+    /// Its owner.
+    pub owner: Owner,
+    /// The offsets of its process data.
+    pub offsets: Offsets,
+    /// It as configured.
+    pub plan: SlavePlan,
+    /// The process data go by LRW.
+    lrw: bool,
+    found_running: FoundRunning,
+    /// What is done with it at present.
+    step: Step,
+    since: Time,
+    silent: u8,
+    /// How far it is.
+    pub way: Way,
+    features: Features,
+    /// Its controller copies AL control to AL status: it has no errors, and an acknowledgement would become one.
+    emulated: bool,
+    /// What acknowledges the error that it showed when it was looked at.
+    acknowledge: Option<AlStatus>,
+    fmmus: u8,
+    managers: u8,
+    /// Its SyncManagers as its SII has them.
+    delivered: Managers,
+    /// Its AL status was read.
+    pub has_al: bool,
+    /// The mode that it showed then.
+    pub found_mode: Option<Mode>,
+    /// Its watchdog is set as configured.
+    pub watched: bool,
+    /// Its clock was set to the segment's, and it has not been away since.
+    pub clock_set: bool,
+    /// How much later than the first slave it receives, ns; `None`: it has been away since that was found.
+    pub delay_ns: Option<u32>,
+    /// It was read, or does not answer.
+    pub looked_at: bool,
+    /// How many slaves the broadcast counted when it was read.
+    counted: u16,
+    /// The same when it last answered by its own station address.
+    counted_as_ours: u16,
+    /// It runs on a time other than the segment's, as far as is known.
+    pub other_time: bool,
+    /// It was given its station address, and has not been switched off since.
+    known: bool,
+    /// It was given its station address by this master, and as far as is known the same slave still has it.
+    given: bool,
+    /// All of it was set up here, and nothing has contradicted that since.
+    ours: bool,
+    /// The orderly end has begun: it is being shut down.
+    ending: bool,
+    /// Objects that are read before its outputs count, since these carry its own values.
+    pub own: Box<[Start]>,
+    /// They were read.
+    pub has_own: bool,
+    /// A factor for the next object, from the object that was read before.
+    factor: u32,
+    note: Note,
+    /// What is to be known of it although it is in operation.
+    pub remark: Note,
+    /// Why it was refused last.
+    refused: Note,
+    /// How often that was, in a row.
+    refusals: u8,
+    /// When it came to OP, or fell from there.
+    moved_at: Time,
+    /// The state last reported.
+    pub reported: Option<AlState>,
+    /// Its mailbox was opened.
+    pub is_open: bool,
+    /// Its AL status in the newest frame; 0: none.
+    pub shown: AlStatus,
+    /// It was in OP with all of its process data, which was reported, and the newest frame shows the same.
+    pub steady: bool,
+    /// Frames in a row that came back without it.
+    pub missing: u8,
+}
+
+impl Slave {
+    /// A slave that was not seen yet.
+    pub fn new(
+        owner: Owner,
+        plan: &SlavePlan,
+        offsets: Offsets,
+        lrw: bool,
+        found_running: FoundRunning,
+    ) -> Slave {
+        Slave {
+            owner,
+            offsets,
+            plan: plan.clone(),
+            lrw,
+            found_running,
+            step: Step::Look,
+            since: Time(0),
+            silent: 0,
+            way: Way::default(),
+            features: Features::default(),
+            emulated: false,
+            acknowledge: None,
+            fmmus: 0,
+            managers: 0,
+            delivered: Managers::default(),
+            has_al: false,
+            found_mode: None,
+            watched: true,
+            clock_set: false,
+            delay_ns: None,
+            looked_at: false,
+            counted: 0,
+            counted_as_ours: 0,
+            other_time: false,
+            known: false,
+            given: false,
+            ours: false,
+            ending: false,
+            own: Box::default(),
+            has_own: false,
+            factor: 1,
+            note: Note::Starting,
+            remark: Note::None,
+            refused: Note::None,
+            refusals: 0,
+            moved_at: Time(0),
+            reported: None,
+            is_open: false,
+            shown: AlStatus::default(),
+            steady: false,
+            missing: 0,
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.plan.outputs);
+        regions.add(&*self.plan.inputs);
+        regions.add(&*self.plan.start_up);
+        self.plan.start_up.iter().for_each(|start| regions.add(&*start.string));
+        regions.add(&*self.plan.verify);
+        regions.add(&*self.own);
+        regions.add(&*self.plan.verify_found);
+    }
+
+    /// Its station address.
+    pub fn station(&self) -> u16 {
+        self.plan.station()
+    }
+
+    /// The state of its replies; `None`: they do not count, since it has not been in OP, or its inputs are not
+    /// valid.
+    pub fn state_of_replies(&self) -> Option<AlState> {
+        self.way.al.filter(|al| self.way.was_operational && *al >= AlState::SafeOp)
+    }
+
+    /// Why it is not in operation: while it is tried again, the last refusal, until it gets further.
+    pub fn note(&self) -> Note {
+        match self.note {
+            Note::Starting if self.refused != Note::None => self.refused,
+            note => note,
+        }
+    }
+
+    /// It is not a drive: its inputs may all be zero.
+    pub fn is_device(&self) -> bool {
+        matches!(self.owner, Owner::Device(_))
+    }
+
+    /// It waits in SAFEOP or is in OP, as far as is known.
+    pub fn is_settled(&self) -> bool {
+        matches!(self.step, Step::Up | Step::Lock)
+    }
+
+    /// It is up, and stays so as far as is known here: it has no request.
+    pub fn wants_nothing(&self) -> bool {
+        matches!(self.step, Step::Up) && self.way.mapped == Mapped::All && self.has_al && !self.way.joined
+    }
+
+    /// This station address is its own, and the master uses it.
+    pub fn has_address(&self, station: u16) -> bool {
+        self.way.addressed && self.station() == station
+    }
+
+    /// This station address is its own, and it was given it: it may answer at another position now.
+    pub fn was_given(&self, station: u16) -> bool {
+        self.given && self.station() == station
+    }
+
+    /// It is about to have its clock set.
+    pub fn waits_for_clock(&self) -> bool {
+        matches!(self.step, Step::Time | Step::Offset(_))
+    }
+
+    /// Its clock is not set yet: it settles while others are set up.
+    pub fn is_urgent(&self) -> bool {
+        self.plan.sync && !self.clock_set && !matches!(self.step, Step::Rest(_) | Step::Refused(_) | Step::Up)
+    }
+
+    /// For that its delay is to be found.
+    pub fn lacks_delay(&self) -> bool {
+        self.delay_ns.is_none() && matches!(self.step, Step::Time)
+    }
+
+    fn reads(&self, register: u16) -> Command {
+        if self.way.addressed {
+            Command::Fprd(self.station(), register)
+        } else {
+            Command::Aprd(position(self.plan.place), register)
+        }
+    }
+
+    fn writes(&self, register: u16) -> Command {
+        if self.way.addressed {
+            Command::Fpwr(self.station(), register)
+        } else {
+            Command::Apwr(position(self.plan.place), register)
+        }
+    }
+
+    fn enter(&mut self, now: Time, step: Step) {
+        (self.step, self.since, self.silent) = (step, now, 0);
+    }
+
+    /// It begins anew, after a while.
+    fn start_over(&mut self, now: Time, after_ns: u64, note: Note) {
+        (self.way, self.note) = (Way::default(), note);
+        self.enter(now, Step::Rest(now + after_ns));
+    }
+
+    /// It cannot be used as it is.
+    fn refuse(&mut self, now: Time, note: Note) {
+        (self.ours, self.looked_at, self.refused) = (false, true, note);
+        (self.way, self.note) = (Way::default(), note);
+        let pause_ns = (REFUSED_FOR_NS << self.refusals.min(5)).min(REFUSED_MOST_NS);
+        self.refusals = self.refusals.saturating_add(1);
+        let pause = Pause { until: now + pause_ns, next: now + LOOK_EVERY_NS, seen: None };
+        self.enter(now, Step::Refused(pause));
+    }
+
+    /// It has left OP by itself. True: right after it came there, and again, so that it has to wait; the first time it
+    /// is brought back at once.
+    fn falls_again(&mut self, now: Time) -> bool {
+        let has_stayed = self.way.was_operational && now.since(self.moved_at) > STAYS_NS;
+        self.moved_at = now;
+        if has_stayed {
+            self.refusals = 0;
+            return false;
+        }
+        let fell_before = self.refusals > 0;
+        self.refusals = self.refusals.max(1);
+        fell_before
+    }
+
+    /// No slave answers at its position; so many the broadcast counts.
+    fn absent(&mut self, now: Time, counted: u16) {
+        (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
+        self.delay_ns = None;
+        (self.refused, self.refusals) = (Note::None, 0);
+        let note = if counted > self.plan.place { Note::Unreachable(counted) } else { Note::Absent };
+        self.start_over(now, LOOK_EVERY_NS, note);
+    }
+
+    /// It has its station address, and is reached by it.
+    pub fn is_addressed(&self) -> bool {
+        self.way.addressed
+    }
+
+    /// What was meant for another slave may have been written to it: it is looked at, and set up anew.
+    pub fn doubted(&mut self, now: Time) {
+        self.ours = false;
+        self.lost(now);
+    }
+
+    /// The frames no longer reach it.
+    pub fn lost(&mut self, now: Time) {
+        (self.clock_set, self.looked_at, self.delay_ns) = (false, false, None);
+        self.start_over(now, 0, Note::Absent);
+    }
+
+    /// Takes it down to INIT, if it is ours and in any other state: true once it is there, or unreachable.
+    pub fn shut_down(&mut self, now: Time) -> bool {
+        self.ending = true;
+        match self.step {
+            Step::State(Change { to: AlState::Init, .. }) => false,
+            Step::SiiBack { .. } => false,
+            Step::SiiTake { .. } | Step::Sii(_) => {
+                self.enter(now, Step::SiiBack { refused: Note::None });
+                false
+            }
+            // It is not ours.
+            _ if self.way.joined && self.way.mapped == Mapped::Inputs => true,
+            Step::Rest(_)
+            | Step::Refused(_)
+            | Step::Look
+            | Step::Twin { .. }
+            | Step::Unaddress
+            | Step::Misplaced
+            | Step::There(_)
+            | Step::Unmap(_)
+            | Step::SiiForce
+            | Step::Found
+            | Step::FoundClock { .. }
+            | Step::FoundFmmus
+            | Step::Objects { list: List::Power, .. }
+            | Step::Free { joins: true }
+            | Step::Address { joins: true }
+            | Step::Join => true,
+            _ => {
+                self.way.was_operational = false;
+                self.enter(now, Step::to(AlState::Init));
+                false
+            }
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! What is written to a slave and read from it over its mailbox: in PREOP, and in OP of a drive that is found there.
+
+use super::{Note, Slave, Step};
+use crate::mode::Mode;
+use crate::object::Type;
+use crate::object::number::{MODE_DISPLAY, STATUS_WORD};
+use crate::plan::Start;
+use crate::service::{SdoFailure, Service, Transfer};
+use crate::wire::registers::AlState;
+use crate::wire::sdo::{AbortCode, Object};
+use fieldbeat_core::bus::cia402::StatusWord;
+use fieldbeat_core::time::{MS, Time};
+
+const POWER: [Start; 1] = [Start::new(STATUS_WORD, Type::U16, 0)];
+const MODE: [Start; 1] = [Start::new(MODE_DISPLAY, Type::I8, 0)];
+
+/// How often the lists are begun in PREOP before the slave is brought up anew, since it does not answer.
+const LISTS: u8 = 3;
+
+/// A list of objects, and what is done with them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum List {
+    /// Written at start-up.
+    Write,
+    /// Read, and compared with the configuration.
+    Verify,
+    /// Read, since its outputs carry it as it is.
+    Own,
+    /// Of a drive that was found in OP: its status word; what is compared; its mode.
+    Power,
+    Found,
+    Mode,
+}
+
+impl Slave {
+    /// Continues with objects, over its mailbox.
+    pub fn objects(&mut self, now: Time, service: Option<&mut Service>) {
+        let Step::Objects { list, next, begun } = self.step else { return };
+        let objects = match list {
+            List::Write => &self.plan.start_up[..],
+            List::Verify => &self.plan.verify,
+            List::Own => &self.own,
+            List::Found => &self.plan.verify_found,
+            List::Power => &POWER,
+            List::Mode => &MODE,
+        };
+        let (Some(start), Some(service)) = (objects.get(next), service) else {
+            return self.all_objects(now, list);
+        };
+        if !begun {
+            // An earlier request of another user is of no use any more.
+            let _ = service.take_end();
+            if service.is_free() {
+                match list {
+                    List::Write if !start.string.is_empty() => {
+                        service.begin_long(start.object, &start.string);
+                    }
+                    List::Write => {
+                        let bytes = start.kind.bytes() as u8;
+                        service.begin(Transfer::Write { object: start.object, raw: start.raw, bytes });
+                    }
+                    _ => service.begin(Transfer::Read(start.object)),
+                }
+                self.step = Step::Objects { list, next, begun: true };
+            }
+            return;
+        }
+        let Some(end) = service.take_end() else { return };
+        let (object, is_factor) = (start.object, start.is_factor());
+        let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
+        let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
+        match end {
+            Ok(found) if list == List::Power => match StatusWord(found as u16).state().is_powered() {
+                true => self.has_power(now),
+                false => self.set_up(now, None),
+            },
+            Ok(found) if list == List::Mode => {
+                self.found_mode = Some(Mode(found as u8 as i8));
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(found) if list == List::Own => {
+                if let Some(own) = self.own.get_mut(next) {
+                    own.raw = (found & mask).into();
+                }
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(found) if list != List::Write && is_factor => {
+                self.factor = found.max(1);
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(found) if list != List::Write && (found ^ wanted) & mask != 0 => {
+                self.differs(now, list, object, found);
+            }
+            // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
+            // its PDOs.
+            Err(SdoFailure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
+            Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
+                self.not_joinable(now);
+            }
+            Err(SdoFailure::Abort(abort)) if list == List::Own => {
+                self.refuse(now, Note::OwnValue { object, abort });
+            }
+            Err(SdoFailure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
+            Err(SdoFailure::Unusable(status)) => {
+                self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
+            }
+            Err(SdoFailure::Silent) => {
+                let within_ms = u32::try_from(self.plan.sdo_timeout_ns / MS).unwrap_or(u32::MAX);
+                let writes = list == List::Write;
+                self.list_again(now, Note::Unanswered { object, writes, within_ms });
+            }
+        }
+    }
+
+    /// The slave stays in PREOP, if it is there, and the list begins anew: what was written is written once more.
+    fn list_again(&mut self, now: Time, note: Note) {
+        self.way.lists += 1;
+        if self.way.lists >= LISTS {
+            return self.refuse(now, note);
+        }
+        self.refused = note;
+        self.enter(now, Step::to(AlState::PreOp));
+    }
+
+    fn all_objects(&mut self, now: Time, list: List) {
+        match list {
+            List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
+            List::Verify | List::Found => {
+                self.enter(now, Step::Objects { list: List::Own, next: 0, begun: false });
+            }
+            List::Own => {
+                self.has_own = true;
+                let mode = Step::Objects { list: List::Mode, next: 0, begun: false };
+                self.enter(now, if self.way.joined { mode } else { self.process_data() });
+            }
+            List::Power => self.has_power(now),
+            List::Mode => self.joined_whole(now),
+        }
+    }
+
+    fn differs(&mut self, now: Time, list: List, object: Object, found: u32) {
+        if list == List::Found {
+            self.not_joinable(now);
+        } else {
+            self.refuse(now, Note::Differs { object, found });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Change;
+    use super::*;
+    use crate::image::Offsets;
+    use crate::plan::{Area, Owner, SlavePlan};
+    use fieldbeat_core::axis::FoundRunning;
+
+    #[test]
+    fn an_object_that_is_not_answered_is_named_and_the_slave_stays_in_preop() {
+        let object = Object::new(0x1C12, 1);
+        let mailbox = Some([0x1800, 0x1C00].map(|start| Area { start, length: 16 }));
+        let start_up = vec![Start::new(object, Type::U16, 0x1702)];
+        let plan = SlavePlan { mailbox, start_up, ..SlavePlan::new(0) };
+        // One that is not open ends each transfer without an answer.
+        let mut service = Service::new(&plan, None, 0);
+        let owner = Owner::Device(0);
+        let mut slave = Slave::new(owner, &plan, Offsets::default(), true, FoundRunning::Stop);
+        let now = Time(0);
+        for list in 1..=LISTS {
+            slave.step = Step::Objects { list: List::Write, next: 0, begun: false };
+            slave.objects(now, Some(&mut service));
+            slave.objects(now, Some(&mut service));
+            let note = Note::Unanswered { object, writes: true, within_ms: 2_000 };
+            assert_eq!(slave.note(), note);
+            let is_there = matches!(slave.step, Step::State(Change { to: AlState::PreOp, .. }));
+            assert_eq!(is_there, list < LISTS, "{:?}", slave.step);
+        }
+        let text = slave.note().text(4).unwrap_or_default();
+        let start =
+            "place 4: it does not answer within 2000 ms, 3 times in a row, when 0x1c12:1 is written: ";
+        assert!(text.starts_with(start), "{text}");
+        assert!(matches!(slave.step, Step::Refused(_)), "then it begins anew");
+    }
+}

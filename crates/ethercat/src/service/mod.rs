@@ -1,0 +1,500 @@
+//! SDOs and emergencies of one slave: its mailbox, one transfer at a time.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the master's transfers, the application's calls behind them, emergencies |
+//! | `active` | the transfer under way: its owner, its time, its end |
+//! | `emergencies` | those that wait to be taken |
+//! | `mailbox` | how a message gets into the slave, and out of it |
+//! | `counts` | the counts of messages: which answer may belong to which request |
+//! | `sdo` | one transfer, message by message |
+//!
+//! An SDO from a slave is an answer only if one was requested, and if the count (where the slave returns it), the
+//! object and the command are those of the request: drives differ in everything else (EtherCAT manual, "Mail
+//! Input"). Every other SDO is a stray. An emergency may come in place of an answer, and at any time: the mailbox
+//! is read every 50 ms.
+//!
+//! An answer that is lost, or does not come within the slave's time, costs a repetition of the SDO, never more. After
+//! that a slave may answer twice, and counts are no proof: one that counts its own messages may be in step by chance.
+//! So an SDO of no effect is sent before the next one, and repeated once: what comes before its answer belongs to the
+//! past.
+//!
+//! It runs on the real-time thread: bounded, without allocation.
+
+pub mod active;
+mod counts;
+pub mod emergencies;
+pub mod mailbox;
+pub mod sdo;
+
+pub(super) use self::active::ATTEMPTS;
+use self::active::{Active, By, End, bits, farewell};
+pub use self::active::{SdoFailure, Transfer};
+use self::emergencies::Emergencies;
+use self::mailbox::{Mailbox, Post, Received};
+use self::sdo::{Failure, Sdo, Step};
+use super::counters::Own;
+use super::object::number::DEVICE_TYPE;
+use super::object::{self, Target, long};
+use super::plan::SlavePlan;
+use super::slot::{Answers, Ask};
+use super::wire::mailbox::{Emergency, Message, counter, is_answer, parse};
+use super::wire::sdo::{AbortCode, Object, Request};
+use fieldbeat_core::axis::Link;
+use fieldbeat_core::axis::acyclic::long::Kept;
+use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port, Posted};
+use fieldbeat_core::bus::Counters;
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// The slave's time for an answer is so many turns at least.
+const ANSWER_TURNS: u64 = 12;
+
+/// The mailbox of one slave.
+#[derive(Debug)]
+pub struct Service {
+    /// Its conversation; `None`: the slave has no mailbox.
+    pub mailbox: Option<Mailbox>,
+    port: Option<Port>,
+    open: bool,
+    /// A transfer of the master that was not started yet, and how the last one ended.
+    waiting: Option<Sdo>,
+    end: Option<Result<u32, SdoFailure>>,
+    active: Option<Active>,
+    kept: Kept,
+    /// What a series of calls has handed over so far, to be written.
+    loaded: Kept,
+    emergencies: Emergencies,
+    /// A call that commands the drive ended without the drive's answer: the drive may still carry it out, until it has
+    /// answered a later request.
+    unsettled: bool,
+    /// An answer to an earlier request may come that the next one could be taken to have.
+    suspect: bool,
+    /// Transfers that were not answered, and repeated ones, not counted yet.
+    silent: u64,
+    repeated: u64,
+    /// Dropped emergencies, not counted yet.
+    lost: u64,
+    /// The time that the slave may take for an answer, ns.
+    answer_ns: u64,
+}
+
+impl Service {
+    /// The mailbox of a slave, and the application's calls for it.
+    pub fn new(slave: &SlavePlan, port: Option<Port>, turn_ns: u64) -> Service {
+        let answer_ns = slave.sdo_timeout_ns.max(ANSWER_TURNS * turn_ns);
+        let mailbox = |areas| Mailbox::new(areas, slave.station(), answer_ns, turn_ns);
+        Service {
+            mailbox: slave.mailbox.and_then(mailbox),
+            port,
+            open: false,
+            waiting: None,
+            end: None,
+            active: None,
+            kept: Kept::default(),
+            loaded: Kept::default(),
+            emergencies: Emergencies::default(),
+            unsettled: false,
+            suspect: false,
+            silent: 0,
+            repeated: 0,
+            lost: 0,
+            answer_ns,
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        if let Some(mailbox) = &self.mailbox {
+            mailbox.memory(regions);
+        }
+        if let Some(port) = &self.port {
+            port.memory(regions);
+        }
+    }
+
+    /// The mailbox works from now on (PREOP and above), or not any more: the transfer under way ends.
+    pub fn open(&mut self, open: bool) {
+        if std::mem::replace(&mut self.open, open) == open {
+            return;
+        }
+        if open {
+            // An end of meanwhile belongs to no user any more.
+            (self.end, self.waiting) = (None, None);
+            // Nor do earlier emergencies: it may be another slave.
+            self.lost += self.emergencies.count as u64;
+            self.emergencies = Emergencies::default();
+        } else {
+            self.finish(End::GivenUp(CallError::Restarted));
+            if self.waiting.take().is_some() {
+                self.end = Some(Err(SdoFailure::Silent));
+            }
+        }
+        if let Some(mailbox) = &mut self.mailbox {
+            mailbox.reset();
+        }
+        self.suspect = false;
+    }
+
+    /// No transfer of the master is under way, and the end of the last one was taken: one may begin.
+    pub fn is_free(&self) -> bool {
+        let is_active = matches!(self.active, Some(Active { by: By::Master, .. }));
+        self.end.is_none() && self.waiting.is_none() && !is_active
+    }
+
+    /// Begins a transfer of the master; it precedes those of the application.
+    pub fn begin(&mut self, transfer: Transfer) {
+        self.wait(match transfer {
+            Transfer::Read(object) => Sdo::read(object, false),
+            Transfer::Write { object, raw, bytes } => {
+                let value = raw.to_le_bytes();
+                Sdo::write(object, value.get(..bytes.into()).unwrap_or(&value))
+            }
+        });
+    }
+
+    /// The same: writes a value of any length, at most 128 bytes.
+    pub fn begin_long(&mut self, object: Object, value: &[u8]) {
+        self.wait(Sdo::write(object, value));
+    }
+
+    fn wait(&mut self, sdo: Sdo) {
+        match &self.mailbox {
+            Some(mailbox) if self.open && !mailbox.takes(&sdo) => {
+                self.end = Some(Err(SdoFailure::Unusable(object::EXPEDITED)));
+            }
+            Some(_) if self.open => self.waiting = Some(sdo),
+            _ => self.end = Some(Err(SdoFailure::Silent)),
+        }
+    }
+
+    /// How the transfer of the master ended, once. Of a write `Ok` returns the written value, its first four bytes.
+    pub fn take_end(&mut self) -> Option<Result<u32, SdoFailure>> {
+        self.end.take()
+    }
+
+    /// The next emergency that the slave has reported.
+    pub fn take_emergency(&mut self) -> Option<Emergency> {
+        self.emergencies.pop()
+    }
+
+    /// Starts the next call of the application, and ends finished ones. Calls that command a `guarded` drive are
+    /// refused.
+    #[inline]
+    pub fn advance(&mut self, now: Time, link: Link, guarded: bool) {
+        let mut is_called = false;
+        if let Some(port) = &mut self.port {
+            port.guard(guarded);
+            is_called = !port.is_empty();
+        }
+        // Usually there is nothing.
+        if is_called || self.active.is_some() || self.waiting.is_some() || self.unsettled {
+            self.go_on(now, link);
+        }
+    }
+
+    /// A call of the application that commands the drive is under way, or may still be carried out.
+    pub fn commands(&self) -> bool {
+        self.unsettled || self.active.as_ref().is_some_and(|active| self.is_commanding(active))
+    }
+
+    fn is_commanding(&self, active: &Active) -> bool {
+        match (&active.by, &self.port) {
+            (By::Call(posted, _), Some(port)) => port.commands(posted),
+            _ => false,
+        }
+    }
+
+    fn go_on(&mut self, now: Time, link: Link) {
+        let is_down = !self.open || matches!(link, Link::Unseen | Link::Lost);
+        if let Some(port) = &mut self.port {
+            match &self.mailbox {
+                None => port.refuse_all(CallError::Refused(object::NO_MAILBOX)),
+                Some(_) if is_down => port.refuse_all(CallError::NotOnline),
+                Some(_) => {}
+            }
+        }
+        if let Some(active) = &self.active {
+            let is_late = active.is_late(now, self.answer_ns);
+            let refusal = match (&active.by, &self.port) {
+                (By::Call(posted, _), Some(port)) if !active.gone_out => port.refusal(posted),
+                _ => None,
+            };
+            let why = match &active.by {
+                _ if refusal.is_some() => refusal,
+                By::Call(posted, _) if self.port.as_ref().is_some_and(|port| port.is_cancelled(posted)) => {
+                    Some(CallError::Cancelled)
+                }
+                By::Call(..) if is_down => Some(CallError::NotOnline),
+                _ if active.is_over(now) => Some(CallError::TimedOut),
+                _ => None,
+            };
+            if let Some(why) = why {
+                self.silent += u64::from(why == CallError::TimedOut);
+                self.finish(End::GivenUp(why));
+            } else if is_late {
+                self.repeat(now);
+            }
+        }
+        let is_ready = self.open && self.active.is_none();
+        if is_ready && self.mailbox.as_ref().is_some_and(Mailbox::is_free) {
+            self.take_up(now);
+        }
+    }
+
+    /// The next transfer: the master's first.
+    fn take_up(&mut self, now: Time) {
+        let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
+        if self.suspect && (self.waiting.is_some() || is_called) {
+            return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
+        }
+        if let Some(sdo) = self.waiting.take() {
+            return self.start(now, By::Master, sdo);
+        }
+        if self.unsettled {
+            return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
+        }
+        let Some(posted) = self.port.as_mut().and_then(Port::take) else { return };
+        let call = posted.call;
+        let sdo = match (call.service, Target::unpack(call.address)) {
+            (object::READ, Some(Target { object, kind, complete })) => (Sdo::read(object, complete), kind),
+            (object::WRITE, Some(Target { object, kind: Some(kind), complete: false })) => {
+                // Of a text there is what is not 0.
+                let text = (71 - call.value.leading_zeros() as usize) / 8;
+                let bytes = if kind.is_string() { text } else { kind.bytes() };
+                let value = call.value.to_le_bytes();
+                (Sdo::write(object, value.get(..bytes).unwrap_or(&value)), Some(kind))
+            }
+            (object::STORE, Some(Target { object, kind: Some(kind), complete: false }))
+                if kind.is_string() =>
+            {
+                match self.loaded.whole(&posted) {
+                    Some(value) => (Sdo::write(object, value), Some(kind)),
+                    None => return self.end_call(&posted, Err(CallError::Refused(object::NOT_LOADED))),
+                }
+            }
+            (object::LOAD, _) => {
+                let loaded = self.loaded.load(&posted).ok_or(CallError::Refused(object::NOT_LOADED));
+                return self.end_call(&posted, loaded);
+            }
+            (object::SIZE | object::PART, _) => {
+                let part = self.kept.answer(&posted).ok_or(CallError::Refused(object::NOT_READ));
+                return self.end_call(&posted, part);
+            }
+            _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
+        };
+        if self.mailbox.as_ref().is_some_and(|mailbox| !mailbox.takes(&sdo.0)) {
+            return self.end_call(&posted, Err(CallError::Refused(object::EXPEDITED)));
+        }
+        self.start(now, By::Call(posted, sdo.1), sdo.0);
+    }
+
+    fn start(&mut self, now: Time, by: By, sdo: Sdo) {
+        self.active = Some(Active::new(now, by, sdo, self.answer_ns));
+        self.post(Post::First);
+    }
+
+    /// Hands the next request of the transfer to the mailbox. There is room: a mailbox has 16 bytes at least.
+    fn post(&mut self, post: Post) {
+        if let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) {
+            let request = active.sdo.request(mailbox.room());
+            mailbox.post(&request, post);
+        }
+    }
+
+    /// Its answer was lost, and does not come again. What the application writes is not written twice without its
+    /// knowledge: the same value may do something each time.
+    fn answer_lost(&mut self, now: Time) {
+        let awaits = self.mailbox.as_ref().is_some_and(Mailbox::awaits);
+        let is_write = matches!(&self.active, Some(Active { by: By::Call(..), sdo, .. }) if sdo.writes());
+        if awaits && is_write {
+            self.finish(End::GivenUp(CallError::Refused(object::UNCERTAIN)));
+        } else {
+            self.repeat(now);
+        }
+    }
+
+    /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
+    fn repeat(&mut self, now: Time) {
+        let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) else { return };
+        let is_refused = match (&active.by, &self.port) {
+            // Its power has come on meanwhile.
+            (By::Call(posted, _), Some(port)) => port.refusal(posted).is_some(),
+            _ => false,
+        };
+        if mailbox.awaits() && active.attempts < ATTEMPTS && !is_refused {
+            let post = if active.sdo.is_begun() { Post::First } else { Post::Again };
+            active.repeat(now);
+            mailbox.abandon();
+            self.repeated += 1;
+            self.post(post);
+        }
+    }
+
+    /// Writes its request for the next frame into `ask`; nothing, if there is nothing to do. Called again without
+    /// an answer, the frame was not sent, and the request is the same.
+    #[inline]
+    pub fn request(&mut self, now: Time, ask: &mut Ask) {
+        if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {
+            mailbox.request(now, ask);
+            if let Some(active) = &mut self.active {
+                active.gone_out |= mailbox.writes();
+            }
+        }
+    }
+
+    /// Takes the answer to its request.
+    pub fn receive(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+        counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
+        counters.own[Own::MailboxRepeats as usize] += std::mem::take(&mut self.repeated);
+        counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
+        let received = self.mailbox.as_mut().map(|mailbox| mailbox.receive(now, answers, counters));
+        match received {
+            None | Some(Received::Nothing) => {}
+            Some(Received::Full) => {
+                counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
+                self.finish(End::Failed(Failure::Unusable(object::FULL)));
+            }
+            Some(Received::Gone) => self.answer_lost(now),
+            Some(Received::Message) => self.take(now, counters),
+        }
+    }
+
+    /// A message has come.
+    fn take(&mut self, now: Time, counters: &mut Counters) {
+        let Some(mailbox) = &mut self.mailbox else { return };
+        let active = self.active.as_mut().filter(|_| mailbox.awaits());
+        let (message, counts) = mailbox.received();
+        let failed = |status| Some(Step::Failed(Failure::Unusable(status)));
+        let step = match (parse(message), active) {
+            (Some(Message::Emergency(emergency)), _) => {
+                Own::Emergencies.count(counters);
+                if !self.emergencies.push(emergency) {
+                    Own::EmergenciesLost.count(counters);
+                }
+                return;
+            }
+            (Some(Message::Sdo { counter, response }), Some(active))
+                if active.sdo.is_answered_by(&response) && counts.may_answer(counter) =>
+            {
+                Some(active.sdo.take(&response))
+            }
+            (Some(Message::Refused(error)), Some(active))
+                if !active.is_nobodys() && counts.may_answer(counter(message)) =>
+            {
+                failed(object::MAILBOX + u32::from(error.0))
+            }
+            (Some(_), _) => None,
+            (None, active) => {
+                Own::MailboxBroken.count(counters);
+                // Whatever else cannot be read is not its answer.
+                let is_its = active.is_some_and(|active| !active.is_nobodys()) && is_answer(message);
+                if !is_its || !counts.may_answer(counter(message)) {
+                    return;
+                }
+                failed(object::BROKEN)
+            }
+        };
+        match step {
+            None => Own::MailboxStrays.count(counters),
+            Some(Step::Next) => {
+                mailbox.answered();
+                if let Some(active) = &mut self.active {
+                    active.since = now;
+                }
+                self.post(Post::First);
+            }
+            Some(Step::Done) => self.finish(End::Done),
+            Some(Step::Failed(failure)) => {
+                if matches!(failure, Failure::Abort(_)) {
+                    Own::Aborts.count(counters);
+                }
+                self.finish(End::Failed(failure));
+            }
+        }
+    }
+
+    /// Ends the transfer that is under way.
+    fn finish(&mut self, end: End) {
+        let Some(active) = self.active.take() else { return };
+        self.unsettled = match end {
+            // It answers in the order of its requests.
+            End::Done | End::Failed(Failure::Abort(_)) => false,
+            End::Failed(Failure::Unusable(_)) | End::GivenUp(_) => {
+                self.unsettled || active.gone_out && self.is_commanding(&active)
+            }
+        };
+        if let Some(mailbox) = &mut self.mailbox {
+            let is_answered = matches!(end, End::Done | End::Failed(Failure::Abort(_)));
+            self.suspect = match active.by {
+                // After its answer nothing of before comes.
+                By::Nobody => self.suspect && !is_answered,
+                _ => {
+                    if is_answered {
+                        mailbox.is_twice()
+                    } else {
+                        active.gone_out
+                    }
+                }
+            };
+            match end {
+                End::GivenUp(_) => mailbox.abandon(),
+                End::Done | End::Failed(_) => mailbox.answered(),
+            }
+            if let Some(code) = farewell(&active.sdo, end) {
+                let object = active.sdo.object();
+                mailbox.post(&Request::Abort { object, code }, Post::Unanswered);
+            }
+        }
+        let (size, data) = active.sdo.value();
+        match active.by {
+            By::Master => {
+                self.end = Some(match end {
+                    End::Done => Ok(long::raw(data) as u32),
+                    End::Failed(Failure::Abort(code)) => Err(SdoFailure::Abort(code)),
+                    End::Failed(Failure::Unusable(status)) => Err(SdoFailure::Unusable(status)),
+                    End::GivenUp(_) => Err(SdoFailure::Silent),
+                });
+            }
+            By::Call(posted, kind) => {
+                let Call { service, address, value } = posted.call;
+                let reads = service == object::READ;
+                if reads && matches!(end, End::Done) {
+                    self.kept = Kept::of_read(&posted, size, data);
+                }
+                let value = if reads { bits(kind, size, data) } else { value };
+                self.end_call(
+                    &posted,
+                    match end {
+                        End::Done => Ok(Answer { status: 0, address, value }),
+                        End::Failed(Failure::Abort(AbortCode(status)) | Failure::Unusable(status)) => {
+                            Err(CallError::Refused(status))
+                        }
+                        End::GivenUp(why) => Err(why),
+                    },
+                );
+            }
+            By::Nobody
+                if matches!(end, End::GivenUp(CallError::TimedOut) | End::Failed(Failure::Unusable(_))) =>
+            {
+                self.fail_next();
+            }
+            By::Nobody => {}
+        }
+    }
+
+    /// A slave that has not answered the one before would not answer the next one.
+    fn fail_next(&mut self) {
+        if self.waiting.take().is_some() {
+            self.end = Some(Err(SdoFailure::Silent));
+        } else if let Some(posted) = self.port.as_mut().and_then(Port::take) {
+            self.end_call(&posted, Err(CallError::TimedOut));
+        }
+    }
+
+    fn end_call(&mut self, posted: &Posted, result: Result<Answer, CallError>) {
+        if let Some(port) = &mut self.port {
+            port.end(posted, result);
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! SIIs that belong to the slave's processor, are busy, or return eight bytes.
+
+use super::*;
+use fieldbeat_ethercat::wire::sii::Fault;
+use fieldbeat_sim::ethercat::sii::Access;
+
+/// Terminals whose SII is accessed like this, and their configuration.
+fn with(access: Access) -> (EthercatPlan, Rig) {
+    let mut plan = drives(0);
+    plan.devices = vec![coupler(0)];
+    plan.devices[0].slave.inputs[0].start = 0x1100;
+    let mut rig = Rig::new(&plan);
+    let settings = Settings { features: Features(0x0180), sii_access: access, ..Settings::default() };
+    let io =
+        Coupler::of(&plan.devices[0]).slave("I/O", Identity { vendor: 2, ..Identity::default() }, settings);
+    *rig.sim.segment() = ethercat::Segment::new(vec![io]);
+    (plan, rig)
+}
+
+#[test]
+fn the_sii_is_taken_from_the_processor_and_given_back_before_preop() {
+    let mut rig = Rig::new(&drives(2));
+    for place in 0..2 {
+        rig.poke(place, address::SII_OWNER, &[1]);
+    }
+    let mut owner = 0;
+    rig.until("PREOP", 500, |rig| rig.al(0) > AlState::Init);
+    while rig.al(1) != AlState::Op {
+        rig.run(1);
+        owner = rig.peek(1, address::SII_OWNER, 1)[0];
+        assert!(rig.al(1) == AlState::Init || owner == 1);
+        assert!(rig.cycle.index < 4_000);
+    }
+    assert_eq!(owner, 1);
+}
+
+#[test]
+fn a_slave_that_is_refused_or_left_has_its_sii_back() {
+    let mut plan = drives(1);
+    plan.drives[0].slave.identity.product = Some(7);
+    let mut rig = Rig::on(&plan, drives(1));
+    rig.until("refused", 500, |rig| matches!(rig.note(0), Note::Product(_)));
+    assert_eq!(rig.peek(0, address::SII_OWNER, 1), [1]);
+    // The orderly end comes while it is read.
+    for cycles in 3..40 {
+        let mut rig = Rig::new(&drives(1));
+        rig.run(cycles);
+        let done = |rig: &mut Rig| {
+            let now = rig.cycle.grid;
+            rig.line.shut_down(now)
+        };
+        rig.until("done", 100, done);
+        // Force and give are the second and the third request.
+        assert_eq!(rig.peek(0, address::SII_OWNER, 1), [1], "after {cycles} cycles");
+    }
+}
+
+#[test]
+fn an_sii_that_its_processor_keeps_is_named_unless_nothing_of_it_is_needed() {
+    for is_needed in [true, false] {
+        let (mut plan, mut rig) = with(Access::default());
+        plan.devices[0].slave.check_sii = is_needed;
+        rig.line = Rig::new(&plan).line;
+        for _ in 0..1_000 {
+            rig.poke(0, address::SII_OWNER, &[1]);
+            rig.run(1);
+            assert_ne!(rig.note(0), Note::Absent);
+        }
+        let note = if is_needed { Note::Sii(Fault::Owned) } else { Note::None };
+        assert_eq!((rig.note(0), rig.line.is_operational(0)), (note, !is_needed));
+    }
+}
+
+#[test]
+fn a_command_is_written_to_an_idle_sii_only() {
+    // Commands of 40 ms: one of another master is under way.
+    let (_, mut rig) = with(Access { busy_ns: 40 * MS, ..Access::default() });
+    rig.poke(0, address::SII_CONTROL, &[0x00, 0x01, 0x40, 0, 0, 0]);
+    rig.all_up(2_000);
+    assert_eq!(rig.note(0), Note::None);
+}
+
+#[test]
+fn a_command_that_fails_is_acknowledged_and_repeated() {
+    // One of so many reads: never twice in a row, and in the end each of them.
+    for fails_every in [2, 3, 5] {
+        let (_, mut rig) = with(Access { fails_every, ..Access::default() });
+        rig.all_up(2_000);
+        assert_eq!(rig.note(0), Note::None, "1 of {fails_every}");
+    }
+    // Another master's has failed.
+    let (_, mut rig) = with(Access::default());
+    rig.poke(0, address::SII_CONTROL, &[0x00, 0x07, 0, 0, 0, 0]);
+    assert_eq!(rig.peek(0, address::SII_CONTROL, 2)[1] & 0x20, 0x20);
+    rig.all_up(2_000);
+    assert_eq!(rig.note(0), Note::None);
+}
+
+#[test]
+fn an_sii_that_always_fails_or_is_not_loaded_is_named() {
+    for (access, fault) in [
+        (Access { fails_every: 1, ..Access::default() }, Fault::Refused),
+        (Access { unloaded: true, ..Access::default() }, Fault::Unloaded),
+    ] {
+        let (_, mut rig) = with(access);
+        rig.until("named", 1_000, |rig| rig.note(0) == Note::Sii(fault));
+        rig.run(500);
+        assert_eq!((rig.al(0), rig.note(0)), (AlState::Init, Note::Sii(fault)));
+    }
+}
+
+#[test]
+fn eight_bytes_a_read_are_taken_and_save_time() {
+    let cycles = [false, true].map(|eight| {
+        let (_, mut rig) = with(Access { busy_ns: 10 * MS, eight, ..Access::default() });
+        rig.all_up(1_000)
+    });
+    // Six reads of four bytes, four of eight; and the categories.
+    assert!(cycles[1] + 30 < cycles[0], "{cycles:?}");
+}
+
+#[test]
+fn an_sii_that_was_never_written_is_named() {
+    let (mut plan, mut rig) = with(Access::default());
+    plan.devices[0].slave.identity.vendor = Some(2);
+    rig.line = Rig::new(&plan).line;
+    let settings = Settings { sii: vec![0xFFFF; 64], features: Features(0x0180), ..Settings::default() };
+    let blank = Esc::new(settings, Box::new(Coupler::of(&plan.devices[0])));
+    *rig.sim.segment() = ethercat::Segment::new(vec![blank]);
+    rig.until("named", 1_000, |rig| matches!(rig.note(0), Note::Sii(Fault::Checksum | Fault::Blank)));
+}

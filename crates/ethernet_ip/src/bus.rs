@@ -1,0 +1,300 @@
+//! All drives of one EtherNet/IP bus: stations on one socket, and their sessions, as a [`Bus`].
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use super::exchange;
+use super::plan::{Delivery, EthernetIpPlan, IO_PORT};
+use super::session::{HANDSHAKE_NS, Session};
+use super::station::{ROOM, Station};
+use super::target::commanding;
+use super::wire::io::{Outgoing, Packet};
+use fieldbeat_core::axis::acyclic;
+use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::{Bus, Cycle, Ends, Notes, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::errors::no_descriptor;
+use fieldbeat_core::net::{
+    Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
+/// datagrams never delays the cycle.
+const MOST_BATCHES: usize = 4;
+/// Room for a packet of a drive: those of others are cut off, and counted.
+const RECEIVED: usize = 128;
+
+/// One socket, its drives and their sessions.
+pub(crate) struct EthernetIpBus {
+    name: String,
+    net: Box<dyn Datagrams>,
+    outbox: Outbox,
+    stations: Vec<Station>,
+    /// Of the drives, in order, each with its index.
+    by_address: Box<[(Ipv4Addr, usize)]>,
+    unmatched: Unmatched,
+    ends: Ends,
+    sessions: Box<dyn Streams>,
+    notes: Arc<SessionNotes>,
+    /// The drives are this master's until their connections are given up.
+    _locks: Vec<Lock>,
+}
+
+impl std::fmt::Debug for EthernetIpBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EthernetIpBus")
+            .field("name", &self.name)
+            .field("drives", &self.stations.len())
+            .finish()
+    }
+}
+
+/// Why a drive has no connection: its session, or its TCP connection.
+#[derive(Debug)]
+struct SessionNotes {
+    sessions: Vec<LinkNotes>,
+    links: LinkNotes,
+}
+
+impl Notes for SessionNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        self.sessions.get(index).and_then(|notes| notes.get(0)).or_else(|| self.links.get(index))
+    }
+}
+
+impl EthernetIpBus {
+    /// Opens the socket of `plan`, which is free of faults, and begins to connect to its drives.
+    pub fn open(
+        plan: &EthernetIpPlan,
+        period_ns: u64,
+        carriers: &dyn Carriers,
+    ) -> Result<Box<dyn Bus>, OpenError> {
+        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = drives::lock(&plan.name, addresses, carriers)?;
+        let groups = plan.drives.iter().filter(|drive| drive.delivery == Delivery::Multicast).count();
+        let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
+        let options = UdpOptions {
+            peers: plan.drives.len(),
+            waiting,
+            room: RECEIVED,
+            send: plan.send,
+            dscp: plan.dscp,
+            groups,
+        };
+        let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
+            bus: plan.name.clone(),
+            address: plan.bind,
+            remedy: remedy(&source),
+            source,
+        })?;
+        let (mut stations, mut peers, mut notes) = (Vec::new(), Vec::new(), Vec::new());
+        let mut of_application = Vec::new();
+        for (index, drive) in plan.drives.iter().enumerate() {
+            let (loop_end, session_end) = exchange::both();
+            let (calls, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
+            let session = Session::new(plan, index, period_ns, session_end, port, net.groups());
+            notes.push(session.notes());
+            peers.push(StreamPeer {
+                // Drives compare the source of packets with the peer of their session.
+                bind: Some(*plan.bind.ip()),
+                handshake_ns: HANDSHAKE_NS,
+                ..StreamPeer::new(drive.address, Box::new(session))
+            });
+            let (station, native) = Station::new(drive, period_ns, loop_end, &carriers.log());
+            stations.push(station);
+            of_application.push((native, calls));
+        }
+        let sessions = carriers
+            .streams(peers)
+            .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
+        let mut ends = Ends::default();
+        for (native, calls) in of_application {
+            // Posted calls are carried out at once: the session sleeps otherwise.
+            ends.push(
+                native,
+                match sessions.waker() {
+                    Some(waker) => calls.waking(waker),
+                    None => calls,
+                },
+            );
+        }
+        let destinations: Vec<_> =
+            plan.drives.iter().map(|drive| SocketAddrV4::new(*drive.address.ip(), IO_PORT)).collect();
+        let mut by_address: Box<[_]> =
+            plan.drives.iter().enumerate().map(|(index, drive)| (*drive.address.ip(), index)).collect();
+        by_address.sort_unstable();
+        Ok(Box::new(EthernetIpBus {
+            name: plan.name.clone(),
+            net,
+            outbox: Outbox::new(&destinations, ROOM),
+            stations,
+            by_address,
+            unmatched: Unmatched::default(),
+            ends,
+            notes: Arc::new(SessionNotes { sessions: notes, links: sessions.notes() }),
+            sessions,
+            _locks: locks,
+        }))
+    }
+
+    /// Takes in what is in the socket and hands each packet to the station of its connection.
+    fn take_in(&mut self, slots: &mut [Slot]) {
+        let EthernetIpBus { net, stations, by_address, unmatched, .. } = self;
+        for _ in 0..MOST_BATCHES {
+            let taken = net.receive(&mut |datagram| {
+                let source = *datagram.from.ip();
+                let packet = Packet::parse(datagram.bytes);
+                // The ids of packets to this master only are its own choice: the index is the upper half of them.
+                if let (Ok(packet), false) = (&packet, datagram.truncated) {
+                    let index = (packet.connection >> 16) as usize;
+                    if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
+                        && station.is(source, packet.connection)
+                    {
+                        return station.take(datagram.at, packet, slot);
+                    }
+                }
+                let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
+                    unmatched.datagrams += 1;
+                    return;
+                };
+                let Some((_, index)) = by_address.get(place).copied() else { return };
+                let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
+                    return;
+                };
+                match packet {
+                    Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
+                        station.take(datagram.at, &packet, slot);
+                    }
+                    Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
+                    Ok(_) => Station::refuse(None, slot),
+                    Err(why) => Station::refuse(Some(why), slot),
+                }
+            });
+            match taken {
+                Ok(count) if count < net.batch() => break,
+                Ok(_) => {}
+                Err(_) => {
+                    unmatched.errors += 1;
+                    break;
+                }
+            }
+        }
+    }
+}
+
+fn remedy(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => {
+            "another scanner holds this port: end it (ss -ulpn shows which), or give this bus another bind address"
+        }
+        std::io::ErrorKind::AddrNotAvailable => {
+            "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
+        }
+        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
+    }
+}
+
+impl Bus for EthernetIpBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        self.outbox.memory(regions);
+        self.sessions.memory(regions);
+        regions.add(&*self.stations);
+        regions.add(&*self.by_address);
+        for station in &self.stations {
+            station.memory(regions);
+        }
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            let leaves = slot.due && station.is_built();
+            self.outbox.post(index, leaves);
+            if slot.due && !leaves {
+                station.unsent(slot);
+            }
+        }
+        self.net.send(&mut self.outbox);
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            match self.outbox.sent(index) {
+                Sent::At(at) => station.sent(at, slot),
+                Sent::Failed(_) | Sent::Posted => station.unsent(slot),
+                Sent::Idle => {}
+            }
+        }
+        // Before the packets of a connection that has just been opened.
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            if let Some(destination) = station.hear(cycle, slot) {
+                self.outbox.set_peer(index, destination);
+            }
+        }
+        // Packets answer nothing: the window stays open for none of them.
+        self.take_in(slots);
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            station.watch(cycle, slot);
+        }
+    }
+
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
+        self.take_in(slots);
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if slot.due
+                && let Some(length) = station.prepare(cycle, slot, self.outbox.room(index))
+            {
+                self.outbox.set_length(index, length);
+            }
+        }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Outgoing::outputs(self.outbox.bytes(index)))
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        let mut done = true;
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            done &= station.shut_down(cycle);
+            station.watch(cycle, slot);
+            station.hear(cycle, slot);
+        }
+        done
+    }
+
+    fn unmatched(&self) -> Unmatched {
+        Unmatched { dropped: self.net.dropped(), ..self.unmatched }
+    }
+
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
+    }
+
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        Some(Arc::clone(&self.notes) as Arc<dyn Notes>)
+    }
+
+    fn helper_ended(&self) -> bool {
+        self.sessions.has_ended()
+    }
+}

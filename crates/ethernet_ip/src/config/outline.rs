@@ -1,0 +1,84 @@
+//! What a first configuration of MOONS' drives has, and how they are found: by ListIdentity.
+
+use std::net::SocketAddrV4;
+
+use super::scan::{Device, ScanError, Targets, scan};
+use super::tools::vendor;
+use crate::plan::{IO_PORT, PORT};
+use fieldbeat_keys::outline::{
+    Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address,
+};
+
+pub(super) const OUTLINE: Outline = Outline {
+    period: "10ms",
+    bus: &[Line::ask(
+        "bind",
+        "Address of this computer on the network of the drives",
+        Usual::From(own_address),
+    )],
+    drive: &[Line::ask("address", "Address of the drive", Usual::From(neighbour))],
+    unit: Unit::REVOLUTION,
+    behind: &[
+        RANGE,
+        Line::ask(
+            "steps_per_rev",
+            "Motor steps of a revolution, as EG of the drive is set",
+            Usual::Is("20000"),
+        ),
+        Line::ask("watchdog", "Its ZS: the drive stops after so long without its master", Usual::Is("500ms")),
+    ],
+    search: Search {
+        question: "Look for the drives by ListIdentity, a broadcast that changes nothing?",
+        usual: true,
+        probes: false,
+        run: search,
+        port: PORT,
+    },
+};
+
+/// Everything that answers.
+fn search(known: &Known<'_>, _: &[SocketAddrV4], goes_on: &dyn Fn() -> bool) -> Result<Vec<Found>, String> {
+    let devices = match scan(*own(known, IO_PORT).ip(), Targets::All, goes_on) {
+        Err(ScanError::Silent) => return Ok(Vec::new()),
+        other => other.map_err(|error| error.to_string())?,
+    };
+    Ok(devices.iter().map(found).collect())
+}
+
+/// A drive is known by its vendor.
+fn found(device: &Device) -> Found {
+    let (ip, name) = (device.from.ip(), device.name.trim());
+    match vendor(device.vendor) {
+        Some(_) => Found { what: format!("{name} at {ip}"), lines: vec![("address", ip.to_string())] },
+        None => {
+            let what = format!("{name} at {ip}, vendor {}: none of these drives", device.vendor);
+            Found { what, lines: Vec::new() }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_devices_of_the_vendor_are_drives() {
+        let from = SocketAddrV4::new([192, 168, 1, 40].into(), PORT);
+        let mut device = Device {
+            from,
+            claims: from,
+            name: "STF05-IP ".into(),
+            vendor: 60,
+            device_type: 43,
+            product: 176,
+            revision: (251, 3),
+            status: 0,
+            serial: 7,
+            state: 3,
+        };
+        assert_eq!(found(&device).lines, [("address", "192.168.1.40".to_owned())]);
+        assert_eq!(found(&device).what, "STF05-IP at 192.168.1.40");
+        device.vendor = 1;
+        assert_eq!(found(&device).lines, []);
+    }
+}

@@ -1,0 +1,302 @@
+//! The command word as a machine of edges (Host Command Reference 920-0002 W, EtherNet/IP; sheet, 5.4).
+//!
+//! A drive acts on the change from idle to a command. Packets can be lost, and nothing echoes a command: each is held
+//! for some packets and until its effect is seen, or its time is over; then idle is held for as long. The first packets
+//! of a connection are idle, so that no old command is an edge. A stop waits for one idle packet only, and a stronger
+//! one for no other stop. It is sent anew as soon as the drive's packets show that it has not taken it: if the idle
+//! packet before it was lost, it was no edge.
+//!
+//! What a packet carries becomes the state once that packet has gone out: one that is built again, or that the system
+//! does not send, has no effect.
+
+use super::wire::assembly::command::IDLE;
+use fieldbeat_core::time::Time;
+
+/// A command that is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Wanted {
+    /// Its bit.
+    pub word: u32,
+    /// It replaces what is held and weaker, behind one idle packet.
+    pub urgency: Urgency,
+}
+
+/// What goes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Urgency {
+    /// It waits for its turn.
+    None,
+    /// A stop along the ramp.
+    Stop,
+    /// The fastest stop.
+    FastStop,
+    /// Power off.
+    Off,
+}
+
+impl Urgency {
+    fn is_stop(self) -> bool {
+        self > Urgency::None
+    }
+}
+
+/// A stop whose effect is in none of so many packets of the drive, since it was delivered, was not taken.
+const STOP_ANSWERS: u8 = 4;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// In so many packets.
+    Idle { packets: u8 },
+    /// In so many packets, the first of them at this instant. Since all of these, so many packets of the drive came.
+    Held { wanted: Wanted, packets: u8, since: Time, answers: u8 },
+}
+
+/// What has become of the packet that was built last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    /// Nothing new.
+    None,
+    /// The first packet with this command has left.
+    Begun,
+    /// The first idle packet behind a command has left.
+    Ended,
+}
+
+/// The command word of one connection.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Edges {
+    phase: Phase,
+    /// As it is once the packet has left.
+    prepared: Phase,
+    /// The effect of the held command was seen.
+    seen: bool,
+    hold: u8,
+    within_ns: u64,
+}
+
+impl Edges {
+    /// Commands are held for `hold` packets at least, and for `within_ns` at most without an effect.
+    pub(super) fn new(hold: u8, within_ns: u64) -> Edges {
+        let phase = Phase::Idle { packets: 0 };
+        Edges { phase, prepared: phase, seen: false, hold: hold.max(1), within_ns }
+    }
+
+    /// A new connection: the drive has seen none of the packets before.
+    pub(super) fn reset(&mut self) {
+        (self.phase, self.prepared, self.seen) =
+            (Phase::Idle { packets: 0 }, Phase::Idle { packets: 0 }, false);
+    }
+
+    /// The word of the next packet, to be sent at `now`.
+    pub(super) fn prepare(&mut self, now: Time, wanted: Option<Wanted>) -> u32 {
+        self.prepared = match (self.phase, wanted) {
+            (Phase::Idle { packets }, Some(wanted))
+                if packets >= if wanted.urgency.is_stop() { 1 } else { self.hold } =>
+            {
+                Phase::Held { wanted, packets: 1, since: now, answers: 0 }
+            }
+            (Phase::Idle { packets }, _) => Phase::Idle { packets: packets.saturating_add(1) },
+            (Phase::Held { wanted: held, .. }, Some(wanted)) if wanted.urgency > held.urgency => {
+                Phase::Idle { packets: 1 }
+            }
+            (Phase::Held { wanted, packets, since, answers }, _)
+                if self.is_over(packets, since, now)
+                    || wanted.urgency.is_stop() && !self.seen && answers >= STOP_ANSWERS =>
+            {
+                Phase::Idle { packets: 1 }
+            }
+            (Phase::Held { wanted, packets, since, answers }, _) => {
+                Phase::Held { wanted, packets: packets.saturating_add(1), since, answers }
+            }
+        };
+        match self.prepared {
+            Phase::Idle { .. } => IDLE,
+            Phase::Held { wanted, .. } => wanted.word,
+        }
+    }
+
+    fn is_over(&self, packets: u8, since: Time, now: Time) -> bool {
+        packets >= self.hold && (self.seen || now.since(since) >= self.within_ns)
+    }
+
+    /// The packet has gone out.
+    pub(super) fn sent(&mut self) -> Change {
+        let before = std::mem::replace(&mut self.phase, self.prepared);
+        match (before, self.phase) {
+            (Phase::Idle { .. }, Phase::Held { .. }) => {
+                self.seen = false;
+                Change::Begun
+            }
+            (Phase::Held { .. }, Phase::Idle { .. }) => Change::Ended,
+            _ => Change::None,
+        }
+    }
+
+    /// The prepared packet is the first one with its command.
+    pub(super) fn begins(&self) -> bool {
+        matches!((self.phase, self.prepared), (Phase::Idle { .. }, Phase::Held { .. }))
+    }
+
+    /// A packet of the drive has come.
+    pub(super) fn answered(&mut self) {
+        if let Phase::Held { packets, answers, .. } = &mut self.phase
+            && *packets >= self.hold
+        {
+            *answers = answers.saturating_add(1);
+        }
+    }
+
+    /// The effect of the held command is in the newest packet of the drive.
+    pub(super) fn see(&mut self) {
+        self.seen |= self.is_held();
+    }
+
+    /// A command is held.
+    pub(super) fn is_held(&self) -> bool {
+        matches!(self.phase, Phase::Held { .. })
+    }
+
+    /// The drive has the held command, as far as that can be known without an effect: it was sent as often as it is to
+    /// be, and a packet of the drive came after that.
+    pub(super) fn is_delivered(&self) -> bool {
+        matches!(self.phase, Phase::Held { answers: 1.., .. })
+    }
+
+    /// Its effect was seen.
+    pub(super) fn is_seen(&self) -> bool {
+        self.seen
+    }
+
+    /// Idle, for so long that the next command may follow: another packet like the last one changes nothing.
+    pub(super) fn is_settled(&self) -> bool {
+        matches!(self.phase, Phase::Idle { packets } if packets >= self.hold)
+            && matches!(self.prepared, Phase::Idle { .. })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use fieldbeat_core::time::MS;
+
+    const ENABLE: Wanted = Wanted { word: 2, urgency: Urgency::None };
+    const STOP: Wanted = Wanted { word: 0x8000, urgency: Urgency::Stop };
+    const OFF: Wanted = Wanted { word: 4, urgency: Urgency::Off };
+
+    /// Words of the next packets, one a ms, each sent.
+    fn words(edges: &mut Edges, from_ms: u64, wanted: &[Option<Wanted>]) -> Vec<u32> {
+        let word = |(ms, wanted): (u64, &Option<Wanted>)| {
+            let word = edges.prepare(Time((from_ms + ms) * MS), *wanted);
+            edges.sent();
+            word
+        };
+        (0..).zip(wanted).map(word).collect()
+    }
+
+    #[test]
+    fn a_command_waits_for_idle_is_held_for_its_packets_and_idle_follows() {
+        let mut edges = Edges::new(2, 100 * MS);
+        assert_eq!(words(&mut edges, 0, &[Some(ENABLE); 3]), [0, 0, 2]);
+        edges.see();
+        assert_eq!(words(&mut edges, 3, &[Some(ENABLE); 4]), [2, 0, 0, 2]);
+        assert!(!edges.is_seen(), "the next one has no effect yet");
+    }
+
+    #[test]
+    fn without_an_effect_it_is_held_until_its_time_is_over() {
+        let mut edges = Edges::new(2, 5 * MS);
+        let word = words(&mut edges, 0, &[Some(ENABLE); 9]);
+        assert_eq!(word, [0, 0, 2, 2, 2, 2, 2, 0, 0]);
+    }
+
+    #[test]
+    fn a_stop_replaces_it_behind_one_idle_packet_and_is_replaced_by_nothing() {
+        let mut edges = Edges::new(3, 100 * MS);
+        words(&mut edges, 0, &[None, None, None, Some(ENABLE)]);
+        assert_eq!(words(&mut edges, 4, &[Some(STOP); 2]), [0, 0x8000]);
+        assert_eq!(words(&mut edges, 6, &[Some(ENABLE); 2]), [0x8000; 2]);
+        edges.see();
+        assert_eq!(words(&mut edges, 8, &[Some(ENABLE); 4]), [0, 0, 0, 2]);
+        // From idle it waits for no packet more.
+        let mut edges = Edges::new(3, 100 * MS);
+        assert_eq!(words(&mut edges, 0, &[Some(STOP); 2]), [0, 0x8000], "the first packet is idle");
+    }
+
+    #[test]
+    fn power_off_waits_for_no_stop_and_no_stop_for_power_off() {
+        let mut edges = Edges::new(2, 100 * MS);
+        assert_eq!(words(&mut edges, 0, &[None, Some(STOP), Some(OFF), Some(OFF)]), [0, 0x8000, 0, 4]);
+        assert_eq!(words(&mut edges, 4, &[Some(STOP); 3]), [4; 3]);
+    }
+
+    #[test]
+    fn a_stop_that_the_packets_of_the_drive_do_not_show_is_sent_anew_before_its_time_is_over() {
+        for (wanted, words_then) in [(STOP, [0x8000, 0, 0x8000]), (ENABLE, [2, 2, 2])] {
+            let mut edges = Edges::new(2, 1_000 * MS);
+            words(&mut edges, 0, &[None, None]);
+            words(&mut edges, 2, &[Some(wanted); 2]);
+            (1..STOP_ANSWERS).for_each(|_| edges.answered());
+            let first = words(&mut edges, 4, &[Some(wanted)]);
+            edges.answered();
+            assert_eq!([first, words(&mut edges, 5, &[Some(wanted); 2])].concat(), words_then);
+        }
+    }
+
+    #[test]
+    fn a_packet_that_did_not_leave_changes_nothing() {
+        let mut edges = Edges::new(1, 100 * MS);
+        words(&mut edges, 0, &[None]);
+        for _ in 0..3 {
+            assert_eq!(edges.prepare(Time(MS), Some(ENABLE)), 2);
+            assert!(edges.begins() && !edges.is_held());
+        }
+        assert_eq!(edges.sent(), Change::Begun);
+        assert_eq!(edges.prepare(Time(2 * MS), Some(STOP)), 0);
+        assert_eq!(edges.prepare(Time(2 * MS), None), 2, "the stop is not wanted any more");
+    }
+
+    #[test]
+    fn it_is_delivered_by_a_packet_of_the_drive_behind_the_last_that_had_to_carry_it() {
+        let mut edges = Edges::new(2, 100 * MS);
+        words(&mut edges, 0, &[None, None, Some(ENABLE)]);
+        edges.answered();
+        assert!(!edges.is_delivered());
+        words(&mut edges, 3, &[None]);
+        assert!(!edges.is_delivered());
+        edges.answered();
+        assert!(edges.is_delivered());
+    }
+
+    proptest! {
+        #[test]
+        fn between_two_commands_the_drive_sees_idle_and_a_stop_waits_for_one_packet_at_most(
+            hold in 1..5_u8,
+            turns in prop::collection::vec((0..4_u8, any::<bool>(), any::<bool>()), 1..200),
+        ) {
+            let mut edges = Edges::new(hold, 20 * MS);
+            let (mut last, mut waits) = (IDLE, 0);
+            for (ms, (what, leaves, seen)) in (0..).zip(turns) {
+                let wanted = match what {
+                    0 => None,
+                    1 => Some(ENABLE),
+                    2 => Some(Wanted { word: 8, urgency: Urgency::None }),
+                    _ => Some(STOP),
+                };
+                let word = edges.prepare(Time(ms * MS), wanted);
+                if leaves {
+                    prop_assert!(word == IDLE || last == IDLE || word == last, "{last:#x} -> {word:#x}");
+                    waits = if wanted == Some(STOP) && word != STOP.word { waits + 1 } else { 0 };
+                    prop_assert!(waits <= 1, "{waits}");
+                    edges.sent();
+                    last = word;
+                }
+                if seen {
+                    edges.see();
+                }
+                edges.answered();
+            }
+        }
+    }
+}

@@ -1,0 +1,368 @@
+//! The native process data of a MOONS' drive: unscaled and complete, for the application.
+
+use rtrb::Producer;
+
+use super::plan::{Layout, Version};
+use super::wire::assembly::{Inputs, IoCode, Letters, Outputs, command, input_size};
+use fieldbeat_core::axis::cell::{self, Packed, Reader, Writer};
+use fieldbeat_core::bus::native::NativeBytes;
+use fieldbeat_core::inputs::{Inlet, InputLog};
+use fieldbeat_core::rt::{self, Regions};
+use fieldbeat_core::time::Time;
+use fieldbeat_core::{parts, word};
+
+/// How many outputs the application may queue.
+const OUTPUTS: usize = 16;
+/// The longest input assembly, bytes.
+const ROOM: usize = input_size(Version::V2);
+const WORD: usize = size_of::<u64>();
+
+/// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type.
+#[derive(Debug)]
+pub struct Native {
+    inputs: Reader<Assembly>,
+    outputs: Producer<NativeOutput>,
+}
+
+/// All that the drive's last accepted packet carried.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NativeInputs {
+    /// When it was taken in.
+    pub at: Time,
+    /// Native mode ran when the packet before it was built: outputs written from now on go out.
+    pub running: bool,
+    /// So many outputs of the application have begun in this and earlier native modes.
+    pub begun: u32,
+    /// The input assembly; `None` before the first packet.
+    pub inputs: Option<Inputs>,
+}
+
+/// An output of the application in native mode, in order.
+///
+/// While the master owns the control word (`NativeOwner::Master`) it is a command: its bit is held until the drive has
+/// it, idle follows, and then the next one begins. One with a bit of power (enable, disable, alarm reset) fails native
+/// mode. While the application owns it (`NativeOwner::Application`) the outputs are sent as they are, each of them in
+/// one packet at least, and stay until the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NativeOutput {
+    /// The output assembly.
+    pub outputs: Outputs,
+}
+
+/// A profile of a native move, in the drive's own units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NativeProfile {
+    /// VE: 1/240 rev/s, 1 ... 32000.
+    pub velocity: u32,
+    /// AC: 1/6 rev/s², 1 ... 32000.
+    pub acceleration: u32,
+    /// DE: 1/6 rev/s², 1 ... 32000.
+    pub deceleration: u32,
+    /// DI: motor steps; its sign is the direction.
+    pub distance: i32,
+}
+
+impl NativeOutput {
+    fn new(command: u32) -> NativeOutput {
+        NativeOutput { outputs: Outputs { command, ..Outputs::default() } }
+    }
+
+    fn moving(command: u32, profile: NativeProfile, first: Option<IoCode>, second: Option<IoCode>) -> Self {
+        let code = |io: Option<IoCode>| io.map_or(0, |io| io.code().into());
+        let NativeProfile { velocity, acceleration, deceleration, distance } = profile;
+        NativeOutput {
+            outputs: Outputs {
+                command,
+                velocity,
+                acceleration,
+                deceleration,
+                distance,
+                register_1: code(first),
+                register_2: code(second),
+                ..Outputs::default()
+            },
+        }
+    }
+
+    /// FS: moves until an input has this condition, then stops within the distance.
+    pub fn to_sensor(sensor: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_TO_SENSOR, profile, Some(sensor), None)
+    }
+
+    /// FD: moves with two sensors: it changes its speed at the first one and stops behind the second one.
+    pub fn to_two_sensors(first: IoCode, second: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_TO_TWO_SENSORS, profile, Some(first), Some(second))
+    }
+
+    /// FY: the same as [`to_sensor`](Self::to_sensor), but no farther than the safety distance (DC).
+    pub fn to_sensor_safely(sensor: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_TO_SENSOR_SAFELY, profile, Some(sensor), None)
+    }
+
+    /// FM: the same as [`to_sensor`](Self::to_sensor), with the input masked for a distance (DC).
+    pub fn to_sensor_masked(sensor: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_TO_SENSOR_MASKED, profile, Some(sensor), None)
+    }
+
+    /// FO: a relative move that sets an output on its way (DC).
+    pub fn with_output(output: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_WITH_OUTPUT, profile, Some(output), None)
+    }
+
+    /// FC: a relative move that changes its speed on its way: DC and VC are set before, by [`host`](Self::host).
+    pub fn with_speed_change(profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::MOVE_WITH_SPEED_CHANGE, profile, None, None)
+    }
+
+    /// FE: follows the encoder until an input has this condition.
+    pub fn follow_encoder(until: IoCode, profile: NativeProfile) -> NativeOutput {
+        NativeOutput::moving(command::FOLLOW_ENCODER, profile, Some(until), None)
+    }
+
+    /// QX: executes a segment of the Q program, 1 ... 12; `None` for any other number.
+    pub fn execute_segment(segment: u8) -> Option<NativeOutput> {
+        let mut output = NativeOutput::new(command::EXECUTE_SEGMENT);
+        output.outputs.register_1 = segment.into();
+        (1..=12).contains(&segment).then_some(output)
+    }
+
+    /// GC: commands a current, 0.01 A, -2000 ... 2000; `None` beyond. Step-servos only.
+    pub fn current(centiamperes: i32) -> Option<NativeOutput> {
+        let mut output = NativeOutput::new(command::CURRENT);
+        output.outputs.current = centiamperes;
+        (-2_000..=2_000).contains(&centiamperes).then_some(output)
+    }
+
+    /// A host command, by its two letters ("SO"), with its registers as the manual lists them; `None` if these are not
+    /// two capital letters.
+    pub fn host(letters: &str, register_1: u32, register_2: u32) -> Option<NativeOutput> {
+        let letters = Letters::new(letters)?;
+        let mut output = NativeOutput::new(command::HOST);
+        (output.outputs.letters, output.outputs.register_1, output.outputs.register_2) =
+            (letters, register_1, register_2);
+        Some(output)
+    }
+}
+
+/// The station's end.
+#[derive(Debug)]
+pub(super) struct NativePort {
+    inputs: Writer<Assembly>,
+    outputs: Inlet<NativeOutput>,
+    /// Native mode runs.
+    running: bool,
+    begun: u32,
+    /// The memory of the queue.
+    regions: Regions,
+}
+
+/// Both ends.
+pub(super) fn native() -> (Native, NativePort) {
+    let (writer, reader) = cell::cell(Assembly::default());
+    let mut regions = Regions::new();
+    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
+    let port =
+        NativePort { inputs: writer, outputs: Inlet::new(consumer), running: false, begun: 0, regions };
+    (Native { inputs: reader, outputs: producer }, port)
+}
+
+impl Native {
+    /// The newest inputs.
+    pub fn inputs(&self) -> NativeInputs {
+        let Assembly { at, running, begun, kind, bytes } = self.inputs.read();
+        let inputs =
+            kind.and_then(|(version, layout)| Inputs::parse(&bytes[..input_size(version)], version, layout));
+        NativeInputs { at, running, begun, inputs }
+    }
+
+    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
+    pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
+        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+    }
+}
+
+word! {
+    Letters: |letters: Letters| letters.0.into(), |word| Letters(word as u16);
+}
+
+parts! {
+    NativeOutput { outputs }
+    Outputs {
+        command, jog_speed, jog_acceleration, jog_deceleration, velocity, acceleration, deceleration, distance, current,
+        letters, register_1, register_2
+    }
+}
+
+impl NativePort {
+    /// The same with this log.
+    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
+        self.outputs = self.outputs.logged(log);
+        self
+    }
+
+    /// Adds what both directions touch, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.inputs.memory(regions);
+        regions.extend(&self.regions);
+    }
+
+    /// Sets whether native mode runs, for everything published from here on.
+    pub(super) fn runs(&mut self, running: bool) {
+        self.running = running;
+    }
+
+    /// Publishes an input assembly of this kind.
+    #[inline]
+    pub(super) fn publish(&mut self, at: Time, version: Version, layout: Layout, data: &[u8]) {
+        let flags = flags(self.running, self.begun, Some((version, layout)));
+        self.inputs.write_with(|places| {
+            places.push(at.0);
+            places.push(flags);
+            // The usual one, of a length that the compiler knows.
+            if let Ok(data) = <&[u8; ROOM]>::try_from(data) {
+                data.as_chunks::<WORD>().0.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
+                return;
+            }
+            let (whole, rest) = data.as_chunks::<WORD>();
+            whole.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
+            if !rest.is_empty() {
+                let mut last = [0; WORD];
+                last[..rest.len()].copy_from_slice(rest);
+                places.push(u64::from_le_bytes(last));
+            }
+        });
+    }
+
+    /// Appends the newest assembly, if it was taken in after `since`. Returns when it was.
+    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let mut words = self.inputs.words();
+        let at = words.next().map(Time).filter(|at| *at > since)?;
+        let length = match words.next().unwrap_or(0) >> KIND & 0xFF {
+            0 => 0,
+            1 => input_size(Version::V1),
+            _ => ROOM,
+        };
+        out.put_words(words, length);
+        Some(at)
+    }
+
+    /// The next output, which stays until it is [taken](Self::pop).
+    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
+        self.outputs.peek().copied()
+    }
+
+    /// The next output has begun.
+    pub(super) fn pop(&mut self) {
+        if self.outputs.pop().is_some() {
+            self.begun = self.begun.wrapping_add(1);
+        }
+    }
+
+    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
+    /// would have no end.
+    pub(super) fn flush(&mut self) {
+        for _ in 0..self.outputs.slots().min(OUTPUTS) {
+            let _ = self.outputs.pop();
+        }
+    }
+}
+
+/// An input assembly as it came: the station publishes it whole, and its reader decodes it.
+#[derive(Clone, Copy, Debug)]
+struct Assembly {
+    at: Time,
+    running: bool,
+    begun: u32,
+    kind: Option<(Version, Layout)>,
+    bytes: [u8; ROOM],
+}
+
+impl Default for Assembly {
+    fn default() -> Assembly {
+        Assembly { at: Time(0), running: false, begun: 0, kind: None, bytes: [0; ROOM] }
+    }
+}
+
+/// The place of the kind among the flags.
+const KIND: u32 = 32;
+
+fn flags(running: bool, begun: u32, kind: Option<(Version, Layout)>) -> u64 {
+    let kind = match kind {
+        None => 0,
+        Some((Version::V1, _)) => 1,
+        Some((Version::V2, Layout::Manual)) => 2,
+        Some((Version::V2, Layout::Page)) => 3,
+    };
+    u64::from(begun) | kind << KIND | u64::from(running) << 63
+}
+
+impl Packed for Assembly {
+    type Words = [u64; 2 + ROOM / WORD];
+
+    fn pack(&self) -> Self::Words {
+        let mut words = Self::Words::default();
+        (words[0], words[1]) = (self.at.0, flags(self.running, self.begun, self.kind));
+        for (word, bytes) in words[2..].iter_mut().zip(self.bytes.as_chunks().0) {
+            *word = u64::from_le_bytes(*bytes);
+        }
+        words
+    }
+
+    fn unpack(words: &Self::Words) -> Assembly {
+        let mut bytes = [0; ROOM];
+        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[2..]) {
+            *bytes = word.to_le_bytes();
+        }
+        let kind = match words[1] >> KIND & 0xFF {
+            1 => Some((Version::V1, Layout::Manual)),
+            2 => Some((Version::V2, Layout::Manual)),
+            3 => Some((Version::V2, Layout::Page)),
+            _ => None,
+        };
+        Assembly { at: Time(words[0]), running: words[1] >> 63 != 0, begun: words[1] as u32, kind, bytes }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_application_reads_what_was_published_and_each_of_its_outputs_comes_once() {
+        let (mut application, mut port) = native();
+        assert_eq!(application.inputs().inputs, None);
+        port.runs(true);
+        for (version, length) in [(Version::V1, 30), (Version::V2, 56)] {
+            let data: Vec<u8> = (1..=length).collect();
+            port.publish(Time(7), version, Layout::Manual, &data);
+            let read = application.inputs();
+            assert_eq!((read.at, read.running), (Time(7), true));
+            assert_eq!(read.inputs, Inputs::parse(&data, version, Layout::Manual), "{version:?}");
+        }
+        let segment = NativeOutput::execute_segment(3).unwrap();
+        application.write(segment).unwrap();
+        assert_eq!(port.peek(), Some(segment));
+        port.pop();
+        assert_eq!(port.peek(), None);
+        port.publish(Time(8), Version::V2, Layout::Page, &[0; 56]);
+        assert_eq!(application.inputs().begun, 1);
+        (0..OUTPUTS).for_each(|_| application.write(segment).unwrap());
+        assert_eq!(application.write(segment), Err(segment));
+        port.flush();
+        assert_eq!(port.peek(), None);
+    }
+
+    #[test]
+    fn named_calls_put_their_codes_where_the_manual_has_them() {
+        let io = |text: &str| text.parse::<IoCode>().unwrap();
+        let profile = NativeProfile { velocity: 1200, acceleration: 600, deceleration: 600, distance: -5 };
+        let two = NativeOutput::to_two_sensors(io("2L"), io("3R"), profile).outputs;
+        assert_eq!((two.command, two.register_1, two.register_2, two.distance), (0x40, 0x4CB2, 0x52B3, -5));
+        let host = NativeOutput::host("SO", 0x4CB1, 0).unwrap().outputs;
+        assert_eq!((host.command, host.letters.0, host.register_1), (0x4_0000, 0x534F, 0x4CB1));
+        assert_eq!(NativeOutput::host("so", 0, 0), None);
+        assert!(NativeOutput::execute_segment(13).is_none() && NativeOutput::current(2_001).is_none());
+        assert_eq!(NativeOutput::current(-5).unwrap().outputs.current, -5);
+    }
+}

@@ -1,0 +1,90 @@
+//! Lists of what a drive has: parameters, registers, commands.
+
+use super::{Address, names};
+use crate::target::Target;
+use crate::wire::opcodes::{self, Operand};
+use fieldbeat_core::axis::acyclic::{ListError, Listed, Listing, Notation, Wanted, read_listed};
+
+/// How what is `wanted` is listed.
+pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+    let drive = wanted.drive;
+    if wanted.modified || wanted.from.is_some() {
+        return Err(ListError::Wanted(format!(
+            "drive {drive} lists parameters, registers or commands; leave --modified and --from out"
+        )));
+    }
+    let mut rows: Vec<Listed> = match wanted.part {
+        None => parameters().chain(registers()).chain(commands()).chain(others()).collect(),
+        Some("parameters") => parameters().collect(),
+        Some("registers") => registers().collect(),
+        Some("commands") => commands().chain(others()).collect(),
+        Some(part) => {
+            return Err(ListError::Wanted(format!(
+                "{part}: drive {drive} has parameters, registers and commands; name one of them, or none for all"
+            )));
+        }
+    };
+    Ok(match wanted.values {
+        false => Listing::Known(rows),
+        true => {
+            rows.retain(|row| super::Addresses.read(&row.address).is_ok());
+            Listing::Read(Box::new(move |access, watch| read_listed(access, watch, rows)))
+        }
+    })
+}
+
+fn row(address: String, name: Option<&'static str>) -> Listed {
+    let usage = Address::parse(&address).map(|address| usage(&address));
+    Listed { address, name, usage, raw: None }
+}
+
+/// Bits and access.
+fn usage(address: &Address) -> String {
+    let access = match (address.can_be_read(), address.can_be_written()) {
+        (true, true) => "read write",
+        (true, false) => "read",
+        _ => "write",
+    };
+    match address.target {
+        Target::Parameter { .. } | Target::Register(_) => {
+            format!("{} {access}", address.shape.integer().bits)
+        }
+        _ => access.to_owned(),
+    }
+}
+
+fn parameters() -> impl Iterator<Item = Listed> {
+    opcodes::PARAMETERS.into_iter().map(|known| row(names::hyphened(known.name), names::meaning(known.name)))
+}
+
+fn registers() -> impl Iterator<Item = Listed> {
+    let of_the_user = (b'0'..=b'9').map(|register| (register, "of the user"));
+    let all = of_the_user.chain(opcodes::REGISTERS);
+    all.map(|(register, name)| row(format!("R:{}", char::from(register)), Some(name)))
+}
+
+fn commands() -> impl Iterator<Item = Listed> {
+    opcodes::OPCODES.into_iter().map(|known| {
+        let field = match known.operand {
+            Operand::Register | Operand::RegisterLong => "/0",
+            _ => "",
+        };
+        row(format!("SCL:{}{field}", known.name), names::meaning(known.name))
+    })
+}
+
+fn others() -> impl Iterator<Item = Listed> {
+    [
+        ("encoder", "encoder position"),
+        ("absolute", "absolute position"),
+        ("alarm-history", "history of alarms"),
+        ("output:1", "an output at once: 1 is closed"),
+        ("stop", "ST at once: 0 with AM, 1 with DE or JL"),
+        ("kill", "SK at once: 0 with AM, 1 with DE or JL; the buffer is emptied"),
+        ("alarm-reset", "AR at once; the motor stays off"),
+        ("load-program", "QL"),
+        ("save-segment", "QS: segment 1 ... 12"),
+    ]
+    .into_iter()
+    .map(|(address, name)| row(address.to_owned(), Some(name)))
+}

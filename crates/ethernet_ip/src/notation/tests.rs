@@ -1,0 +1,197 @@
+use super::*;
+use fieldbeat_core::axis::acyclic::long::{LOAD, READ, WRITE};
+
+fn target(text: &str) -> Option<Target> {
+    Address::parse(text).map(|address| address.target)
+}
+
+#[test]
+fn addresses_are_what_they_say() {
+    for (text, expected) in [
+        ("AC", Target::Parameter { index: 0x1E, flash: false }),
+        ("AC.flash", Target::Parameter { index: 0x1E, flash: true }),
+        ("IV-actual", Target::Parameter { index: 0x8B, flash: false }),
+        ("R:3", Target::Register(b'3')),
+        ("R:A", Target::Register(b'A')),
+        ("R:e", Target::Register(b'e')),
+        ("SCL:VE", Target::Command { code: 0x1D, field: 0 }),
+        ("SCL:RX/3", Target::Command { code: 0xAE, field: b'3' }),
+        ("SCL:MO/1", Target::Command { code: 0x49, field: 0xB1 }),
+        ("SCL:MO", Target::Command { code: 0x49, field: 0 }),
+        ("encoder", Target::Encoder),
+        ("output:1", Target::Output(0)),
+        ("output:128", Target::Output(127)),
+        ("0x01/1/7", Target::Attribute { class: 1, instance: 1, attribute: 7 }),
+        ("0xF5/0x1/13.u16", Target::Attribute { class: 0xF5, instance: 1, attribute: 13 }),
+    ] {
+        assert_eq!(target(text), Some(expected), "{text}");
+    }
+    for text in [
+        "",
+        "ac",
+        "XX",
+        "IV",
+        "SC.flash",
+        "R:",
+        "R:Z",
+        "R:33",
+        "SCL:",
+        "SCL:XX",
+        "SCL:VE/1",
+        "SCL:RX",
+        "SCL:MO/13",
+        "output:0",
+        "output:129",
+        "output:+1",
+        "0x01/1",
+        "0x01/1/7/1",
+        "0x01/1/7.u17",
+        "0x800/1/1",
+        "1/0x400/1",
+        "+1/1/1",
+        "0x/1/1",
+    ] {
+        assert_eq!(target(text), None, "{text}");
+        assert!(matches!(Addresses.read(text), Err(NotationError::Address { .. })), "{text}");
+    }
+}
+
+/// AC100 is 600, VE5 is 1200 (Host Command Reference): a reading of "10 rev/s/s" would be wrong by sixty.
+#[test]
+fn scaled_values_and_counts_are_the_same() {
+    for (address, text, raw, shown) in [
+        ("AC", "100.0", 600, "600 (0x258) = 100 rev/s²"),
+        ("AC", "600", 600, "600 (0x258) = 100 rev/s²"),
+        ("VE", "5.0", 1_200, "1200 (0x4B0) = 5 rev/s"),
+        ("VE", "0x4B0", 1_200, "1200 (0x4B0) = 5 rev/s"),
+        ("DE.flash", "0.17", 1, "1 (0x1) = 0.1667 rev/s²"),
+        ("EG", "20000.0", 10_000, "10000 (0x2710) = 20000 steps/rev"),
+        ("GC", "-1.5", 0xFF6A, "-150 (0xFF6A) = -1.5 A"),
+        ("R:V", "-1.0", 0xFFFF_FF10, "-240 (0xFFFFFF10) = -1 rev/s"),
+        ("R:3", "-1", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
+        ("R:3", "0xFFFFFFFF", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
+        ("SCL:AC", "100.0", 600, "600 (0x258) = 100 rev/s²"),
+        ("SCL:DI", "-5", -5_i64 as u64, "-5 (0xFFFFFFFFFFFFFFFB)"),
+        ("SCL:FS", "2R", 0x52B2, "21170 (0x52B2) = 2R"),
+        ("SCL:FD", "2L/3R", 0x52B3_4CB2, "1387482290 (0x52B34CB2) = 2L/3R"),
+        ("output:2", "true", 1, "1 (0x1)"),
+        ("0x01/1/1.u16", "60", 60, "60 (0x3C)"),
+        ("0x01/1/1.i8", "-2", 0xFE, "-2 (0xFE)"),
+    ] {
+        assert_eq!(Addresses.value(address, text).unwrap(), raw, "{address} = {text}");
+        assert_eq!(Addresses.show(address, raw), shown, "{address}");
+    }
+}
+
+#[test]
+fn values_that_do_not_exist_are_refused_with_the_right_form() {
+    let message = |address: &str, text: &str| Addresses.value(address, text).unwrap_err().to_string();
+    assert_eq!(message("AC", "0"), "0 is out of the range of its type, 1 ... 32000");
+    assert_eq!(message("AC", "5334.0"), "5334.0 is out of the range of its type, 1 ... 32000");
+    assert_eq!(message("GC", "2001"), "2001 is out of the range of its type, -2000 ... 2000");
+    assert_eq!(
+        message("R:3", "0x100000000"),
+        "0x100000000 is out of the range of its type, -2147483648 ... 2147483647"
+    );
+    assert_eq!(
+        message("PD", "1.5"),
+        "1.5 is not a value of this parameter; write a whole number, 0 ... 65535, or its bits as 0x..."
+    );
+    let form = "a whole number, 1 ... 32000, or its bits as 0x..., or a value in rev/s² with a point";
+    for text in ["", "1.", ".5", "1e3", "1.0e3", "- 1", "fast", "0x", "0x+1", "nan"] {
+        assert_eq!(message("AC", text), format!("{text} is not a value of this parameter; write {form}"));
+    }
+    assert!(message("SCL:FS", "13L").contains("like 2L"));
+    assert!(message("SCL:ME", "1").contains("0 ... 0"));
+    assert!(message("save-segment", "13").contains("1 ... 12"));
+    assert_eq!(message("SC", "1"), format!("cannot be written; write to {READ_ONLY}"));
+    assert_eq!(message("absolute", "1"), format!("cannot be written; write to {READ_ONLY}"));
+    assert!(message("0x01/1/7.octets", "1").contains("two digits each"));
+    assert!(message("0x01/1/7.text", "ü").contains("ASCII"));
+}
+
+#[test]
+fn reads_and_writes_are_the_calls_of_their_targets() {
+    let ac = Target::Parameter { index: 0x1E, flash: false };
+    assert_eq!(Addresses.read("AC"), Ok(Call { service: READ, address: ac.pack(), value: 0 }));
+    assert_eq!(Addresses.write("AC", 600), Ok(Call { service: WRITE, address: ac.pack(), value: 600 }));
+    for text in ["SCL:VE", "output:1", "stop", "AC.flash"] {
+        assert_eq!(Addresses.read(text), Err(NotationError::Address { form: ONLY_WRITTEN }), "{text}");
+    }
+    // As a program of the application gives them: an i16, an i32 and an i64.
+    let written = |address, value| Addresses.write(address, value).map(|call| call.value as i64).ok();
+    assert_eq!(written("GC", 0xFF6A), Some(0xFF6A));
+    assert_eq!(written("R:3", u64::from(u32::MAX)), Some(0xFFFF_FFFF));
+    assert_eq!(written("R:3", u64::MAX), Some(0xFFFF_FFFF));
+    assert_eq!(written("SCL:DI", u64::from(-5_i32 as u32)), Some(-5));
+    assert_eq!(written("SCL:DI", -5_i64 as u64), Some(-5));
+    assert_eq!(written("SCL:DI", 1 << 40), None);
+    assert_eq!(written("AC", 0x1_0258), None);
+    assert_eq!(written("AC", 0), None);
+}
+
+/// An attribute has its own size: eight bytes at once would be another value.
+#[test]
+fn attributes_are_written_with_the_bytes_of_their_type() {
+    let calls = |address: &str, text: &str| {
+        let calls = Addresses.write_long(address, text)?;
+        Some(calls.into_iter().map(|call| (call.service, call.value)).collect::<Vec<_>>())
+    };
+    assert_eq!(calls("0xF5/1/13.u16", "120"), Some(vec![(LOAD, 120), (STORE, 2)]));
+    assert_eq!(calls("0xF5/1/13.i8", "-1"), Some(vec![(LOAD, 0xFF), (STORE, 1)]));
+    assert_eq!(calls("0x01/1/7.text", "abc"), Some(vec![(LOAD, 0x6362_6103), (STORE, 4)]));
+    assert_eq!(calls("0x01/1/7", "01 02"), Some(vec![(LOAD, 0x0201), (STORE, 2)]));
+    assert_eq!(calls("0x01/1/7.octets", "01 02 03 04 05 06 07 08 09").map(|calls| calls.len()), Some(3));
+    for (address, text) in [("AC", "600"), ("0xF5/1/13.u16", "65536"), ("0x01/1/7", ""), ("0x01/1/7", "0")] {
+        assert_eq!(calls(address, text), None, "{address} = {text}");
+    }
+    // The single call of a shorter one stores nothing.
+    assert_eq!(Addresses.write("0xF5/1/13.u16", 120).map(|call| (call.service, call.value)), Ok((STORE, 0)));
+    assert_eq!(
+        Addresses.write("0xF5/1/13.u64", 120).map(|call| (call.service, call.value)),
+        Ok((WRITE, 120))
+    );
+    assert_eq!(Addresses.show("0x01/1/7.text", 0x6362_6103), "abc");
+    assert_eq!(Addresses.show("0x01/1/7", 0x0201), "01 02 00 00 00 00 00 00");
+}
+
+#[test]
+fn a_write_is_read_back_where_that_is_possible() {
+    assert_eq!(Addresses.read_back("AC.flash"), ["AC"]);
+    assert_eq!(Addresses.read_back("R:3"), ["R:3"]);
+    assert_eq!(Addresses.read_back("SCL:VE"), [""; 0]);
+    assert_eq!(Addresses.read_back("output:1"), [""; 0]);
+}
+
+#[test]
+fn the_list_has_all_of_them_each_with_a_meaning_and_an_address_that_is_one() {
+    let listed = |part, values| {
+        let wanted = Wanted { drive: "x", part, values, ..Wanted::default() };
+        Addresses.list(&wanted)
+    };
+    let Ok(Listing::Known(rows)) = listed(None, false) else { panic!("a list that is known") };
+    assert_eq!(
+        rows.len(),
+        opcodes::PARAMETERS.len() + 10 + opcodes::REGISTERS.len() + opcodes::OPCODES.len() + 9
+    );
+    for row in &rows {
+        assert!(row.name.is_some() && target(&row.address).is_some(), "{row:?}");
+    }
+    let usage =
+        |address: &str| rows.iter().find(|row| row.address == address).and_then(|row| row.usage.clone());
+    assert_eq!(usage("AC").as_deref(), Some("16 read write"));
+    assert_eq!(usage("SC").as_deref(), Some("16 read"));
+    assert_eq!(usage("R:3").as_deref(), Some("32 read write"));
+    assert_eq!(usage("SCL:ME").as_deref(), Some("write"));
+    assert!(matches!(listed(Some("registers"), true), Ok(Listing::Read(_))));
+    assert!(
+        listed(Some("06"), false).unwrap_err().to_string().contains("parameters, registers and commands")
+    );
+    let wanted = Wanted { drive: "x", modified: true, ..Wanted::default() };
+    assert!(Addresses.list(&wanted).is_err());
+}
+
+#[test]
+fn a_status_is_said_in_words() {
+    assert_eq!(Addresses.reason(0x14), "attribute not supported (0x14)");
+}

@@ -1,0 +1,151 @@
+//! What a packet of the drive proves: effects of the command that is held, the end of what runs, and what has to be
+//! repeated.
+
+use super::{BUSY, BUSY_NOW, Holder, Profile, Seen, Step};
+use crate::plan::HomingMethod;
+use crate::wire::assembly::{command, status};
+use fieldbeat_core::bus::desired::{
+    Evidence, FaultIs, Homing as HomingIs, Motion, Power, Reference, Resettable,
+};
+
+impl Profile {
+    /// What a packet of the drive proves.
+    #[doc(hidden)]
+    pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
+        self.edges.answered();
+        self.see(seen);
+        self.repeat(seen);
+        let since = |settled: bool, serial: u64| if settled { serial } else { serial.saturating_sub(1) };
+        let (power, motion) = self.sent;
+        let delivered = self.edges.is_delivered();
+        let power_has = self.power.serial == power
+            && match self.power_step {
+                Step::Held => delivered,
+                Step::Due => false,
+                _ => true,
+            };
+        // One that waits for a busy drive is known to the drive machine by that.
+        let waits =
+            self.power_step == Step::Due && self.power.value == Power::EnableOperation && seen.has(BUSY);
+        evidence.accepted.power = evidence.accepted.power.max(since(power_has || waits, power));
+        let motion_has = self.motion.serial == motion && self.is_taken;
+        evidence.accepted.motion = evidence.accepted.motion.max(since(motion_has, motion));
+        evidence.refused = self.refused;
+        evidence.homing = self.homing;
+        evidence.reference = Some(if self.homed { Reference::Set } else { Reference::Silent });
+        evidence.outputs_count = true;
+        evidence.stays_on = seen.is_enabled();
+        evidence.ready = !seen.has(BUSY);
+        evidence.obstacle = seen.has(BUSY).then_some(BUSY_NOW);
+        let active = seen.has(status::FAULT);
+        evidence.fault = FaultIs { active, named: true, resettable: Resettable::Now };
+        self.proved = *seen;
+        self.steady = self.is_settled();
+    }
+
+    /// Nothing is under way, and nothing is to be sent but idle.
+    pub(super) fn is_settled(&self) -> bool {
+        self.edges.is_settled()
+            && self.power_step == Step::Settled
+            && matches!(self.motion_step, Step::Settled)
+            && !matches!(self.motion.value, Motion::Native(_))
+            && self.sent == (self.power.serial, self.motion.serial)
+            && self.is_taken
+    }
+
+    /// Effects of the held command, and of one that runs.
+    pub(super) fn see(&mut self, seen: &Seen) {
+        let delivered = self.edges.is_delivered();
+        let effect = match (self.holder, self.power.value, self.motion.value) {
+            (Holder::Power, Power::EnableOperation, _) => seen.is_enabled(),
+            (Holder::Power, Power::FaultReset, _) => delivered && !seen.has(status::FAULT | status::ALARM),
+            (Holder::Power, Power::QuickStop, _) => self.stands(seen, delivered),
+            (Holder::Power, ..) => {
+                let off = delivered && !seen.is_enabled();
+                self.may_come_on &= !off;
+                off
+            }
+            (Holder::Clearing, ..) => self.stands(seen, delivered),
+            (Holder::Motion, _, _) if matches!(self.motion_step, Step::Zeroing { .. }) => {
+                delivered && seen.demand as i32 == 0
+            }
+            (Holder::Motion, _, Motion::Ramp { .. } | Motion::Halt) => self.stands(seen, delivered),
+            (Holder::Motion, _, Motion::Move { position, .. }) => {
+                let target = i64::from(self.rules.position(position, seen.demand));
+                seen.has(status::MOVING) || delivered && i64::from(seen.demand as i32) == target
+            }
+            (Holder::Motion, _, Motion::Velocity { .. }) if self.outputs.command == command::JOG => {
+                seen.jogs()
+            }
+            // One that has ended meanwhile takes no other speed.
+            (Holder::Motion, _, Motion::Velocity { .. }) => delivered && seen.jogs(),
+            (Holder::Motion, _, Motion::Home) => seen.has(status::HOMING),
+            (Holder::Native, ..) => delivered,
+            _ => false,
+        };
+        if effect {
+            self.edges.see();
+            if self.holder == Holder::Motion && self.motion_step == Step::Held {
+                self.is_taken = true;
+            }
+        }
+        let waits = matches!(self.holder, Holder::Nobody | Holder::Clearing);
+        if waits && self.motion_step == Step::Clearing && !seen.moves() {
+            self.is_taken = self.motion.value == Motion::Hold;
+            self.motion_step = if self.is_taken { Step::Settled } else { Step::Due };
+        }
+        if self.motion_step == Step::Due && self.is_repeated && !self.may_repeat(seen) {
+            self.motion_step = self.not_taken();
+        }
+        if !seen.moves() && self.holder != Holder::Motion {
+            (self.jog, self.ramp) = (None, None);
+        }
+        if self.motion_step == Step::Runs && !seen.moves() {
+            self.home_ended(seen);
+        }
+        if matches!(self.motion_step, Step::Zeroing { held: true }) && seen.demand as i32 == 0 {
+            self.rehomed |= !std::mem::replace(&mut self.zeroed, true);
+        }
+    }
+
+    /// It stands, after the stop was delivered, or has begun to brake.
+    pub(super) fn stands(&self, seen: &Seen, delivered: bool) -> bool {
+        seen.has(status::STOPPING) || delivered && !seen.moves()
+    }
+
+    /// The drive's homing is over.
+    pub(super) fn home_ended(&mut self, seen: &Seen) {
+        let failed = !seen.is_enabled() || seen.alarm & !self.alarms_before != 0;
+        let seeks = self.rules.homing.as_ref().is_some_and(|homing| homing.method == HomingMethod::Seek);
+        self.motion_step = match () {
+            () if failed => {
+                self.homing = HomingIs::Failed;
+                Step::Settled
+            }
+            () if seeks => Step::Zeroing { held: false },
+            () => {
+                (self.homing, self.homed) = (HomingIs::Attained, true);
+                Step::Settled
+            }
+        };
+    }
+
+    /// A stop, and power off, are repeated until they are seen: whatever set the drive in motion after that.
+    pub(super) fn repeat(&mut self, seen: &Seen) {
+        let stops = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
+        if stops && self.motion_step == Step::Settled && seen.moves() && !seen.has(status::STOPPING) {
+            self.motion_step = Step::Due;
+        }
+        if self.power_step != Step::Settled || self.power.serial == 0 {
+            return;
+        }
+        let again = match self.power.value {
+            Power::Off | Power::Shutdown => seen.is_enabled(),
+            Power::QuickStop => seen.moves() && !seen.has(status::STOPPING),
+            _ => false,
+        };
+        if again {
+            self.power_step = Step::Due;
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! What arrives at a session. A message counts if it answers the request under way: by its session, its sender context
+//! or its connection and sequence number, and its service. Everything else is counted and dropped.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use super::opening::Next;
+use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
+use crate::exchange::{Connection, News, Outputs};
+use crate::plan::{Access, Delivery, IO_PORT, Version};
+use crate::target;
+use crate::wire::cip::{Reply, Status, service};
+use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
+use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
+use crate::wire::message::{Answer, Immediate, ProfileCode};
+use fieldbeat_core::axis::acyclic::CallError;
+use fieldbeat_core::time::Time;
+
+/// Where packets of a new connection go, as the drive says it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Addresses {
+    outgoing: Option<SocketAddrV4>,
+    incoming: Option<SocketAddrV4>,
+}
+
+/// What the answer to an opening leads to.
+enum Opening {
+    /// It is open.
+    Done,
+    /// It was refused.
+    Refused(Status),
+    /// Nobody can use it.
+    Useless,
+}
+
+impl Session {
+    /// Takes in what arrived, split anywhere; `Err`: the connection cannot be used any more.
+    pub(super) fn receive(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
+        let mut inbox = std::mem::take(&mut self.inbox);
+        inbox.extend_from_slice(bytes);
+        let mut used = 0;
+        let result = loop {
+            match Frame::next(inbox.get(used..).unwrap_or_default()) {
+                Err(error) => break Err(error.to_string()),
+                Ok(None) => break Ok(()),
+                Ok(Some((frame, size))) => {
+                    used += size;
+                    if let Err(why) = self.frame(now, &frame, out) {
+                        break Err(why);
+                    }
+                }
+            }
+        };
+        inbox.drain(..used.min(inbox.len()));
+        self.inbox = inbox;
+        result
+    }
+
+    fn frame(&mut self, now: Time, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), String> {
+        let header = frame.header;
+        match header.command {
+            // Nothing is meant by it.
+            command::NOP => return Ok(()),
+            command::REGISTER_SESSION if self.is_due(header.context, |what| what == What::Register) => {
+                return self.registered(now, frame, out);
+            }
+            command::SEND_RR_DATA
+                if header.session == self.handle
+                    && self.is_due(header.context, |what| what != What::Register) =>
+            {
+                if header.status != encapsulation::Status::OK {
+                    return self.refused_by_encapsulation(header.status);
+                }
+                if let Some(unconnected) = Unconnected::parse(frame.data) {
+                    let Unconnected { message, outgoing, incoming } = unconnected;
+                    return self.message(now, message, Addresses { outgoing, incoming }, out);
+                }
+            }
+            command::SEND_UNIT_DATA
+                if header.session == self.handle && header.status == encapsulation::Status::OK =>
+            {
+                if let Some(connected) = encapsulation::Connected::parse(frame.data)
+                    && self.is_due_on(connected.connection, connected.sequence)
+                {
+                    return self.message(now, connected.message, Addresses::default(), out);
+                }
+            }
+            _ => {}
+        }
+        self.unmatched += 1;
+        Ok(())
+    }
+
+    /// Whether the request under way has this context, and is such a one.
+    fn is_due(&self, received: u64, is_such: impl FnOnce(What) -> bool) -> bool {
+        self.pending.as_ref().is_some_and(|pending| {
+            matches!(pending.way, Way::Unconnected { context } if context == received)
+                && is_such(pending.what)
+        })
+    }
+
+    /// The same of a connection and a sequence number.
+    fn is_due_on(&self, connection: u32, received: u16) -> bool {
+        let Connected::Open { incoming, .. } = self.connected else { return false };
+        incoming == connection
+            && self.pending.as_ref().is_some_and(
+                |pending| matches!(pending.way, Way::Connected { sequence, .. } if sequence == received),
+            )
+    }
+
+    fn registered(&mut self, now: Time, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), String> {
+        self.pending = None;
+        let header = frame.header;
+        if header.status != encapsulation::Status::OK || header.session == 0 {
+            return Err(format!("the drive refuses to register a session: {}", header.status));
+        }
+        self.handle = header.session;
+        self.identify(now, out);
+        Ok(())
+    }
+
+    /// The encapsulation of the drive refused the request under way.
+    fn refused_by_encapsulation(&mut self, status: encapsulation::Status) -> Result<(), String> {
+        let what = self.pending.as_ref().map(|pending| pending.what);
+        if status == encapsulation::Status::NO_SESSION || what != Some(What::Call) {
+            return Err(format!("the drive refuses a message: {status}"));
+        }
+        self.pending = None;
+        self.calls.over(&self.end, Err(CallError::Refused(target::encapsulation_refusal(status))));
+        Ok(())
+    }
+
+    /// A message that is addressed as the answer to the request under way.
+    fn message(
+        &mut self,
+        now: Time,
+        message: &[u8],
+        addresses: Addresses,
+        out: &mut Vec<u8>,
+    ) -> Result<(), String> {
+        let fitting = Reply::parse(message)
+            .filter(|reply| self.pending.as_ref().is_some_and(|pending| self.fits(pending.what, reply)));
+        let Some((reply, pending)) = fitting.and_then(|reply| Some((reply, self.pending.take()?))) else {
+            self.unmatched += 1;
+            return Ok(());
+        };
+        if pending.what != What::Call {
+            self.calls.settle(&self.end);
+        }
+        match pending.what {
+            What::Register | What::Probe => {}
+            What::Identity => self.identified(now, &reply, out),
+            What::Profile => self.profiled(&reply)?,
+            What::Homed(register) => {
+                let answer = Immediate::ReadRegister(register).answer(reply.data).ok();
+                let homed = match answer.filter(|_| reply.status.is_ok()) {
+                    Some(Answer::Long(value)) => Some(value != 0),
+                    _ => None,
+                };
+                self.facts(homed);
+            }
+            What::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
+                // The triad was compared above.
+                Ok(opened) => self.opened(now, open, (outputs, version), &opened, addresses),
+                Err(ConnectionError::Refused(status)) => self.opening_refused(now, &status),
+                Err(why) => {
+                    self.close_later(open);
+                    self.pause(now, 0, |pause_ns| words::unusable(&why, pause_ns));
+                }
+            },
+            What::OpenConnected(open) => match self.connected_opened(now, open, &reply) {
+                Opening::Done => {}
+                Opening::Refused(status) => {
+                    self.calls.end(Err(CallError::Refused(target::refusal(status))));
+                }
+                Opening::Useless => {
+                    self.close_later(open);
+                    self.calls.end(Err(CallError::Refused(target::BROKEN)));
+                }
+            },
+            // Closed, or not there: nothing is left of it.
+            What::Close => self.end_close(),
+            What::Call => self.calls.answer(&self.end, &reply),
+        }
+        Ok(())
+    }
+
+    /// Whether this can be the answer.
+    fn fits(&self, what: What, reply: &Reply<'_>) -> bool {
+        let opens = |open: Open| Opened::parse(reply, open.triad) != Err(ConnectionError::Other);
+        match what {
+            What::Register => false,
+            What::Identity => reply.service == service::GET_ATTRIBUTES_ALL,
+            What::Profile | What::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
+            What::Homed(_) => reply.service == service::VENDOR,
+            What::Open(open, ..) | What::OpenConnected(open) => opens(open),
+            What::Close => self.to_close.front().is_some_and(|open| {
+                let closed = connection::closed(reply, open.triad);
+                closed != Err(ConnectionError::Other)
+            }),
+            What::Call => self.calls.fits(reply),
+        }
+    }
+
+    fn identified(&mut self, now: Time, reply: &Reply<'_>, out: &mut Vec<u8>) {
+        if let Some(identity) = Identity::parse(reply.data).filter(|_| reply.status.is_ok()) {
+            self.device = format!("{} of vendor {}", identity.name.escape_ascii(), identity.vendor);
+        }
+        // For the orderly end it does not matter what the drive is.
+        if self.drive.version.is_some() || self.life != Life::Serving {
+            self.phase = Phase::Up;
+        } else {
+            self.request_profile(now, out);
+        }
+    }
+
+    fn profiled(&mut self, reply: &Reply<'_>) -> Result<(), String> {
+        let profile = ProfileCode::parse(reply.data).filter(|_| reply.status.is_ok());
+        match profile {
+            Some(profile) => self.version = Some(profile.version()),
+            None if reply.status.is_ok() => {
+                return Err(words::no_profile(&self.device, "its profile code is too short"));
+            }
+            None => return Err(words::no_profile(&self.device, &reply.status.to_string())),
+        }
+        self.phase = Phase::Up;
+        Ok(())
+    }
+
+    /// The class 1 connection is open.
+    fn opened(
+        &mut self,
+        now: Time,
+        open: Open,
+        (outputs, version): (Outputs, Version),
+        opened: &Opened,
+        addresses: Addresses,
+    ) {
+        let (api_ns, counts_ns) =
+            (u64::from(opened.incoming_api_us) * 1_000, self.drive.fresh_within_ns(self.period_ns));
+        if api_ns > counts_ns {
+            // Its packets would be too old before the next one comes, and the stop that `check` states too late.
+            self.close_later(open);
+            return self.pause(now, 0, |pause_ns| words::too_slow(api_ns, counts_ns, pause_ns));
+        }
+        let group = match self.join(addresses.incoming) {
+            Ok(group) => group,
+            Err(why) => {
+                self.close_later(open);
+                return self.pause(now, 0, |_| words::no_group(&why));
+            }
+        };
+        self.form.accepted();
+        self.pause_ns = super::LEAST_PAUSE_NS;
+        // 0 is no generation.
+        self.generation = self.generation.checked_add(1).unwrap_or(1);
+        let connection =
+            self.connection(opened, outputs, version, self.destination(addresses.outgoing), self.generation);
+        self.io = Io::Open { generation: self.generation, opened: open, _group: group };
+        self.note(None);
+        self.tell(News::Opened(connection));
+    }
+
+    /// Joins the group of the drive's packets, if they come to one.
+    fn join(&self, group: Option<SocketAddrV4>) -> Result<Option<Joined>, String> {
+        if self.drive.delivery == Delivery::PointToPoint {
+            return Ok(None);
+        }
+        let group = group.ok_or("the drive does not say which one it is")?;
+        let groups = self.groups.as_ref().ok_or("the bus has no room for groups")?;
+        // The port is always that of class 1 packets.
+        let group = SocketAddrV4::new(*group.ip(), if group.port() == 0 { IO_PORT } else { group.port() });
+        groups.join(group).map_err(|error| error.to_string())?;
+        Ok(Some(Joined { groups: std::sync::Arc::clone(groups), group }))
+    }
+
+    /// Where our packets go: the drive may name a port, and an address that is not 0.0.0.0.
+    fn destination(&self, named: Option<SocketAddrV4>) -> SocketAddrV4 {
+        let drive = *self.drive.address.ip();
+        let (ip, port) = named.map_or((Ipv4Addr::UNSPECIFIED, 0), |named| (*named.ip(), named.port()));
+        SocketAddrV4::new(
+            if ip.is_unspecified() { drive } else { ip },
+            if port == 0 { IO_PORT } else { port },
+        )
+    }
+
+    fn opening_refused(&mut self, now: Time, status: &Status) {
+        let access = self.access(self.version.unwrap_or(Version::V2));
+        if self.form.refused(access, status) == Next::Another {
+            self.io = Io::Closed { from: now };
+            return;
+        }
+        // Whoever was the owner has timed out by then, if it is gone.
+        let is_owned = status.failure() == Some(Status::OWNED) && access == Access::Owner;
+        let least_ns = if is_owned { self.drive.timeout_ns(self.period_ns) } else { 0 };
+        self.pause(now, least_ns, |pause_ns| words::refused(status, pause_ns));
+    }
+
+    fn connected_opened(&mut self, now: Time, open: Open, reply: &Reply<'_>) -> Opening {
+        match Opened::parse(reply, open.triad) {
+            Ok(Opened { outgoing_id, incoming_id, .. }) => {
+                self.connected = Connected::Open {
+                    outgoing: outgoing_id,
+                    incoming: incoming_id,
+                    opened: open,
+                    sequence: 0,
+                    used: now,
+                };
+                Opening::Done
+            }
+            Err(ConnectionError::Refused(status)) => Opening::Refused(status),
+            Err(_) => Opening::Useless,
+        }
+    }
+
+    /// What the loop gets of a connection that was opened.
+    fn connection(
+        &self,
+        opened: &Opened,
+        outputs: Outputs,
+        version: Version,
+        destination: SocketAddrV4,
+        generation: u32,
+    ) -> Connection {
+        let incoming_api_ns = u64::from(opened.incoming_api_us) * 1_000;
+        let factor = timeout_factor(self.drive.multiplier(self.period_ns));
+        Connection {
+            generation,
+            outgoing: opened.outgoing_id,
+            incoming: opened.incoming_id,
+            destination,
+            source: *self.drive.address.ip(),
+            outgoing_api_ns: u64::from(opened.outgoing_api_us) * 1_000,
+            incoming_api_ns,
+            timeout_ns: incoming_api_ns * u64::from(factor),
+            outputs,
+            version,
+            layout: self.drive.layout,
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Why a drive has no connection, in words: each with its remedy.
+
+use crate::wire::cip::Status;
+use crate::wire::connection::ConnectionError;
+use fieldbeat_core::time::Ns;
+
+/// The remedy for a refused opening.
+fn remedy(status: &Status) -> &'static str {
+    match status.failure() {
+        Some(Status::OWNED) => {
+            "another controller controls the drive, or this one did before with another `originator`: end that one, or \
+             wait until the drive has released it; connection = \"input-only\" needs no ownership"
+        }
+        Some(Status::IN_USE) => {
+            "a connection of before may still run: it ends by its time-out; or another controller uses the same \
+             `originator`"
+        }
+        Some(Status::NOBODY_TO_LISTEN_TO) => {
+            "listen-only needs another controller that is connected: use connection = \"input-only\""
+        }
+        Some(Status::OUTGOING_SIZE | Status::INCOMING_SIZE | Status::SIZE) => {
+            "look at `version`, and at `heartbeat` of a connection that only reads"
+        }
+        Some(Status::CONFIGURATION_SIZE | Status::CONFIGURATION | Status::NOT_CONFIGURED) => {
+            "look at `configuration`"
+        }
+        Some(Status::RPI | 0x0112 | 0x011B) => "look at `divisor`, `input_rpi` and the period of the cycle",
+        Some(0x0113 | 0x011A) => "end other controllers and tools that are connected to the drive",
+        Some(0x0123 | 0x0124 | 0x0813) => "look at `delivery`",
+        Some(0x0133) => "look at `timeout_multiplier`",
+        Some(0x0117 | 0x012A | 0x012B | 0x012F | 0x0315) => {
+            "the drive may not have these assemblies: look at `version`"
+        }
+        _ => "look at the drive's manual",
+    }
+}
+
+/// The opening was refused.
+pub(super) fn refused(status: &Status, pause_ns: u64) -> String {
+    format!(
+        "the drive refuses the connection: {status}; {}; tried again after {}",
+        remedy(status),
+        Ns(pause_ns)
+    )
+}
+
+/// The answer to the opening cannot be used.
+pub(super) fn unusable(why: &ConnectionError, pause_ns: u64) -> String {
+    format!("the drive opens the connection, but {why}; tried again after {}", Ns(pause_ns))
+}
+
+/// The drive's own packets would come too rarely.
+pub(super) fn too_slow(api_ns: u64, counts_ns: u64, pause_ns: u64) -> String {
+    format!(
+        "the drive opens the connection, but sends every {} only, and a packet counts for {}: raise `fresh_within`, or \
+         `divisor` or `input_rpi` to what it can do; tried again after {}",
+        Ns(api_ns),
+        Ns(counts_ns),
+        Ns(pause_ns)
+    )
+}
+
+/// The opening was not answered.
+pub(super) fn unanswered(waited_ns: u64) -> String {
+    format!("the drive does not answer the opening of the connection within {}", Ns(waited_ns))
+}
+
+/// The group of a connection cannot be joined.
+pub(super) fn no_group(why: &str) -> String {
+    format!("the group of the drive's packets cannot be joined: {why}; use delivery = \"point-to-point\"")
+}
+
+/// A request was not answered. `unmatched`: so many messages answered nothing.
+pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
+    let dropped = match unmatched {
+        0 => String::new(),
+        count => format!("; {count} messages that answer no request were dropped"),
+    };
+    format!("the drive does not answer {what} within {}{dropped}", Ns(waited_ns))
+}
+
+/// It has no profile code.
+pub(super) fn no_profile(device: &str, why: &str) -> String {
+    format!(
+        "{device} does not say which assemblies it has ({why}): if it is a MOONS' -IP drive, set `version` to \"v1\" \
+         or \"v2\""
+    )
+}

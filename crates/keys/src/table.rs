@@ -1,0 +1,439 @@
+//! A table of a TOML file, read key by key, so that every mistake names its line and what would be right.
+//!
+//! A getter returns `None` for a key that is absent, and for one that is wrong after noting the mistake on the
+//! [`Page`]: reading goes on with the default, and all mistakes are found in one pass. The keys that were asked for are
+//! the keys that exist; [`Table::finish`] reports all others. Knows nothing of drives.
+
+use std::fmt;
+use std::ops::{Bound, RangeBounds};
+
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
+
+use super::form::{Form, Key, Range, listed};
+use super::page::{Page, Place, shorten};
+use super::value;
+use fieldbeat_core::time::Ns;
+
+/// Everything above zero.
+pub const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
+
+/// A table, and behind it the tables that fill in what it leaves out, key by key.
+#[derive(Debug)]
+pub struct Table<'a> {
+    page: &'a Page<'a>,
+    /// The first one is the table itself, present or not.
+    layers: Vec<Layer<'a>>,
+    /// Keys that no layer behind the first may give.
+    own: &'static [&'static str],
+    /// Others may fill in what it leaves out.
+    has_defaults: bool,
+    known: Vec<&'static str>,
+}
+
+#[derive(Clone, Debug)]
+struct Layer<'a> {
+    path: String,
+    line: usize,
+    entries: Option<&'a DeTable<'a>>,
+}
+
+/// A key that was found, and its value.
+type Entry<'a> = (&'a Spanned<DeString<'a>>, &'a Spanned<DeValue<'a>>);
+
+impl<'a> Layer<'a> {
+    /// The value of `key`; dots lead into sub-tables.
+    fn get(&self, key: &str) -> Option<Entry<'a>> {
+        let (tables, key) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut entries = self.entries?;
+        for table in tables.split('.').filter(|table| !table.is_empty()) {
+            entries = entries.get(table)?.get_ref().as_table()?;
+        }
+        entries.get_key_value(key)
+    }
+
+    fn path_to(&self, key: &str) -> String {
+        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+        let key = match !key.is_empty() && key.chars().all(plain) {
+            true => key.to_owned(),
+            false => format!("\"{}\"", shorten(key).unwrap_or_default()),
+        };
+        if self.path.is_empty() { key } else { format!("{}.{key}", self.path) }
+    }
+}
+
+impl<'a> Table<'a> {
+    /// The file as a whole.
+    pub fn root(page: &'a Page<'a>, entries: &'a DeTable<'a>) -> Table<'a> {
+        Table::new(page, Layer { path: String::new(), line: 1, entries: Some(entries) })
+    }
+
+    fn new(page: &'a Page<'a>, layer: Layer<'a>) -> Table<'a> {
+        Table { page, layers: vec![layer], own: &[], has_defaults: false, known: Vec::new() }
+    }
+
+    /// Lets `defaults` fill in what this table leaves out, sub-tables key by key, all but the keys in `own`.
+    pub fn over(mut self, defaults: &Table<'a>, own: &'static [&'static str]) -> Table<'a> {
+        self.page.record(|record| record.note_defaults(&defaults.layers[0].path, &self.layers[0].path));
+        self.layers.extend(defaults.layers.iter().cloned());
+        (self.own, self.has_defaults) = (own, true);
+        self
+    }
+
+    /// Where `key` (dots lead into sub-tables) has its value from, or would have to stand.
+    pub fn place(&self, key: &str) -> Place {
+        let found = self.layers.iter().find_map(|layer| Some(self.place_in(layer, key, layer.get(key)?)));
+        found.unwrap_or_else(|| self.place_without(key))
+    }
+
+    fn place_in(&self, layer: &Layer<'a>, key: &str, (at, value): Entry<'a>) -> Place {
+        let span = value.span();
+        // The span of a table with a header of its own is that header, which says nothing new.
+        let header = value.get_ref().is_table()
+            && self.page.text.get(span.clone()).is_none_or(|text| !text.starts_with('{'));
+        Place {
+            line: self.page.line(at.span().start),
+            key: layer.path_to(key),
+            value: if header { None } else { self.page.snippet(span) },
+        }
+    }
+
+    fn place_without(&self, key: &str) -> Place {
+        let layer = &self.layers[0];
+        Place { line: layer.line, key: layer.path_to(key), value: None }
+    }
+
+    /// Where it stands.
+    pub fn line(&self) -> usize {
+        self.layers[0].line
+    }
+
+    /// Notes a mistake at `key` (dots lead into sub-tables).
+    pub fn fault(&self, key: &str, message: impl Into<String>) {
+        self.page.report(self.place(key), message);
+    }
+
+    /// Notes a mistake at a place found earlier.
+    pub fn report(&self, place: &Place, message: impl Into<String>) {
+        self.page.report(place.clone(), message);
+    }
+
+    /// Whether any layer gives `key`, right or wrong.
+    pub fn gives(&self, key: &str) -> bool {
+        self.layers.iter().any(|layer| layer.get(key).is_some())
+    }
+
+    /// Notes a mistake if `key` is absent.
+    pub fn require(&mut self, key: &'static str, why: &str) {
+        let is_own = !self.has_defaults || self.own.contains(&key);
+        self.record(key, |noted| noted.required |= is_own);
+        if self.find(key).is_none() {
+            self.page.report(self.place_without(key), format!("missing; {why}"));
+        }
+    }
+
+    /// Records what is known of `key`, where a record is kept.
+    fn record(&self, key: &'static str, note: impl FnOnce(&mut Key)) {
+        self.page.record(|record| {
+            let noted = record.note(&self.layers[0].path, key);
+            noted.own |= self.own.contains(&key);
+            note(noted);
+        });
+    }
+
+    fn find(&mut self, key: &'static str) -> Option<(usize, Entry<'a>)> {
+        if !self.known.contains(&key) {
+            self.known.push(key);
+            self.record(key, |_| {});
+        }
+        let layers = if self.own.contains(&key) { 1 } else { self.layers.len() };
+        self.layers[..layers].iter().enumerate().find_map(|(index, layer)| Some((index, layer.get(key)?)))
+    }
+
+    /// A value of this form; `Err` says what it must be.
+    pub fn read<T>(
+        &mut self,
+        key: &'static str,
+        form: Form,
+        read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
+    ) -> Option<T> {
+        self.record(key, |noted| noted.takes(&form));
+        let (layer, entry) = self.find(key)?;
+        match read(entry.1.get_ref()) {
+            Ok(value) => Some(value),
+            Err(message) => {
+                self.page.report(self.place_in(&self.layers[layer], key, entry), message);
+                None
+            }
+        }
+    }
+
+    /// `true` or `false`.
+    pub fn flag(&mut self, key: &'static str) -> Option<bool> {
+        self.read(key, Form::Flag, |value| value.as_bool().ok_or("must be true or false".into()))
+    }
+
+    /// Text that passes `check`, which the regular expression `pattern` shows at a distance.
+    pub fn text<T>(
+        &mut self,
+        key: &'static str,
+        pattern: impl Into<Option<&'static str>>,
+        hint: &str,
+        check: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<T> {
+        self.text_of(key, Form::Text(pattern.into()), hint, check)
+    }
+
+    fn text_of<T>(
+        &mut self,
+        key: &'static str,
+        form: Form,
+        hint: &str,
+        check: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<T> {
+        self.read(key, form, |value| value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}")))
+    }
+
+    /// One of a few words.
+    pub fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
+        let (form, list) = listed(words);
+        self.text_of(key, form, &list, |text| {
+            words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
+        })
+    }
+
+    /// A whole number.
+    pub fn integer<T: TryFrom<i128>>(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<i128>,
+        hint: &str,
+    ) -> Option<T> {
+        let form = Form::Integer(Range::of(&range, |bound| bound as f64));
+        self.read(key, form, |value| {
+            let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)?;
+            T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
+        })
+    }
+
+    /// A count, or the time that so many of what comes every `every_ns` take, rounded up.
+    pub fn count<T: TryFrom<i128>>(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<i128>,
+        every_ns: u64,
+        hint: &str,
+    ) -> Option<T> {
+        let form = Form::Integer(Range::of(&range, |bound| bound as f64)).or(Form::Time);
+        self.read(key, form, |value| {
+            let time = value.as_str().and_then(value::duration);
+            let number = integer(value).or(time.map(|ns| i128::from(ns.div_ceil(every_ns.max(1)))));
+            let number =
+                number.ok_or_else(|| format!("must be a whole number or a time like \"50ms\"; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)?;
+            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+        })
+    }
+
+    /// A list of whole numbers up to `highest`, at most so many; none if the key is absent or wrong.
+    pub fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
+        let one = |value: &DeValue<'_>| {
+            integer(value).and_then(|value| u16::try_from(value).ok()).filter(|value| *value <= highest)
+        };
+        let form = Form::integer(0..=highest.into()).list(0, most);
+        let list = self.read(key, form, |value| {
+            let elements = value.as_array().map(|array| array.iter().map(|element| one(element.get_ref())));
+            elements
+                .and_then(Iterator::collect::<Option<Vec<u16>>>)
+                .filter(|list| list.len() <= most)
+                .ok_or_else(|| format!("must be a list of at most {most} whole numbers, 0 to {highest}"))
+        });
+        list.unwrap_or_default()
+    }
+
+    /// Bytes, zeros behind them; `None` if the key is absent.
+    pub fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
+        let list = self.integers(key, N, u16::from(u8::MAX));
+        let mut bytes = [0; N];
+        for (place, byte) in bytes.iter_mut().zip(list) {
+            *place = byte as u8;
+        }
+        self.gives(key).then_some(bytes)
+    }
+
+    /// A finite number, with or without a decimal point.
+    pub fn number(&mut self, key: &'static str, range: impl RangeBounds<f64>, hint: &str) -> Option<f64> {
+        let form = Form::Number(Range::of(&range, |bound| bound));
+        self.read(key, form, |value| {
+            let number = number(value).ok_or_else(|| format!("must be a number; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)
+        })
+    }
+
+    /// Two rising numbers, `[lowest, highest]`.
+    pub fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
+        self.read(key, Form::Number(Range::ALL).list(2, 2), |value| {
+            let pair = value.as_array().and_then(|array| match (array.first(), array.get(1), array.len()) {
+                (Some(low), Some(high), 2) => Some((number(low.get_ref())?, number(high.get_ref())?)),
+                _ => None,
+            });
+            match pair {
+                Some((low, high)) if low < high => Ok((low, high)),
+                Some(_) => Err(format!("must rise: [lowest, highest]; {hint}")),
+                None => Err(format!("must be two numbers, [lowest, highest]; {hint}")),
+            }
+        })
+    }
+
+    /// A time in ns.
+    pub fn time(&mut self, key: &'static str, range: impl RangeBounds<u64>, hint: &str) -> Option<u64> {
+        self.read(key, Form::Time, |value| time(value, &range, hint))
+    }
+
+    /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
+    pub fn table<T>(&mut self, key: &'static str, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+        let mut table = self.sub_table(key);
+        let result = read(&mut table);
+        table.finish();
+        result
+    }
+
+    /// A sub-table whose keys are read elsewhere.
+    pub fn sub_table(&mut self, key: &'static str) -> Table<'a> {
+        self.find(key);
+        self.record(key, |noted| noted.takes(&Form::Table));
+        let mut layers = Vec::new();
+        for layer in &self.layers {
+            let Some(entry) = layer.get(key) else { continue };
+            match entry.1.get_ref() {
+                DeValue::Table(entries) => layers.push(Layer {
+                    path: layer.path_to(key),
+                    line: self.page.line(entry.0.span().start),
+                    entries: Some(entries),
+                }),
+                _ => {
+                    let message = format!("must be a table: {key} = {{ ... }}");
+                    self.page.report(self.place_in(layer, key, entry), message);
+                }
+            }
+        }
+        if layers.is_empty() {
+            let own = &self.layers[0];
+            layers.push(Layer { path: own.path_to(key), line: own.line, entries: None });
+        }
+        Table { page: self.page, layers, own: &[], has_defaults: self.has_defaults, known: Vec::new() }
+    }
+
+    /// The tables under `[[key]]`, in order.
+    pub fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
+        self.record(key, |noted| noted.takes(&Form::Tables));
+        let Some((layer, entry)) = self.find(key) else { return Vec::new() };
+        let path = self.layers[layer].path_to(key);
+        let elements = entry.1.get_ref().as_array().map_or(&[][..], |array| array);
+        let tables: Vec<Table<'a>> = elements
+            .iter()
+            .filter_map(|element| {
+                let line = self.page.line(element.span().start);
+                let entries = Some(element.get_ref().as_table()?);
+                Some(Table::new(self.page, Layer { path: path.clone(), line, entries }))
+            })
+            .collect();
+        if tables.is_empty() || tables.len() != elements.len() {
+            let place = self.place_in(&self.layers[layer], key, entry);
+            self.page.report(place, format!("must be a list of tables: write [[{path}]]"));
+        }
+        tables
+    }
+
+    /// The same table, to be read a second time for what else is in it; unknown keys are found by the first one.
+    pub fn again(&self) -> Table<'a> {
+        Table { layers: self.layers.clone(), known: Vec::new(), ..*self }
+    }
+
+    /// `key` is read elsewhere.
+    pub fn later(&mut self, key: &'static str) {
+        self.find(key);
+    }
+
+    /// Reports every key that nobody asked for.
+    pub fn finish(self) {
+        for (index, layer) in self.layers.iter().enumerate() {
+            for (key, _) in layer.entries.into_iter().flat_map(|entries| entries.iter()) {
+                let place = Place {
+                    line: self.page.line(key.span().start),
+                    key: layer.path_to(key.get_ref()),
+                    value: None,
+                };
+                let key: &str = key.get_ref();
+                if index > 0 && self.own.contains(&key) {
+                    let home = &self.layers[0].path;
+                    self.page.report(place, format!("cannot be shared; write it in each [[{home}]]"));
+                } else if !self.known.contains(&key) {
+                    let valid = self.known.iter().filter(|known| index == 0 || !self.own.contains(known));
+                    self.page.report(place, unknown(key, valid.copied().collect()));
+                }
+            }
+        }
+    }
+}
+
+fn unknown(key: &str, valid: Vec<&str>) -> String {
+    let meant = match value::closest(key, valid.iter().copied()) {
+        Some(meant) => format!("did you mean {meant}? "),
+        None => String::new(),
+    };
+    format!("no such key; {meant}valid here: {}", valid.join(", "))
+}
+
+/// Puts what was read in the place of a default.
+pub fn set<T>(place: &mut T, read: Option<T>) {
+    if let Some(value) = read {
+        *place = value;
+    }
+}
+
+/// A time in ns within `range`.
+pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
+    let ns = value
+        .as_str()
+        .and_then(value::duration)
+        .ok_or_else(|| format!("must be a time like \"250us\", \"1ms\" or \"0.5s\"; {hint}"))?;
+    within_times(ns, range, hint)
+}
+
+/// The time `ns` if it is within `range`.
+pub fn within_times(ns: u64, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
+    inside(ns, range, hint, |bound| Ns(bound).to_string())
+}
+
+/// A whole number within `range`.
+pub fn integer(value: &DeValue<'_>) -> Option<i128> {
+    let integer = value.as_integer()?;
+    i128::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
+/// A finite number.
+pub fn number(value: &DeValue<'_>) -> Option<f64> {
+    let number = match value {
+        DeValue::Float(float) => float.as_str().parse().ok()?,
+        _ => integer(value)? as f64,
+    };
+    number.is_finite().then_some(number)
+}
+
+fn inside<T: PartialOrd + Copy, D: fmt::Display>(
+    value: T,
+    range: &impl RangeBounds<T>,
+    hint: &str,
+    show: impl Fn(T) -> D,
+) -> Result<T, String> {
+    let wrong = match (range.start_bound(), range.end_bound()) {
+        (Bound::Included(&low), _) if value < low => format!("must be at least {}", show(low)),
+        (Bound::Excluded(&low), _) if value <= low => format!("must be above {}", show(low)),
+        (_, Bound::Included(&high)) if value > high => format!("must be at most {}", show(high)),
+        (_, Bound::Excluded(&high)) if value >= high => format!("must be below {}", show(high)),
+        _ => return Ok(value),
+    };
+    Err(format!("{wrong}; {hint}"))
+}

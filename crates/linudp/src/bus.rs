@@ -1,0 +1,321 @@
+//! All drives of one LinUDP bus on one socket: stations and their carrier, as a [`Bus`].
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use super::fields::layout;
+use super::last::LastStop;
+use super::notation::Upids;
+use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan};
+use super::profile;
+use super::station::Station;
+use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
+use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
+use fieldbeat_core::bus::variant::Variant;
+use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::errors::no_descriptor;
+use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
+/// a telegram of this protocol.
+const ROOM: usize = if RESPONSE_MAX > 128 { RESPONSE_MAX } else { 128 };
+
+/// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
+/// datagrams never delays the cycle.
+const MOST_BATCHES: usize = 4;
+
+/// One socket and its drives.
+pub struct LinUdpBus {
+    name: String,
+    net: Box<dyn Datagrams>,
+    outbox: Outbox,
+    stations: Vec<Station>,
+    senders: Senders,
+    ends: Ends,
+    unmatched: Unmatched,
+    /// Until it is taken.
+    last: Option<LastStop>,
+    /// The drives are this master's until the socket is closed.
+    _locks: Vec<Lock>,
+}
+
+impl std::fmt::Debug for LinUdpBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LinUdpBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+    }
+}
+
+impl LinUdpBus {
+    /// Opens the socket of `plan`.
+    pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
+        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = drives::lock(&plan.name, addresses, carriers)?;
+        // Until its bucket is full, an absent drive gets its requests like any other.
+        let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
+        let options =
+            UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send, dscp: 0, groups: 0 };
+        let refused = |source| OpenError::Bind {
+            bus: plan.name.clone(),
+            address: plan.bind,
+            remedy: remedy(&source),
+            source,
+        };
+        let net = carriers.datagrams(plan.bind, &options).map_err(refused)?;
+        let twin = net.twin().map_err(refused)?;
+        let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
+        let (mut stations, mut ends) = (Vec::new(), Ends::default());
+        for drive in &plan.drives {
+            let (station, native, acyclic) = Station::new(drive, &carriers.log());
+            stations.push(station);
+            ends.push(native, acyclic);
+        }
+        let powers = stations.iter().map(Station::power_sent);
+        let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
+        Ok(LinUdpBus {
+            name: plan.name.clone(),
+            net,
+            outbox: Outbox::new(&peers, REQUEST_MAX),
+            stations,
+            senders: Senders::new(&peers),
+            ends,
+            unmatched: Unmatched::default(),
+            last,
+            _locks: locks,
+        })
+    }
+
+    /// Takes in what is in the socket and hands each datagram to the station of its sender.
+    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
+        let LinUdpBus { net, stations, senders, unmatched, .. } = self;
+        for _ in 0..MOST_BATCHES {
+            let taken = net.receive(&mut |datagram| {
+                let Some((index, is_its_port)) = senders.find(&datagram.from) else {
+                    unmatched.datagrams += 1;
+                    return;
+                };
+                let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
+                    return;
+                };
+                if !is_its_port {
+                    slot.counters.foreign += 1;
+                } else if datagram.truncated {
+                    slot.counters.malformed += 1;
+                } else {
+                    station.take(datagram.at, datagram.bytes, in_window, slot);
+                }
+            });
+            match taken {
+                Ok(count) if count < net.batch() => break,
+                Ok(_) => {}
+                Err(_) => {
+                    unmatched.errors += 1;
+                    break;
+                }
+            }
+        }
+    }
+}
+
+/// The drives by their addresses.
+#[derive(Debug)]
+struct Senders {
+    /// Those of the drives, in slot order.
+    peers: Box<[SocketAddrV4]>,
+    /// In order, each with its drive.
+    by_address: Box<[(Ipv4Addr, usize)]>,
+    /// The drive after the last one that was found: replies mostly come in the order of their requests.
+    next: usize,
+}
+
+impl Senders {
+    fn new(peers: &[SocketAddrV4]) -> Senders {
+        let mut by_address: Box<[_]> =
+            peers.iter().enumerate().map(|(index, peer)| (*peer.ip(), index)).collect();
+        by_address.sort_unstable();
+        Senders { peers: peers.into(), by_address, next: 0 }
+    }
+
+    /// The drive with this address, and whether it is its port.
+    #[inline]
+    fn find(&mut self, from: &SocketAddrV4) -> Option<(usize, bool)> {
+        let found = match self.peers.get(self.next) {
+            Some(peer) if peer == from => (self.next, true),
+            _ => self.search(from)?,
+        };
+        let behind = found.0 + 1;
+        self.next = if behind < self.peers.len() { behind } else { 0 };
+        Some(found)
+    }
+
+    #[inline(never)]
+    fn search(&self, from: &SocketAddrV4) -> Option<(usize, bool)> {
+        let place = self.by_address.binary_search_by_key(from.ip(), |(ip, _)| *ip).ok()?;
+        let (_, index) = *self.by_address.get(place)?;
+        Some((index, self.peers.get(index)?.port() == from.port()))
+    }
+}
+
+fn remedy(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => {
+            "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind address"
+        }
+        std::io::ErrorKind::AddrNotAvailable => {
+            "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
+        }
+        std::io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
+        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
+    }
+}
+
+impl Bus for LinUdpBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        self.outbox.memory(regions);
+        regions.add(&*self.stations);
+        regions.add(&*self.senders.peers);
+        regions.add(&*self.senders.by_address);
+        for station in &self.stations {
+            station.memory(regions);
+        }
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
+        // last window would pass for the next reply, if the definitions of both are the same.
+        self.take_in(false, slots);
+        for (index, slot) in slots.iter().enumerate() {
+            self.outbox.post(index, slot.due);
+        }
+        self.net.send(&mut self.outbox);
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            match self.outbox.sent(index) {
+                Sent::At(at) => station.sent(at, cycle.deadline, slot),
+                Sent::Failed(_) | Sent::Posted => station.unsent(slot),
+                Sent::Idle => {}
+            }
+        }
+    }
+
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
+        self.take_in(true, slots);
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if slot.due {
+                let length = station.prepare(cycle, slot, self.outbox.room(index));
+                self.outbox.set_length(index, length);
+            }
+        }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(self.outbox.bytes(index)))
+    }
+
+    fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
+        self.last.take().map(|last| Box::new(last) as Box<dyn LastResort>)
+    }
+
+    fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
+        // The drives keep no connection: once the axes are down, nothing more has to be sent.
+        true
+    }
+
+    fn unmatched(&self) -> Unmatched {
+        Unmatched { dropped: self.net.dropped(), ..self.unmatched }
+    }
+
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
+    }
+}
+
+impl BusPlan for LinUdpPlan {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let same: fn(&LinUdpDrive, &LinUdpDrive) -> bool =
+            |one, other| one.address.ip() == other.address.ip();
+        let taken = "is taken by another drive; one drive per IP address";
+        drives::faults(&self.drives, period_ns, |drive| &drive.axis, LinUdpDrive::faults, same, taken)
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
+    }
+
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(LinUdpBus::open(self, carriers)?))
+    }
+
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
+    }
+
+    fn native_layout(&self, _index: usize) -> NativeLayout {
+        layout()
+    }
+
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
+        profile::capabilities(&self.drives[index])
+    }
+
+    fn fault_names(&self) -> FaultNames {
+        |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name())
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Upids)
+    }
+
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let mut drive = self.drives.get(index)?.clone();
+        drive.axis.on_found_running = FoundRunning::Refuse;
+        drive.monitor = MonitorPlan::Off;
+        Some(Box::new(LinUdpPlan { drives: vec![drive], ..self.clone() }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(LinUdpPlan::variant(self, wanted)?))
+    }
+
+    fn addresses(&self) -> Vec<SocketAddrV4> {
+        self.drives.iter().map(|drive| drive.address).collect()
+    }
+}

@@ -1,0 +1,126 @@
+//! The motion command interface of one drive: counts, and their echoes.
+//!
+//! Source: SG5 manual 4.3.4, motion command interface (sheet, 4.1).
+
+use super::motion::MotionCommand;
+use super::wire::MotionBlock;
+use fieldbeat_core::axis::Failure;
+
+/// A motion command whose echo has not come after so many answered exchanges is sent again with another count (sheet,
+/// 4.1: one such case was seen on real hardware) ...
+const ECHO_WITHIN: u32 = 5;
+/// ... and given up after so many counts.
+const MOST_COUNTS: u32 = 4;
+
+/// The motion command interface of one drive: a command runs only if its count differs from the last one it stored.
+///
+/// From the first agreement on the master chooses the counts by itself: the count of an older reply is no news (sheet,
+/// 2.4). The echo of a command counts only in a clean reply to a request that carried it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct MotionChannel {
+    /// The count of the newest command; before the first one, the count that the drive has stored, as far as known.
+    pub(super) count: Option<u8>,
+    /// The count in the last reply, however old that was: no command gets this one.
+    reported: Option<u8>,
+    /// The command under way, or accepted and not over.
+    command: Option<MotionCommand>,
+    /// The command is to be repeated until its echo comes.
+    pending: bool,
+    /// A request with it has gone out.
+    sent: bool,
+    /// Clean replies with its echo, the last one included.
+    echoes: u32,
+    /// Clean replies without it since it was sent with this count.
+    answers: u32,
+    counts_used: u32,
+}
+
+impl MotionChannel {
+    /// Puts `command` into the next requests, until its echo comes.
+    pub(super) fn send(&mut self, command: MotionCommand) {
+        *self = MotionChannel { command: Some(command), pending: true, ..self.next_count() };
+    }
+
+    /// Puts a streamed setpoint into the next requests; its echo is not awaited, since the next row has the next
+    /// count.
+    pub(super) fn stream(&mut self, command: MotionCommand) {
+        *self = MotionChannel { command: Some(command), pending: false, ..self.next_count() };
+    }
+
+    fn next_count(&self) -> MotionChannel {
+        let after = |count: u8| count.wrapping_add(1) & 0xF;
+        let count = after(self.count.or(self.reported).unwrap_or(0));
+        let count = if self.reported == Some(count) { after(count) } else { count };
+        MotionChannel { count: Some(count), reported: self.reported, ..MotionChannel::default() }
+    }
+
+    /// Removes the command; the counts stay.
+    pub(super) fn clear(&mut self) {
+        *self = MotionChannel { count: self.count, reported: self.reported, ..MotionChannel::default() };
+    }
+
+    /// The request with the block has gone out.
+    pub(super) fn sent(&mut self) {
+        self.sent = self.command.is_some();
+    }
+
+    /// No command is under way: there is none, or the drive has it.
+    pub(super) fn is_free(&self) -> bool {
+        self.command.is_none() || self.is_accepted()
+    }
+
+    /// The last clean reply had the echo of the command.
+    pub(super) fn is_accepted(&self) -> bool {
+        self.pending && self.echoes > 0
+    }
+
+    /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
+    /// `Err` when the drive accepts none of the counts.
+    pub(super) fn take(&mut self, echo: u8, clean: bool, foreign: bool) -> Result<(), Failure> {
+        self.reported = Some(echo);
+        let Some(command) = self.command else {
+            // The first agreement. A reply that may be older says nothing of the present: the count after its own may
+            // be the very one that the drive has stored.
+            if clean {
+                self.count.get_or_insert(echo);
+            }
+            return Ok(());
+        };
+        if !self.sent {
+            // The drive has the chosen count already, and would ignore the command.
+            if self.count == Some(echo) {
+                self.count = self.next_count().count;
+            }
+        } else if self.pending && clean && self.count == Some(echo) {
+            (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
+        } else if self.pending && clean {
+            self.answers += 1;
+            // An old request, delivered once more, has run in the drive since it accepted the command. Another
+            // master's is answered by no motion: whether it is one, the next replies show.
+            let replaced = self.echoes > 0 && (!foreign || command.is_stop());
+            if replaced || self.answers > ECHO_WITHIN {
+                if self.counts_used + 1 >= MOST_COUNTS {
+                    self.clear();
+                    return Err(Failure::NotTaken);
+                }
+                let counts_used = self.counts_used + 1;
+                self.send(command);
+                self.counts_used = counts_used;
+            }
+        }
+        Ok(())
+    }
+
+    /// No request carries a command, and another reply with the same count changes nothing.
+    pub(super) fn is_settled(&self) -> bool {
+        self.command.is_none() || self.is_accepted() && self.answers == 0
+    }
+
+    /// The block of the next request.
+    pub(super) fn block(&self) -> Option<MotionBlock> {
+        self.command.filter(|_| !self.is_accepted()).map(|command| command.block(self.count.unwrap_or(0)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! Counts and their echoes, without a telegram.
+
+use super::*;
+use crate::motion::Acceleration;
+
+const STOP: MotionCommand = MotionCommand::vai_stop(Acceleration(1));
+
+/// A channel whose first clean reply had this count.
+fn agreed(count: u8) -> MotionChannel {
+    let mut channel = MotionChannel::default();
+    channel.take(count, true, false).unwrap();
+    channel
+}
+
+fn count(channel: &MotionChannel) -> Option<u16> {
+    channel.block().map(|block| block.header & 0xF)
+}
+
+/// Whether the command is accepted after replies with these counts.
+fn after(channel: &mut MotionChannel, echoes: &[u8]) -> bool {
+    for echo in echoes {
+        channel.take(*echo, true, false).unwrap();
+    }
+    channel.is_accepted()
+}
+
+#[test]
+fn an_older_count_is_no_news() {
+    let mut channel = agreed(3);
+    for expected in [4, 5] {
+        channel.send(STOP);
+        channel.sent();
+        assert!(after(&mut channel, &[expected, expected]));
+        channel.clear();
+        // A reply of before the command, in all respects like a clean one: the count after its own is the one that the
+        // drive has stored.
+        channel.take(expected - 1, true, false).unwrap();
+    }
+    channel.send(STOP);
+    assert_eq!(count(&channel), Some(6));
+}
+
+#[test]
+fn no_command_gets_the_count_that_the_drive_has() {
+    // An old request was delivered again, and the drive has stored its count: sixteen commands ago it was 4.
+    let mut channel = agreed(3);
+    channel.take(4, true, false).unwrap();
+    channel.send(STOP);
+    assert_eq!(count(&channel), Some(5));
+    // The same, but seen only after the count was chosen, and before the command left.
+    channel.take(5, false, false).unwrap();
+    assert_eq!(count(&channel), Some(6));
+    assert!(!channel.is_accepted());
+}
+
+#[test]
+fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
+    let mut channel = agreed(3);
+    channel.send(STOP);
+    channel.sent();
+    channel.take(4, false, false).unwrap();
+    assert!(!channel.is_accepted());
+    channel.take(4, true, false).unwrap();
+    assert!(channel.is_accepted() && channel.is_free());
+    assert_eq!(count(&channel), None);
+}
+
+#[test]
+fn the_command_of_another_master_is_not_answered_by_a_motion_before_it_is_known_as_one() {
+    // A stop is sent again at once; a motion, when nobody else will do it.
+    for (command, replies) in [(STOP, 1), (MotionCommand::new(0x010), ECHO_WITHIN + 1)] {
+        let mut channel = agreed(3);
+        channel.send(command);
+        channel.sent();
+        assert!(after(&mut channel, &[4]));
+        let again = (1..).find(|_| {
+            channel.take(11, true, true).unwrap();
+            channel.count == Some(5)
+        });
+        assert_eq!((again, channel.is_accepted()), (Some(replies), false));
+    }
+}
+
+#[test]
+fn a_command_that_another_one_has_replaced_is_sent_again() {
+    let mut channel = agreed(3);
+    channel.send(STOP);
+    channel.sent();
+    assert!(!after(&mut channel, &[4, 2]), "an old request was delivered once more");
+    assert_eq!((channel.is_accepted(), count(&channel)), (false, Some(5)));
+    channel.sent();
+    assert!(after(&mut channel, &[5, 5]));
+    // Two masters take turns, and neither gets its way.
+    let fight = (0..8).map(|_| {
+        channel.sent();
+        let echo = channel.count.unwrap();
+        channel.take(echo, true, false).and_then(|()| channel.take(echo ^ 8, true, false))
+    });
+    assert_eq!(fight.collect::<Result<Vec<()>, _>>(), Err(Failure::NotTaken));
+}

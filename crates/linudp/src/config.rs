@@ -1,0 +1,157 @@
+//! `protocol = "linudp-v2"`.
+
+pub mod curve;
+mod outline;
+pub mod table;
+mod tools;
+
+pub use self::tools::TOOLS;
+
+use fieldbeat_keys::Protocol;
+use std::net::SocketAddrV4;
+use std::time::Duration;
+
+use super::PROTOCOL;
+use super::motion::StreamCommand;
+use super::plan::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag};
+use super::upid::{KNOWN, Upid};
+use fieldbeat_core::axis::Unit;
+use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::net::SendMode;
+use fieldbeat_core::time::S;
+use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
+use fieldbeat_keys::drive::{Counts, axis};
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::machine::{Claim, Machine};
+use fieldbeat_keys::table::{POSITIVE, Table, integer};
+use fieldbeat_keys::value::{ENDPOINT, closest, station};
+
+/// This protocol, for the list of all of them.
+pub const REGISTERED: Protocol = Protocol {
+    name: PROTOCOL,
+    drives: "LinMot LinUDP V2",
+    read: bus,
+    reference: include_str!("../files/configuration-linudp.md"),
+    specimen: SPECIMEN,
+    outline: outline::OUTLINE,
+};
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
+
+/// Reads a `[[bus]]`.
+pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
+    let name = machine.bus_name(table, PROTOCOL);
+    let bind = bind(table, machine);
+    let send =
+        table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
+    let drives = drives(table, |table, _| drive(table, machine, bind));
+    Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
+}
+
+const COUNTS: Counts =
+    Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM, wire: 1.0 };
+
+fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
+    table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 41136";
+    let bind = table.text("bind", ENDPOINT, hint, |text| station(text, MASTER_PORT))?;
+    machine.claim_bind(table, bind);
+    Some(bind)
+}
+
+fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
+    table.require("address", "the address of the drive, like \"192.168.1.10\"");
+    let hint = "the IPv4 address of a drive, like \"192.168.1.10\", or with a port other than 49360";
+    let address = table.text("address", ENDPOINT, hint, |text| {
+        station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
+    })?;
+    machine.claim_address(table, address, Claim::Host);
+    reachable(table, bind.map(|bind| *bind.ip()).filter(|ip| !ip.is_unspecified()), address);
+    Some(address)
+}
+
+fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> LinUdpDrive {
+    let axis = axis(table, machine, COUNTS);
+    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
+    let drive = LinUdpDrive {
+        address,
+        stream: stream(table, period_ns),
+        monitor: monitor(table).unwrap_or_default(),
+        reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
+        inhibit_after: table
+            .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
+            .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
+        leash: leash(table),
+        axis,
+    };
+    table.later("simulate");
+    for fault in drive.faults(period_ns) {
+        table.fault(fault.key, fault.message);
+    }
+    drive
+}
+
+/// Which streaming command Follow uses. One that is named must fit the drive's period; where none is named it is the
+/// richest one with the drive's own time base, if that fits, else none, and Follow is refused.
+fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
+    let mut words: Vec<(&str, Option<StreamCommand>)> =
+        StreamCommand::ALL.iter().map(|command| (command.name(), Some(*command))).collect();
+    words.push(("off", None));
+    let usual = Some(StreamCommand::Pva).filter(|command| command.takes(period_ns));
+    table.word("stream", &words).unwrap_or(usual)
+}
+
+/// `true`, `false`, or up to four variables by name or number.
+fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
+    const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] \
+        or UPIDs as numbers";
+    let variable = Form::integer(0..=u16::MAX.into()).or(Form::Text(None));
+    let form = Form::Flag.or(variable.list(1, MONITOR_CHANNELS));
+    table.read("monitor", form, |value| {
+        if let Some(flag) = value.as_bool() {
+            return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
+        }
+        let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
+        let array = array.ok_or(FORMS)?;
+        let mut sources = [None; MONITOR_CHANNELS];
+        for (source, value) in sources.iter_mut().zip(array) {
+            let value = value.get_ref();
+            let number = integer(value).and_then(|number| u16::try_from(number).ok()).map(Upid);
+            let upid = number.or_else(|| value.as_str().and_then(Upid::parse));
+            *source = Some(upid.ok_or_else(|| {
+                match value.as_str().and_then(|text| closest(text, KNOWN.iter().map(|known| known.name))) {
+                    Some(name) => format!("has an unknown variable; did you mean \"{name}\"?"),
+                    None => FORMS.to_owned(),
+                }
+            })?);
+        }
+        Ok(MonitorPlan::Sources(sources))
+    })
+}
+
+fn leash(table: &mut Table<'_>) -> Option<f64> {
+    let accepted = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    let leash = table.number("leash", POSITIVE, "how far a jog or cyclic velocity runs ahead, in user units");
+    match accepted {
+        Some(true) => {
+            if !table.gives("leash") {
+                table.fault(
+                    "leash",
+                    "missing; \"accept\" needs the distance that a jog may run on if the master dies",
+                );
+            }
+            leash
+        }
+        // Said for one drive against the defaults of its bus: no mistake.
+        Some(false) => None,
+        None => {
+            if leash.is_some() {
+                table.fault("leash", "needs no_drive_watchdog = \"accept\"; add that, or leave leash out");
+            }
+            None
+        }
+    }
+}

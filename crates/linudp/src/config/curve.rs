@@ -1,0 +1,320 @@
+//! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint. Knows no drive.
+//!
+//! No CSV library reads this: two columns of numbers have no quotes, and a mistake has to name its line.
+//!
+//! What follows is the reference of docs/.
+#![doc = include_str!("../../files/linmot-curve.md")]
+
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::curve::{Curve, CurveError, CurveKind, Dimension, NAME_SIZE};
+use fieldbeat_keys::error::ConfigErrors;
+use fieldbeat_keys::file::{self, whole_file};
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::page::{Page, Place};
+use fieldbeat_keys::table::{Table, integer, number};
+use fieldbeat_keys::value;
+
+/// The column of an axis, and the decimals of one wire count in its unit.
+type Column = (&'static str, u32);
+
+/// The decimals of x where it falls between two counts.
+const FINE: u32 = 6;
+
+/// After so many rows with mistakes the others are not read: they have the same one.
+const MOST_MISTAKES: usize = 10;
+
+/// Reads the curve at `path`.
+pub fn load(path: impl AsRef<Path>) -> Result<Curve, ConfigErrors> {
+    let (file, text) = file::read(path.as_ref(), "a curve, for example rt-config/linmot-curve.csv")?;
+    parse(&text, &file)
+}
+
+/// Reads the curve `text`; messages call it `file`.
+pub fn parse(text: &str, file: &str) -> Result<Curve, ConfigErrors> {
+    // Some spreadsheets begin a file with a byte order mark.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let head_lines = text.lines().take_while(|line| line.trim().is_empty() || line.starts_with('#'));
+    let (mut head, mut first) = (String::new(), 1);
+    for line in head_lines {
+        // In its column, for the messages of `toml`.
+        let _ = writeln!(head, "{}", line.replacen('#', " ", 1));
+        first += 1;
+    }
+    let rows: Vec<(usize, &str)> = (first..).zip(text.lines().skip(first - 1)).collect();
+    let rows: Vec<(usize, &str)> = rows.into_iter().filter(|(_, line)| !line.trim().is_empty()).collect();
+    let Some((columns, rows)) = rows.split_first() else {
+        let message = format!("{file} has no rows; a curve has a head, a line of columns and its setpoints");
+        return Err(whole_file(file, None, message));
+    };
+    let page = Page::new(file, &head);
+    let entries = page.parse()?;
+    let curve = curve(&page, Table::root(&page, &entries), *columns, rows);
+    page.verdict()?;
+    Ok(curve)
+}
+
+/// The file of a curve: what [`parse`] makes the same curve of. Refused is what a drive would refuse.
+pub fn to_text(curve: &Curve) -> Result<String, CurveError> {
+    curve.check()?;
+    let (usual, word) = usual(curve.kind);
+    let ((x_name, x_decimals), (y_name, y_decimals)) =
+        (x_column(curve.x_dimension), y_column(curve.y_dimension));
+    let mut text = format!("# id = {}\n", curve.id);
+    match curve.name() {
+        Some("") => {}
+        // Printable ASCII needs no other escapes than a TOML string has.
+        Some(name) => _ = writeln!(text, "# name = {name:?}"),
+        None => _ = writeln!(text, "# name_bytes = {:?}", curve.name),
+    }
+    let length = value::decimal(curve.x_length.into(), x_decimals);
+    let _ = writeln!(text, "# kind = \"{word}\"\n# length = {length}");
+    if curve.x_dimension != usual {
+        let _ = writeln!(text, "# x_dimension = {}", curve.x_dimension.0);
+    }
+    if curve.y_dimension != Dimension::POSITION {
+        let _ = writeln!(text, "# y_dimension = {}", curve.y_dimension.0);
+    }
+    if curve.wizard != 0 {
+        let _ = writeln!(text, "# wizard = {}", curve.wizard);
+    }
+    if curve.wizard_parameters != [0; 7] {
+        let _ = writeln!(text, "# wizard_parameters = {:?}", curve.wizard_parameters);
+    }
+    let _ = writeln!(text, "{x_name},{y_name}");
+    let steps = curve.setpoints.len() as i128 - 1;
+    for (index, setpoint) in (0..).zip(&curve.setpoints) {
+        let fine = i128::from(curve.x_length) * 10_i128.pow(FINE - x_decimals) * index;
+        let x = value::decimal((fine + steps / 2) / steps, FINE);
+        let _ = writeln!(text, "{x},{}", value::decimal(i128::from(*setpoint), y_decimals));
+    }
+    Ok(text)
+}
+
+/// The dimension of x that goes with a kind, and the kind's word.
+fn usual(kind: CurveKind) -> (Dimension, &'static str) {
+    match kind {
+        CurveKind::Time => (Dimension::TIME, "time"),
+        CurveKind::Cam => (Dimension::ENCODER, "cam"),
+    }
+}
+
+fn x_column(dimension: Dimension) -> Column {
+    match dimension {
+        Dimension::TIME => ("time_ms", 2),
+        Dimension::ENCODER => ("encoder_counts", 0),
+        Dimension::POSITION => ("x_position_mm", 4),
+        _ => ("x_raw", 0),
+    }
+}
+
+fn y_column(dimension: Dimension) -> Column {
+    match dimension {
+        Dimension::POSITION => ("position_mm", 4),
+        _ => ("y_raw", 0),
+    }
+}
+
+/// The whole file. What is wrong is noted on the page, and the curve is not handed out then.
+fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(usize, &str)]) -> Curve {
+    head.require("id", "the number of the curve, 1 to 100");
+    head.require("kind", "\"time\" or \"cam\"");
+    head.require("length", "from the first setpoint to the last, in the unit of the first column");
+    let hint = "at most 22 printable ASCII characters";
+    let name = head.text("name", None, hint, |name| Curve::name_bytes(name).ok());
+    let name_bytes = head.bytes::<NAME_SIZE>("name_bytes");
+    if head.gives("name") && head.gives("name_bytes") {
+        head.fault("name_bytes", "cannot be used together with name; keep one");
+    }
+    let kind = head.word("kind", &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
+    let x_dimension = dimension(&mut head, "x_dimension").or(kind.map(|kind| usual(kind).0));
+    let y_dimension = dimension(&mut head, "y_dimension").unwrap_or(Dimension::POSITION);
+    let (x_column, y_column) = (x_dimension.map(x_column), y_column(y_dimension));
+    let x_length = length(&mut head, x_column.unwrap_or(("", 0)));
+    let place = head.place("length");
+    let mut curve = Curve {
+        id: head.integer("id", 1..=100, "curves have the ids 1 to 100").unwrap_or_default(),
+        kind: kind.unwrap_or(CurveKind::Time),
+        name: name.or(name_bytes).unwrap_or_default(),
+        x_length: x_length.unwrap_or_default(),
+        x_dimension: x_dimension.unwrap_or(Dimension::TIME),
+        y_dimension,
+        wizard: head.integer("wizard", 0..=0xFFFF, "a number of the vendor's tool").unwrap_or_default(),
+        wizard_parameters: wizard_parameters(&mut head).unwrap_or_default(),
+        setpoints: Vec::new(),
+    };
+    head.finish();
+    if let Some(x_column) = x_column
+        && has_columns(page, columns, [x_column.0, y_column.0])
+        && let Some(read) = setpoints(page, columns.0, rows, [x_column, y_column])
+    {
+        if let Some(x_length) = x_length {
+            check_grid(page, &place, x_column, x_length, &read);
+        }
+        curve.setpoints = read.into_iter().map(|row| row.setpoint).collect();
+    }
+    curve
+}
+
+fn dimension(head: &mut Table<'_>, key: &'static str) -> Option<Dimension> {
+    head.integer(key, 0..=0xFFFF, "5 is a position, 26 a time, 27 counts of an encoder").map(Dimension)
+}
+
+fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
+    let longest = value::decimal(u32::MAX.into(), decimals);
+    head.read("length", Form::number(0.0..), |value| {
+        let counts = number(value).and_then(|value| counts(value, decimals));
+        counts.and_then(|counts| u32::try_from(counts).ok()).ok_or_else(|| {
+            let whole = if decimals == 0 { "whole " } else { "" };
+            format!("must be a {whole}number, 0 to {longest}, in the unit of the first column")
+        })
+    })
+}
+
+fn wizard_parameters(head: &mut Table<'_>) -> Option<[u32; 7]> {
+    head.read("wizard_parameters", Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
+        let elements = value.as_array().map(|array| array.iter().map(|element| integer(element.get_ref())));
+        elements
+            .and_then(Iterator::collect::<Option<Vec<i128>>>)
+            .and_then(|list| list.into_iter().map(|value| u32::try_from(value).ok()).collect())
+            .and_then(|list: Vec<u32>| list.try_into().ok())
+            .ok_or_else(|| "must be a list of 7 whole numbers, 0 to 4294967295".into())
+    })
+}
+
+/// The nearest count of a value in user units; of one without decimals, the value itself or none.
+fn counts(value: f64, decimals: u32) -> Option<i64> {
+    let counts = (value * 10_f64.powi(decimals as i32)).round();
+    let exact = decimals > 0 || counts == value;
+    // Far more than any wire integer, and far less than what `f64` holds exactly.
+    (exact && counts.abs() < 1e15).then_some(counts as i64)
+}
+
+/// Whether the line of columns says what the head says.
+fn has_columns(page: &Page<'_>, (line, text): (usize, &str), expected: [&str; 2]) -> bool {
+    let found: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [x, y] = expected;
+    if found.len() != 2 {
+        let message = format!("must be the two columns {x},{y} with a comma between");
+        page.report(Place::in_row(line, "columns", text), message);
+        return false;
+    }
+    let mut right = true;
+    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+        if *found != expected {
+            let message =
+                format!("must be {expected}, as in the head; convert the rows if their unit is another");
+            page.report(Place::in_row(line, &format!("column {}", index + 1), found), message);
+            right = false;
+        }
+    }
+    right
+}
+
+/// A row that was read.
+struct Row<'a> {
+    line: usize,
+    /// As written.
+    text: &'a str,
+    /// In user units.
+    x: f64,
+    setpoint: i32,
+}
+
+/// The rows; `None` if one of them is wrong, or there are too few or too many.
+fn setpoints<'a>(
+    page: &Page<'_>,
+    head: usize,
+    rows: &[(usize, &'a str)],
+    [(x_name, _), (y_name, y_decimals)]: [Column; 2],
+) -> Option<Vec<Row<'a>>> {
+    let [low, high] = [i32::MIN, i32::MAX].map(|bound| value::decimal(bound.into(), y_decimals));
+    let whole = if y_decimals == 0 { "whole " } else { "" };
+    let (mut read, mut mistakes) = (Vec::with_capacity(rows.len()), 0);
+    for &(line, row) in rows {
+        if read.len() == usize::from(u16::MAX) {
+            page.report(
+                Place::in_row(line, "row", row),
+                "is one too many; a curve has at most 65535 setpoints",
+            );
+            return None;
+        }
+        let mut report = |key, value, message: String| {
+            page.report(Place::in_row(line, key, value), message);
+            mistakes += 1;
+        };
+        let cells: Vec<&str> = row.split(',').map(str::trim).collect();
+        if let [x_text, y_text] = cells[..] {
+            let finite = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
+            let x = finite(x_text);
+            let y = finite(y_text).and_then(|value| counts(value, y_decimals));
+            let setpoint = y.and_then(|counts| i32::try_from(counts).ok());
+            if x.is_none() {
+                report(x_name, x_text, "must be a number; its decimals have a point".into());
+            }
+            if setpoint.is_none() {
+                report(y_name, y_text, format!("must be a {whole}number, {low} to {high}"));
+            }
+            if let (Some(x), Some(setpoint)) = (x, setpoint) {
+                read.push(Row { line, text: x_text, x, setpoint });
+            }
+        } else {
+            report(
+                "row",
+                row,
+                "must be two numbers with a comma between; their decimals have a point".into(),
+            );
+        }
+        if mistakes >= MOST_MISTAKES {
+            return None;
+        }
+    }
+    if rows.len() < 2 {
+        let message = format!("have too few rows, {}; a curve has 2 to 65535 setpoints", rows.len());
+        page.report(Place::in_row(head, "columns", ""), message);
+        return None;
+    }
+    (mistakes == 0).then_some(read)
+}
+
+/// Whether the rows are where the drive will have them; else the first one that is not is found.
+fn check_grid(page: &Page<'_>, length: &Place, (name, decimals): Column, x_length: u32, rows: &[Row<'_>]) {
+    // What `to_text` rounds to.
+    let finest = 10_f64.powi(-(FINE as i32));
+    let near = |value: f64, step: f64| value.abs() <= (step / 20.0).max(finest);
+    let end = f64::from(x_length) / 10_f64.powi(decimals as i32);
+    let step = end / (rows.len() - 1) as f64;
+    if rows.iter().enumerate().all(|(index, row)| near(row.x - step * index as f64, step)) {
+        return;
+    }
+    let show = |value: f64| value::decimal((value / finest).round() as i128, FINE);
+    if let Some(first) = rows.first()
+        && !near(first.x, step)
+    {
+        let place = Place::in_row(first.line, name, first.text);
+        return page.report(place, "must be 0: the length begins at the first setpoint");
+    }
+    let gaps = || rows.windows(2).map(|pair| pair[1].x - pair[0].x);
+    let mut sorted: Vec<f64> = gaps().collect();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted[sorted.len() / 2];
+    match gaps().zip(&rows[1..]).find(|(gap, _)| !near(gap - usual, usual)) {
+        Some((gap, row)) => {
+            let (gap, usual) = (show(gap), show(usual));
+            let message = format!(
+                "is {gap} after the row before, the others are {usual} apart: a row is missing, doubled or shifted; \
+                 setpoints are equidistant"
+            );
+            page.report(Place::in_row(row.line, name, row.text), message);
+        }
+        None => {
+            let last = rows.last().map_or(0.0, |row| row.x);
+            let message = format!("but the last row is at {}; both must be equal", show(last));
+            page.report(length.clone(), message);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,167 @@
+//! Tables as files: the sample, whatever a drive may hold, and every mistake.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::motion::{Bits, MotionCommand};
+use crate::table::ENTRY_SIZE;
+
+const SAMPLE: &str = include_str!("../../../files/linmot-table.toml");
+
+/// The keys of an entry (`;;` is a line end), and in the next line what is said about them.
+const MISTAKES: &str = include_str!("mistakes.txt");
+
+fn read(text: &str) -> table::Table {
+    parse(text, "t.toml").unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+fn id(id: u16) -> EntryId {
+    EntryId::new(id).unwrap()
+}
+
+fn same(table: &table::Table) {
+    let text = to_text(table);
+    assert_eq!(&read(&text), table, "{text}");
+    assert_eq!(to_text(&read(&text)), text, "it is stable");
+}
+
+#[test]
+fn the_sample_is_what_it_says() {
+    let table = read(SAMPLE);
+    assert_eq!((table.len(), table.dead_ends()), (13, vec![]));
+    let lift = table.get(id(6)).unwrap();
+    assert_eq!((lift.name(), lift.next, lift.header), (Some("lift"), Some(7), 0x0400));
+    let go = table.get(id(2)).unwrap();
+    // 120 mm, 0.8 m/s, 10 m/s2, 8 m/s2.
+    let golden =
+        [0x80, 0x4F, 0x12, 0x00, 0x00, 0x35, 0x0C, 0x00, 0x40, 0x42, 0x0F, 0x00, 0x00, 0x35, 0x0C, 0x00];
+    assert_eq!(go.parameters[..16], golden);
+    assert_eq!(table.get(id(13)).unwrap().next, None);
+    same(&table);
+    assert_eq!(load("files/linmot-table.toml"), Ok(table));
+}
+
+#[test]
+fn what_a_drive_holds_beside_the_sense_of_it_stays() {
+    let mut table = table::Table::new();
+    same(&table);
+    let command = MotionCommand::if_status_word_equal(Bits(0x0400), Bits(0x0400), id(1), id(2));
+    let mut entry = Entry::new("a \"b\" \\ c", command, None).unwrap();
+    table.insert(id(1), entry);
+    entry.parameters[30] = 7;
+    entry.reserved[9] = 1;
+    entry.header |= 5;
+    entry.name[15] = b'x';
+    table.insert(id(2), entry);
+    let text = to_text(&table);
+    let expected = "[[entry]]\nid = 2\n\
+         name_bytes = [97, 32, 34, 98, 34, 32, 92, 32, 99, 0, 0, 0, 0, 0, 0, 120]\n\
+         command = \"if-status-word-equal\"\nmask = 0x0400\nvalue = 0x0400\nif_true = 1\nif_false = 2\n\
+         unused = [0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, 0x0000, \
+         0x0007]\ncount = 5\nreserved = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1]\n";
+    assert!(text.ends_with(expected), "{text}");
+    same(&table);
+    // Entries that are not there, and ids that are none.
+    entry.parameters[4] = 0;
+    entry.next = Some(0);
+    table.insert(id(3), entry);
+    assert!(to_text(&table).contains("incomplete = true"));
+    assert!(to_text(&table).contains("command = 0x264\nparameters = [0x0400, 0x0400, 0x0000, 0x0002,"));
+    same(&table);
+}
+
+#[test]
+fn keys_of_an_entry_are_no_fields() {
+    let own = ["id", "name", "command", "next", "parameters", "unused", "name_bytes", "reserved", "count"];
+    for info in CATALOGUE {
+        assert!(info.fields.iter().all(|field| !own.contains(&field.name)), "{}", info.name);
+    }
+}
+
+#[test]
+fn every_mistake_says_where_it_is_and_what_would_be_right() {
+    let mut lines = MISTAKES.lines();
+    let mut cases = 0;
+    while let (Some(entry), Some(expected)) = (lines.next(), lines.next()) {
+        let text = format!("[[entry]]\n{}\n", entry.replace(" ;; ", "\n"));
+        match parse(&text, "t.toml") {
+            Ok(table) => panic!("{entry} is accepted: {table:?}"),
+            Err(errors) => {
+                assert_eq!(errors.to_string(), format!("t.toml:{}", expected.trim_start()), "{entry}")
+            }
+        }
+        cases += 1;
+    }
+    assert!(cases > 20);
+    let missing = parse("", "t.toml").unwrap_err().to_string();
+    assert_eq!(
+        missing,
+        "t.toml:1: entry: missing; a command table has an [[entry]] for each entry, or is entry = []"
+    );
+}
+
+/// Entries as a drive may hold them: any bytes, more often than not with a command that has a name.
+fn any_table() -> impl Strategy<Value = table::Table> {
+    let bytes = prop::collection::vec(any::<u8>(), ENTRY_SIZE);
+    let entry = (bytes, any::<prop::sample::Index>(), 0..4).prop_map(|(mut bytes, index, sense)| {
+        bytes[..2].copy_from_slice(&[0x01, 0xA7]);
+        if sense > 0 {
+            let info = index.get(CATALOGUE);
+            bytes[4..6].copy_from_slice(&(info.id << 4).to_le_bytes());
+        }
+        if sense > 1 {
+            bytes[38..].fill(0);
+            bytes[38] = b'a' + bytes[6] % 26;
+        }
+        if sense > 2 {
+            bytes[2..4].fill(0xFF);
+        }
+        Entry::decode(&bytes).unwrap()
+    });
+    prop::collection::btree_map(1_u16..=255, entry, 0..12).prop_map(|entries| {
+        let mut table = table::Table::new();
+        for (at, entry) in entries {
+            table.insert(id(at), entry);
+        }
+        table
+    })
+}
+
+proptest! {
+    #[test]
+    fn any_table_comes_back_to_the_byte(table in any_table()) {
+        same(&table);
+    }
+
+    #[test]
+    fn any_value_comes_back_from_its_text(
+        index in any::<prop::sample::Index>(),
+        values in any::<[i64; 5]>(),
+    ) {
+        let info = index.get(CATALOGUE);
+        let fitted: Vec<i64> = (info.fields.iter().zip(values))
+            .map(|(field, value)| {
+                let (low, high) = field.kind.range();
+                low + value.rem_euclid(high - low + 1)
+            })
+            .collect();
+        let command = info.command(&fitted).unwrap();
+        let mut table = table::Table::new();
+        table.insert(id(1), Entry::new("", command, None).unwrap());
+        let text = to_text(&table);
+        let named = format!("command = \"{}\"", info.name);
+        prop_assert!(text.contains(&named), "{}", text);
+        prop_assert_eq!(read(&text), table);
+    }
+
+    #[test]
+    fn no_text_makes_it_panic(at in 0..SAMPLE.len(), cut in 0_usize..40, put in "[ -~\n\u{e9}]{0,12}") {
+        let mut text = SAMPLE.to_owned();
+        if text.is_char_boundary(at) && text.is_char_boundary((at + cut).min(text.len())) {
+            text.replace_range(at..(at + cut).min(SAMPLE.len()), &put);
+            if let Ok(table) = parse(&text, "t.toml") {
+                same(&table);
+            }
+        }
+    }
+}

@@ -1,0 +1,383 @@
+//! Time curves and encoder cams: what the drive stores, byte for byte, and its meaning.
+//!
+//! Knows no file and no channel. A curve is an info block of [`INFO_SIZE`] bytes and its setpoints, 4 bytes each,
+//! which are equidistant over the curve's length. Curves of other layouts are refused, not guessed at.
+//!
+//! Facts: "Drive Configuration over Fieldbus Interfaces" manual, curve info block; confirmed by an independent
+//! master on real drives. That the setpoints are equidistant is inferred.
+
+use thiserror::Error;
+
+/// Bytes of the info block.
+pub const INFO_SIZE: usize = 70;
+/// Bytes of one setpoint.
+pub const SETPOINT_SIZE: usize = 4;
+/// Bytes of the name; it may fill all of them.
+pub const NAME_SIZE: usize = 22;
+
+/// Offsets in the info block.
+mod field {
+    use std::ops::Range;
+
+    pub const DATA_OFFSET: usize = 0;
+    pub const KIND: usize = 2;
+    pub const SETPOINTS: usize = 4;
+    pub const SETPOINT_SIZE: usize = 6;
+    pub const NAME: Range<usize> = 8..30;
+    pub const ID: usize = 30;
+    pub const X_LENGTH: usize = 32;
+    pub const X_DIMENSION: usize = 36;
+    pub const Y_DIMENSION: usize = 38;
+    pub const WIZARD: usize = 40;
+    pub const WIZARD_PARAMETERS: usize = 42;
+}
+
+/// A curve. [`check`](Curve::check) says whether a drive would accept it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Curve {
+    /// 1 ... 100.
+    pub id: u16,
+    /// Over time or over the counts of an encoder.
+    pub kind: CurveKind,
+    /// As the drive holds it, whatever it contains; see [`name`](Curve::name).
+    pub name: [u8; NAME_SIZE],
+    /// From the first setpoint to the last, in the unit of `x_dimension`: 10 us of a time curve, counts of a cam.
+    pub x_length: u32,
+    /// The unit of x.
+    pub x_dimension: Dimension,
+    /// The unit of the setpoints.
+    pub y_dimension: Dimension,
+    /// How the vendor's tool made the curve; used by that tool only.
+    pub wizard: u16,
+    /// Parameters of `wizard`.
+    pub wizard_parameters: [u32; 7],
+    /// The setpoints, 2 ... 65535 of them; 0.1 um where `y_dimension` is a position.
+    pub setpoints: Vec<i32>,
+}
+
+/// The quantity that a curve runs over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CurveKind {
+    /// 0003h: position over time.
+    Time,
+    /// 0103h: position over the counts of an encoder.
+    Cam,
+}
+
+impl CurveKind {
+    /// The object type of the info block.
+    pub const fn code(self) -> u16 {
+        match self {
+            CurveKind::Time => 0x0003,
+            CurveKind::Cam => 0x0103,
+        }
+    }
+}
+
+/// The unit of an axis of a curve, as the drive numbers it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Dimension(pub u16);
+
+impl Dimension {
+    /// 0.1 um.
+    pub const POSITION: Dimension = Dimension(5);
+    /// 10 us.
+    pub const TIME: Dimension = Dimension(26);
+    /// Counts.
+    pub const ENCODER: Dimension = Dimension(27);
+}
+
+/// Why a curve is invalid for a drive.
+#[derive(Clone, PartialEq, Eq, Error)]
+pub enum CurveError {
+    /// The info block.
+    #[error("an info block of {0} bytes; it has 70: transfer the curve again")]
+    InfoSize(usize),
+    /// The data offset.
+    #[error("the setpoints begin at byte {0}; only 70 is known: leave this curve to the vendor's tool")]
+    DataOffset(u16),
+    /// The object type.
+    #[error("object type {0:04X}h; only 0003h and 0103h are known: leave this curve to the vendor's tool")]
+    Kind(u16),
+    /// The bytes of one setpoint.
+    #[error("setpoints of {0} bytes; only those of 4 are known: leave this curve to the vendor's tool")]
+    SetpointSize(u16),
+    /// The data.
+    #[error("{found} bytes of setpoints where the info block promises {promised}: transfer the curve again")]
+    DataSize {
+        /// The bytes that there are.
+        found: usize,
+        /// The bytes that the info block announces.
+        promised: usize,
+    },
+    /// The number of setpoints.
+    #[error("{0} setpoints; a curve has 2 to 65535")]
+    Setpoints(usize),
+    /// The id.
+    #[error("curve id {0}; use 1 to 100")]
+    Id(u16),
+    /// The name.
+    #[error("the name {0:?}; use at most 22 printable ASCII characters")]
+    Name(String),
+}
+fieldbeat_core::debug_as_display!(CurveError);
+
+impl Curve {
+    /// The bytes of a name, at most 22 printable ASCII characters.
+    pub fn name_bytes(name: &str) -> Result<[u8; NAME_SIZE], CurveError> {
+        let printable = name.bytes().all(|byte| matches!(byte, b' '..=b'~'));
+        if name.len() > NAME_SIZE || !printable {
+            return Err(CurveError::Name(name.to_owned()));
+        }
+        let mut bytes = [0; NAME_SIZE];
+        bytes[..name.len()].copy_from_slice(name.as_bytes());
+        Ok(bytes)
+    }
+
+    /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
+    pub fn name(&self) -> Option<&str> {
+        let length = self.name.iter().position(|byte| *byte == 0).unwrap_or(NAME_SIZE);
+        let name = std::str::from_utf8(&self.name[..length]).ok()?;
+        Curve::name_bytes(name).is_ok_and(|bytes| bytes == self.name).then_some(name)
+    }
+
+    /// Whether a drive would accept it.
+    pub fn check(&self) -> Result<(), CurveError> {
+        if !(1..=100).contains(&self.id) {
+            return Err(CurveError::Id(self.id));
+        }
+        if !(2..=usize::from(u16::MAX)).contains(&self.setpoints.len()) {
+            return Err(CurveError::Setpoints(self.setpoints.len()));
+        }
+        Ok(())
+    }
+
+    /// Info block and setpoints, in the drive's format.
+    pub fn encode(&self) -> Result<([u8; INFO_SIZE], Vec<u8>), CurveError> {
+        self.check()?;
+        let mut info = [0; INFO_SIZE];
+        let mut put = |at: usize, bytes: &[u8]| {
+            for (place, byte) in info.iter_mut().skip(at).zip(bytes) {
+                *place = *byte;
+            }
+        };
+        let words = [
+            (field::DATA_OFFSET, INFO_SIZE as u16),
+            (field::KIND, self.kind.code()),
+            // Checked above to fit.
+            (field::SETPOINTS, self.setpoints.len() as u16),
+            (field::SETPOINT_SIZE, SETPOINT_SIZE as u16),
+            (field::ID, self.id),
+            (field::X_DIMENSION, self.x_dimension.0),
+            (field::Y_DIMENSION, self.y_dimension.0),
+            (field::WIZARD, self.wizard),
+        ];
+        for (at, word) in words {
+            put(at, &word.to_le_bytes());
+        }
+        put(field::NAME.start, &self.name);
+        put(field::X_LENGTH, &self.x_length.to_le_bytes());
+        for (index, parameter) in self.wizard_parameters.iter().enumerate() {
+            put(field::WIZARD_PARAMETERS + 4 * index, &parameter.to_le_bytes());
+        }
+        Ok((info, self.setpoints.iter().flat_map(|setpoint| setpoint.to_le_bytes()).collect()))
+    }
+
+    /// The curve of an info block and its setpoints. Bytes after the 70th are padding of the transfer.
+    pub fn decode(info: &[u8], data: &[u8]) -> Result<Curve, CurveError> {
+        let Some(info) = info.first_chunk::<INFO_SIZE>() else {
+            return Err(CurveError::InfoSize(info.len()));
+        };
+        let word = |at: usize| u16::from_le_bytes([info[at], info[at + 1]]);
+        let long = |at: usize| u32::from(word(at)) | u32::from(word(at + 2)) << 16;
+        if usize::from(word(field::DATA_OFFSET)) != INFO_SIZE {
+            return Err(CurveError::DataOffset(word(field::DATA_OFFSET)));
+        }
+        let kind = match word(field::KIND) {
+            0x0003 => CurveKind::Time,
+            0x0103 => CurveKind::Cam,
+            other => return Err(CurveError::Kind(other)),
+        };
+        if usize::from(word(field::SETPOINT_SIZE)) != SETPOINT_SIZE {
+            return Err(CurveError::SetpointSize(word(field::SETPOINT_SIZE)));
+        }
+        let promised = usize::from(word(field::SETPOINTS)) * SETPOINT_SIZE;
+        if data.len() != promised {
+            return Err(CurveError::DataSize { found: data.len(), promised });
+        }
+        let mut name = [0; NAME_SIZE];
+        name.copy_from_slice(&info[field::NAME]);
+        let mut wizard_parameters = [0; 7];
+        for (index, parameter) in wizard_parameters.iter_mut().enumerate() {
+            *parameter = long(field::WIZARD_PARAMETERS + 4 * index);
+        }
+        let curve = Curve {
+            id: word(field::ID),
+            kind,
+            name,
+            x_length: long(field::X_LENGTH),
+            x_dimension: Dimension(word(field::X_DIMENSION)),
+            y_dimension: Dimension(word(field::Y_DIMENSION)),
+            wizard: word(field::WIZARD),
+            wizard_parameters,
+            setpoints: data.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes)).collect(),
+        };
+        curve.check()?;
+        Ok(curve)
+    }
+
+    /// The setpoint at `x`, linear between two of them; the first one before the curve, the last one after it. `x`
+    /// is counted from the first setpoint in the unit of `x_length`, and may be fractional.
+    pub fn position_at(&self, x: f64) -> f64 {
+        let last = self.setpoints.len().saturating_sub(1);
+        let setpoint = |index: usize| self.setpoints.get(index).map_or(0.0, |setpoint| f64::from(*setpoint));
+        let length = f64::from(self.x_length);
+        if x <= 0.0 {
+            return setpoint(0);
+        }
+        if x >= length || x.is_nan() {
+            return setpoint(last);
+        }
+        let place = x / length * last as f64;
+        let index = (place as usize).min(last.saturating_sub(1));
+        let (from, to) = (setpoint(index), setpoint(index + 1));
+        from + (to - from) * (place - index as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn lift() -> Curve {
+        Curve {
+            id: 5,
+            kind: CurveKind::Time,
+            name: Curve::name_bytes("lift").unwrap(),
+            x_length: 100_000,
+            x_dimension: Dimension::TIME,
+            y_dimension: Dimension::POSITION,
+            wizard: 0x0102,
+            wizard_parameters: [1, 0, 0, 0, 0, 0, 0x0403_0201],
+            setpoints: vec![0, 100_000, -1],
+        }
+    }
+
+    /// Drive Configuration manual, curve info block.
+    #[test]
+    fn golden_info_block() {
+        let (info, data) = lift().encode().unwrap();
+        let mut golden = vec![70, 0, 3, 0, 3, 0, 4, 0];
+        golden.extend(*b"lift\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0");
+        golden.extend([5, 0, 0xA0, 0x86, 0x01, 0, 26, 0, 5, 0, 0x02, 0x01, 1, 0, 0, 0]);
+        golden.extend([0; 20]);
+        golden.extend([1, 2, 3, 4]);
+        assert_eq!(info.to_vec(), golden);
+        assert_eq!(data, [0, 0, 0, 0, 0xA0, 0x86, 0x01, 0, 0xFF, 0xFF, 0xFF, 0xFF]);
+        // The transfer pads the info block to whole dwords.
+        assert_eq!(Curve::decode(&[&info[..], &[0, 0]].concat(), &data), Ok(lift()));
+        let cam = Curve { kind: CurveKind::Cam, ..lift() };
+        assert_eq!(cam.encode().unwrap().0[2..4], [0x03, 0x01]);
+    }
+
+    #[test]
+    fn what_no_drive_could_hold_is_refused_with_its_value() {
+        let broken = |byte: usize, value: u8| {
+            let (mut info, data) = lift().encode().unwrap();
+            info[byte] = value;
+            Curve::decode(&info, &data)
+        };
+        assert_eq!(broken(0, 72), Err(CurveError::DataOffset(72)));
+        assert_eq!(broken(2, 4), Err(CurveError::Kind(4)));
+        assert_eq!(broken(4, 4), Err(CurveError::DataSize { found: 12, promised: 16 }));
+        assert_eq!(broken(6, 2), Err(CurveError::SetpointSize(2)));
+        assert_eq!(broken(30, 0), Err(CurveError::Id(0)));
+        assert_eq!(Curve::decode(&[0; 69], &[]), Err(CurveError::InfoSize(69)));
+        let check = |change: fn(&mut Curve)| {
+            let mut curve = lift();
+            change(&mut curve);
+            curve.check()
+        };
+        assert_eq!(check(|curve| curve.id = 101), Err(CurveError::Id(101)));
+        assert_eq!(check(|curve| curve.setpoints.truncate(1)), Err(CurveError::Setpoints(1)));
+        assert_eq!(check(|curve| curve.setpoints.resize(65_536, 0)), Err(CurveError::Setpoints(65_536)));
+        assert_eq!(check(|curve| curve.setpoints.resize(65_535, 0)), Ok(()));
+        assert_eq!(Curve::name_bytes(&"n".repeat(22)), Ok([b'n'; NAME_SIZE]));
+        for name in [&*"n".repeat(23), "H\u{f6}he", "zero\0"] {
+            assert_eq!(Curve::name_bytes(name), Err(CurveError::Name(name.into())));
+        }
+    }
+
+    #[test]
+    fn a_name_is_one_only_to_the_last_byte() {
+        let named = |name: &[u8]| {
+            let mut curve = lift();
+            curve.name[..name.len()].copy_from_slice(name);
+            curve
+        };
+        assert_eq!(named(b"lift").name(), Some("lift"));
+        assert_eq!(named(&[b'n'; NAME_SIZE]).name(), Some("nnnnnnnnnnnnnnnnnnnnnn"));
+        assert_eq!(named(&[0; NAME_SIZE]).name(), Some(""));
+        assert_eq!(named(b"lift\0old").name(), None, "stale bytes behind the zero");
+        assert_eq!(named(b"l\xF6ft").name(), None, "not ASCII");
+    }
+
+    #[test]
+    fn setpoints_are_equidistant_and_joined_by_straight_lines() {
+        let curve = Curve { x_length: 200, setpoints: vec![0, 1_000, -500], ..lift() };
+        for (x, position) in [
+            (-1.0, 0.0),
+            (0.0, 0.0),
+            (50.0, 500.0),
+            (100.0, 1_000.0),
+            (150.0, 250.0),
+            (200.0, -500.0),
+            (1e9, -500.0),
+            (f64::NAN, -500.0),
+        ] {
+            assert_eq!(curve.position_at(x), position, "{x}");
+        }
+        assert_eq!(Curve { x_length: 0, ..curve.clone() }.position_at(0.5), -500.0);
+        assert_eq!(Curve { setpoints: vec![], ..curve }.position_at(7.0), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_read_or_refused(
+            info in prop::collection::vec(any::<u8>(), 0..80),
+            data in prop::collection::vec(any::<u8>(), 0..40),
+        ) {
+            if let Ok(curve) = Curve::decode(&info, &data) {
+                let (again, same) = curve.encode().unwrap();
+                prop_assert_eq!((&again[..], &same[..]), (&info[..INFO_SIZE], &data[..]));
+            }
+        }
+
+        #[test]
+        fn any_curve_comes_back(
+            id in 1_u16..=100,
+            cam in any::<bool>(),
+            name in any::<[u8; NAME_SIZE]>(),
+            x_length in any::<u32>(),
+            words in any::<[u16; 3]>(),
+            wizard_parameters in any::<[u32; 7]>(),
+            setpoints in prop::collection::vec(any::<i32>(), 2..50),
+        ) {
+            let curve = Curve {
+                id,
+                kind: if cam { CurveKind::Cam } else { CurveKind::Time },
+                name,
+                x_length,
+                x_dimension: Dimension(words[0]),
+                y_dimension: Dimension(words[1]),
+                wizard: words[2],
+                wizard_parameters,
+                setpoints,
+            };
+            let (info, data) = curve.encode().unwrap();
+            prop_assert_eq!(Curve::decode(&info, &data), Ok(curve));
+        }
+    }
+}

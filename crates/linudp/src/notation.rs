@@ -1,0 +1,295 @@
+//! How people write parameters of a LinMot drive and their values, the calls made from them, and their lists.
+
+use std::time::Duration;
+
+use super::service::{ServiceError, Services};
+use super::upid::{Known, Type, Upid, Usage, Variant, address, call};
+use super::wire::{Refusal, RtcCommand};
+use fieldbeat_core::axis::acyclic::{
+    Access, Call, ListError, Listed, Listing, Notation, NotationError, Wanted, Watcher, go_on,
+};
+
+const FORM: &str =
+    "0x20A8, 20A8h or a name, with .rom, .both, .min, .max or .default for another value than that in RAM";
+
+/// Time limit for reading a value, or writing one to RAM.
+const RAM_LIMIT: Duration = Duration::from_secs(1);
+/// Time limit for writing one to flash: the drive may stall meanwhile (sheet, 5.6), for how long is not known. As
+/// long as stopping its software.
+const FLASH_LIMIT: Duration = Duration::from_secs(20);
+
+/// Addresses and values of LinMot drives.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Upids;
+
+impl Upids {
+    fn find(text: &str) -> Result<(Upid, Variant), NotationError> {
+        address(text).ok_or(NotationError::Address { form: FORM })
+    }
+
+    fn kind(text: &str) -> Type {
+        address(text).and_then(|(upid, _)| upid.known()).map_or(Type::U32, |known| known.kind)
+    }
+}
+
+impl Notation for Upids {
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        let (upid, variant) = Upids::find(address)?;
+        // A value written to both reads the same from either.
+        let command = variant.read().unwrap_or(RtcCommand::READ_RAM);
+        Ok(call(command, upid.0, 0))
+    }
+
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        let (upid, variant) = Upids::find(address)?;
+        let instead = "the UPID itself, .rom or .both";
+        let command = variant.write().ok_or(NotationError::ReadOnly { instead })?;
+        let value = u32::try_from(value).map_err(|_| NotationError::Value {
+            value: value.to_string(),
+            form: "a number of 32 bits".to_owned(),
+        })?;
+        Ok(call(command, upid.0, value))
+    }
+
+    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let (upid, _) = Upids::find(address)?;
+        let known = upid.known();
+        let (low, high) = match known {
+            Some(known) => known.kind.range(),
+            // Of whatever sign: the bits are the same.
+            None => (i64::from(i32::MIN), i64::from(u32::MAX)),
+        };
+        let number = match text {
+            "true" => Some(1),
+            "false" => Some(0),
+            _ => match text.strip_prefix("0x") {
+                // The bits as they stand.
+                Some(digits) if !digits.starts_with(['+', '-']) => {
+                    i64::from_str_radix(digits, 16).ok().map(|bits| {
+                        let raw = u32::try_from(bits).ok();
+                        // Bits that the type does not have are out of its range.
+                        raw.map_or(Some(bits), |raw| {
+                            known.map_or(Some(bits), |known| known.kind.strict_number(raw))
+                        })
+                        .unwrap_or(bits)
+                    })
+                }
+                _ => text.parse().ok(),
+            },
+        };
+        match number {
+            // Cut to 32 bits, as a signed value is sent.
+            Some(number) if (low..=high).contains(&number) => Ok(u64::from(number as u32)),
+            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
+            None => Err(NotationError::Value {
+                value: text.to_owned(),
+                form: format!("a whole number, {low} ... {high}, or its bits as 0x..."),
+            }),
+        }
+    }
+
+    fn number(&self, address: &str, raw: u64) -> i64 {
+        Upids::kind(address).number(raw as u32)
+    }
+
+    fn show(&self, text: &str, raw: u64) -> String {
+        let raw = raw as u32;
+        match address(text).and_then(|(upid, _)| upid.known()) {
+            Some(Known { kind: Type::Text, .. }) => {
+                let letters = raw.to_le_bytes().map(char::from);
+                let letters: String = letters.into_iter().filter(char::is_ascii_graphic).collect();
+                format!("\"{letters}\" (0x{raw:X})")
+            }
+            Some(known) if known.unit.is_empty() => format!("{} (0x{raw:X})", known.kind.number(raw)),
+            Some(known) => {
+                format!("{} (0x{raw:X}) = {} {}", known.kind.number(raw), known.value(raw), known.unit)
+            }
+            None => format!("{raw} (0x{raw:X})"),
+        }
+    }
+
+    fn reason(&self, status: u32) -> String {
+        // The channel refuses with a status byte.
+        Refusal::of(status as u8).to_string()
+    }
+
+    fn limit(&self, call: &Call) -> Duration {
+        match RtcCommand(call.service as u8) {
+            RtcCommand::WRITE_ROM | RtcCommand::WRITE_BOTH => FLASH_LIMIT,
+            _ => RAM_LIMIT,
+        }
+    }
+
+    fn read_back(&self, text: &str) -> Vec<String> {
+        match address(text) {
+            Some((upid, Variant::Both)) => vec![upid.to_string(), format!("{upid}.rom")],
+            _ => vec![text.to_owned()],
+        }
+    }
+
+    fn is_same(&self, text: &str, written: u64, read: u64) -> bool {
+        let (written, read) = (written as u32, read as u32);
+        // A drive keeps as much of a value as the parameter has room for, with or without its sign above.
+        let kinds = match address(text).and_then(|(upid, _)| upid.known()) {
+            Some(known) => &[known.kind][..],
+            None => &[Type::U32, Type::S16, Type::S8][..],
+        };
+        let values = |kind: &Type| (kind.strict_number(written), kind.strict_number(read));
+        kinds.iter().any(|kind| matches!(values(kind), (Some(written), Some(read)) if written == read))
+    }
+
+    fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+        if let Some(menu) = wanted.part {
+            let drive = wanted.drive;
+            return Err(ListError::Wanted(format!("drive {drive} has no menus; leave {menu} out")));
+        }
+        let from = wanted.from.unwrap_or("0x0000");
+        let Some(first) = Upid::parse(from) else {
+            return Err(ListError::Wanted(format!("--from {from}: not a UPID; write 0x1450, or a name")));
+        };
+        let (is_modified, values) = (wanted.modified, wanted.values);
+        Ok(Listing::Read(Box::new(move |access, watch| match is_modified {
+            true => modified(access, watch, first),
+            false => all(access, watch, first, values),
+        })))
+    }
+}
+
+/// Those from `first` on that the drive names, if wanted with the values of those that can be read.
+fn all(access: Access<'_>, watch: Watcher<'_>, first: Upid, values: bool) -> Result<Vec<Listed>, ListError> {
+    let services = Services::over(access.drive, access.carrier)?;
+    let items = services.upids(first, watch)?;
+    let mut rows = Vec::with_capacity(items.len());
+    for (done, item) in items.iter().enumerate() {
+        let mut row = listed(item.upid, Some(item.usage), None);
+        if values && item.usage.has(Usage::RAM_READ) {
+            go_on(access, watch, done, items.len())?;
+            row.raw = Some(access.read(&row.address)?);
+        }
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+/// Those whose value in flash is not the default, with that value.
+fn modified(access: Access<'_>, watch: Watcher<'_>, first: Upid) -> Result<Vec<Listed>, ListError> {
+    let services = Services::over(access.drive, access.carrier)?;
+    let modified = services.modified_upids(first, watch)?;
+    Ok(modified.into_iter().map(|(upid, value)| listed(upid, None, Some(value.into()))).collect())
+}
+
+fn listed(upid: Upid, usage: Option<Usage>, raw: Option<u64>) -> Listed {
+    Listed {
+        address: upid.to_string(),
+        name: upid.known().map(|known| known.name),
+        usage: usage.map(|usage| usage.to_string()),
+        raw,
+    }
+}
+
+impl From<ServiceError> for ListError {
+    fn from(error: ServiceError) -> ListError {
+        ListError::Failed(error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_variant_has_its_command() {
+        let read = |text: &str| Upids.read(text).map(|call| (call.service, call.address));
+        assert_eq!(read("0x20A8"), Ok((0x11, 0x20A8)));
+        assert_eq!(read("0x20A8.rom"), Ok((0x10, 0x20A8)));
+        assert_eq!(read("0x20A8.min"), Ok((0x15, 0x20A8)));
+        assert_eq!(read("0x20A8.max"), Ok((0x16, 0x20A8)));
+        assert_eq!(read("0x20A8.default"), Ok((0x17, 0x20A8)));
+        let write = |text: &str| Upids.write(text, 7).map(|call| (call.service, call.value));
+        assert_eq!(write("0x20A8"), Ok((0x13, 7)));
+        assert_eq!(write("0x20A8.rom"), Ok((0x12, 7)));
+        assert_eq!(write("0x20A8.both"), Ok((0x14, 7)));
+        assert!(matches!(write("0x20A8.min"), Err(NotationError::ReadOnly { .. })));
+        assert!(matches!(Upids.write("0x20A8", 1 << 32), Err(NotationError::Value { .. })));
+    }
+
+    #[test]
+    fn values_keep_their_sign_and_their_range() {
+        for (address, text, raw) in [
+            ("home-position", "-5", 0xFFFF_FFFB),
+            ("home-position", "0xFFFFFFFB", 0xFFFF_FFFB),
+            ("monitor-source-1", "0x1E0F", 0x1E0F),
+            ("cam-enabled", "true", 1),
+            ("0x3000", "4294967295", 0xFFFF_FFFF),
+            ("0x3000", "-1", 0xFFFF_FFFF),
+        ] {
+            assert_eq!(Upids.value(address, text), Ok(raw), "{address} {text}");
+        }
+        for (address, text) in [
+            ("monitor-source-1", "65536"),
+            ("monitor-source-1", "-1"),
+            ("monitor-source-1", "0x11E0F"),
+            ("0x3000", "4294967296"),
+            ("0x3000", "0x100000000"),
+        ] {
+            let wrong = Upids.value(address, text);
+            assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+        }
+        for (address, text) in [
+            ("home-position", "1.5"),
+            ("0x3000", ""),
+            ("0x3000", "0x+5"),
+            ("0x3000", "0x-5"),
+            ("0x3000", "12mm"),
+            ("0x3000", "99999999999999999999"),
+        ] {
+            let wrong = Upids.value(address, text);
+            assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+        }
+        assert_eq!(Upids.show("home-position", 0xFFFF_FFFB), "-5 (0xFFFFFFFB) = -0.0005 mm");
+        assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
+        assert_eq!(Upids.show("article-number", 0x4C45_4946), "\"FIEL\" (0x4C454946)");
+        assert_eq!(Upids.number("core-temperature", 0xFFFE), -2);
+        for (raw, celsius) in [(0, -50.0), (51, 0.0), (82, 30.39), (255, 200.0), (0x7_0052, 30.39)] {
+            assert_eq!(Upid(0x1BF3).known().map(|known| known.value(raw)), Some(celsius), "{raw}");
+        }
+        assert_eq!(Upids.show("motor-temperature", 82), "82 (0x52) = 30.39 C");
+        assert!(Upids.reason(0xC0).contains("no such UPID"));
+    }
+
+    #[test]
+    fn what_is_written_to_flash_is_given_its_time() {
+        let limit = |text: &str| Upids.write(text, 7).map(|call| Upids.limit(&call));
+        assert_eq!(limit("0x20A8"), Ok(RAM_LIMIT));
+        assert_eq!(limit("0x20A8.rom"), Ok(FLASH_LIMIT));
+        assert_eq!(limit("0x20A8.both"), Ok(FLASH_LIMIT));
+        assert_eq!(Upids.read("0x20A8.rom").map(|call| Upids.limit(&call)), Ok(RAM_LIMIT));
+    }
+
+    #[test]
+    fn what_was_written_is_known_again_in_both_memories_and_in_every_size() {
+        assert_eq!(Upids.read_back("monitor-source-1.both"), ["0x20A8", "0x20A8.rom"]);
+        assert_eq!(Upids.read_back("monitor-source-1.rom"), ["monitor-source-1.rom"]);
+        for (address, written, read, same) in [
+            // Of a type that nobody knows here: what a parameter of 16 or 8 bits makes of it.
+            ("0x3100", 0xFFFF_FFFF, 0xFFFF_FFFF, true),
+            ("0x3100", 0xFFFF_FFFF, 0xFFFF, true),
+            ("0x3100", 0xFFFF_FFFF, 0xFF, true),
+            ("0x3100", 0xFFFF_FFFE, 0xFFFF, false),
+            ("0x3100", 0xFFFF, 0xFFFF_FFFF, true),
+            ("0x3100", 0x12345, 0x2345, false),
+            ("0x3100", 0x1_0000, 0, false),
+            ("0x3100", 5, 5, true),
+            ("0x3100", 5, 6, false),
+            ("home-position", 0xFFFF_FFFF, 0xFFFF, false),
+            ("monitor-source-1", 0x1E0F, 0x1E0F, true),
+            ("core-temperature", 0xFFFF_FFFE, 0xFFFE, true),
+        ] {
+            assert_eq!(Upids.is_same(address, written, read), same, "{address} {written:X}h {read:X}h");
+        }
+    }
+}

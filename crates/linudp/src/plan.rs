@@ -1,0 +1,310 @@
+//! A LinUDP bus as configured and checked.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::time::Duration;
+
+use super::motion::StreamCommand;
+use super::upid::Upid;
+use fieldbeat_core::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
+use fieldbeat_core::bus::variant::{self, Variant};
+use fieldbeat_core::net::SendMode;
+use fieldbeat_core::time::{Ns, nanos};
+
+/// The master's port, source and destination of everything (manual, 4.3).
+pub const MASTER_PORT: u16 = 41136;
+/// The drives' port (manual, 4.3).
+pub const DRIVE_PORT: u16 = 49360;
+
+/// Positions on the wire are 0.1 um (SG5 manual, units of the motion command interface).
+pub const COUNTS_PER_MM: f64 = 10_000.0;
+
+/// One master socket and its drives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinUdpPlan {
+    /// Its name in messages.
+    pub name: String,
+    /// Where the master listens and sends from.
+    pub bind: SocketAddrV4,
+    /// One system call for all requests, or one each.
+    pub send: SendMode,
+    /// The drives; one address each.
+    pub drives: Vec<LinUdpDrive>,
+}
+
+/// One LinMot drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinUdpDrive {
+    /// What every protocol's axis has. Counts are 0.1 um: 10 000 a millimetre.
+    pub axis: AxisPlan,
+    /// Where the drive listens.
+    pub address: SocketAddrV4,
+    /// The streaming command that Follow uses; `None`: Follow is refused.
+    pub stream: Option<StreamCommand>,
+    /// What the four monitoring channels show, if they are requested.
+    pub monitor: MonitorPlan,
+    /// By what a reply shows which request it answers.
+    pub reply_tag: ReplyTag,
+    /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
+    /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
+    pub inhibit_after: Duration,
+    /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
+    /// ahead of the axis; if the master dies the axis runs this far. `None`: jogs are refused (`no_drive_watchdog`).
+    pub leash: Option<f64>,
+}
+
+impl LinUdpPlan {
+    /// A bus of these drives, with the master on the usual port of `bind`.
+    pub fn new(bind: Ipv4Addr, drives: Vec<LinUdpDrive>) -> LinUdpPlan {
+        let bind = SocketAddrV4::new(bind, MASTER_PORT);
+        LinUdpPlan { name: "linudp-v2".into(), bind, send: SendMode::default(), drives }
+    }
+
+    /// This bus in another machine. A drive is due so rarely that it takes its stream, or has none.
+    pub(super) fn variant(&self, wanted: &Variant) -> Option<LinUdpPlan> {
+        let mut plan = self.clone();
+        plan.bind.set_ip(wanted.address(*plan.bind.ip()));
+        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
+            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
+            drive.address = variant::address_behind(drive.address, ahead);
+        });
+        for drive in &mut plan.drives {
+            drive.address.set_ip(wanted.address(*drive.address.ip()));
+            let least_ns = drive.stream.map_or(0, |stream| stream.period_range_ns().0);
+            wanted.schedule(&mut drive.axis, least_ns);
+            let every_ns = wanted.every_ns(&drive.axis);
+            drive.stream = drive.stream.filter(|stream| stream.takes(every_ns));
+        }
+        Some(plan)
+    }
+}
+
+impl LinUdpDrive {
+    /// The usual `inhibit_after`: a status is up to 2 ms old (sheet, 3.5).
+    pub const INHIBIT_AFTER: Duration = Duration::from_millis(10);
+
+    /// A drive at this address, in millimetres, with everything else as it is when a configuration says nothing of it.
+    pub fn new(name: impl Into<String>, address: Ipv4Addr) -> LinUdpDrive {
+        LinUdpDrive {
+            axis: AxisPlan::new(name, Units::millimetres(COUNTS_PER_MM)),
+            address: SocketAddrV4::new(address, DRIVE_PORT),
+            stream: Some(StreamCommand::Pva),
+            monitor: MonitorPlan::Off,
+            reply_tag: ReplyTag::default(),
+            inhibit_after: LinUdpDrive::INHIBIT_AFTER,
+            leash: None,
+        }
+    }
+}
+
+/// By what a reply shows which request it answers: LinUDP has no sequence number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReplyTag {
+    /// Each request names other blocks than the one before it, and the reply echoes its definition: error
+    /// code, warn word and monitoring channels come in turn, in eight combinations; monitoring channels that are shown
+    /// come in each reply, and there are four.
+    #[default]
+    Definition,
+    /// A real-time-config no-operation with a new count in each request, which the reply echoes: fourteen values, eight
+    /// bytes more in both directions.
+    Count,
+    /// Nothing: all requests name the same blocks. After a missed exchange the next reply is suspect.
+    Off,
+}
+
+impl ReplyTag {
+    /// Its words in the configuration.
+    pub const WORDS: [(&'static str, ReplyTag); 3] =
+        [("definition", ReplyTag::Definition), ("count", ReplyTag::Count), ("off", ReplyTag::Off)];
+}
+
+/// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MonitorPlan {
+    /// They are not requested.
+    #[default]
+    Off,
+    /// Whatever is set in the drive, as raw numbers.
+    AsSet,
+    /// These variables: the drive is set so (in RAM only) whenever it comes online.
+    Sources([Option<Upid>; 4]),
+}
+
+impl MonitorPlan {
+    /// What the drive is to be set to.
+    pub fn sources(self) -> [Option<Upid>; 4] {
+        match self {
+            MonitorPlan::Sources(sources) => sources,
+            MonitorPlan::Off | MonitorPlan::AsSet => [None; 4],
+        }
+    }
+
+    /// The name of a variable that two of the channels would show.
+    fn shown_twice(self) -> Option<String> {
+        let mut names: Vec<String> =
+            self.channels().into_iter().flatten().map(|channel| channel.name).collect();
+        names.sort_unstable();
+        names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0].clone())
+    }
+
+    /// Names and units of the channels, for people.
+    pub fn channels(self) -> [Option<MonitorChannel>; 4] {
+        let of = |source: Upid| match source.known() {
+            Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.unit },
+            None => MonitorChannel { name: source.to_string(), unit: "" },
+        };
+        match self {
+            MonitorPlan::Off => [const { None }; 4],
+            MonitorPlan::AsSet => std::array::from_fn(|channel| {
+                Some(MonitorChannel { name: format!("channel-{}", channel + 1), unit: "" })
+            }),
+            MonitorPlan::Sources(sources) => sources.map(|source| source.map(of)),
+        }
+    }
+}
+
+impl LinUdpDrive {
+    /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
+    pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = self.wire_faults();
+        faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
+        if let Some(name) = self.monitor.shown_twice() {
+            faults.push(PlanFault::new("monitor", format!("has {name} twice; list each variable once")));
+        }
+        if self.axis.limits.torque.is_some() {
+            let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
+            faults.push(PlanFault::new("limits.torque", why));
+        }
+        if self.inhibit_after >= self.axis.enable_timeout {
+            let why =
+                "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
+            faults.push(PlanFault::new("inhibit_after", why));
+        }
+        let unit = self.axis.units.unit;
+        match (self.leash, self.axis.limits.position) {
+            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
+                faults.push(PlanFault::new("leash", "must be above 0"));
+            }
+            (Some(leash), Some((low, high))) if leash > high - low => {
+                let range = high - low;
+                let why = format!(
+                    "is longer than the range of {range} {unit}; a jog runs that far if the master dies"
+                );
+                faults.push(PlanFault::new("leash", why));
+            }
+            _ => {}
+        }
+        faults
+    }
+
+    /// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a
+    /// value must be at least one of them, and fit into the signed 32 bits of the streaming commands.
+    fn wire_faults(&self) -> Vec<PlanFault> {
+        let (profile, unit) = (&self.axis.profile, self.axis.units.unit);
+        let scale = self.axis.units.counts_per_unit.abs();
+        let mut faults = Vec::new();
+        if scale == 0.0 || !scale.is_finite() {
+            return faults; // Reported for every axis.
+        }
+        let mut reported = None;
+        for (key, value, counts, per) in [
+            ("profile.velocity", profile.velocity, 10.0, "s"),
+            ("profile.acceleration", profile.acceleration, 100.0, "s²"),
+            ("profile.deceleration", profile.deceleration, 100.0, "s²"),
+            ("stop.deceleration", self.axis.stop.deceleration, 100.0, "s²"),
+        ] {
+            let step = counts / scale;
+            let most = step * f64::from(i32::MAX);
+            // One acceleration may stand in for all three of them.
+            if (step..=most).contains(&value) || reported == Some((value, per)) {
+                continue;
+            }
+            let range = format!("{step} ... {most} {unit}/{per}");
+            let why = format!("{value} is outside the range of the drive, {range}; change it or check scale");
+            faults.push(PlanFault::new(key, why));
+            reported = Some((value, per));
+        }
+        faults
+    }
+
+    fn stream_fault(&self, command: StreamCommand, period_ns: u64) -> Option<PlanFault> {
+        if command.takes(period_ns) {
+            return None;
+        }
+        let fitting: Vec<String> = StreamCommand::ALL
+            .iter()
+            .filter(|other| other.takes(period_ns))
+            .map(|other| format!("\"{}\"", other.name()))
+            .collect();
+        let remedy = match fitting.is_empty() {
+            true => "no streaming command fits, use \"off\" or another period".to_owned(),
+            false => format!("use {} or \"off\"", fitting.join(", ")),
+        };
+        let (low, high) = command.period_range_ns();
+        let why = format!(
+            "needs a setpoint every {} ... {}, and this drive gets one every {} (period x divisor {}); {remedy}",
+            Ns(low),
+            Ns(high),
+            Ns(period_ns),
+            self.axis.divisor
+        );
+        Some(PlanFault::new("stream", why))
+    }
+
+    /// What `check` says of it beyond its axis; the first line is its address.
+    pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
+        let unit = self.axis.units.unit;
+        let setpoints = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
+        let mut lines = vec![format!("{bind} -> {}", self.address)];
+        lines.push(match self.stream {
+            Some(command) => {
+                let (shortest, longest) = command.period_range_ns();
+                format!(
+                    "streams \"{}\", a setpoint every {setpoints} (the drive takes {} ... {})",
+                    command.name(),
+                    Ns(shortest),
+                    Ns(longest)
+                )
+            }
+            None if StreamCommand::ALL.iter().any(|command| command.takes(setpoints.0)) => {
+                "no streams (stream = \"off\")".to_owned()
+            }
+            None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
+        });
+        match self.monitor {
+            MonitorPlan::Off => {}
+            MonitorPlan::AsSet => {
+                lines.push("shows its monitoring channels as the drive has them set".to_owned())
+            }
+            MonitorPlan::Sources(_) => {
+                let names: Vec<String> =
+                    self.monitor.channels().into_iter().flatten().map(|channel| channel.name).collect();
+                let names = names.join(", ");
+                lines.push(format!(
+                    "shows {names}: the master sets this, in RAM, whenever the drive comes online"
+                ));
+            }
+        }
+        lines.push(format!(
+            "a late reply is recognised by {}; a hardware enable (STO) counts as missing after {}",
+            match (self.reply_tag, self.monitor) {
+                (ReplyTag::Definition, MonitorPlan::Off) => "its response definition, one of eight in turn",
+                (ReplyTag::Definition, _) => "its response definition, one of four in turn",
+                (ReplyTag::Count, _) => "its count, one of fourteen in turn",
+                (ReplyTag::Off, _) => "a missed exchange before it only",
+            },
+            Ns(nanos(self.inhibit_after))
+        ));
+        let jog = match self.leash {
+            Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),
+            None => "jogs and cyclic velocities are refused".to_owned(),
+        };
+        let stream = match self.stream {
+            Some(_) => ", a stream ends in the drive's own underflow error",
+            None => "",
+        };
+        lines.push(format!(
+            "if the master dies: a LinUDP drive has no watchdog, a move runs to its target, {jog}{stream}"
+        ));
+        lines.join("\n")
+    }
+}

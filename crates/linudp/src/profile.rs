@@ -1,0 +1,453 @@
+//! What is desired of a LinMot drive as the blocks of the next request, and what its replies prove.
+//!
+//! The drive makes its own setpoints: a motion is a motion command with a new count, which is proved by its echo. The
+//! control word stays as the last request left it.
+//!
+//! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
+
+use super::channel::MotionChannel;
+use super::last::PowerSent;
+use super::motion::{
+    Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, StreamCommand, Velocity,
+};
+use super::native::{NativeOutput, NativePort};
+use super::plan::LinUdpDrive;
+use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
+use fieldbeat_core::axis::Lacks;
+use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::axis::units::Units;
+use fieldbeat_core::bus::desired::{
+    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
+    Setpoint, Velocities,
+};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::{Time, nanos};
+
+/// Powered and holding, out of operation.
+const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
+/// Halting: never /Freeze (it would run on) and never OFF3 (it ends in power off, and the load drops).
+const HALTED: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::NO_ABORT);
+/// 1 um/s and 1e-5 m/s²: ten and a hundred times coarser than a count of 0.1 um.
+const VELOCITY: f64 = 0.1;
+const ACCELERATION: f64 = 0.01;
+/// The demand ends exactly at its target; a micrometre is left to its rounding, counts.
+const ARRIVAL: f64 = 10.0;
+
+/// What the drive reported last, as far as its profile needs it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Inputs {
+    /// There was a reply at all.
+    pub seen: bool,
+    /// Its count is none that this master has used lately.
+    pub foreign: bool,
+    /// Status word and state var are 0: booting, or the motion software is stopped.
+    pub booting: bool,
+    /// The code of its error is known.
+    pub named: bool,
+    pub status: StatusWord,
+    pub state: StateVar,
+    /// Unwrapped, 0.1 um.
+    pub demand: i64,
+}
+
+impl Inputs {
+    /// In error, or in the quick stop that an error began.
+    fn failed(&self) -> bool {
+        self.settled_error() || (self.state.main() == MainState::QUICK_STOP && self.status.error())
+    }
+
+    /// In error and no longer braking: the only states in which an error can be acknowledged.
+    fn settled_error(&self) -> bool {
+        matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
+    }
+
+    /// The setpoint generator runs. In state 8 the sub state is sampled together with the count echo; elsewhere the
+    /// status word has to be used.
+    pub(super) fn moving(&self) -> bool {
+        self.state.motion_active().unwrap_or(self.status.motion_active())
+    }
+}
+
+/// The blocks of the next request.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Outputs {
+    pub control: Option<ControlWord>,
+    pub motion: Option<MotionBlock>,
+    pub config: Option<RtcBlock>,
+}
+
+/// The serials that a request carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Serials {
+    power: u64,
+    motion: u64,
+    row: u64,
+}
+
+impl Serials {
+    #[inline]
+    fn of(desired: &Desired) -> Serials {
+        Serials { power: desired.power.serial, motion: desired.motion.serial, row: desired.setpoint.row }
+    }
+}
+
+/// The profile of one drive. What each exchange touches comes first.
+#[derive(Debug)]
+#[repr(C)]
+pub(super) struct Profile {
+    /// What the prepared request carries.
+    prepared: Serials,
+    control: Option<ControlWord>,
+    /// The newest reply was clean and proves all that was sent: the next one that says the same proves the same, and
+    /// the requests carry the control word alone, until something else is desired.
+    steady: bool,
+    /// Native mode runs.
+    is_native: bool,
+    /// The motion is a command of the channel: its echo proves it.
+    is_command: bool,
+    /// What the last request that went out carried.
+    sent: Serials,
+    /// The control words of the last request that went out, and of the one before.
+    control_sent: Option<ControlWord>,
+    control_before: Option<ControlWord>,
+    channel: MotionChannel,
+    voltage: Voltage,
+    /// None of the counts was taken, or the drive must not have this command.
+    refused: Option<Refused>,
+    /// The control word of the application, in native mode.
+    native_control: Option<ControlWord>,
+    /// The native output of the next request. It stays until that has gone out: a request may be built more than
+    /// once for one send, and a send may fail.
+    native: Option<NativeOutput>,
+    units: Units,
+    stream: Option<StreamCommand>,
+    inhibit_after_ns: u64,
+    /// For the last resort.
+    power_sent: PowerSent,
+}
+
+/// Whether the drive lets its power stage come on, as the requests allow it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Voltage {
+    /// Not allowed, or not reported yet.
+    Unknown,
+    Present,
+    /// Since this reply; `lost` = it was present before.
+    Missing {
+        since: Time,
+        lost: bool,
+    },
+}
+
+/// What a drive can do, and what its wire carries.
+pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
+    let scale = drive.axis.units.counts_per_unit.abs();
+    let ends = [i32::MIN, i32::MAX].map(|count| f64::from(count) / drive.axis.units.counts_per_unit);
+    let least = |count: f64| (1.0 / (scale * count), f64::from(u32::MAX) / (scale * count));
+    Capabilities {
+        generator: Generator::Drive { velocities: drive.leash.map(Velocities::Leash) },
+        lacks: Lacks {
+            rows: drive.stream.is_none().then_some("no streaming command fits its cycle (stream = \"off\")"),
+            velocities: drive.leash.is_none().then_some(
+                "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a \
+                leash",
+            ),
+            torques: Some("it takes positions and velocities, no torques"),
+            ..Lacks::default()
+        },
+        switches_on_at_once: true,
+        leaves_quick_stop: false,
+        // A single reply that comes again, many cycles late, may look like the newest: it has no number.
+        power_reports: 2,
+        still_reports: 2,
+        stands_ns: 0,
+        arrival: ARRIVAL / scale,
+        // A reply has both of one instant.
+        behind_ns: 0,
+        ranges: Ranges {
+            position: (ends[0].min(ends[1]), ends[0].max(ends[1])),
+            velocity: least(VELOCITY),
+            acceleration: least(ACCELERATION),
+        },
+    }
+}
+
+impl Profile {
+    pub(super) fn new(drive: &LinUdpDrive) -> Profile {
+        Profile {
+            units: drive.axis.units,
+            stream: drive.stream,
+            inhibit_after_ns: nanos(drive.inhibit_after),
+            voltage: Voltage::Unknown,
+            prepared: Serials::default(),
+            sent: Serials::default(),
+            control: None,
+            control_sent: None,
+            control_before: None,
+            channel: MotionChannel::default(),
+            is_command: false,
+            refused: None,
+            native_control: None,
+            native: None,
+            is_native: false,
+            steady: false,
+            power_sent: PowerSent::default(),
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.power_sent.memory(regions);
+    }
+
+    /// What its requests that left say of the drive's power.
+    pub(super) fn power_sent(&self) -> PowerSent {
+        self.power_sent.clone()
+    }
+
+    /// Another clean reply that says the same proves the same.
+    #[inline]
+    pub(super) fn is_steady(&self) -> bool {
+        self.steady
+    }
+
+    /// The next request has the blocks of the last one: the control word alone, or none.
+    #[inline]
+    pub(super) fn repeats(&self, desired: &Desired) -> bool {
+        self.steady && self.prepared == Serials::of(desired)
+    }
+
+    /// The control word of the prepared request.
+    #[inline]
+    pub(super) fn control(&self) -> Option<ControlWord> {
+        self.control
+    }
+
+    /// The blocks of the next request.
+    pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> Outputs {
+        let Desired { power, motion, setpoint, .. } = desired;
+        let serials = Serials::of(desired);
+        let before = std::mem::replace(&mut self.prepared, serials);
+        self.steady &= before == serials;
+        if motion.serial != before.motion {
+            self.begin(motion.value, inputs, native);
+        }
+        if setpoint.row != before.row {
+            // Otherwise a stream was replaced before its row left, and this is the setpoint before that.
+            if setpoint.row > self.sent.row {
+                self.stream_row(setpoint, inputs);
+            }
+        }
+        let owner = match motion.value {
+            Motion::Native(owner) => Some(owner),
+            _ => None,
+        };
+        self.is_native = owner.is_some();
+        native.runs(self.is_native);
+        if let Some(owner) = owner {
+            self.take_native(owner, inputs, native);
+        }
+        self.control = self.native_control.or_else(|| control(power.value, motion.value));
+        Outputs {
+            control: self.control,
+            motion: self.channel.block(),
+            config: self.native.and_then(|output| output.config),
+        }
+    }
+
+    /// Another motion is desired.
+    fn begin(&mut self, motion: Motion, inputs: &Inputs, native: &mut NativePort) {
+        self.channel.clear();
+        (self.native, self.native_control, self.refused) = (None, None, None);
+        native.flush();
+        let command = match motion {
+            Motion::Move { position, profile } => Some(MotionCommand::vai_go_to(
+                self.position(position, inputs),
+                Velocity(self.unsigned(profile.velocity, VELOCITY)),
+                self.acceleration(profile.acceleration),
+                self.acceleration(profile.deceleration),
+            )),
+            Motion::Ramp { deceleration } => Some(MotionCommand::vai_stop(self.acceleration(deceleration))),
+            Motion::EndStream => Some(MotionCommand::stream_end()),
+            // Its velocities are moves.
+            Motion::Velocity { .. } => None,
+            Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
+        };
+        self.is_command = command.is_some();
+        if let Some(command) = command {
+            self.channel.send(command);
+        }
+    }
+
+    /// The last built request has gone out.
+    #[inline]
+    pub(super) fn sent(&mut self) {
+        if !self.steady {
+            self.note_sent();
+        }
+    }
+
+    #[inline(never)]
+    fn note_sent(&mut self) {
+        self.sent = self.prepared;
+        self.control_before = std::mem::replace(&mut self.control_sent, self.control);
+        if self.control_before != self.control_sent {
+            self.power_sent.note(self.control_sent);
+        }
+        self.native = None;
+        self.channel.sent();
+    }
+
+    /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
+    /// next command is sent.
+    pub(super) fn drive_restarted(&mut self) {
+        self.steady = false;
+        self.channel.clear();
+        self.native_control = self.native_control.map(|_| ControlWord::BASE);
+    }
+
+    /// What a reply proves; `clean`: it can be no older one.
+    pub(super) fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
+        self.steady = clean
+            && !self.is_native
+            && self.sent == self.prepared
+            && (self.control_before, self.control_sent) == (self.control, self.control);
+        if let Some(echo) = inputs.state.count() {
+            if clean && self.sent.row != 0 && self.channel.count == Some(echo) {
+                evidence.accepted.row = self.sent.row;
+            }
+            if self.channel.take(echo, clean, inputs.foreign).is_err() {
+                self.refused = Some(Refused::NotTaken);
+            }
+        }
+        if clean {
+            evidence.accepted.power = self.sent.power;
+            if !self.is_command || self.channel.is_accepted() {
+                evidence.accepted.motion = self.sent.motion;
+            }
+        }
+        if self.is_command && !self.channel.is_accepted() {
+            // Somebody else's command has run since.
+            evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
+        }
+        evidence.refused = self.refused;
+        evidence.stays_on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE);
+        let operates = inputs.state.main() == MainState::OPERATION_ENABLED;
+        (evidence.ready, evidence.homing) = (true, Homing::Open);
+        evidence.fault = FaultIs { active: false, named: true, resettable: Resettable::Now };
+        if !operates {
+            Self::prove_state(inputs, evidence);
+        }
+        self.steady &= self.channel.is_settled();
+    }
+
+    /// In any other state than operation.
+    #[cold]
+    fn prove_state(inputs: &Inputs, evidence: &mut Evidence) {
+        evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
+        if inputs.state.main() == MainState::HOMING && inputs.state.finished() {
+            evidence.homing = Homing::Attained;
+        }
+        evidence.fault.active = inputs.failed();
+        evidence.fault.named = inputs.named;
+        evidence.fault.resettable = Self::resettable(inputs);
+    }
+
+    fn resettable(inputs: &Inputs) -> Resettable {
+        match () {
+            () if !inputs.settled_error() => Resettable::At(Time(u64::MAX)),
+            () if inputs.status.fatal() => Resettable::Never(None),
+            () => Resettable::Now,
+        }
+    }
+
+    /// Takes the next native output once the previous one has gone out, and its motion was echoed.
+    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
+        if self.native.is_some() || self.refused.is_some() {
+            return;
+        }
+        let free = self.channel.is_free() || inputs.state.count().is_none();
+        let Some(output) = native.next(free) else { return };
+        if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
+            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
+            // is what it has stored.
+            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
+            self.refused = Some(Refused::Because(why));
+            return;
+        }
+        if owner == NativeOwner::Application && output.control.is_some() {
+            self.native_control = output.control;
+        }
+        if let Some(command) = output.motion {
+            self.channel.send(command);
+        }
+        self.native = Some(output);
+    }
+
+    fn stream_row(&mut self, setpoint: &Setpoint, inputs: &Inputs) {
+        let Some(command) = self.stream else { return };
+        let position = self.position(setpoint.position, inputs);
+        let signed = |value: f64, scale: f64| (value * self.units.counts_per_unit * scale).round() as i32;
+        let velocity = SignedVelocity(signed(setpoint.velocity, VELOCITY));
+        let acceleration = SignedAcceleration(signed(setpoint.acceleration, ACCELERATION));
+        self.channel.stream(MotionCommand::stream(command, position, velocity, acceleration));
+    }
+
+    /// The count of a rotary axis wraps around, in the drive as here.
+    fn position(&self, position: f64, inputs: &Inputs) -> Position {
+        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
+        let counts = ((position - self.units.offset) * self.units.counts_per_unit).round();
+        let way = (counts - from as f64) as i32;
+        Position((from + i64::from(way)) as i32)
+    }
+
+    fn acceleration(&self, acceleration: f64) -> Acceleration {
+        Acceleration(self.unsigned(acceleration, ACCELERATION))
+    }
+
+    /// Not zero: with a zero the drive would never arrive. What the wire cannot carry was refused before.
+    fn unsigned(&self, value: f64, scale: f64) -> u32 {
+        ((value * self.units.counts_per_unit.abs() * scale).round() as u32).max(1)
+    }
+
+    /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
+    /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
+    /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
+    /// hardware.
+    ///
+    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come.
+    /// One that was there and goes is no such lag, since the control word has not changed.
+    pub(super) fn inhibited(&mut self, at: Time, inputs: &Inputs) -> bool {
+        let allowed =
+            |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
+        self.voltage = match self.voltage {
+            _ if inputs.booting || !allowed(self.control_sent) || !allowed(self.control_before) => {
+                Voltage::Unknown
+            }
+            _ if inputs.status.has(StatusWord::VOLTAGE_ENABLE) => Voltage::Present,
+            Voltage::Unknown => Voltage::Missing { since: at, lost: false },
+            Voltage::Present => Voltage::Missing { since: at, lost: true },
+            missing @ Voltage::Missing { .. } => missing,
+        };
+        let Voltage::Missing { since, lost } = self.voltage else { return false };
+        // Time alone may make it true.
+        self.steady = false;
+        lost || at.since(since) >= self.inhibit_after_ns
+    }
+}
+
+/// The control word of a power and a motion.
+fn control(power: Power, motion: Motion) -> Option<ControlWord> {
+    Some(match power {
+        Power::Untouched => return None,
+        Power::Off | Power::Shutdown => ControlWord::BASE,
+        Power::SwitchOn => HELD,
+        Power::FaultReset => ControlWord::ACKNOWLEDGE,
+        Power::QuickStop => HALTED,
+        Power::EnableOperation => match motion {
+            Motion::Home => ControlWord::HOME,
+            Motion::Halt => HALTED,
+            _ => ControlWord::ON,
+        },
+    })
+}

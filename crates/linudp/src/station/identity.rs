@@ -1,0 +1,226 @@
+//! Which request a reply answers.
+//!
+//! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
+//! exchange. By default the response definition changes from request to request ([`ReplyTag`]), so that a reply that is
+//! one to seven exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
+//! *suspect*: taken as feedback one cycle older, without a round-trip sample. The request after it requests one block
+//! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
+//! count in every request and its echo names the request.
+//!
+//! What comes between two windows answers nothing: the bus takes it in before the next request leaves. What is left is
+//! an answered exchange whose reply comes once more, eight exchanges late, between a request and the reply to it: it
+//! passes for the newest. So no single reply proves that a command is done, or that the drive has lost its power
+//! ([`profile`](super::super::profile)).
+
+use crate::plan::ReplyTag;
+use crate::wire::{RequestDef, ResponseDef, ResponseView};
+
+/// The blocks that come in turn, so that consecutive response definitions differ: the ones that a cycle can do without.
+/// The error code comes with every second reply: that there is an error stands in the status word of each.
+const IN_TURN: [ResponseDef; 3] = [ResponseDef::ERROR, ResponseDef::WARN, ResponseDef::MONITOR];
+
+/// The most requests whose replies may still be under way: older ones count as lost ...
+const MOST_UNDER_WAY: u8 = 32;
+/// ... and are written off after so many exchanges without a miss: no reply takes that long.
+const FORGOTTEN_AFTER: u8 = 16;
+
+/// What distinguishes the reply to the last request from any other. What each exchange touches comes first.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct Identity {
+    /// What the reply to the prepared request will echo.
+    pub(super) prepared: Echo,
+    /// What the reply to the last request sent echoes.
+    requested: Echo,
+    /// The response definitions that take turns, so many of them, and the place of the next one.
+    in_turn: [ResponseDef; 1 << IN_TURN.len()],
+    turns: u8,
+    turn: u8,
+    /// An exchange was opened and no reply closed it.
+    open: bool,
+    /// Replies to earlier requests that may still come: such a one is late and no duplicate.
+    under_way: u8,
+    /// Those among them that were sent since the last clean reply. If there are as many as definitions, one of them
+    /// looks like the reply to the next request: that reply is suspect.
+    mistakable: u8,
+    /// Exchanges without a miss since the last one.
+    without_miss: u8,
+    /// The reply that closed the last exchange was suspect.
+    suspect: bool,
+    /// The blocks by which the requests of one kind differ.
+    varies: ResponseDef,
+    /// The block that the request after a suspect reply has or lacks.
+    odd: ResponseDef,
+    /// The kinds of the requests before the last one, newest first, without repetitions in a row: as far back as late
+    /// replies come from while the link is still online.
+    requested_before: [Echo; 3],
+}
+
+/// What a reply echoes of its request.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Echo {
+    pub(super) request: RequestDef,
+    pub(super) response: ResponseDef,
+    /// The count of the real-time-config block; of a request, if it was chosen to distinguish its reply from others.
+    pub(super) tag: Option<u8>,
+}
+
+/// What a reply is that closes no exchange in its window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unrequested {
+    /// The requested reply, behind a late one that was taken for it in the same window.
+    Second {
+        /// There may be more of them.
+        suspect: bool,
+    },
+    /// The reply to an earlier request.
+    Late,
+    /// A second reply to one request.
+    Duplicate,
+    /// To something that was not requested.
+    Foreign,
+}
+
+impl Identity {
+    /// Of a drive whose requests usually request these blocks; `shown`: its monitoring channels come in each reply.
+    pub(super) fn new(usual: ResponseDef, reply_tag: ReplyTag, shown: bool) -> Identity {
+        let turning = reply_tag == ReplyTag::Definition;
+        // The last block in turn stays if it is shown.
+        let blocks = &IN_TURN[..if turning { IN_TURN.len() - usize::from(shown) } else { 0 }];
+        let odd = if turning { ResponseDef::CURRENT } else { ResponseDef::MONITOR };
+        let varies =
+            if turning { blocks.iter().fold(odd, |all, block| all.with(*block)) } else { ResponseDef::NONE };
+        let turned = |turn: usize| {
+            let blocks = blocks.iter().enumerate().filter(|(bit, _)| turn >> bit & 1 == 1);
+            ResponseDef(blocks.fold(usual.0, |definition, (_, block)| definition ^ block.0))
+        };
+        Identity {
+            in_turn: std::array::from_fn(turned),
+            turns: 1 << blocks.len(),
+            turn: 0,
+            odd,
+            varies,
+            prepared: Echo::default(),
+            requested: Echo::default(),
+            requested_before: [Echo::default(); 3],
+            open: false,
+            under_way: 0,
+            mistakable: 0,
+            without_miss: 0,
+            suspect: false,
+        }
+    }
+
+    /// The blocks that the next request requests.
+    #[inline]
+    pub(super) fn response_def(&self) -> ResponseDef {
+        let usual = self.in_turn.get(usize::from(self.turn)).copied().unwrap_or_default();
+        // After a suspect reply the definition differs from the earlier ones, so that the echo distinguishes its reply
+        // from all late ones: if they were always one cycle behind, each would pass for the newest for ever.
+        if self.suspect { ResponseDef(usual.0 ^ self.odd.0) } else { usual }
+    }
+
+    /// The prepared request has gone out.
+    #[inline]
+    pub(super) fn sent(&mut self) {
+        if self.open || self.suspect || self.under_way > 0 || self.without_miss < FORGOTTEN_AFTER {
+            self.count();
+        }
+        (self.open, self.suspect) = (true, false);
+        // A power of two.
+        self.turn = (self.turn + 1) & (self.turns - 1);
+        if !self.is_same_kind(self.requested, self.prepared) {
+            self.requested_before.rotate_right(1);
+            self.requested_before[0] = self.kind(self.requested);
+        }
+        self.requested = self.prepared;
+    }
+
+    /// The replies that may still be under way as the next request goes out.
+    #[inline(never)]
+    fn count(&mut self) {
+        if self.open {
+            self.under_way = (self.under_way + 1).min(MOST_UNDER_WAY);
+            self.mistakable = (self.mistakable + 1).min(MOST_UNDER_WAY);
+            self.without_miss = 0;
+        } else if self.without_miss < FORGOTTEN_AFTER {
+            self.without_miss += 1;
+        } else {
+            self.under_way = 0;
+        }
+        if !self.open && self.suspect {
+            // This request differs from those before: its reply cannot be mistaken for theirs. Theirs may still come.
+            self.mistakable = 0;
+        }
+    }
+
+    /// The reply can be that to the last request.
+    #[inline]
+    pub(super) fn is_answered_by(&self, view: &ResponseView<'_>) -> bool {
+        let Echo { request, response, tag } = self.requested;
+        (view.request_def(), view.response_def()) == (request, response)
+            && (tag.is_none() || view.config().map(|config| config.count()) == tag)
+    }
+
+    /// The last request is answered; true: the reply may be that of an earlier one.
+    #[inline]
+    pub(super) fn answered(&mut self) -> bool {
+        let named = self.requested.tag.is_some();
+        let suspect = !named && self.mistakable >= self.turns;
+        (self.open, self.suspect) = (false, suspect);
+        if !named && !suspect {
+            // Replies come in the order of their requests: after this one the earlier ones count as lost.
+            self.mistakable = 0;
+        }
+        suspect
+    }
+
+    /// A reply that closes no exchange in its window.
+    pub(super) fn unrequested(&mut self, view: &ResponseView<'_>, in_window: bool) -> Unrequested {
+        let answers = self.is_answered_by(view);
+        if answers && in_window && self.suspect {
+            // Two replies in one window: the first was a late one. This one is the requested reply, unless there may be
+            // more of them.
+            self.take_late();
+            self.suspect = self.mistakable >= self.turns;
+            return Unrequested::Second { suspect: self.suspect };
+        }
+        let named = self.requested.tag.is_some() || (self.turns > 1 && !self.suspect);
+        if !self.knows(Echo { request: view.request_def(), response: view.response_def(), tag: None }) {
+            return Unrequested::Foreign;
+        }
+        if answers && self.open {
+            // The reply to the last request, after its window. It may arrive in the window of a cycle in which none
+            // was due. The exchange was missed all the same.
+            (self.open, self.suspect) = (false, false);
+            self.without_miss = 0;
+            return Unrequested::Late;
+        }
+        if self.under_way > 0 && !(answers && named) {
+            self.take_late();
+            return Unrequested::Late;
+        }
+        Unrequested::Duplicate
+    }
+
+    /// A reply to an earlier request has come.
+    fn take_late(&mut self) {
+        self.under_way = self.under_way.saturating_sub(1);
+        self.mistakable = self.mistakable.saturating_sub(1);
+    }
+
+    /// What the echoes of all requests of this kind have in common.
+    fn kind(&self, echo: Echo) -> Echo {
+        Echo { response: ResponseDef(echo.response.0 & !self.varies.0), tag: None, ..echo }
+    }
+
+    #[inline]
+    fn is_same_kind(&self, one: Echo, other: Echo) -> bool {
+        one.request == other.request && (one.response.0 ^ other.response.0) & !self.varies.0 == 0
+    }
+
+    /// The echo is that of a request of the last kinds that were sent.
+    fn knows(&self, echo: Echo) -> bool {
+        self.is_same_kind(echo, self.requested) || self.requested_before.contains(&self.kind(echo))
+    }
+}

@@ -1,0 +1,264 @@
+//! The master's view of one drive: which reply answers which request, what the drive reported last, and the next
+//! request.
+//! It takes `now` and slices, and knows no socket. What is desired of it becomes blocks in `profile`.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the next request, and what is received |
+//! | `identity` | which request a reply answers |
+//! | `report` | an accepted reply: values in user units, evidence |
+//!
+//! In most exchanges nothing new is desired, and the drive says the same as before but for its positions. Then the
+//! request is the last one with the next definition, and only positions and velocities are computed anew.
+
+mod identity;
+mod report;
+
+use self::identity::{Echo, Identity, Unrequested};
+use self::report::Track;
+use super::last::PowerSent;
+use super::native::{Native, NativePort, native};
+use super::other::OtherMaster;
+use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
+use super::profile::{Inputs, Outputs, Profile};
+use super::rtc::RtcChannel;
+use super::upid::commanding;
+use super::wire::{ErrorCode, MotionBlock, Request, ResponseDef, ResponseView, RtcBlock};
+use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
+use fieldbeat_core::axis::{Link, Units};
+use fieldbeat_core::bus::desired::Power;
+use fieldbeat_core::bus::{Cycle, Exchange, Slot};
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// Every so many probes of a silent drive, one carries a no-operation motion block and a real-time-config block: some
+/// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
+const FULL_PROBE_EVERY: u8 = 4;
+
+/// One drive. What each exchange touches comes first: it lies on a few lines of the cache.
+#[derive(Debug)]
+#[repr(C, align(64))]
+pub struct Station {
+    /// The slot that the prepared request is for.
+    grid: Time,
+    identity: Identity,
+    /// Another clean reply with the same states changes nothing but positions, as far as this station knows.
+    settled: bool,
+    /// The channel has nothing to send, and calls that command the drive are refused or not as it knows.
+    idle: bool,
+    guarded: bool,
+    /// Each request has a count of its own.
+    tagged: bool,
+    /// The drive reports variables.
+    shows: bool,
+    /// The prepared request is a probe.
+    probing: bool,
+    /// Probes that have gone out.
+    probes: u8,
+    inputs: Inputs,
+    /// The last clean reply was the first one that says that the drive starts: the next one confirms it.
+    starts: bool,
+    /// The code of its error, since the error is reported; `None`: not known yet.
+    error: Option<ErrorCode>,
+    track: Track,
+    units: Units,
+    other: OtherMaster,
+    native: NativePort,
+    profile: Profile,
+    rtc: RtcChannel,
+    monitor: MonitorPlan,
+}
+
+impl Station {
+    /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
+    pub fn new(drive: &LinUdpDrive, log: &InputLog) -> (Station, Native, AcyclicEnds) {
+        let (application, native) = native();
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
+        let (native, port) = (native.logged(log), port.logged(log));
+        let (mut usual, shown) = (ResponseDef::CYCLIC, drive.monitor != MonitorPlan::Off);
+        if shown {
+            usual = usual.with(ResponseDef::MONITOR);
+        }
+        let station = Station {
+            identity: Identity::new(usual, drive.reply_tag, shown),
+            grid: Time(0),
+            inputs: Inputs::default(),
+            starts: false,
+            error: None,
+            settled: false,
+            idle: false,
+            guarded: false,
+            shows: shown,
+            tagged: drive.reply_tag == ReplyTag::Count,
+            probing: false,
+            probes: 0,
+            units: drive.axis.units,
+            track: Track::default(),
+            profile: Profile::new(drive),
+            other: OtherMaster::default(),
+            rtc: RtcChannel::new(port, drive.monitor.sources()),
+            native,
+            monitor: drive.monitor,
+        };
+        (station, application, ends)
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.native.memory(regions);
+        self.rtc.memory(regions);
+        self.profile.memory(regions);
+    }
+
+    /// What the requests that left say of the drive's power.
+    pub(super) fn power_sent(&self) -> PowerSent {
+        self.profile.power_sent()
+    }
+
+    /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is
+    /// the same: state that changes with every request changes in [`sent`](Self::sent).
+    #[inline]
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
+        self.grid = cycle.grid;
+        let repeats = self.profile.repeats(&slot.desired)
+            && slot.link == Link::Online
+            && !self.tagged
+            && self.idle
+            && self.guarded == slot.guarded
+            && !self.rtc.is_called();
+        if !repeats {
+            return self.build(cycle, slot, out);
+        }
+        (slot.commanded, slot.expected_silence, self.probing) = (false, false, false);
+        let request = Request {
+            response_def: self.identity.response_def(),
+            control: self.profile.control(),
+            ..Request::default()
+        };
+        self.other.prepare(None);
+        let (request_def, response) = (request.definition(), request.response_def);
+        self.identity.prepared = Echo { request: request_def, response, tag: None };
+        request.emit(out)
+    }
+
+    /// Builds a request that differs from the last one.
+    #[inline(never)]
+    fn build(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
+        let silent = matches!(slot.link, Link::Unseen | Link::Lost);
+        let outputs = self.profile.encode(&slot.desired, &self.inputs, &mut self.native);
+        let Outputs { control, motion, config } = outputs;
+        let powered = slot.status.state.is_powered();
+        let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
+        slot.commanded = self.rtc.commands();
+        slot.expected_silence = self.rtc.expects_silence() && !powered;
+        let mut request = Request {
+            response_def: self.identity.response_def(),
+            control,
+            motion,
+            config: config.or(called),
+            ..Request::default()
+        };
+        if config.is_some() {
+            self.rtc.give_way();
+        }
+        let tag = match (config, called) {
+            _ if !self.tagged => None,
+            (Some(_), _) => config,
+            // A call is repeated with one count, which does not identify the request.
+            (None, Some(_)) => None,
+            _ if self.rtc.hushes() => None,
+            (None, None) => Some(self.rtc.tag()),
+        };
+        request.config = request.config.or(tag);
+        self.probing = silent && slot.desired.power.value == Power::Untouched;
+        if self.probing && self.probes == FULL_PROBE_EVERY - 1 {
+            request.motion = Some(MotionBlock::default());
+            request.config = request.config.or(Some(RtcBlock::default()));
+        }
+        if request.config.is_some() {
+            request.response_def = request.response_def.with(ResponseDef::CONFIG);
+        }
+        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
+        self.identity.prepared = Echo {
+            request: request.definition(),
+            response: request.response_def,
+            tag: tag.map(|block| block.count()),
+        };
+        (self.idle, self.guarded) = (self.rtc.is_idle(), slot.guarded);
+        request.emit(out)
+    }
+
+    /// The request was handed to the wire.
+    #[inline]
+    pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+        self.identity.sent();
+        if self.probing {
+            self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
+        }
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
+        self.profile.sent();
+        slot.gone.grid = Some(self.grid);
+        self.other.sent();
+        if !self.idle {
+            self.rtc.sent();
+        }
+    }
+
+    /// The operating system refused to send the request.
+    pub fn unsent(&mut self, slot: &mut Slot) {
+        slot.counters.unsent += 1;
+        slot.exchange = Exchange::Unsent;
+    }
+
+    /// A datagram from the drive came in. `in_window` is false for datagrams that were in the socket before the
+    /// send.
+    #[inline]
+    pub fn take(&mut self, at: Time, bytes: &[u8], in_window: bool, slot: &mut Slot) {
+        let Ok(view) = ResponseView::new(bytes) else {
+            slot.counters.malformed += 1;
+            return;
+        };
+        match slot.exchange {
+            Exchange::Owed { sent_at, .. } if in_window && self.identity.is_answered_by(&view) => {
+                let suspect = self.identity.answered();
+                slot.exchange = Exchange::Answered { sent_at, at, suspect };
+                slot.counters.answered += 1;
+                if suspect {
+                    slot.counters.suspect += 1;
+                }
+                self.read(sent_at, at, &view, suspect, slot);
+            }
+            _ => self.unrequested(at, &view, in_window, slot),
+        }
+    }
+
+    /// A well-formed telegram that closes no exchange in its window.
+    #[cold]
+    fn unrequested(&mut self, at: Time, view: &ResponseView<'_>, in_window: bool, slot: &mut Slot) {
+        match self.identity.unrequested(view, in_window) {
+            Unrequested::Second { suspect } => {
+                slot.counters.late += 1;
+                let mut sent_at = at;
+                if let Exchange::Answered { sent_at: sent, suspect, .. } = &mut slot.exchange {
+                    // The feedback is fresh again. The exchange stays without a round-trip sample.
+                    (sent_at, *suspect) = (*sent, true);
+                }
+                self.read(sent_at, at, view, suspect, slot);
+            }
+            Unrequested::Late => slot.counters.late += 1,
+            Unrequested::Duplicate => slot.counters.duplicate += 1,
+            Unrequested::Foreign => slot.counters.foreign += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

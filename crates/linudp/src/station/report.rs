@@ -1,0 +1,211 @@
+//! An accepted reply: what it reports in user units, and what it proves.
+
+use super::Station;
+use crate::plan::MonitorPlan;
+use crate::profile::Inputs;
+use crate::wire::{Front, MainState, ResponseView, StateVar, StatusWord};
+use fieldbeat_core::axis::units::Unwrap;
+use fieldbeat_core::axis::{Link, State, Units};
+use fieldbeat_core::bus::Slot;
+use fieldbeat_core::time::Time;
+
+/// The positions since the drive started: a new one begins when it boots.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Track {
+    actual: Unwrap,
+    demand: Unwrap,
+    /// Of the last clean reply, for velocities.
+    last: Option<Counts>,
+}
+
+/// Positions of one reply, unwrapped, 0.1 um.
+#[derive(Clone, Copy, Debug)]
+struct Counts {
+    /// When the request left. The drive takes the positions when it has the request; the reply may be received any time
+    /// later, where this computer is late.
+    sent_at: Time,
+    actual: i64,
+    demand: i64,
+}
+
+impl Track {
+    /// The positions of the next reply.
+    #[inline]
+    fn next(&mut self, sent_at: Time, front: &Front, units: &Units) -> Counts {
+        // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
+        match units.modulo {
+            None => Counts { sent_at, actual: front.actual.into(), demand: front.demand.into() },
+            Some(_) => {
+                let (actual, demand) = (self.actual.next(front.actual), self.demand.next(front.demand));
+                Counts { sent_at, actual, demand }
+            }
+        }
+    }
+}
+
+impl Station {
+    /// The values of an accepted reply to the request that left at `sent_at`.
+    #[inline(always)]
+    pub(super) fn read(
+        &mut self,
+        sent_at: Time,
+        at: Time,
+        view: &ResponseView<'_>,
+        suspect: bool,
+        slot: &mut Slot,
+    ) {
+        let front = view.front();
+        let rehomed = front.status.homed() != self.inputs.status.homed();
+        let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
+        let settled =
+            same && !suspect && !slot.anew && !self.starts && self.settled && self.profile.is_steady();
+        if !settled && !self.watch_start(&front, suspect, slot) {
+            return;
+        }
+        let Slot { status: report, notices, evidence, .. } = &mut *slot;
+        let counts = self.track.next(sent_at, &front, &self.units);
+        // A homing gives the positions another origin: that was no motion.
+        if let Some(last) = self.track.last
+            && sent_at > last.sent_at
+            && !suspect
+            && !rehomed
+        {
+            let rate = self.units.distance(1e9 / sent_at.since(last.sent_at) as f64);
+            report.velocity = (counts.actual - last.actual) as f64 * rate;
+            evidence.demand_velocity = (counts.demand - last.demand) as f64 * rate;
+        }
+        if !suspect {
+            self.track.last = Some(counts);
+        }
+        self.inputs.demand = counts.demand;
+        notices.fresh = true;
+        report.at = at;
+        let place = |count: i64| self.units.distance(count as f64) + self.units.offset;
+        (evidence.position, evidence.demand) = (place(counts.actual), place(counts.demand));
+        report.position = self.units.folded(evidence.position);
+        report.demand = self.units.folded(evidence.demand);
+        // Blocks that this reply does not have are as in the last one that had them.
+        report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
+        report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
+        if !settled {
+            self.prove(at, view, &front, suspect, slot);
+        }
+        if !suspect && (!self.idle || self.shows) {
+            self.take_config(view, slot);
+        }
+        self.native.publish(at, view.bytes());
+    }
+
+    /// Whether the drive has started anew, or is about to. False if this reply is the first one that says so: it may be
+    /// one from its last start, and counts for nothing. On a lost link it is enough: probes are so far apart that no
+    /// second one may meet the start, and what is discarded is read again when the link is back.
+    #[inline(never)]
+    fn watch_start(&mut self, front: &Front, suspect: bool, slot: &mut Slot) -> bool {
+        let booting = is_booting(front);
+        if booting && self.inputs.seen && !self.inputs.booting {
+            let answers = matches!(slot.link, Link::Online | Link::Qualifying);
+            if answers && (suspect || !std::mem::replace(&mut self.starts, true)) {
+                return false;
+            }
+        }
+        slot.counters.implausible += u64::from(std::mem::take(&mut self.starts) && !booting);
+        // The channel may have something to send.
+        self.idle &= !(booting || self.inputs.booting);
+        if booting && self.inputs.seen && !self.inputs.booting {
+            slot.notices.restarted = true;
+            self.profile.drive_restarted();
+            self.rtc.drive_restarted();
+        }
+        if !booting && self.inputs.booting {
+            self.rtc.software_runs();
+        }
+        if booting || self.inputs.booting {
+            // Earlier positions, and those reported while booting, are no base for differences.
+            self.track = Track::default();
+            (slot.status.velocity, slot.evidence.demand_velocity) = (0.0, 0.0);
+        }
+        true
+    }
+
+    /// What the states of a reply report and prove.
+    #[inline(never)]
+    fn prove(&mut self, at: Time, view: &ResponseView<'_>, front: &Front, suspect: bool, slot: &mut Slot) {
+        let Slot { status: report, notices, evidence, .. } = slot;
+        let Front { status, state, .. } = *front;
+        if !suspect {
+            notices.other_master |= self.other.take(state.count());
+        }
+        let (foreign, booting) = (self.other.is_in_doubt(), is_booting(front));
+        self.error = if status.error() { view.error().or(self.error) } else { None };
+        let named = self.error.is_some();
+        self.inputs =
+            Inputs { seen: true, foreign, booting, named, status, state, demand: self.inputs.demand };
+        self.profile.take(&self.inputs, !suspect, evidence);
+        report.suspect = suspect;
+        report.state = drive_state(status, state, booting);
+        report.homed = status.homed();
+        if !suspect {
+            // A reply to an earlier request may answer another control word.
+            report.inhibited = self.profile.inhibited(at, &self.inputs);
+        }
+        report.moving = self.inputs.moving();
+        report.in_target = status.in_target();
+        report.fault = self.error.map_or(0, |error| u32::from(error.0));
+        self.settled = !booting && !status.error() && self.other.is_settled();
+    }
+
+    /// The monitored values, and the answer on the real-time-config channel.
+    #[inline(never)]
+    fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
+        // The values first: they were taken before the answer that reports the change of their sources.
+        if let Some(raw) = view.monitor().filter(|_| self.shows) {
+            let value = |channel: usize| match self.monitor {
+                MonitorPlan::Off => None,
+                MonitorPlan::AsSet => Some(f64::from(raw[channel])),
+                MonitorPlan::Sources(sources) => {
+                    let source = sources[channel].filter(|_| self.rtc.monitors(channel))?;
+                    Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
+                }
+            };
+            slot.status.monitor = std::array::from_fn(value);
+            slot.notices.monitor_fresh = true;
+        }
+        match view.config() {
+            Some(block) => self.rtc.take(block),
+            None => self.rtc.take_none(),
+        }
+        if let Some(refused) = self.rtc.take_monitor_refusal() {
+            slot.notices.monitor_refused = Some(refused);
+        }
+    }
+}
+
+/// Status word and state var are 0: booting, or the motion software is stopped.
+fn is_booting(front: &Front) -> bool {
+    (front.status, front.state) == (StatusWord::default(), StateVar::default())
+}
+
+/// Maps LinMot's states onto those of CiA 402.
+///
+/// An error being logged (3) and the quick stop of an error (14 with the error bit) are the fault reaction; aborting
+/// and freezing hold the axis under control after a quick stop.
+fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
+    if booting {
+        return State::NotReadyToSwitchOn;
+    }
+    match state.main() {
+        MainState::NOT_READY => State::NotReadyToSwitchOn,
+        MainState::SWITCH_ON_DISABLED => State::SwitchOnDisabled,
+        MainState::READY_TO_SWITCH_ON => State::ReadyToSwitchOn,
+        MainState::SETUP_ERROR => State::FaultReactionActive,
+        MainState::ERROR => State::Fault,
+        MainState::HW_TESTS | MainState::READY_TO_OPERATE | MainState::BRAKE_DELAY | MainState(7) => {
+            State::SwitchedOn
+        }
+        MainState::QUICK_STOP if status.error() => State::FaultReactionActive,
+        MainState::QUICK_STOP | MainState::ABORTING | MainState::FREEZING => State::QuickStopActive,
+        MainState(8..=20) => State::OperationEnabled,
+        // A state of newer firmware: treated as powered, so that nothing is powered off because of it.
+        _ => State::SwitchedOn,
+    }
+}

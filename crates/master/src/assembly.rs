@@ -1,0 +1,229 @@
+//! The loop of a plan with its buses, and the application's handles.
+
+use std::any::Any;
+use std::time::Duration;
+
+use super::MasterError;
+use fieldbeat_core::axis::acyclic::{self, Acyclic, Commanding};
+use fieldbeat_core::axis::cell;
+use fieldbeat_core::axis::doorbell::Bells;
+use fieldbeat_core::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
+use fieldbeat_core::axis::newest;
+use fieldbeat_core::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
+use fieldbeat_core::bus::{BusClock, LastResort, OpenError, Unmatched};
+use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::cycle::bound::{self, Paced};
+use fieldbeat_core::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
+use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers, Gauges, Status};
+use fieldbeat_core::cycle::task::Task;
+use fieldbeat_core::cycle::window::{Gate, OpenBus};
+use fieldbeat_core::drive::controller::{DriveController, Probes, Queues};
+use fieldbeat_core::drive::journal::Journal;
+use fieldbeat_core::inputs::Inlet;
+use fieldbeat_core::net::Carriers;
+use fieldbeat_core::rt::{self, Clock, Regions, Wires};
+use fieldbeat_telemetry::TelemetryThread;
+
+/// An engine, its axes, and everything that belongs to them.
+#[derive(Debug)]
+pub struct Assembly<C> {
+    /// The loop: [`begin`](Engine::begin), then [`step`](Engine::step).
+    pub engine: Engine<C>,
+    /// The application's ends, in the order of the plan.
+    pub axes: Vec<Axis>,
+    /// The application's ends of the devices that are not drives.
+    pub devices: Devices,
+    /// Acyclic access to the drives, followed by the devices that have it, for users other than the application.
+    pub acyclics: Vec<Acyclic>,
+    /// What the loop counts.
+    pub gauges: Gauges,
+    /// The loop's records for the telemetry. Whoever steps the engine empties them, or records are lost.
+    pub records: rtrb::Consumer<Record>,
+    /// The application's sign of life.
+    pub pulse: Pulse,
+    /// Who may use the wires.
+    pub wires: Wires,
+    /// What stops the drives of buses without the loop.
+    pub last_resorts: Vec<Box<dyn LastResort>>,
+    /// Memory that the loop touches, for [`rt::thread::enter`].
+    pub regions: Regions,
+}
+
+/// The application's ends of the devices that take part in the cycle and are not drives.
+#[derive(Debug, Default)]
+pub struct Devices(Vec<(String, Option<Box<dyn Any + Send>>)>);
+
+impl Devices {
+    /// Takes the process data of a device; only once, because it has one owner. `T` is the type that its protocol
+    /// names.
+    pub fn take<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
+        let Some((_, end)) = self.0.iter_mut().find(|(known, _)| known == name) else {
+            return Err(MasterError::unknown("device", name, self.0.iter().map(|(name, _)| name)));
+        };
+        match end.take().map(|end| end.downcast::<T>()) {
+            Some(Ok(device)) => Ok(*device),
+            Some(Err(of_another_type)) => {
+                *end = Some(of_another_type);
+                Err(MasterError::DeviceType(name.to_owned()))
+            }
+            None => Err(MasterError::DeviceTaken(name.to_owned())),
+        }
+    }
+}
+
+/// Opens the buses of `plan` over `carriers` and builds the loop for a caller that steps it by hand on its own
+/// thread, clock and carriers: virtual time and the benches. Sends nothing.
+pub fn assemble<C: Clock>(
+    plan: &Plan,
+    clock: C,
+    carriers: &dyn Carriers,
+    task: Option<Task>,
+    control: Control,
+) -> Result<Assembly<C>, OpenError> {
+    let period_ns = plan.cycle.period_ns;
+    let pulse = Pulse::default();
+    let (wires, mut last_resorts) = (Wires::default(), Vec::new());
+    let mut regions = Regions::default();
+    let (mut entries, mut buses) = (Vec::new(), Vec::new());
+    let (mut axes, mut acyclics) = (Vec::new(), Vec::new());
+    let (mut devices, mut of_devices) = (Devices::default(), Vec::new());
+    let (status_in, status) = cell::cell(Status::default());
+    let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
+    let machine = plan.axes();
+    let log = carriers.log();
+    let bells = Bells::new(machine.len()).logged(&log);
+    let gate = Gate::new(wires.clone(), log.clone());
+    for (place, bus_plan) in plan.buses.iter().enumerate() {
+        log.opens(place);
+        let mut bus = bus_plan.open(period_ns, carriers)?;
+        let (first, notes) = (entries.len(), bus.notes());
+        last_resorts.extend(bus.last_resort());
+        for (index, axis) in bus_plan.axes().into_iter().enumerate() {
+            // The queues of the first member hold the parts of all. A group of the plan has the full room for each
+            // of them; any other one at least has room for one call, and for its stops.
+            let group = axis.stop.group;
+            let most =
+                machine.iter().filter(|other| group.is_some() && other.stop.group == group).count().max(1);
+            let led = plan.groups.iter().filter(|group| group.axes.first() == Some(&axis.name));
+            let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
+            let room = |queue: usize| queue.saturating_mul(members).max(most);
+            let (posted_in, posted) = rt::ring(room(axis.command_queue) + URGENT_ROOM * most, &mut regions);
+            let (setpoint_in, setpoint_out) = newest::newest(most);
+            let (row_in, row_out) = rt::ring(room(axis.stream_queue), &mut regions);
+            let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
+            let (writer, reader) = cell::cell(Feedback::default());
+            let (sample_in, sample_out) = match axis.sample_queue {
+                0 => (None, None),
+                depth => {
+                    let (producer, consumer) = rt::ring(depth, &mut regions);
+                    (Some(producer), Some(consumer))
+                }
+            };
+            let queues = Queues {
+                posted: Inlet::new(posted).logged(&log),
+                commands: rt::deque(most_unended(axis), &mut regions),
+                rows: Inlet::new(row_out).logged(&log),
+                setpoints: setpoint_out,
+                events: event_in,
+                room_for_ends: room_for_ends(axis),
+                feedback: writer,
+                samples: sample_in,
+                lost: 0,
+                log: log.source(),
+                journal: Journal::new(room_for_ends(axis), &mut regions),
+            };
+            // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
+            // occurs later.
+            let first_probe = (entries.len() / PROBES_A_CYCLE) as u64;
+            let paced = Paced::of(&plan.cycle, &**bus_plan, index, axis);
+            let silence = bound::silence(&paced, plan.cycle.overrun);
+            let can = bus_plan.capabilities(index, period_ns);
+            let lacks = can.lacks;
+            let controller = DriveController::new(
+                axis.clone(),
+                can,
+                queues,
+                period_ns,
+                first_probe,
+                silence,
+                match bus_plan.fresh_within_ns(index, period_ns) {
+                    Some(_) => Probes::AtOwnRate,
+                    None if bus.is_one_frame() => Probes::Carried,
+                    None => Probes::Spaced,
+                },
+            );
+            let every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
+            // A bus without acyclic access leaves its end of the queue unused.
+            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
+            let observer = Observer::new(reader, wires.clone());
+            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), every);
+            let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
+            let connection = notes.clone().map(|notes| (notes, index));
+            let info = AxisInfo { name: axis.name.clone(), protocol: bus_plan.protocol(), connection };
+            gauges.axes.push(AxisGauge { info: info.clone(), observer: observer.clone(), numbers });
+            entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
+            axes.push(Axis::new(
+                axis.clone(),
+                axes.len(),
+                pulse.clone(),
+                acyclic.clone(),
+                AxisEnds {
+                    commands: posted_in,
+                    bell: bells.bell(axes.len()),
+                    rows: row_in,
+                    setpoints: setpoint_in,
+                    events: event_out,
+                    feedback: observer.clone(),
+                    samples: sample_out,
+                    native: bus.native(index),
+                    faults: bus_plan.fault_names(),
+                    lacks,
+                },
+            ));
+            acyclics.push(acyclic);
+        }
+        let names = bus_plan.devices();
+        for (index, name) in names.iter().enumerate() {
+            devices.0.push(((*name).to_owned(), bus.device(index)));
+            if let Some((ends, observer)) = bus.device_acyclic(index) {
+                let period = Duration::from_nanos(period_ns);
+                of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer.on(&wires), period));
+            }
+        }
+        let grid = plan.cycle.grid();
+        let is_polled =
+            (0..entries.len() - first).any(|index| bus_plan.turn_within_ns(index, grid).is_some());
+        let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
+        let (clock_in, clock) = cell::cell(None::<BusClock>);
+        let devices = names.into_iter().map(str::to_owned).collect();
+        let own_counters = bus_plan.own_counters();
+        let info = BusInfo { name: bus_plan.name().to_owned(), devices, own_counters, notes };
+        gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
+        buses.push(OpenBus {
+            is_one_frame: bus.is_one_frame(),
+            bus,
+            info,
+            first,
+            end: entries.len(),
+            is_at_work: false,
+            is_polled,
+            gate: gate.clone(),
+            unmatched: unmatched_in,
+            clock: clock_in,
+        });
+    }
+    acyclics.extend(of_devices);
+    let native_records = plan.native_records_a_cycle();
+    let records_a_cycle = plan.records_a_cycle() + native_records;
+    let (record_in, records) = rt::ring(TelemetryThread::ring_size(records_a_cycle, period_ns), &mut regions);
+    let channels =
+        Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in, log, gate };
+    let mut engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
+    engine.record_native(plan.native_layouts().into_iter().flatten().map(|(axis, _)| axis), native_records);
+    engine.memory(&mut regions);
+    Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, wires, last_resorts, regions })
+}
+
+/// How many drives are probed for the first time in one cycle.
+const PROBES_A_CYCLE: usize = 16;

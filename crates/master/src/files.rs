@@ -1,0 +1,62 @@
+//! Machines from files, and what files they leave behind.
+
+use std::path::{Path, PathBuf};
+
+use fieldbeat_config::{ConfigErrors, Configuration, Loaded, load_machine};
+use fieldbeat_record::Summary;
+use fieldbeat_record::blackbox::BlackBox;
+use fieldbeat_record::recording::Recorder;
+use fieldbeat_telemetry::log::MachineOf;
+use fieldbeat_telemetry::thread::Keep;
+
+use crate::simulation::{Simulation, granted};
+use crate::{Master, Setup};
+
+impl Master {
+    /// Reads and checks a configuration.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
+        load_machine(path).map(Setup::from)
+    }
+}
+
+impl From<Loaded> for Setup {
+    /// The machine of a configuration that was read.
+    fn from(Loaded { configuration, file, text }: Loaded) -> Setup {
+        let Configuration { plan, simulation, .. } = configuration;
+        let machine = MachineOf::Configuration { file, text };
+        Master::from_plan(plan).with_simulation(simulation).of_machine(machine)
+    }
+}
+
+impl Setup {
+    /// Where the black box writes its files. Without it there is none.
+    pub fn with_black_box(mut self, directory: impl Into<PathBuf>) -> Setup {
+        let black_box = BlackBox::new(&self.plan, &directory.into());
+        self.black_box = black_box.map(|black_box| Box::new(black_box) as Box<dyn Keep>);
+        self
+    }
+
+    /// Records the machine, from its first cycle on.
+    pub fn with_recorder(mut self, recorder: Recorder) -> Setup {
+        let path = recorder.path().to_owned();
+        self.plan.cycle.record_native = recorder.native().to_vec();
+        let mut log = None;
+        if recorder.has_wire() {
+            let (sender, receiver) = crossbeam_channel::bounded(1);
+            // The machine is built, and has its log, before the recording begins.
+            self = self.with_log(move |begin| {
+                let _ = sender.send(begin);
+            });
+            log = Some(receiver);
+        }
+        self.sink = Some((path, recorder.sink(&self.plan, log)));
+        self
+    }
+}
+
+impl From<&Simulation> for Summary {
+    /// That of a simulated machine so far.
+    fn from(machine: &Simulation) -> Summary {
+        Summary::of(machine.plan(), &machine.numbers(), machine.measured(), &granted(), None)
+    }
+}

@@ -1,0 +1,332 @@
+//! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
+
+use std::net::SocketAddrV4;
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use super::counters::OWN;
+use super::fields::layout;
+use super::handshake::{Found, UnidriveHandshake};
+use super::mapping::Mapping;
+use super::notation::Parameters;
+use super::plan::{ModbusPlan, UnidriveDrive, Via};
+use super::profile;
+use super::station::Station;
+use super::trips::Trip;
+use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
+use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
+use fieldbeat_core::bus::variant::Variant;
+use fieldbeat_core::bus::{
+    Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
+};
+use fieldbeat_core::net::{Broken, Carriers, Lock, StreamPeer, Streams};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// Connections and their drives.
+pub struct ModbusBus {
+    name: String,
+    net: Box<dyn Streams>,
+    stations: Vec<Station>,
+    ends: Ends,
+    /// The drives are this master's until their connections are given up.
+    _locks: Vec<Lock>,
+}
+
+impl std::fmt::Debug for ModbusBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ModbusBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+    }
+}
+
+/// The blocks of a drive at its parameters' own addresses, and those of menu 0 if they are to be used.
+fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
+    let own = Mapping::new(drive).ok()?;
+    match drive.via {
+        Via::Direct => Some((own, None)),
+        Via::Menu0 { .. } => {
+            let direct = UnidriveDrive { via: Via::Direct, ..drive.clone() };
+            Some((Mapping::new(&direct).ok()?, Some(own)))
+        }
+    }
+}
+
+impl ModbusBus {
+    /// Begins to connect to the drives of `plan`, which is free of faults.
+    pub fn open(plan: &ModbusPlan, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = drives::lock(&plan.name, addresses, carriers)?;
+        let (mut peers, mut stations, mut ends) = (Vec::new(), Vec::new(), Ends::default());
+        for drive in &plan.drives {
+            let broken = || OpenError::Plan { bus: plan.name.clone(), drive: drive.axis.name.clone() };
+            let mappings = mappings(drive).ok_or_else(broken)?;
+            let found = Arc::new(Found::default());
+            let (direct, menu_0) = mappings.clone();
+            let handshake = UnidriveHandshake::new(drive, direct, menu_0, Arc::clone(&found));
+            peers.push(StreamPeer {
+                bind: plan.bind,
+                handshake_ns: handshake.longest_ns(),
+                unacknowledged_ns: 2 * drive.reply_within_ns,
+                ..StreamPeer::new(drive.address, Box::new(handshake))
+            });
+            let (station, native, acyclic) = Station::new(drive, mappings, found, &carriers.log());
+            stations.push(station);
+            ends.push(native, acyclic);
+        }
+        let net = carriers
+            .streams(peers)
+            .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
+        Ok(ModbusBus { name: plan.name.clone(), net, stations, ends, _locks: locks })
+    }
+
+    /// Takes in what has arrived on the connections, one piece each.
+    fn take_in(&mut self, slots: &mut [Slot]) {
+        let net = &mut *self.net;
+        net.look();
+        while let Some(index) = net.ready() {
+            let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) else {
+                continue;
+            };
+            match net.receive(index, station.room()) {
+                Ok(None) => {}
+                Ok(Some((at, count))) => {
+                    if let Err(why) = station.take(at, count, slot) {
+                        net.abandon(index, why);
+                    }
+                }
+                Err(broken) => give_up_broken(net, index, broken, station, slot),
+            }
+        }
+    }
+
+    /// Continues a request that the wire took in pieces, and hands the next one to the connection if it is due.
+    #[inline]
+    fn request(
+        net: &mut dyn Streams,
+        index: usize,
+        cycle: &Cycle,
+        station: &mut Station,
+        slot: &mut Slot,
+    ) -> Result<(), Broken> {
+        let mut result = Ok(());
+        if !station.rest().is_empty() {
+            result = net.send(index, station.rest()).map(|(_, count)| station.rest_sent(count));
+        }
+        if !slot.due || station.passed || station.has_ended() {
+            return result;
+        }
+        let bytes = station.to_send();
+        if result.is_err() || bytes.is_empty() {
+            station.unsent(slot);
+            return result;
+        }
+        match net.send(index, bytes) {
+            Ok((_, 0)) => station.unsent(slot),
+            Ok((at, count)) => station.sent(at, count, cycle, slot),
+            Err(broken) => {
+                station.unsent(slot);
+                return Err(broken);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The connection has ended at the other end, or broken.
+#[cold]
+fn give_up_broken(
+    net: &mut dyn Streams,
+    index: usize,
+    broken: Broken,
+    station: &mut Station,
+    slot: &mut Slot,
+) {
+    if broken != Broken::Absent {
+        net.abandon(index, station.ended(broken, slot));
+    }
+}
+
+impl Bus for ModbusBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        regions.add(&*self.stations);
+        for station in &self.stations {
+            station.memory(regions);
+        }
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        // There is one connection per drive: each turn takes over another one.
+        for _ in 0..self.stations.len() {
+            let Some(index) = self.net.opened() else { break };
+            if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
+                station.connected(slot);
+            }
+        }
+        // Slots that are passed over: an owed exchange is not requested again, although it may be answered now.
+        let mut reads = false;
+        for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
+            station.passed = matches!(slot.exchange, Exchange::Owed { .. });
+            reads |= slot.due || station.owes();
+        }
+        // The end of a connection on which nothing is sent or owed can wait: that is not worth a system call in each
+        // cycle.
+        if reads {
+            self.take_in(slots);
+        }
+        let net = &mut *self.net;
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if let Err(broken) = ModbusBus::request(net, index, cycle, station, slot) {
+                give_up_broken(net, index, broken, station, slot);
+            }
+            if let Some(why) = station.gives_up(cycle.grid, slot) {
+                net.abandon(index, why);
+            }
+        }
+    }
+
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
+        // One piece of each: a drive that sends byte by byte is read again with the next look, and never delays the
+        // cycle.
+        self.take_in(slots);
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            if slot.due {
+                station.prepare(cycle, slot);
+            }
+        }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let station = self.stations.get(index)?;
+        let received_at = station.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(station.sent_request()))
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        let mut done = true;
+        for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
+            done &= station.shut_down(cycle) && !matches!(slot.exchange, Exchange::Owed { .. });
+        }
+        done
+    }
+
+    fn unmatched(&self) -> Unmatched {
+        Unmatched::default()
+    }
+
+    fn helper_ended(&self) -> bool {
+        self.net.has_ended()
+    }
+
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        Some(Arc::new(self.net.notes()))
+    }
+
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
+    }
+}
+
+impl BusPlan for ModbusPlan {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let same: fn(&UnidriveDrive, &UnidriveDrive) -> bool = |one, other| one.address == other.address;
+        let taken = "is taken by another drive; one drive per address and port";
+        drives::faults(&self.drives, period_ns, |drive| &drive.axis, UnidriveDrive::faults, same, taken)
+    }
+
+    fn reply_within_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index).map(|drive| drive.reply_within_ns)
+    }
+
+    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index)?.watchdog.within_ns()
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
+    }
+
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(ModbusBus::open(self, carriers)?))
+    }
+
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], UnidriveDrive::shown)
+    }
+
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        let drive = self.drives.get(index).and_then(|drive| Some((drive, mappings(drive)?)));
+        drive.map_or_else(NativeLayout::default, |(drive, mappings)| layout(drive, mappings))
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
+    }
+
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
+        profile::capabilities(&self.drives[index])
+    }
+
+    fn fault_names(&self) -> FaultNames {
+        |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
+    }
+
+    fn silence_faults(&self) -> SilenceFaults {
+        |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence())
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Parameters)
+    }
+
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let mut drive = self.drives.get(index)?.clone();
+        drive.axis.on_found_running = FoundRunning::Refuse;
+        drive.set_up = false;
+        drive.map.show = [None; MONITOR_CHANNELS];
+        drive.map.also.clear();
+        Some(Box::new(ModbusPlan { name: self.name.clone(), bind: self.bind, drives: vec![drive] }))
+    }
+
+    fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
+        Some(Box::new(ModbusPlan::variant(self, wanted)?))
+    }
+
+    fn addresses(&self) -> Vec<SocketAddrV4> {
+        self.drives.iter().map(|drive| drive.address).collect()
+    }
+}

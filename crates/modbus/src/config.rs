@@ -1,0 +1,287 @@
+//! `protocol = "modbus-tcp"`.
+
+mod outline;
+
+/// It adds no command to the program.
+pub const TOOLS: &[fieldbeat_tools::Tool] = &[];
+
+use fieldbeat_keys::Protocol;
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use toml::de::DeValue;
+
+use super::PROTOCOL;
+use super::parameter::{Addressing, Parameter, Width, catalogue};
+use super::plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
+use fieldbeat_core::axis::Unit;
+use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::time::{MS, S, US};
+use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
+use fieldbeat_keys::drive::{Counts, axis};
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::machine::{Claim, Machine};
+use fieldbeat_keys::table::{Table, integer, time};
+use fieldbeat_keys::value::{ENDPOINT, HOST, closest, station};
+
+/// This protocol, for the list of all of them.
+pub const REGISTERED: Protocol = Protocol {
+    name: PROTOCOL,
+    drives: "Nidec Unidrive",
+    read: bus,
+    reference: include_str!("../files/configuration-modbus.md"),
+    specimen: SPECIMEN,
+    outline: outline::OUTLINE,
+};
+
+const COUNTS: Counts =
+    Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
+
+/// With each table that may be missing.
+pub const SPECIMEN: &str = "[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
+
+/// Reads a `[[bus]]`.
+pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
+    let name = machine.bus_name(table, PROTOCOL);
+    let bind = bind(table);
+    let drives = drives(table, |table, _| drive(table, machine, bind));
+    Box::new(ModbusPlan { name, bind, drives })
+}
+
+fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", without a port; leave it out for whichever leads \
+        to the drives";
+    // The port is the kernel's choice.
+    let own = |text: &str| text.parse().ok().filter(|ip: &Ipv4Addr| !ip.is_unspecified());
+    table.text("bind", HOST, hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
+}
+
+fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> UnidriveDrive {
+    let axis = axis(table, machine, COUNTS);
+    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
+    let default = UnidriveDrive::new("", *address.ip());
+    let mut drive = UnidriveDrive {
+        axis,
+        address,
+        unit: table.integer(
+            "unit",
+            0..=255,
+            "the unit id of the drive; leave it out for 255, or 0 behind it",
+        ),
+        slot: table
+            .integer(
+                "slot",
+                1..=4,
+                "where its Ethernet interface is: 4 onboard, 1 ... 3 an SI-Ethernet option",
+            )
+            .unwrap_or(default.slot),
+        addressing: table
+            .word("addressing", &[("standard", Addressing::Standard), ("modified", Addressing::Modified)])
+            .unwrap_or(default.addressing),
+        map: map(table, default.map),
+        via: via(table).unwrap_or(default.via),
+        functions: table
+            .word(
+                "function",
+                &[("auto", Functions::Auto), ("23", Functions::ReadWrite), ("16+3", Functions::Apart)],
+            )
+            .unwrap_or(default.functions),
+        reply_within_ns: table
+            .time("reply_within", 100 * US..=10 * S, "the time within which a reply counts")
+            .unwrap_or(0),
+        watchdog: watchdog(table, default.watchdog),
+        set_up: table.flag("set_up").unwrap_or(default.set_up),
+    };
+    if drive.reply_within_ns == 0 {
+        drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
+    }
+    table.later("simulate");
+    for fault in drive.faults(period_ns) {
+        table.fault(fault.key, fault.message);
+    }
+    drive
+}
+
+fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> Option<SocketAddrV4> {
+    table.require("address", "the address of the drive, like \"192.168.1.20\"");
+    let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
+    let address = table.text("address", ENDPOINT, hint, |text| {
+        station(text, PORT).filter(|address| !address.ip().is_unspecified())
+    })?;
+    machine.claim_address(table, address, Claim::Port);
+    reachable(table, bind, address);
+    Some(address)
+}
+
+fn map(table: &mut Table<'_>, default: Map) -> Map {
+    let map = table.table("map", |table| Map {
+        control: table.read("control", parameter_form(), one).unwrap_or(default.control),
+        reference: table.read("reference", parameter_form(), one).unwrap_or(default.reference),
+        status: table.read("status", parameter_form(), one).unwrap_or(default.status),
+        speed: table.read("speed", parameter_form(), one).unwrap_or(default.speed),
+        trip: table
+            .read("trip", parameter_form(), |value| match value.as_str() {
+                Some("off") => Ok(None),
+                _ => one(value).map(Some),
+            })
+            .unwrap_or(default.trip),
+        show: default.show,
+        also: default.also,
+    });
+    Map {
+        show: table
+            .read("monitor", Form::False.or(parameter_form().list(1, MONITOR_CHANNELS)), monitor)
+            .unwrap_or(map.show),
+        also: table.read("also_read", parameter_form().any_list(), also_read).unwrap_or_default(),
+        ..map
+    }
+}
+
+/// `false`, or up to four parameters.
+fn monitor(value: &DeValue<'_>) -> Result<[Option<Mapped>; MONITOR_CHANNELS], String> {
+    let mut show = [None; MONITOR_CHANNELS];
+    if value.as_bool() == Some(false) {
+        return Ok(show);
+    }
+    let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
+    let array =
+        array.ok_or("must be false, or up to four parameters like [\"04.020\", \"dc-bus-voltage\"]")?;
+    for (channel, value) in show.iter_mut().zip(array) {
+        *channel = Some(one(value.get_ref())?);
+    }
+    Ok(show)
+}
+
+/// Parameters, and ranges of them.
+fn also_read(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
+    let array =
+        value.as_array().ok_or("must be a list of parameters like [\"20.021 ... 20.030\", \"05.005\"]")?;
+    let mut also = Vec::new();
+    for value in array {
+        also.extend(span(value.get_ref())?);
+    }
+    Ok(also)
+}
+
+/// Exactly one parameter.
+fn one(value: &DeValue<'_>) -> Result<Mapped, String> {
+    match span(value)?.as_slice() {
+        [mapped] => Ok(*mapped),
+        _ => Err("must be one parameter; ranges go into also_read".into()),
+    }
+}
+
+const FORMS: &str = "must be a parameter like \"06.042\" or \"control-word\", or { parameter = \"18.011\", \
+    bits = 32, decimals = 1 }";
+
+/// What [`span`] takes.
+fn parameter_form() -> Form {
+    let bits = Form::numbers([16, 32]);
+    let decimals = Form::integer(0..=9);
+    Form::Text(None).or(Form::Fields(vec![
+        ("parameter", Form::Text(None), true),
+        ("bits", bits, false),
+        ("decimals", decimals, false),
+    ]))
+}
+
+/// A parameter that is known, or one with its size in a table: or several in a row, `"20.021 ... 20.030"`.
+fn span(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
+    let size = Size::of(value)?;
+    let text =
+        value.as_table().map_or(value, |table| table.get("parameter").map_or(value, |text| text.get_ref()));
+    let text = text.as_str().ok_or(FORMS)?;
+    let Some((first, last)) = text.split_once("...") else { return Ok(vec![size.mapped(parameter(text)?)?]) };
+    let (first, last) = (parameter(first.trim())?, parameter(last.trim())?);
+    if (first.slot, first.menu) != (last.slot, last.menu) || first.number > last.number {
+        return Err("must rise within one menu; like \"20.021 ... 20.030\"".into());
+    }
+    (first.number..=last.number).map(|number| size.mapped(Parameter { number, ..first })).collect()
+}
+
+fn parameter(text: &str) -> Result<Parameter, String> {
+    let named = || catalogue::named(text, false).map(|known| known.parameter);
+    text.parse().ok().or_else(named).ok_or_else(|| {
+        let names = catalogue::all().filter(|known| known.parameter.slot == 0).map(|known| known.name);
+        match closest(text, names) {
+            Some(name) => format!("has an unknown parameter; did you mean \"{name}\"?"),
+            None => FORMS.to_owned(),
+        }
+    })
+}
+
+/// What a file says of the size of parameters.
+#[derive(Clone, Copy, Debug, Default)]
+struct Size {
+    width: Option<Width>,
+    decimals: Option<u32>,
+}
+
+impl Size {
+    /// Nothing, unless `value` is a table.
+    fn of(value: &DeValue<'_>) -> Result<Size, String> {
+        let Some(table) = value.as_table() else { return Ok(Size::default()) };
+        let mut size = Size::default();
+        for (key, value) in table {
+            let key: &str = key.get_ref();
+            match (key, integer(value.get_ref())) {
+                ("parameter", _) => {}
+                ("bits", Some(16)) => size.width = Some(Width::Word),
+                ("bits", Some(32)) => size.width = Some(Width::Long),
+                ("bits", _) => return Err("must have bits = 16 or bits = 32".into()),
+                ("decimals", Some(decimals @ 0..=9)) => size.decimals = u32::try_from(decimals).ok(),
+                ("decimals", _) => return Err("must have decimals = 0 ... 9".into()),
+                _ => return Err(FORMS.into()),
+            }
+        }
+        if table.contains_key("parameter") { Ok(size) } else { Err(FORMS.into()) }
+    }
+
+    /// A parameter of this size; what the file does not say is known, or a mistake.
+    fn mapped(self, parameter: Parameter) -> Result<Mapped, String> {
+        let known = parameter.known();
+        let width = self.width.or(known.map(|known| known.width)).ok_or_else(|| {
+            format!(
+                "{parameter} is not known here; write {{ parameter = \"{parameter}\", bits = .., decimals = \
+                 .. }} if your drive has it"
+            )
+        })?;
+        let decimals = self.decimals.or(known.map(|known| known.decimals)).unwrap_or(0);
+        Ok(Mapped { parameter, width, decimals })
+    }
+}
+
+/// `"direct"`, `"menu-0"`, or `{ menu_0 = 11 }`: from that place on.
+fn via(table: &mut Table<'_>) -> Option<Via> {
+    const FORMS: &str = "must be \"direct\", \"menu-0\", or { menu_0 = 11 } for menu 0 from Pr 00.011 on";
+    let from = Form::Fields(vec![("menu_0", Form::integer(1..=80), true)]);
+    table.read("via", Form::words(["direct", "menu-0"]).or(from), |value| match value.as_str() {
+        Some("direct") => Ok(Via::Direct),
+        Some("menu-0") => Ok(Via::Menu0 { first: 1 }),
+        Some(_) => Err(FORMS.into()),
+        None => {
+            let only = value.as_table().filter(|table| table.len() == 1);
+            let first = only.and_then(|table| table.get("menu_0")).and_then(|first| integer(first.get_ref()));
+            let first =
+                first.filter(|first| (1..=80).contains(first)).and_then(|first| u8::try_from(first).ok());
+            first.map(|first| Via::Menu0 { first }).ok_or(FORMS.into())
+        }
+    })
+}
+
+fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
+    let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
+    let watchdog = table.table("watchdog", |table| Watchdog {
+        timeout_ns: table
+            .read("timeout", Form::Time.or(Form::word("off")), |value| match value.as_str() {
+                Some("off") => Ok(None),
+                _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
+            })
+            .unwrap_or(default.timeout_ns),
+        keypad: table.flag("keypad").unwrap_or(default.keypad),
+        accept_none: default.accept_none,
+    });
+    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
+}

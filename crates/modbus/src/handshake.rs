@@ -1,0 +1,370 @@
+//! The handshake on a new connection before the loop gets it: it reads what the drive is and does. On a normal
+//! thread, one request after the other.
+//!
+//! It reads the unit id, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
+//! the drive has FC23 is shown by the first exchange that writes: a server may ignore a request that is only made
+//! to find out, or close on it. It writes only the set-up of menu 0, and that only to a drive that does not run.
+//! The settings that make the drive follow the control word are written by the station, with the first command that
+//! needs them.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::mapping::{Block, Image, Mapping, Role};
+use super::parameter::{DRIVE_UNIT, Parameter, Width};
+use super::plan::UnidriveDrive;
+use super::setup::{Purpose, Setting, settings};
+use super::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, frame};
+use super::words::{ControlWord, StatusWord};
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_core::net::{Handshake, HandshakeState};
+use fieldbeat_core::time::{S, Time};
+
+/// The findings of the handshake, for the station.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Finding {
+    /// The unit id of the drive's answers.
+    pub unit: u8,
+    /// It shows the cyclic parameters in menu 0.
+    pub menu_0: bool,
+    /// It follows control word and reference.
+    pub obeys: bool,
+    /// Its time-out is set.
+    pub watched: bool,
+    /// The control word that it had.
+    pub control: ControlWord,
+    /// The status word that it had.
+    pub status: StatusWord,
+    /// The speed that it had, as a count.
+    pub speed: i32,
+}
+
+/// The findings of the last handshake: written before the connection is handed over, and read after that.
+#[derive(Debug, Default)]
+pub struct Found {
+    /// Unit id, flags and control word; status word and speed.
+    words: [AtomicU64; 2],
+}
+
+impl Found {
+    /// What was found last.
+    pub fn get(&self, log: &InputLog) -> Finding {
+        let [bits, state] = &self.words;
+        let bits = log.value(0, bits.load(Ordering::Acquire));
+        let state = log.value(0, state.load(Ordering::Acquire));
+        let flag = |bit: u32| bits >> bit & 1 != 0;
+        Finding {
+            unit: bits as u8,
+            menu_0: flag(8),
+            obeys: flag(9),
+            watched: flag(10),
+            control: ControlWord((bits >> 16) as u16),
+            status: StatusWord((state >> 32) as u16),
+            speed: state as u32 as i32,
+        }
+    }
+
+    /// For the handshake.
+    pub fn set(&self, finding: Finding) {
+        let Finding { unit, menu_0, obeys, watched, control, status, speed } = finding;
+        let flags = [menu_0, obeys, watched];
+        let flags = flags.iter().enumerate().map(|(bit, flag)| u64::from(*flag) << (8 + bit)).sum::<u64>();
+        let [bits, state] = &self.words;
+        bits.store(u64::from(unit) | flags | u64::from(control.0) << 16, Ordering::Release);
+        state.store(u64::from(status.0) << 32 | u64::from(speed as u32), Ordering::Release);
+    }
+}
+
+/// One step of the handshake: a request and the use of its answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    /// Which unit id answers.
+    Unit,
+    /// Whether this block exists, and its values.
+    Look(usize),
+    /// The value of this setting.
+    Find(usize),
+    /// This setting of menu 0 is written ...
+    Set(usize),
+    /// ... and read back.
+    Verify(usize),
+    /// Menu 0 shows the configured parameters.
+    Menu0,
+}
+
+/// The handshake of one drive.
+#[derive(Debug)]
+pub(super) struct UnidriveHandshake {
+    drive: UnidriveDrive,
+    /// The parameters at their own addresses: one that is missing there does not exist.
+    direct: Mapping,
+    /// The blocks of menu 0, if they are to be used.
+    menu_0: Option<Mapping>,
+    found: Arc<Found>,
+    finding: Finding,
+    /// Unit ids to try, and the present one.
+    units: Vec<u8>,
+    unit: usize,
+    step: Step,
+    transaction: u16,
+    image: Image,
+    settings: Vec<Setting>,
+    /// The drive's value of each setting.
+    has: Vec<Option<i32>>,
+    inbox: Vec<u8>,
+}
+
+impl UnidriveHandshake {
+    pub(super) fn new(
+        drive: &UnidriveDrive,
+        direct: Mapping,
+        menu_0: Option<Mapping>,
+        found: Arc<Found>,
+    ) -> UnidriveHandshake {
+        UnidriveHandshake {
+            units: drive.unit.map_or(vec![DRIVE_UNIT, 0], |unit| vec![unit]),
+            unit: 0,
+            settings: settings(drive, menu_0.as_ref()),
+            has: Vec::new(),
+            drive: drive.clone(),
+            direct,
+            menu_0,
+            found,
+            finding: Finding::default(),
+            step: Step::Unit,
+            transaction: 0,
+            image: Image::default(),
+            inbox: Vec::with_capacity(ADU_MAX),
+        }
+    }
+
+    /// Its longest duration, ns: a request for each block and each setting, three for those of menu 0, each with
+    /// the time limit of a reply.
+    pub(super) fn longest_ns(&self) -> u64 {
+        let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
+        let requests = 3 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
+        S + requests as u64 * self.drive.reply_within_ns
+    }
+
+    fn value(&self, role: Role) -> i32 {
+        self.image.of(role).unwrap_or(0)
+    }
+
+    /// The request of the present step.
+    fn request(&mut self, out: &mut Vec<u8>) -> HandshakeState {
+        self.transaction = self.transaction.wrapping_add(1);
+        let mut data = RegistersBuffer::new();
+        let read = |parameter: Parameter, width: Width| {
+            let address = parameter.address(self.drive.addressing, width)?;
+            Some((parameter, Request::Read { address, count: width.registers() }))
+        };
+        let drive_unit = self.units[self.unit.min(self.units.len() - 1)];
+        let request = match self.step {
+            Step::Unit => read(self.drive.map.status.parameter, self.drive.map.status.width),
+            Step::Look(index) => self.direct.reads().get(index).map(|block| (block.first, look(block))),
+            Step::Menu0 => self
+                .menu_0
+                .as_ref()
+                .and_then(|menu_0| menu_0.reads().first())
+                .map(|block| (block.first, look(block))),
+            Step::Find(index) | Step::Verify(index) => {
+                self.settings.get(index).and_then(|setting| read(setting.parameter, setting.width))
+            }
+            Step::Set(index) => self
+                .settings
+                .get(index)
+                .map(|setting| (setting.parameter, setting.write(setting.value, &mut data))),
+        };
+        let Some((parameter, request)) = request else {
+            return HandshakeState::Failed("a parameter of its configuration has no address".into());
+        };
+        let header = Header { transaction: self.transaction, unit: parameter.unit(drive_unit) };
+        let begin = out.len();
+        out.resize(begin + request.size(), 0);
+        request.emit(header, &mut out[begin..]);
+        HandshakeState::More
+    }
+
+    /// Takes the answer of the present step, and continues with the next one.
+    fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> HandshakeState {
+        let refused = match response {
+            Response::Exception { code, .. } => Some(code),
+            _ => None,
+        };
+        let values = match response {
+            Response::Read { data } => Some(data),
+            _ => None,
+        };
+        let next = match (self.step, refused) {
+            (Step::Unit, Some(_)) if self.unit + 1 < self.units.len() => {
+                self.unit += 1;
+                Some(Step::Unit)
+            }
+            (Step::Unit, Some(code)) => {
+                return HandshakeState::Failed(format!(
+                    "the drive refuses to report its status word: {code}"
+                ));
+            }
+            (Step::Unit, None) => {
+                self.finding.unit = self.units[self.unit];
+                Some(Step::Look(0))
+            }
+            (Step::Look(index), Some(code)) => {
+                let block = &self.direct.reads()[index];
+                return HandshakeState::Failed(format!(
+                    "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and \
+                    also_read, and at the addressing",
+                    block.first, block.registers
+                ));
+            }
+            (Step::Look(index), None) => {
+                let block = &self.direct.reads()[index];
+                let Some(data) = values else { return surprised() };
+                for (place, role) in block.roles.iter().enumerate() {
+                    let value = match block.width {
+                        Width::Word => data.word(place).map(|word| i32::from(word as i16)),
+                        Width::Long => data.long(place),
+                    };
+                    let Some(value) = value else { return surprised() };
+                    if let Some(index) = role.index() {
+                        self.image.set(index, value);
+                    }
+                }
+                if index + 1 < self.direct.reads().len() {
+                    Some(Step::Look(index + 1))
+                } else {
+                    Some(Step::Find(0))
+                }
+            }
+            (Step::Find(index), refused) => {
+                let value = values.and_then(|data| self.settings[index].read(data));
+                if refused.is_none() && value.is_none() {
+                    return surprised();
+                }
+                self.has.push(value);
+                if index + 1 < self.settings.len() {
+                    Some(Step::Find(index + 1))
+                } else {
+                    self.finding.control = ControlWord(self.value(Role::Control) as u16);
+                    self.finding.status = StatusWord(self.value(Role::Status) as u16);
+                    self.finding.speed = self.value(Role::Speed);
+                    self.next_setting(0)
+                }
+            }
+            (Step::Set(index), _) => Some(Step::Verify(index)),
+            (Step::Verify(index), _) => {
+                self.has[index] = values.and_then(|data| self.settings[index].read(data));
+                self.next_setting(index + 1)
+            }
+            (Step::Menu0, Some(code)) => {
+                return HandshakeState::Failed(format!(
+                    "the drive does not give its menu 0 as it was set up: {code}; use via = \"direct\""
+                ));
+            }
+            (Step::Menu0, None) => {
+                self.finding.menu_0 = true;
+                None
+            }
+        };
+        match next {
+            Some(step) => {
+                self.step = step;
+                self.request(out)
+            }
+            None => self.end(),
+        }
+    }
+
+    /// Whether the drive may be set up now: menu 0 of a drive that runs is left alone.
+    fn may_set(&self) -> bool {
+        self.drive.set_up && !self.finding.status.active()
+    }
+
+    fn next_setting(&self, from: usize) -> Option<Step> {
+        let differs = |index: &usize| {
+            self.settings[*index].purpose == Purpose::Menu0 && !self.is_met(*index) && self.may_set()
+        };
+        match (from..self.settings.len()).find(differs) {
+            Some(index) => Some(Step::Set(index)),
+            None => self.conclude(),
+        }
+    }
+
+    fn is_met(&self, index: usize) -> bool {
+        self.has.get(index).copied().flatten() == Some(self.settings[index].value)
+    }
+
+    fn conclude(&self) -> Option<Step> {
+        (self.menu_0.is_some() && self.are_met(Purpose::Menu0)).then_some(Step::Menu0)
+    }
+
+    fn are_met(&self, purpose: Purpose) -> bool {
+        self.unmet(purpose).is_none()
+    }
+
+    fn unmet(&self, purpose: Purpose) -> Option<&Setting> {
+        let of = |index: &usize| self.settings[*index].purpose == purpose;
+        (0..self.settings.len())
+            .filter(of)
+            .find(|index| !self.is_met(*index))
+            .map(|index| &self.settings[index])
+    }
+
+    fn end(&mut self) -> HandshakeState {
+        if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
+            return HandshakeState::Failed(format!(
+                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \"direct\"",
+                setting.parameter, setting.value
+            ));
+        }
+        self.finding.obeys = self.are_met(Purpose::Obey);
+        // Where nothing is to be set, nothing watches.
+        self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
+        self.found.set(self.finding);
+        HandshakeState::Done
+    }
+}
+
+fn look(block: &Block) -> Request<'static> {
+    Request::Read { address: block.address, count: block.registers }
+}
+
+fn surprised() -> HandshakeState {
+    HandshakeState::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
+}
+
+impl Handshake for UnidriveHandshake {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
+        self.inbox.clear();
+        self.finding = Finding::default();
+        self.image = Image::default();
+        self.has.clear();
+        if self.step == Step::Unit && self.transaction != 0 {
+            // No answer at all the last time: it may use another unit id.
+            self.unit = (self.unit + 1) % self.units.len();
+        }
+        self.step = Step::Unit;
+        self.request(out)
+    }
+
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
+        self.inbox.extend_from_slice(bytes);
+        match frame(&self.inbox) {
+            Ok(None) => HandshakeState::More,
+            Ok(Some(size)) if size < self.inbox.len() => surprised(),
+            Ok(Some(_)) => {
+                let inbox = std::mem::take(&mut self.inbox);
+                let state = match Response::parse(&inbox) {
+                    Ok((header, response)) if header.transaction == self.transaction => {
+                        self.answer(response, out)
+                    }
+                    Ok(_) | Err(_) => surprised(),
+                };
+                self.inbox = inbox;
+                self.inbox.clear();
+                state
+            }
+            Err(error) => HandshakeState::Failed(error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,482 @@
+//! The cyclic parameters as blocks of registers.
+//!
+//! A request has one block to write and one to read, each of parameters that follow each other and have one width. In
+//! 32-bit access the address counts parameters and the quantity counts registers (manual, FC23 example).
+
+use super::parameter::{Parameter, Width};
+use super::plan::{Mapped, UnidriveDrive, Via};
+use super::wire::{REGISTERS_MAX, Registers};
+use fieldbeat_core::axis::PlanFault;
+use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
+use fieldbeat_core::rt::Regions;
+
+/// The purpose of a cyclic parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// The control word.
+    Control,
+    /// The speed reference.
+    Reference,
+    /// The status word.
+    Status,
+    /// The speed feedback.
+    Speed,
+    /// The trip number.
+    Trip,
+    /// A monitored channel.
+    Shown(u8),
+    /// An additional parameter that is read for the native process data.
+    Also(u8),
+}
+
+/// How many roles have an index in an [`Image`]: all but the additional ones.
+pub const ROLES: usize = Role::FIRST_SHOWN + MONITOR_CHANNELS;
+
+/// The most additional parameters.
+pub const ALSO_MAX: usize = REGISTERS_MAX as usize;
+
+impl Role {
+    /// The index of the first monitored channel.
+    pub const FIRST_SHOWN: usize = 5;
+
+    /// Its index in an [`Image`].
+    #[inline]
+    pub const fn index(self) -> Option<usize> {
+        match self {
+            Role::Control => Some(0),
+            Role::Reference => Some(1),
+            Role::Status => Some(2),
+            Role::Speed => Some(3),
+            Role::Trip => Some(4),
+            Role::Shown(channel) if (channel as usize) < MONITOR_CHANNELS => {
+                Some(Role::FIRST_SHOWN + channel as usize)
+            }
+            Role::Shown(_) | Role::Also(_) => None,
+        }
+    }
+
+    /// Its key in a configuration.
+    fn key(self) -> &'static str {
+        match self {
+            Role::Control => "map.control",
+            Role::Reference => "map.reference",
+            Role::Status => "map.status",
+            Role::Speed => "map.speed",
+            Role::Trip => "map.trip",
+            Role::Shown(_) => "monitor",
+            Role::Also(_) => "also_read",
+        }
+    }
+}
+
+/// A value for each role that has an index, once it was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Image {
+    /// Bit n: the value at index n was read; the others are 0.
+    seen: u32,
+    /// Two values each, as they are published: values written apart would be slow to read together right after.
+    pairs: [u64; Image::PAIRS],
+}
+
+impl Image {
+    /// Words of its values.
+    pub(super) const PAIRS: usize = ROLES.div_ceil(2);
+
+    /// From its parts.
+    pub(super) fn new(seen: u32, pairs: [u64; Image::PAIRS]) -> Image {
+        Image { seen, pairs }
+    }
+
+    /// The bits of the values that were read, and all values.
+    #[inline]
+    pub(super) fn parts(&self) -> (u32, &[u64; Image::PAIRS]) {
+        (self.seen, &self.pairs)
+    }
+
+    /// The value at this index; `None`: not read yet.
+    #[inline]
+    pub fn get(&self, place: usize) -> Option<i32> {
+        let pair = self.pairs.get(place / 2)?;
+        (self.seen >> place & 1 != 0).then_some((pair >> (place % 2 * 32)) as i32)
+    }
+
+    /// Control word, reference and status; 0 if not read yet.
+    #[inline]
+    pub(super) fn front(&self) -> [i32; 3] {
+        let [first, second, ..] = self.pairs;
+        [first as i32, (first >> 32) as i32, second as i32]
+    }
+
+    /// The value of a role.
+    #[inline]
+    pub fn of(&self, role: Role) -> Option<i32> {
+        role.index().and_then(|place| self.get(place))
+    }
+
+    /// Takes over all of a block whose parameters are in the order of this image, from index 0 on.
+    #[inline]
+    pub(super) fn set_front(&mut self, data: Registers<'_>) {
+        let (pairs, rest) = data.bytes().as_chunks();
+        for (pair, bytes) in self.pairs.iter_mut().zip(pairs) {
+            // On the wire the first one comes before the second, the high byte first.
+            *pair = u64::from_be_bytes(*bytes).rotate_left(32);
+        }
+        let count = data.len() / 2;
+        self.seen |= (1 << count) - 1;
+        if let Some(last) = rest.first_chunk() {
+            self.set(count - 1, i32::from_be_bytes(*last));
+        }
+    }
+
+    /// Puts a value in.
+    #[inline]
+    pub(super) fn set(&mut self, place: usize, count: i32) {
+        if let Some(pair) = self.pairs.get_mut(place / 2) {
+            let shift = place % 2 * 32;
+            *pair = *pair & !(u64::from(u32::MAX) << shift) | u64::from(count as u32) << shift;
+            self.seen |= 1 << place;
+        }
+    }
+}
+
+/// Parameters side by side, of one width.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// Its address on the wire.
+    pub address: u16,
+    /// The number of registers.
+    pub registers: u16,
+    /// The width of each parameter.
+    pub width: Width,
+    /// The role of each parameter, in order.
+    pub roles: Box<[Role]>,
+    /// Its roles that have an index in an [`Image`].
+    pub(super) places: Places,
+    /// They are 32 bits wide, and their indices in an [`Image`] are 0, 1, 2 ...
+    pub(super) in_order: bool,
+    /// The first parameter, for messages.
+    pub first: Parameter,
+}
+
+impl Block {
+    /// Whether it has this role.
+    #[inline]
+    pub fn has(&self, role: Role) -> bool {
+        self.places.has(role)
+    }
+}
+
+/// Some of the roles that have an index in an [`Image`]: a bit each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Places(u32);
+
+impl Places {
+    #[inline]
+    pub(super) fn has(self, role: Role) -> bool {
+        role.index().is_some_and(|place| self.0 >> place & 1 != 0)
+    }
+}
+
+/// All blocks of a drive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mapping {
+    writes: Box<[Block]>,
+    reads: Box<[Block]>,
+    /// How many of `reads`, the first ones, have status or speed.
+    hot: usize,
+    /// For menu 0: the parameters that it is to show, from the first on.
+    shown_in_menu_0: Box<[Parameter]>,
+}
+
+impl Mapping {
+    /// The blocks of `drive`.
+    ///
+    /// # Errors
+    ///
+    /// A parameter that has no address, or that has two roles.
+    pub fn new(drive: &UnidriveDrive) -> Result<Mapping, PlanFault> {
+        let map = &drive.map;
+        let outputs = [(Role::Control, map.control), (Role::Reference, map.reference)];
+        let inputs =
+            [(Role::Status, Some(map.status)), (Role::Speed, Some(map.speed)), (Role::Trip, map.trip)];
+        let shown = (0..MONITOR_CHANNELS).map(|channel| (Role::Shown(channel as u8), map.show[channel]));
+        let also = map
+            .also
+            .iter()
+            .take(ALSO_MAX)
+            .enumerate()
+            .map(|(index, mapped)| (Role::Also(index as u8), Some(*mapped)));
+        let inputs: Vec<(Role, Mapped)> = inputs
+            .into_iter()
+            .chain(shown)
+            .chain(also)
+            .filter_map(|(role, mapped)| Some((role, mapped?)))
+            .collect();
+        if map.also.len() > ALSO_MAX {
+            let why = format!(
+                "names {} parameters, and a request has {REGISTERS_MAX} registers; name fewer",
+                map.also.len()
+            );
+            return Err(PlanFault::new("also_read", why));
+        }
+        let all: Vec<(Role, Mapped)> = outputs.into_iter().chain(inputs.iter().copied()).collect();
+        for (place, (role, mapped)) in all.iter().enumerate() {
+            if let Some((other, _)) =
+                all[..place].iter().find(|(_, other)| other.parameter == mapped.parameter)
+            {
+                let why =
+                    format!("{} is already {}; name each parameter once", mapped.parameter, other.key());
+                return Err(PlanFault::new(role.key(), why));
+            }
+            if mapped.parameter.slot != 0 {
+                let why = format!(
+                    "{} is in an option slot; cyclic parameters are the drive's own",
+                    mapped.parameter
+                );
+                return Err(PlanFault::new(role.key(), why));
+            }
+            drive.address_of(*role, mapped.parameter, mapped.width)?;
+            if drive.via != Via::Direct && mapped.parameter.to_setup().is_none() {
+                let why = format!(
+                    "{} cannot be shown in menu 0 (menus up to 59); use via = \"direct\"",
+                    mapped.parameter
+                );
+                return Err(PlanFault::new(role.key(), why));
+            }
+        }
+        match drive.via {
+            Via::Direct => {
+                let writes = blocks(drive, &outputs)?;
+                let mut reads = blocks(drive, &inputs)?;
+                let is_hot =
+                    |block: &Block| block.roles.iter().any(|role| matches!(role, Role::Status | Role::Speed));
+                // The status first: without it there is no report.
+                reads.sort_by_key(|block| (!block.has(Role::Status), !is_hot(block)));
+                let hot = reads.iter().filter(|block| is_hot(block)).count();
+                // Written values are read back now and then: a drive refuses a value by FC23 without an error code.
+                reads.extend(writes.iter().cloned());
+                check_lengths(&writes, &reads)?;
+                Ok(Mapping {
+                    writes: writes.into(),
+                    reads: reads.into(),
+                    hot,
+                    shown_in_menu_0: Box::default(),
+                })
+            }
+            Via::Menu0 { first } => {
+                // Adjacent, the written ones first: one block reads the written values back, too.
+                let place = |(index, (role, mapped)): (usize, &(Role, Mapped))| {
+                    let number = u16::from(first) + index as u16;
+                    match u8::try_from(number).ok().filter(|number| (1..=80).contains(number)) {
+                        Some(number) => Ok((
+                            *role,
+                            Mapped { parameter: Parameter::new(0, number), width: Width::Long, ..*mapped },
+                        )),
+                        None => Err(PlanFault::new("via", "menu 0 has places 1 ... 80; use a lower number")),
+                    }
+                };
+                let placed = all.iter().enumerate().map(place).collect::<Result<Vec<_>, _>>()?;
+                let writes = blocks(drive, &placed[..outputs.len()])?;
+                let reads = blocks(drive, &placed)?;
+                check_lengths(&writes, &reads)?;
+                let shown = all.iter().map(|(_, mapped)| mapped.parameter).collect();
+                Ok(Mapping { writes: writes.into(), reads: reads.into(), hot: 1, shown_in_menu_0: shown })
+            }
+        }
+    }
+
+    /// The blocks to write: control word and reference, or both in one.
+    pub fn writes(&self) -> &[Block] {
+        &self.writes
+    }
+
+    /// The blocks to read, those with status and speed first.
+    pub fn reads(&self) -> &[Block] {
+        &self.reads
+    }
+
+    /// How many of the first blocks to read have status or speed.
+    pub fn hot(&self) -> usize {
+        self.hot
+    }
+
+    /// Adds what it touches, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.writes);
+        regions.add(&*self.reads);
+        self.writes.iter().chain(&*self.reads).for_each(|block| regions.add(&*block.roles));
+    }
+
+    /// The parameters that menu 0 is to show, from its first place on; empty unless it is used.
+    pub fn shown_in_menu_0(&self) -> &[Parameter] {
+        &self.shown_in_menu_0
+    }
+
+    /// The block that is read in turn `turn`: those with status or speed one after the other, then one of the rest.
+    #[inline]
+    pub fn read_in(&self, turn: u32) -> usize {
+        let (hot, all) = (self.hot.max(1), self.reads.len());
+        // A single one needs no division.
+        if all == 1 {
+            return 0;
+        }
+        if all <= hot {
+            return turn as usize % all.max(1);
+        }
+        // With one such block, it is read in two of three exchanges.
+        let round = hot.max(2) + 1;
+        let (place, number) = (turn as usize % round, turn as usize / round);
+        if place < round - 1 { place % hot } else { hot + number % (all - hot) }
+    }
+
+    /// The number of turns until everything was read.
+    pub fn turns(&self) -> usize {
+        let (hot, all) = (self.hot.max(1), self.reads.len());
+        if all <= hot { all } else { (hot.max(2) + 1) * (all - hot) }
+    }
+
+    /// The block to read that has `role`.
+    pub fn block_with(&self, role: Role) -> Option<usize> {
+        self.reads.iter().position(|block| block.has(role))
+    }
+}
+
+impl UnidriveDrive {
+    /// The address of a parameter on the wire.
+    fn address_of(&self, role: Role, parameter: Parameter, width: Width) -> Result<u16, PlanFault> {
+        parameter.address(self.addressing, width).ok_or_else(|| {
+            let range =
+                "menus 0 ... 162 and numbers 0 ... 99 by standard addressing, menus 0 ... 63 by modified";
+            PlanFault::new(role.key(), format!("{parameter} has no Modbus address: {range}"))
+        })
+    }
+}
+
+/// Puts those that follow each other into one block.
+fn blocks(drive: &UnidriveDrive, items: &[(Role, Mapped)]) -> Result<Vec<Block>, PlanFault> {
+    let mut items = items.to_vec();
+    items.sort_by_key(|(_, mapped)| (mapped.parameter.menu, mapped.parameter.number));
+    let mut blocks: Vec<(Block, Vec<Role>, Parameter)> = Vec::new();
+    for (role, mapped) in items {
+        let Mapped { parameter, width, .. } = mapped;
+        if let Some((block, roles, last)) = blocks.last_mut()
+            && block.width == width
+            && (last.menu, last.number.checked_add(1)) == (parameter.menu, Some(parameter.number))
+        {
+            block.registers += width.registers();
+            roles.push(role);
+            *last = parameter;
+            continue;
+        }
+        let address = drive.address_of(role, parameter, width)?;
+        let registers = width.registers();
+        let block = Block {
+            address,
+            registers,
+            width,
+            roles: Box::default(),
+            places: Places::default(),
+            in_order: false,
+            first: parameter,
+        };
+        blocks.push((block, vec![role], parameter));
+    }
+    let finished = |(block, roles, _): (Block, Vec<Role>, Parameter)| {
+        let places = Places(roles.iter().filter_map(|role| role.index()).map(|place| 1 << place).sum());
+        let mut each = roles.iter().map(|role| role.index()).enumerate();
+        let in_order = block.width == Width::Long && each.all(|(place, index)| index == Some(place));
+        Block { roles: roles.into(), places, in_order, ..block }
+    };
+    Ok(blocks.into_iter().map(finished).collect())
+}
+
+fn check_lengths(writes: &[Block], reads: &[Block]) -> Result<(), PlanFault> {
+    match writes.iter().chain(reads).find(|block| block.registers > REGISTERS_MAX) {
+        Some(block) => Err(PlanFault::new(
+            "map",
+            format!(
+                "{} registers from {} on exceed the {REGISTERS_MAX} of one request; map fewer",
+                block.registers, block.first
+            ),
+        )),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    fn drive(change: impl FnOnce(&mut UnidriveDrive)) -> UnidriveDrive {
+        let mut drive = UnidriveDrive::new("u", Ipv4Addr::LOCALHOST);
+        change(&mut drive);
+        drive
+    }
+
+    fn addresses(blocks: &[Block]) -> Vec<(u16, u16)> {
+        blocks.iter().map(|block| (block.address, block.registers)).collect()
+    }
+
+    #[test]
+    fn the_usual_parameters_have_the_addresses_of_the_guides() {
+        let mapping = Mapping::new(&drive(|_| ())).unwrap();
+        assert_eq!(addresses(mapping.writes()), [(0x4078, 2), (0x0281, 1)]);
+        let reads = addresses(mapping.reads());
+        assert_eq!(reads, [(0x040F, 1), (0x412D, 2), (0x01A3, 1), (0x03FB, 1), (0x4078, 2), (0x0281, 1)]);
+        assert_eq!(mapping.hot(), 2);
+    }
+
+    #[test]
+    fn status_and_speed_are_read_in_two_of_three_turns_and_all_the_rest_in_the_others() {
+        let mapping = Mapping::new(&drive(|_| ())).unwrap();
+        let turns: Vec<usize> = (0..mapping.turns() as u32).map(|turn| mapping.read_in(turn)).collect();
+        assert_eq!(turns, [0, 1, 2, 0, 1, 3, 0, 1, 4, 0, 1, 5]);
+        let alone = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 1 })).unwrap();
+        assert_eq!((0..4).map(|turn| alone.read_in(turn)).collect::<Vec<_>>(), [0; 4]);
+    }
+
+    #[test]
+    fn menu_0_has_all_in_one_block_and_what_is_written_in_front() {
+        let mapping = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 11 })).unwrap();
+        assert_eq!(addresses(mapping.writes()), [(0x400A, 4)]);
+        assert_eq!(addresses(mapping.reads()), [(0x400A, 12)]);
+        let shown: Vec<String> = mapping.shown_in_menu_0().iter().map(Parameter::to_string).collect();
+        assert_eq!(shown, ["06.042", "01.021", "10.040", "03.002", "10.020", "04.020"]);
+    }
+
+    #[test]
+    fn parameters_side_by_side_are_one_block_until_it_is_full() {
+        let also = |count: u8| {
+            move |drive: &mut UnidriveDrive| {
+                drive.map.also = (0..count)
+                    .map(|index| Mapped { width: Width::Long, ..Mapped::new(Parameter::new(20, 1 + index)) })
+                    .collect();
+            }
+        };
+        let mapping = Mapping::new(&drive(also(60))).unwrap();
+        assert!(mapping.reads().iter().any(|block| block.registers == 120 && block.roles.len() == 60));
+        let fault = Mapping::new(&drive(also(61))).unwrap_err();
+        assert!(
+            fault.message.contains("122 registers from 20.001 on exceed the 120 of one request"),
+            "{fault:?}"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_exchanged_is_refused_with_its_key() {
+        let fault = |change: fn(&mut UnidriveDrive)| {
+            let PlanFault { key, message } = Mapping::new(&drive(change)).unwrap_err();
+            format!("{key}: {message}")
+        };
+        let missing = fault(|drive| drive.map.speed.parameter = Parameter::new(163, 1));
+        assert!(missing.starts_with("map.speed: 163.001 has no Modbus address"), "{missing}");
+        let twice = fault(|drive| drive.map.speed.parameter = Parameter::STATUS_WORD);
+        assert_eq!(twice, "map.speed: 10.040 is already map.status; name each parameter once");
+        let slot = fault(|drive| drive.map.trip = Some(Mapped::new(Parameter::new(15, 9).in_slot(4))));
+        assert!(slot.starts_with("map.trip: 4.15.009 is in an option slot"), "{slot}");
+        let place = fault(|drive| drive.via = Via::Menu0 { first: 76 });
+        assert!(place.starts_with("via: menu 0 has places 1 ... 80"), "{place}");
+    }
+}

@@ -1,0 +1,231 @@
+//! How people write parameters of a Unidrive and their values, and the calls made from them.
+//!
+//! | address | access |
+//! |---|---|
+//! | `06.042`, or a name of the [`catalogue`] | in its own size if it is known here, else 32 bits |
+//! | `4.15.009`, `4.modbus-timeout` | the same in the module of slot 4 |
+//! | `06.042.word`, `06.042.long` | 16 bits, 32 bits |
+//!
+//! | value | means |
+//! |---|---|
+//! | `15000` | a count, as sent on the wire, whatever the decimals of the parameter |
+//! | `1500.0` | with a point: scaled, if decimals of the parameter are known here; 15000 of 01.021 |
+//! | `0x3A98` | the bits of a count |
+//! | `true`, `false` | 1, 0 |
+//!
+//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
+//! count. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
+
+mod list;
+
+use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
+use super::wire::ExceptionCode;
+use fieldbeat_core::axis::acyclic::{
+    Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within,
+};
+
+/// The service of a call that reads.
+pub const READ: u32 = 1;
+/// The service of a call that writes.
+pub const WRITE: u32 = 2;
+
+/// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
+/// guide).
+pub const NOT_TAKEN: u32 = 0x100;
+/// A status above those of the drive: the parameter has no address in the addressing mode of this drive. Nothing was
+/// sent.
+pub const UNREACHABLE: u32 = 0x101;
+
+/// The parameter that a call reads or writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Target {
+    /// The parameter.
+    pub parameter: Parameter,
+    /// The size of the access.
+    pub width: Width,
+}
+
+impl Target {
+    /// As the address of a call: width (0 = 16 bits, 1 = 32), slot, menu, number, a byte each.
+    pub const fn pack(self) -> u32 {
+        let Parameter { slot, menu, number } = self.parameter;
+        let width = match self.width {
+            Width::Word => 0,
+            Width::Long => 1,
+        };
+        u32::from_be_bytes([width, slot, menu, number])
+    }
+
+    /// From the address of a call; `None`: it is invalid.
+    pub const fn unpack(address: u32) -> Option<Target> {
+        let [width, slot, menu, number] = address.to_be_bytes();
+        let width = match width {
+            0 => Width::Word,
+            1 => Width::Long,
+            _ => return None,
+        };
+        if slot > SLOT_MAX {
+            return None;
+        }
+        Some(Target { parameter: Parameter { slot, menu, number }, width })
+    }
+
+    /// The call that reads it.
+    pub const fn read(self) -> Call {
+        Call { service: READ, address: self.pack(), value: 0 }
+    }
+
+    /// The call that writes these raw bits to it.
+    pub const fn write(self, raw: u32) -> Call {
+        Call { service: WRITE, address: self.pack(), value: raw as u64 }
+    }
+
+    /// As people write it.
+    pub fn parse(text: &str) -> Option<Target> {
+        let (text, width) = match text.rsplit_once('.') {
+            Some((text, "word")) => (text, Some(Width::Word)),
+            Some((text, "long")) => (text, Some(Width::Long)),
+            _ => (text, None),
+        };
+        let parameter = text.parse().ok().or_else(|| named(text))?;
+        let own = || parameter.known().map_or(Width::Long, |known| known.width);
+        Some(Target { parameter, width: width.unwrap_or_else(own) })
+    }
+
+    /// Whether its values have a sign. Those of unknown parameters do, as most have.
+    fn signed(self) -> bool {
+        self.parameter.known().is_none_or(|known| known.signed)
+    }
+
+    fn number(self, raw: u32) -> i64 {
+        self.width.number(raw, self.signed())
+    }
+
+    /// The value of bits as people write them. Bits that this width does not have are out of its range.
+    fn of_bits(self, bits: u64) -> i64 {
+        match u32::try_from(bits) {
+            Ok(raw) if self.width.raw(raw.into()) == raw => self.number(raw),
+            _ => i64::try_from(bits).unwrap_or(i64::MAX),
+        }
+    }
+}
+
+/// A name of the drive's parameters, or after `slot.` one of an Ethernet interface's.
+fn named(text: &str) -> Option<Parameter> {
+    let Some((slot, name)) = text.split_once('.') else {
+        return catalogue::named(text, false).map(|known| known.parameter);
+    };
+    let &[digit @ b'1'..=b'4'] = slot.as_bytes() else { return None };
+    catalogue::named(name, true).map(|known| known.parameter.in_slot(digit - b'0'))
+}
+
+const FORM: &str = "06.042, with three digits behind the point, slot.06.042 or a name; .word or .long behind it for \
+                    access with 16 or 32 bits";
+
+/// Addresses and values of Unidrives.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Parameters;
+
+impl Parameters {
+    fn find(text: &str) -> Result<Target, NotationError> {
+        Target::parse(text).ok_or(NotationError::Address { form: FORM })
+    }
+}
+
+impl Notation for Parameters {
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        Parameters::find(address).map(Target::read)
+    }
+
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        let target = Parameters::find(address)?;
+        let width = target.width;
+        // A value of 16 bits may come with its sign above them.
+        let fits =
+            |raw: u32| width.raw(raw.into()) == raw || width.number(raw, true) == i64::from(raw as i32);
+        match u32::try_from(value) {
+            Ok(raw) if fits(raw) => Ok(target.write(width.raw(raw.into()))),
+            _ => {
+                let form = format!("a number of {} bits", width.bits());
+                Err(NotationError::Value { value: value.to_string(), form })
+            }
+        }
+    }
+
+    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let target = Parameters::find(address)?;
+        let known = target.parameter.known();
+        let decimals = known.map_or(0, |known| known.decimals);
+        let number = match text.strip_prefix("0x") {
+            Some(digits) => bits(digits).map(|raw| target.of_bits(raw)),
+            None => count(text, decimals),
+        };
+        let (low, high) = match known {
+            Some(known) => target.width.range(known.signed),
+            // Of whatever sign: the bits are the same.
+            None => (target.width.range(true).0, target.width.range(false).1),
+        };
+        let number = within(number, (low, high), text, || form(decimals, low, high))?;
+        Ok(target.width.raw(number).into())
+    }
+
+    fn number(&self, address: &str, raw: u64) -> i64 {
+        match Target::parse(address) {
+            Some(target) => target.number(raw as u32),
+            None => i64::from(raw as u32),
+        }
+    }
+
+    fn show(&self, address: &str, raw: u64) -> String {
+        let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
+        let raw = target.width.raw(i64::from(raw as u32));
+        let number = target.number(raw);
+        let plain = format!("{number} (0x{raw:X})");
+        match target.parameter.known() {
+            Some(known) if known.decimals > 0 || !known.unit.is_empty() => {
+                format!("{plain} = {}", scaled(known, number))
+            }
+            _ => plain,
+        }
+    }
+
+    fn reason(&self, status: u32) -> String {
+        match (status, u8::try_from(status)) {
+            (NOT_TAKEN, _) => {
+                "the drive did not take it and gave no error code: read-only, protected, or out of range"
+                    .to_owned()
+            }
+            (UNREACHABLE, _) => {
+                "it has no address in the addressing mode of this drive: look at `addressing`".to_owned()
+            }
+            (_, Ok(code)) => ExceptionCode(code).to_string(),
+            _ => format!("status {status:#x}"),
+        }
+    }
+
+    fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+        list::list(wanted)
+    }
+}
+
+/// The scaled value with all its decimals, exactly, and its unit.
+fn scaled(known: &Known, number: i64) -> String {
+    let value = format!("{:.*}", known.decimals as usize, known.value(number));
+    format!("{value} {}", known.unit).trim_end().to_owned()
+}
+
+/// The correct form.
+fn form(decimals: u32, low: i64, high: i64) -> String {
+    let whole = format!("a whole number, {low} ... {high}, its bits as 0x...");
+    match decimals {
+        0 => format!("{whole}, true or false"),
+        _ => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,198 @@
+//! The values of a reply: what they confirm of what was written, who else writes, and the drive's report.
+
+use super::{Blocks, Connection, Station};
+use crate::counters::Own;
+use crate::echo::Shown;
+use crate::mapping::{Places, Role};
+use crate::words::{ControlWord, StatusWord};
+use fieldbeat_core::bus::Slot;
+use fieldbeat_core::time::{S, Time};
+
+/// A missing hardware enable is reported for so long, ns, after the drive was last commanded to run: only the next
+/// such command shows whether it is back.
+const DARK_NS: u64 = S;
+
+impl Station {
+    /// The values in the image are those that the open request wrote, and the drive reports the status of before.
+    #[inline]
+    pub(super) fn is_repeated(&self) -> bool {
+        let Connection { image, inputs, written, .. } = &self.conn;
+        let [control, reference, status] = image.front();
+        self.conn.steady
+            && self.profile.is_steady()
+            && inputs.control == Some(written.control)
+            && (control as u16, reference) == (written.control.0, written.reference)
+            && status as u16 == inputs.status.0
+    }
+
+    /// Such a reply: only the reference and what turns are new.
+    #[inline]
+    pub(super) fn repeat(&mut self, at: Time, slot: &mut Slot) {
+        self.conn.reference.reads_back(self.conn.written.reference);
+        self.conn.inputs.reference = Some(self.conn.written.reference);
+        self.native.publish(at, false, &self.conn.image);
+        self.turns(at, slot);
+    }
+
+    /// The values of these indices are in the image.
+    #[inline(never)]
+    pub(super) fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
+        (self.conn.refused.1, self.conn.busy_since) = (0, None);
+        if blocks.write.is_some() {
+            self.conn.refused.0 = 0;
+        }
+        if blocks.control {
+            self.conn.control.replied(i32::from(self.conn.written.control.0));
+        }
+        if blocks.reference {
+            self.conn.reference.replied(self.conn.written.reference);
+        }
+        let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
+        let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
+        let with_trip = places.has(Role::Trip);
+        self.native.publish(at, self.profile.is_native(), &self.conn.image);
+        if control || reference {
+            // What this exchange has not written itself shows who did.
+            let unwritten = control && !blocks.control || reference && !blocks.reference;
+            self.compare(at, control, reference, unwritten, slot);
+        } else if blocks.control || blocks.reference {
+            self.note_taken(at);
+        }
+        self.conn.seen = (self.conn.seen.0 || status, self.conn.seen.1 || speed);
+        self.conn.trip_read |= with_trip;
+        if status {
+            self.take_status(at, with_trip);
+        }
+        self.conn.steady = false;
+        if self.conn.seen == (true, true) && !self.conn.other.is_in_doubt() {
+            self.conn.seen = (false, false);
+            self.report(at, slot);
+            let word = self.conn.inputs.status;
+            let waits = !word.active() && (self.profile.runs() || self.conn.dark_at.is_some());
+            // All of it comes with each reply, and time changes nothing of it.
+            self.conn.steady = control
+                && reference
+                && status
+                && speed
+                && word.healthy()
+                && !waits
+                && self.conn.refused == (0, 0);
+        }
+    }
+
+    /// Compares read-back values with the written ones.
+    #[inline(always)]
+    fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
+        let word = self.conn.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
+        let speed = self.conn.image.of(Role::Reference).filter(|_| reference);
+        let control = word.map(|word| self.conn.control.read(word));
+        let reference = speed.map(|speed| self.conn.reference.read(speed));
+        self.note_taken(at);
+        let shown = [control, reference];
+        if shown.contains(&Some(Shown::Refused)) {
+            Own::NotTaken.count(&mut slot.counters);
+            self.profile.not_taken();
+        }
+        if unwritten || shown.contains(&Some(Shown::Changed)) {
+            self.look_for_others(at, shown, [word, speed], slot);
+        }
+    }
+
+    /// Whether somebody else has written the values that an exchange has shown.
+    #[inline(never)]
+    fn look_for_others(
+        &mut self,
+        at: Time,
+        shown: [Option<Shown>; 2],
+        values: [Option<i32>; 2],
+        slot: &mut Slot,
+    ) {
+        let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
+        let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
+        let proved = if self.profile.writes() {
+            self.conn.other.same(same_control, same_reference);
+            (control || reference) && self.conn.other.changed(at, control, reference)
+        } else {
+            self.conn.other.read(at, values)
+        };
+        slot.notices.other_master |= proved;
+    }
+
+    /// The values that the drive has accepted by now.
+    pub(super) fn note_taken(&mut self, at: Time) {
+        let control = self.conn.control.taken().map(|count| ControlWord(count as u16));
+        if control.is_some() && control != self.conn.inputs.control {
+            self.control_taken = control;
+            self.conn.inputs.control_since = at;
+        }
+        self.conn.inputs.control = control;
+        self.conn.inputs.reference = self.conn.reference.taken();
+    }
+
+    /// A new status; `named`: the number of a trip came with it.
+    #[inline(always)]
+    fn take_status(&mut self, at: Time, named: bool) {
+        let Some(status) = self.conn.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
+        // It has accepted the command to run; its earlier state is no answer to that.
+        let running = self.profile.runs()
+            && self.conn.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        let was_active = running && (self.conn.was_active || status.active());
+        let off = status.healthy() && !status.active();
+        let dark = running && off && (was_active || self.profile.should_be_active(at, &self.conn.inputs));
+        if self.conn.other.doubts(off && self.profile.runs(), dark) {
+            return;
+        }
+        let inputs = &mut self.conn.inputs;
+        (inputs.seen, inputs.status) = (true, status);
+        self.profile.status_read();
+        if status.healthy() {
+            // The present name is that of the last trip.
+            (inputs.trip, inputs.tripped_at, self.conn.trip_read) = (0, None, false);
+        } else {
+            // A number that was read before this trip is that of another one.
+            self.conn.trip_read &= named || inputs.tripped_at.is_some();
+            inputs.tripped_at.get_or_insert(at);
+            let number = self.conn.image.of(Role::Trip).filter(|_| self.conn.trip_read);
+            inputs.trip = number.unwrap_or(0) as u16;
+        }
+        inputs.named = self.conn.trip_read || !self.reports_trips;
+        inputs.dark = dark;
+        self.conn.was_active = was_active;
+        if dark {
+            self.conn.dark_at = Some(at);
+        }
+    }
+
+    /// The drive's report, in user units: a status and a speed that were both read since the last report.
+    #[inline(never)]
+    fn report(&mut self, at: Time, slot: &mut Slot) {
+        self.turns(at, slot);
+        let status = self.conn.inputs.status;
+        let was_dark = self.conn.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
+        self.profile.prove(&self.conn.inputs, &mut slot.evidence);
+        let report = &mut slot.status;
+        report.suspect = false;
+        report.inhibited = was_dark && !status.active();
+        report.state = self.profile.state(status, report.inhibited);
+        report.moving = status.active() && !status.zero_speed();
+        report.in_target = status.at_speed();
+        (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
+        report.warning = u32::from(status.0 & StatusWord::WARNINGS);
+        report.fault = if status.healthy() { 0 } else { u32::from(self.conn.inputs.trip) };
+    }
+
+    /// What each report has anew: the speed, and the shown values.
+    #[inline]
+    fn turns(&mut self, at: Time, slot: &mut Slot) {
+        let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
+        self.conn.inputs.velocity = velocity;
+        let Slot { status: report, notices, .. } = slot;
+        notices.fresh = true;
+        (report.at, report.velocity) = (at, velocity);
+        notices.monitor_fresh |= !self.shown.is_empty();
+        for &(channel, counts) in &self.shown {
+            let count = self.conn.image.get(Role::FIRST_SHOWN + channel);
+            report.monitor[channel] = count.map(|count| f64::from(count) / counts);
+        }
+    }
+}

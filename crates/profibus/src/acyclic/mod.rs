@@ -1,0 +1,400 @@
+//! Acyclic access to one drive, as its station sees it: what rides on the drive's own turns, and nothing else does.
+//!
+//! A turn of a drive is one telegram. With a parameter channel (paths A and B) a call is 8 bytes of the outputs of
+//! Data_Exchange, and its answer 8 bytes of the inputs, as often as it takes. With MSAC1 (path C) a call takes a turn
+//! in place of Data_Exchange now and then: its data unit goes to the service access point of MSAC1, and what the drive
+//! answers in that turn comes back here; never twice in a row, and never before a stop.
+//!
+//! The station calls, in each turn of its drive:
+//!
+//! 1. [`advance`](Acyclic::advance) with each build of the next telegram, maybe more than once for the same turn: takes
+//!    the next call, ends those that are over. Built again, it is the same: what a telegram changes is changed by
+//!    [`sent`](Acyclic::sent).
+//! 2. [`channel`](Acyclic::channel), the bytes for the outputs, and [`data_unit`](Acyclic::data_unit), the data of an
+//!    MSAC1 request if the turn is to be one.
+//! 3. `sent` when the telegram has left: with Data_Exchange, or with the MSAC1 request. A telegram that is repeated is
+//!    the same, and is not sent again here.
+//! 4. One of [`channel_answered`](Acyclic::channel_answered), [`answered`](Acyclic::answered) and
+//!    [`lost`](Acyclic::lost) when the telegram is closed.
+//!
+//! [`ended`](Acyclic::ended) follows when the drive has left Data_Exchange: its channel and its MSAC1 begin anew.
+//!
+//! One request is under way at a time. A write of which the drive may have received something is never sent again: if
+//! its end cannot be found out, it times out. A call that has ended for the application leaves its request to be
+//! finished here, so that no answer of it meets the next one.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the calls of one drive, and whose turn is theirs |
+//! | `channel` | a job in the parameter channel: paths A and B |
+//! | `transfer` | a record by MSAC1 |
+//! | `request` | parameters by path C: a request in a record, and its response |
+//! | `ends` | how what is under way goes on, and ends |
+
+mod channel;
+mod ends;
+mod request;
+#[cfg(test)]
+mod tests;
+mod transfer;
+
+use self::channel::Channel;
+use self::request::{BATCH, Requests};
+use self::transfer::Transfer;
+
+use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
+use super::target::{
+    NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Target, UNREACHABLE,
+};
+use super::wire::job::Job;
+use super::wire::msac1::Record;
+use super::wire::{drivecom, pkw};
+use fieldbeat_core::axis::Link;
+use fieldbeat_core::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::{CallError, Integer, Port, Posted};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::{S, Time};
+
+/// One turn of so many may be an MSAC1 request, while the power of the drive is on or coming on ...
+const EVERY_ON: u32 = 4;
+/// ... and while it is off.
+const EVERY_OFF: u32 = 2;
+/// A request whose calls have ended is given up after so long, ns.
+const LEFT_NS: u64 = 2 * S;
+/// So many calls are taken from the queue in one turn, at most.
+const MOST_TAKEN: usize = 32;
+
+/// What a turn of the drive is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Turn {
+    /// Data_Exchange, with the channel in it.
+    DataExchange,
+    /// An MSAC1 request.
+    Msac1,
+}
+
+/// What an MSAC1 request was answered with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Answer<'a> {
+    /// A data unit, which may be empty.
+    Data(&'a [u8]),
+    /// The bare acknowledgement: the answer is to be polled for.
+    Acknowledged,
+    /// Refused by the link layer, with this function (UE, RR, RS).
+    Refused(u8),
+}
+
+/// The acyclic access to one drive.
+#[derive(Debug)]
+pub(super) struct Acyclic {
+    port: Port,
+    /// A request is under way, a call waits, or the channel has to be sent.
+    is_busy: bool,
+    channel: Channel,
+    work: Box<Work>,
+}
+
+/// What is touched only while there is a call.
+#[derive(Debug)]
+struct Work {
+    path: ParameterPath,
+    has_dpv1: bool,
+    /// Turns since the last one of MSAC1.
+    since: u32,
+    /// The next turn may be one.
+    is_open: bool,
+    active: Option<Active>,
+    transfer: Transfer,
+    requests: Requests,
+    /// What was read last, and what was handed over to be written.
+    read: Kept,
+    loaded: Kept,
+}
+
+/// What a request is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// A job in the channel.
+    Channel(Job),
+    /// A record is read, or written.
+    Record(Record),
+    /// A parameter request, or the reading of its response.
+    Request { response: bool },
+}
+
+/// The request under way.
+#[derive(Debug)]
+struct Active {
+    way: Way,
+    writes: bool,
+    commands: bool,
+    /// A job of the channel has left.
+    is_out: bool,
+    begun: Time,
+    /// The last of its calls has ended.
+    left: Option<Time>,
+    /// Its calls, in their order; the place of one that has ended is empty.
+    calls: [Option<Posted>; BATCH],
+}
+
+impl Active {
+    /// The drive may have received what matters of it.
+    fn is_sent(&self, transfer: &Transfer) -> bool {
+        match self.way {
+            Way::Channel(_) => self.is_out,
+            Way::Request { response: true } => true,
+            Way::Record(_) | Way::Request { response: false } => transfer.is_sent,
+        }
+    }
+}
+
+impl Acyclic {
+    /// That of `drive`.
+    pub(super) fn new(drive: &LenzeDrive, port: Port) -> Acyclic {
+        // Without a channel in the process data there is no path in it.
+        let is_missing = drive.parameters.is_channel() && !drive.channel;
+        let path = if is_missing { ParameterPath::None } else { drive.parameters };
+        let work = Work {
+            path,
+            has_dpv1: drive.has_dpv1(),
+            since: 0,
+            is_open: false,
+            active: None,
+            transfer: Transfer::new(),
+            requests: Requests::new(path),
+            read: Kept::default(),
+            loaded: Kept::default(),
+        };
+        Acyclic { port, is_busy: true, channel: Channel::new(path), work: Box::new(work) }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.port.memory(regions);
+        regions.add(&*self.work);
+    }
+
+    /// Nothing is to be done: no call runs, none is posted, and calls that command the drive are refused or not as it
+    /// knows. Checked in each turn, so that nothing else is.
+    #[inline]
+    pub(super) fn is_idle(&self) -> bool {
+        !self.is_busy && self.port.is_empty()
+    }
+
+    /// Takes the next call, and ends those that are over. `guarded`: calls that command the drive are refused.
+    /// `exchanges`: the drive is in Data_Exchange.
+    pub(super) fn advance(&mut self, now: Time, link: Link, exchanges: bool, guarded: bool) {
+        self.port.guard(guarded);
+        let online = exchanges && !matches!(link, Link::Unseen | Link::Lost);
+        if !online {
+            self.port.refuse_all(CallError::NotOnline);
+        }
+        self.look(now, online);
+        for _ in 0..MOST_TAKEN {
+            if self.work.active.is_some() {
+                break;
+            }
+            let Some(posted) = self.port.take() else { break };
+            self.take_up(now, posted);
+        }
+        let Work { active, transfer, since, is_open, .. } = &mut *self.work;
+        if let Some(Active { way: Way::Channel(job), .. }) = active {
+            self.channel.begin(*job);
+        }
+        let every = if guarded { EVERY_ON } else { EVERY_OFF };
+        *is_open = since.saturating_add(1) >= every && now >= transfer.not_before;
+        self.is_busy = active.is_some() || !self.channel.is_free();
+    }
+
+    /// Ends the calls under way that are over.
+    fn look(&mut self, now: Time, online: bool) {
+        let Work { active, transfer, requests, loaded, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        let is_sent = of.is_sent(transfer);
+        let mut changed = false;
+        for place in &mut of.calls {
+            let Some(posted) = place else { continue };
+            let over = match () {
+                () if now.since(of.begun) > posted.limit_ns => Some(CallError::TimedOut),
+                () if self.port.is_cancelled(posted) => Some(CallError::Cancelled),
+                // A read changes nothing, whatever the drive has received of it.
+                () if !(online || is_sent && of.writes) => Some(CallError::NotOnline),
+                () if is_sent => None,
+                () => self.port.refusal(posted),
+            };
+            if let Some(why) = over {
+                self.port.end(posted, Err(why));
+                (*place, changed) = (None, true);
+            }
+        }
+        let nobody_waits = of.calls.iter().all(Option::is_none);
+        if nobody_waits {
+            let left = *of.left.get_or_insert(now);
+            if !is_sent || now.since(left) > LEFT_NS {
+                match of.way {
+                    Way::Channel(_) => self.channel.clear(None),
+                    Way::Record(_) | Way::Request { .. } => transfer.abandoned(),
+                }
+                *active = None;
+            }
+        } else if changed && !is_sent && matches!(of.way, Way::Request { .. }) {
+            // Nothing of those that have ended is sent.
+            requests.build(&of.calls, of.writes, loaded, transfer);
+            of.commands = of.calls.iter().flatten().any(|posted| self.port.commands(posted));
+        }
+    }
+
+    fn take_up(&mut self, now: Time, posted: Posted) {
+        let here = match posted.call.service {
+            SIZE | PART => self.work.read.answer(&posted).ok_or(NOT_READ),
+            LOAD => self.work.loaded.load(&posted).ok_or(NOT_LOADED),
+            _ => match self.way(&posted) {
+                Ok(way) => return self.begin(now, way, posted),
+                Err(status) => Err(status),
+            },
+        };
+        self.port.end(&posted, here.map_err(CallError::Refused));
+    }
+
+    /// How a call is carried out; an error is its status.
+    fn way(&mut self, posted: &Posted) -> Result<Way, u32> {
+        let Work { path, has_dpv1, transfer, requests, loaded, .. } = &mut *self.work;
+        let call = posted.call;
+        let msac1 = || if *has_dpv1 { Ok(()) } else { Err(NO_DPV1) };
+        match (call.service, Target::unpack(call.address).ok_or(NO_CALL)?) {
+            (READ, Target::Record(record)) => {
+                msac1()?;
+                transfer.read(record);
+                Ok(Way::Record(record))
+            }
+            (STORE, Target::Record(record)) => {
+                msac1()?;
+                let bytes = loaded.whole(posted).ok_or(NOT_LOADED)?;
+                let fits = transfer.write(record, |out| out.bytes(bytes));
+                if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) }
+            }
+            (service @ (READ | WRITE | STORE), Target::Parameter(parameter)) => {
+                let Parameter { code, sub, .. } = parameter;
+                match (*path, parameter.kind().integer()) {
+                    (ParameterPath::None, _) => Err(NO_PATH),
+                    // Numbers are written by a call, texts by a series.
+                    (_, Some(_)) if service == STORE => Err(NO_CALL),
+                    (_, None) if service == WRITE => Err(NO_CALL),
+                    (ParameterPath::Msac1 { .. }, _) => {
+                        msac1()?;
+                        match requests.reaches(parameter) {
+                            false => Err(UNREACHABLE),
+                            true if service == STORE && loaded.whole(posted).is_none() => Err(NOT_LOADED),
+                            true => Ok(Way::Request { response: false }),
+                        }
+                    }
+                    (_, None) => Err(NO_TEXT),
+                    (ParameterPath::Pkw { .. }, _) if code > pkw::CODE_MAX => Err(UNREACHABLE),
+                    (ParameterPath::Drivecom, _) if drivecom::index_of(code).is_none() => Err(UNREACHABLE),
+                    (_, Some(Integer { bits, .. })) => {
+                        let write = (service == WRITE).then_some(call.value as u32);
+                        Ok(Way::Channel(Job { code, sub, bits, write }))
+                    }
+                }
+            }
+            _ => Err(NO_CALL),
+        }
+    }
+
+    fn begin(&mut self, now: Time, way: Way, posted: Posted) {
+        let mut of = Active {
+            way,
+            writes: posted.call.service != READ,
+            commands: self.port.commands(&posted),
+            is_out: false,
+            begun: now,
+            left: None,
+            calls: [None; BATCH],
+        };
+        of.calls[0] = Some(posted);
+        if matches!(way, Way::Request { .. }) {
+            let Acyclic { port, work, .. } = self;
+            let Work { transfer, requests, loaded, .. } = &mut **work;
+            for place in of.calls.iter_mut().skip(1) {
+                *place = port.take_if(|other| requests.joins(&posted, other));
+                let Some(posted) = place else { break };
+                of.commands |= port.commands(posted);
+            }
+            requests.begin(&posted);
+            requests.build(&of.calls, of.writes, loaded, transfer);
+        }
+        self.work.active = Some(of);
+    }
+
+    /// A call of the application that commands the drive is under way.
+    #[inline]
+    pub(super) fn commands(&self) -> bool {
+        self.work.active.as_ref().is_some_and(|of| of.commands)
+    }
+
+    /// The parameter channel in the outputs.
+    #[inline]
+    pub(super) fn channel(&self) -> &[u8; CHANNEL] {
+        self.channel.out()
+    }
+
+    /// The data of an MSAC1 request, in place of the next Data_Exchange; `None`: there is none to send. Empty: a poll
+    /// for the answer.
+    #[inline]
+    pub(super) fn data_unit(&self) -> Option<&[u8]> {
+        // Usually there is none.
+        if !self.is_busy || !self.work.is_open {
+            return None;
+        }
+        let way = self.work.active.as_ref()?.way;
+        (!matches!(way, Way::Channel(_))).then(|| self.work.transfer.data())
+    }
+
+    /// The telegram of this turn has left.
+    #[inline]
+    pub(super) fn sent(&mut self, turn: Turn) {
+        match turn {
+            Turn::DataExchange => {
+                self.work.since = self.work.since.saturating_add(1);
+                let has_job = self.channel.sent();
+                if let Some(of) = &mut self.work.active {
+                    of.is_out |= has_job;
+                }
+            }
+            Turn::Msac1 => {
+                (self.work.since, self.work.is_open) = (0, false);
+                self.work.transfer.sent();
+            }
+        }
+    }
+
+    /// Data_Exchange was answered, with this channel in its inputs.
+    #[inline]
+    pub(super) fn channel_answered(&mut self, channel: &[u8; CHANNEL]) {
+        if let Some(ended) = self.channel.answered(channel) {
+            self.finish_all(ended.map(u64::from));
+        }
+    }
+
+    /// The telegram of this turn was not answered, with all its repetitions: the drive may have received it. A job in
+    /// the channel stays where it is.
+    pub(super) fn lost(&mut self, turn: Turn) {
+        if turn == Turn::Msac1 {
+            self.work.transfer.lost();
+        }
+    }
+
+    /// The drive has left Data_Exchange, or is set up anew.
+    pub(super) fn ended(&mut self) {
+        self.channel.reset();
+        self.is_busy = true;
+        let Work { active, transfer, .. } = &mut *self.work;
+        let Some(of) = active else { return };
+        if of.is_sent(transfer) {
+            let why = if of.writes { CallError::TimedOut } else { CallError::Restarted };
+            self.finish(|_, _| Err(why));
+        } else {
+            transfer.anew();
+        }
+    }
+}

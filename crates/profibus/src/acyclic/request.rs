@@ -1,0 +1,207 @@
+//! Parameters by path C: a request that is written to a record, and the response that is read from it.
+//!
+//! Several codes go in one request. A text that is too long for a response is read in parts.
+
+use super::super::plan::{Numbers, ParameterPath};
+use super::super::target::{BROKEN, Parameter, Target, number};
+use super::super::wire::base_mode::{Address, Head, Outcome, RECORD, Response, Values};
+use super::super::wire::errors::ErrorNumber;
+use super::super::wire::msac1::Record;
+use super::transfer::Transfer;
+use fieldbeat_core::axis::acyclic::Posted;
+use fieldbeat_core::axis::acyclic::long::{Kept, MOST, READ, raw};
+
+/// The most parameters of a request. 39 would fit into a response (sheet, 3); a turn has bounded work.
+pub(super) const BATCH: usize = 16;
+/// Characters of a part of a text.
+const PART: usize = 16;
+
+/// What follows a response.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// It is that of another request: its own is read later.
+    Again,
+    /// There is more to request.
+    Further,
+    /// The same for all calls.
+    Over(Result<u64, u32>),
+    /// For each call [its own](Requests::result).
+    Each,
+}
+
+/// A text that is read, so far.
+#[derive(Debug)]
+struct Text {
+    bytes: [u8; MOST],
+    size: usize,
+    /// It is read in parts.
+    parts: bool,
+}
+
+/// The parameter requests to one drive.
+#[derive(Debug)]
+pub(super) struct Requests {
+    record: Record,
+    axis: u8,
+    numbers: Numbers,
+    /// The number of the last request.
+    reference: u8,
+    /// The calls in it, a bit each.
+    asked: u16,
+    text: Option<Text>,
+    results: [Result<u32, u32>; BATCH],
+}
+
+/// The code that a call is for.
+fn parameter(posted: &Posted) -> Option<Parameter> {
+    match Target::unpack(posted.call.address)? {
+        Target::Parameter(parameter) => Some(parameter),
+        Target::Record(_) => None,
+    }
+}
+
+impl Requests {
+    pub(super) fn new(path: ParameterPath) -> Requests {
+        let (record, axis, numbers) = match path {
+            ParameterPath::Msac1 { slot, index, axis, numbers } => (Record { slot, index }, axis, numbers),
+            _ => (Record { slot: 0, index: RECORD }, 0, Numbers::default()),
+        };
+        let results = [Ok(0); BATCH];
+        Requests { record, axis, numbers, reference: 0, asked: 0, text: None, results }
+    }
+
+    /// A code can be in a request.
+    pub(super) fn reaches(&self, parameter: Parameter) -> bool {
+        self.numbers.index(parameter.code).is_some()
+    }
+
+    /// Another call may be in the request of the first one. Writes of a series have to end one by one, since the first
+    /// that fails ends it.
+    pub(super) fn joins(&self, first: &Posted, other: &Posted) -> bool {
+        let is_number = |posted: &Posted| {
+            parameter(posted).is_some_and(|code| code.kind().integer().is_some() && self.reaches(code))
+        };
+        first.call.service == other.call.service
+            && (first.call.service == READ || first.series == 0 && other.series == 0)
+            && is_number(first)
+            && is_number(other)
+    }
+
+    /// For this call, and others behind it.
+    pub(super) fn begin(&mut self, first: &Posted) {
+        let is_text = parameter(first).is_some_and(|code| code.kind().integer().is_none());
+        let reads = is_text && first.call.service == READ;
+        self.text = reads.then_some(Text { bytes: [0; MOST], size: 0, parts: false });
+    }
+
+    /// Makes the request of those calls that have not ended, with a number of its own. A text is written as it was
+    /// `loaded`.
+    pub(super) fn build(
+        &mut self,
+        calls: &[Option<Posted>; BATCH],
+        write: bool,
+        loaded: &Kept,
+        transfer: &mut Transfer,
+    ) {
+        self.reference = self.reference.checked_add(1).unwrap_or(1);
+        self.asked = (0..BATCH).filter(|place| calls[*place].is_some()).fold(0, |asked, n| asked | 1 << n);
+        let Requests { reference, axis, numbers, .. } = *self;
+        let part = self.text.as_ref().filter(|text| text.parts).map(|text| text.size as u16);
+        let parameters = calls.iter().flatten().filter_map(|posted| Some((parameter(posted)?, posted)));
+        let head = Head { reference, write, axis, count: self.asked.count_ones() as u8 };
+        transfer.write(self.record, |out| {
+            head.put(out);
+            for (parameter, _) in parameters.clone() {
+                let index = numbers.index(parameter.code).unwrap_or_default();
+                let (count, subindex) = match part {
+                    Some(from) => (PART as u8, from),
+                    None => (u8::from(parameter.sub > 0), parameter.sub.into()),
+                };
+                Address { count, index, subindex }.put(out);
+            }
+            for (parameter, posted) in parameters.filter(|_| write) {
+                let (kind, value) = (parameter.kind(), (posted.call.value as u32).to_be_bytes());
+                let bytes = match kind.integer() {
+                    Some(integer) => value.get(4 - integer.bits as usize / 8..),
+                    None => loaded.whole(posted),
+                };
+                Values { format: kind.into(), bytes: bytes.unwrap_or_default() }.put(out);
+            }
+        });
+    }
+
+    /// Makes the request to read the response.
+    pub(super) fn read_response(&self, transfer: &mut Transfer) {
+        transfer.read(self.record);
+    }
+
+    /// What became of the call at this place, as the last response says. An error is a status.
+    pub(super) fn result(&self, place: usize) -> Result<u64, u32> {
+        self.results.get(place).map_or(Err(BROKEN), |result| result.map(u64::from))
+    }
+
+    /// A response. A text is kept in `read`.
+    pub(super) fn respond(
+        &mut self,
+        bytes: &[u8],
+        calls: &[Option<Posted>],
+        write: bool,
+        read: &mut Kept,
+    ) -> Next {
+        if bytes.first().is_some_and(|reference| *reference != self.reference) {
+            return Next::Again;
+        }
+        let count = self.asked.count_ones() as u8;
+        let own = Head { reference: self.reference, write, axis: self.axis, count };
+        let Some(response) = Response::parse(bytes).filter(|response| response.head == own) else {
+            return Next::Over(Err(BROKEN));
+        };
+        let mut outcomes = response.outcomes();
+        if self.text.is_some() {
+            let outcome = outcomes.next();
+            return outcome.map_or(Next::Over(Err(BROKEN)), |outcome| self.text(outcome, calls, read));
+        }
+        let asked = self.asked;
+        let places = self.results.iter_mut().enumerate().filter(|(place, _)| asked >> place & 1 != 0);
+        for ((_, result), outcome) in places.zip(outcomes) {
+            *result = match outcome {
+                Outcome::Failed(error) => Err(number(error)),
+                Outcome::Written if write => Ok(0),
+                Outcome::Read(values) if !write => values.first().map(|value| value as u32).ok_or(BROKEN),
+                Outcome::Written | Outcome::Read(_) => Err(BROKEN),
+            };
+        }
+        Next::Each
+    }
+
+    /// A text, or a part of it.
+    fn text(&mut self, outcome: Outcome<'_>, calls: &[Option<Posted>], read: &mut Kept) -> Next {
+        let Some(text) = &mut self.text else { return Next::Over(Err(BROKEN)) };
+        let (whole, bytes) = match outcome {
+            Outcome::Read(Values { bytes, .. }) if !text.parts => (bytes.len(), bytes),
+            Outcome::Read(Values { bytes, .. }) => {
+                let room = text.bytes.get_mut(text.size..).unwrap_or_default();
+                room.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
+                text.size = MOST.min(text.size + bytes.len());
+                if bytes.len() == PART && text.size < MOST {
+                    return Next::Further;
+                }
+                (text.size, text.bytes.get(..text.size).unwrap_or_default())
+            }
+            Outcome::Failed(ErrorNumber::TOO_LONG) if !text.parts => {
+                text.parts = true;
+                return Next::Further;
+            }
+            // It ended with the part before.
+            Outcome::Failed(ErrorNumber::SUBINDEX) if text.size > 0 => {
+                (text.size, text.bytes.get(..text.size).unwrap_or_default())
+            }
+            Outcome::Failed(error) => return Next::Over(Err(number(error))),
+            Outcome::Written => return Next::Over(Err(BROKEN)),
+        };
+        if let Some(posted) = calls.first().and_then(Option::as_ref) {
+            *read = Kept::of_read(posted, whole, bytes);
+        }
+        Next::Over(Ok(raw(bytes)))
+    }
+}

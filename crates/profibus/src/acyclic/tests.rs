@@ -1,0 +1,236 @@
+//! Scripted drives at the other end of one drive's acyclic access.
+
+use std::time::Duration;
+
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+use super::super::plan::Numbers;
+use super::super::target::{BROKEN, Kind, commanding};
+use super::*;
+use std::sync::Arc;
+
+use fieldbeat_core::axis::acyclic::{Acyclic as Application, Call, CallTicket};
+use fieldbeat_core::time::MS;
+
+mod channels;
+mod records;
+
+const LIMIT: Duration = Duration::from_secs(5);
+pub(super) const PKW: ParameterPath = ParameterPath::Pkw { pause: true };
+pub(super) const MSAC1: ParameterPath =
+    ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
+
+/// A code as the address of a call.
+pub(super) fn code(code: u16, sub: u8, kind: Kind) -> u32 {
+    Target::Parameter(Parameter { code, sub, kind }).pack()
+}
+
+pub(super) const C0061: u32 = 61 << 8;
+pub(super) const C0039_2: u32 = 39 << 8 | 2;
+
+/// What left in a turn.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Sent {
+    Exchange([u8; CHANNEL]),
+    Msac1(Vec<u8>),
+}
+
+/// The access to a drive, and its application.
+pub(super) struct Side {
+    pub access: Acyclic,
+    pub application: Application,
+    pub now: Time,
+    pub guarded: bool,
+    last: Turn,
+}
+
+impl Side {
+    pub fn new(path: ParameterPath) -> Side {
+        let mut drive = LenzeDrive::new("l", 3);
+        drive.parameters = path;
+        Side::of(&drive)
+    }
+
+    pub fn of(drive: &LenzeDrive) -> Side {
+        let (application, port) = Application::alone(64, commanding(), Arc::new(crate::notation::Codes));
+        let access = Acyclic::new(drive, port);
+        Side { access, application, now: Time(0), guarded: false, last: Turn::DataExchange }
+    }
+
+    pub fn post(&self, service: u32, address: u32, value: u64) -> CallTicket {
+        self.application.post(Call { service, address, value }, LIMIT).expect("there is room")
+    }
+
+    pub fn read(&self, address: u32) -> CallTicket {
+        self.post(READ, address, 0)
+    }
+
+    pub fn write(&self, address: u32, value: u64) -> CallTicket {
+        self.post(WRITE, address, value)
+    }
+
+    pub fn series(&self, calls: &[(u32, u32, u64)]) -> Vec<CallTicket> {
+        let call = |&(service, address, value): &_| Call { service, address, value };
+        let calls: Vec<Call> = calls.iter().map(call).collect();
+        self.application.post_series(&calls, LIMIT).expect("there is room")
+    }
+
+    /// The next telegram, a millisecond later, as a station sends it.
+    pub fn turn(&mut self) -> Sent {
+        self.now = self.now + MS;
+        for _ in 0..2 {
+            self.access.advance(self.now, Link::Online, true, self.guarded);
+        }
+        let msac1 = self.access.data_unit().filter(|_| self.last == Turn::DataExchange).map(<[u8]>::to_vec);
+        self.last = if msac1.is_some() { Turn::Msac1 } else { Turn::DataExchange };
+        let channel = *self.access.channel();
+        self.access.sent(self.last);
+        msac1.map_or(Sent::Exchange(channel), Sent::Msac1)
+    }
+
+    /// Turns of a drive, until the call has ended. `drive` answers what it gets; `None`: that is lost.
+    pub fn until(
+        &mut self,
+        ticket: &mut CallTicket,
+        mut channel: impl FnMut([u8; CHANNEL]) -> Option<[u8; CHANNEL]>,
+        mut msac1: impl FnMut(&[u8]) -> Option<Reply>,
+    ) -> Result<u64, CallError> {
+        for _ in 0..20_000 {
+            match self.turn() {
+                Sent::Exchange(out) => match channel(out) {
+                    Some(inputs) => self.access.channel_answered(&inputs),
+                    None => self.access.lost(Turn::DataExchange),
+                },
+                Sent::Msac1(data) => match msac1(&data) {
+                    Some(reply) => self.access.answered(self.now, reply.answer()),
+                    None => self.access.lost(Turn::Msac1),
+                },
+            }
+            if let Some(end) = ticket.poll() {
+                return end.map(|answer| answer.value);
+            }
+        }
+        panic!("a call without an end");
+    }
+
+    /// The same on the channel alone.
+    pub fn by_channel(
+        &mut self,
+        ticket: &mut CallTicket,
+        channel: impl FnMut([u8; CHANNEL]) -> Option<[u8; CHANNEL]>,
+    ) -> Result<u64, CallError> {
+        self.until(ticket, channel, |data| panic!("MSAC1 {data:02X?}"))
+    }
+
+    /// The same by MSAC1 alone.
+    pub fn by_msac1(
+        &mut self,
+        ticket: &mut CallTicket,
+        msac1: impl FnMut(&[u8]) -> Option<Reply>,
+    ) -> Result<u64, CallError> {
+        self.until(ticket, |out| (out == [0; CHANNEL]).then_some(out), msac1)
+    }
+
+    /// Turns without a call, answered with this.
+    pub fn rest(&mut self, turns: usize, inputs: [u8; CHANNEL]) {
+        for _ in 0..turns {
+            match self.turn() {
+                Sent::Exchange(_) => self.access.channel_answered(&inputs),
+                Sent::Msac1(_) => self.access.answered(self.now, Answer::Acknowledged),
+            }
+        }
+    }
+}
+
+/// What a scripted drive answers to MSAC1.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Reply {
+    Ack,
+    Refused(u8),
+    Data(Vec<u8>),
+}
+
+impl Reply {
+    pub fn answer(&self) -> Answer<'_> {
+        match self {
+            Reply::Ack => Answer::Acknowledged,
+            Reply::Refused(function) => Answer::Refused(*function),
+            Reply::Data(data) => Answer::Data(data),
+        }
+    }
+}
+
+#[test]
+fn without_a_path_a_call_is_refused_and_says_why() {
+    let mut side = Side::new(ParameterPath::None);
+    let mut ticket = side.read(C0061);
+    let end = side.by_channel(&mut ticket, Some);
+    assert_eq!(end, Err(CallError::Refused(NO_PATH)));
+    let mut drive = LenzeDrive::new("l", 3);
+    (drive.parameters, drive.user_prm) = (MSAC1, vec![0; 3]);
+    let mut side = Side::of(&drive);
+    for address in [C0061, Target::Record(Record { slot: 0, index: 1 }).pack()] {
+        let mut ticket = side.read(address);
+        assert_eq!(side.by_channel(&mut ticket, Some), Err(CallError::Refused(NO_DPV1)));
+    }
+    // And what is no call at all.
+    let mut side = Side::new(PKW);
+    for (service, address) in [(9, C0061), (READ, 0x0800_0000), (STORE, C0061), (PART, C0061)] {
+        let mut ticket = side.post(service, address, 0);
+        assert!(matches!(side.by_channel(&mut ticket, Some), Err(CallError::Refused(_))));
+    }
+    side.rest(2, [0; CHANNEL]);
+    assert!(side.access.is_idle());
+}
+
+#[test]
+fn a_drive_that_is_not_there_gets_no_call() {
+    for path in [PKW, ParameterPath::Drivecom, MSAC1] {
+        let mut side = Side::new(path);
+        for (link, exchanges) in [(Link::Lost, true), (Link::Unseen, true), (Link::Online, false)] {
+            let mut tickets = [side.read(C0061), side.write(C0039_2, 1)];
+            side.access.advance(side.now, link, exchanges, false);
+            for ticket in &mut tickets {
+                assert_eq!(ticket.poll(), Some(Err(CallError::NotOnline)), "{path:?} {link:?}");
+            }
+        }
+    }
+}
+
+proptest! {
+    /// Whatever a drive answers, the calls end, each once, and its access is idle afterwards.
+    #[test]
+    fn calls_end_whatever_is_answered(
+        path in prop_oneof![Just(PKW), Just(ParameterPath::Drivecom), Just(MSAC1)],
+        calls in vec((1..=6_u32, prop_oneof![
+            Just(C0061), Just(C0039_2), Just(code(200, 0, Kind::Text)), Just(0xFF00_0003)], 0..20_u64), 1..6),
+        answers in vec((0..6_u8, any::<[u8; CHANNEL]>(), vec(any::<u8>(), 0..40)), 1..40),
+        mirrored: bool,
+    ) {
+        let mut side = Side::new(path);
+        let mut tickets = side.series(&calls);
+        for turn in 0..16_000 {
+            // Noise at first, then a drive that shows no job, and acknowledges.
+            let (kind, channel, data) = answers.get(turn).cloned().unwrap_or((0, [0; CHANNEL], Vec::new()));
+            match (side.turn(), kind) {
+                (Sent::Exchange(_), 5) => side.access.lost(Turn::DataExchange),
+                (Sent::Exchange(out), 4) if mirrored => side.access.channel_answered(&out),
+                (Sent::Exchange(_), _) => side.access.channel_answered(&channel),
+                (Sent::Msac1(_), 5) => side.access.lost(Turn::Msac1),
+                (Sent::Msac1(_), 4) => side.access.ended(),
+                (Sent::Msac1(_), 3) => side.access.answered(side.now, Answer::Refused(channel[0])),
+                (Sent::Msac1(sent), 2) if mirrored => side.access.answered(side.now, Answer::Data(&sent)),
+                (Sent::Msac1(_), 1 | 2) => side.access.answered(side.now, Answer::Data(&data)),
+                (Sent::Msac1(_), _) => side.access.answered(side.now, Answer::Acknowledged),
+            }
+            if side.access.is_idle() && turn > answers.len() {
+                break;
+            }
+        }
+        prop_assert!(side.access.is_idle());
+        for ticket in &mut tickets {
+            prop_assert!(ticket.poll().is_some());
+        }
+    }
+}

@@ -1,0 +1,551 @@
+//! Path C, and records.
+
+use super::*;
+use fieldbeat_core::axis::acyclic::long::raw;
+
+/// A drive by MSAC1: one answer is stored; so many polls before it comes. It counts what it carries out.
+struct Module {
+    delay: u32,
+    stored: Option<(u32, Vec<u8>)>,
+    /// A parameter request is under way for so many reads.
+    busy: u32,
+    left: u32,
+    request: Option<Vec<u8>>,
+    values: Vec<(u16, i32)>,
+    written: Vec<Vec<u8>>,
+    requests: u32,
+    record: Vec<u8>,
+}
+
+impl Module {
+    fn new() -> Module {
+        let values = vec![(0x5FC2, 430_000), (0x5FD8, 7), (0x5FF3, 50_000)];
+        Module {
+            delay: 2,
+            stored: None,
+            busy: 2,
+            left: 0,
+            request: None,
+            values,
+            written: Vec::new(),
+            requests: 0,
+            record: vec![1, 2, 3],
+        }
+    }
+
+    fn exchange(&mut self, data: &[u8]) -> Reply {
+        if !data.is_empty() {
+            if self.stored.is_some() {
+                return Reply::Refused(2);
+            }
+            self.stored = Some((self.delay, self.serve(data)));
+        }
+        match &mut self.stored {
+            Some((0, answer)) => {
+                let answer = std::mem::take(answer);
+                self.stored = None;
+                Reply::Data(answer)
+            }
+            Some((polls, _)) => {
+                *polls -= 1;
+                Reply::Ack
+            }
+            None => Reply::Ack,
+        }
+    }
+
+    fn serve(&mut self, data: &[u8]) -> Vec<u8> {
+        match data {
+            [0x5F, 0, 47, length, request @ ..] => {
+                assert_eq!(usize::from(*length), request.len());
+                self.requests += 1;
+                if request[1] == 2 {
+                    self.written.push(request.to_vec());
+                }
+                (self.request, self.left) = (Some(request.to_vec()), self.busy);
+                data[..4].to_vec()
+            }
+            [0x5E, 0, 47, 240] if self.left == 0 && self.request.is_some() => {
+                let request = self.request.take().unwrap();
+                let response = self.respond(&request);
+                [&[0x5E, 0, 47, response.len() as u8], &response[..]].concat()
+            }
+            [0x5E, 0, 47, 240] => {
+                self.left = self.left.saturating_sub(1);
+                vec![0xDE, 0x80, 0xB5, 0]
+            }
+            [0x5F, 1, 3, _, bytes @ ..] => {
+                self.written.push(bytes.to_vec());
+                data[..4].to_vec()
+            }
+            [0x5E, 1, 3, 240] => [&[0x5E, 1, 3, self.record.len() as u8], &self.record[..]].concat(),
+            _ => vec![data[0] | 0x80, 0x80, 0xB0, 0],
+        }
+    }
+
+    fn respond(&self, request: &[u8]) -> Vec<u8> {
+        let [reference, id, axis, count, rest @ ..] = request else { panic!("a request") };
+        let mut out = vec![*reference, *id, *axis, *count];
+        for address in rest.as_chunks::<6>().0.iter().take(usize::from(*count)) {
+            let index = u16::from_be_bytes([address[2], address[3]]);
+            let known = self.values.iter().find(|(known, _)| *known == index);
+            match known {
+                Some((_, value)) if *id == 1 => {
+                    out.extend([0x43, 1]);
+                    out.extend(value.to_be_bytes());
+                }
+                Some(_) => {}
+                None => {
+                    out[1] |= 0x80;
+                    out.extend([0x44, 1, 0, 0]);
+                }
+            }
+        }
+        out
+    }
+}
+
+fn record(slot: u8, index: u8) -> u32 {
+    Target::Record(Record { slot, index }).pack()
+}
+
+#[test]
+fn msac1_reads_c0061_with_the_telegrams_of_the_sheet() {
+    for (delay, busy) in [(0, 0), (1, 1), (5, 3)] {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module { delay, busy, ..Module::new() };
+        let mut seen = Vec::new();
+        let mut ticket = side.read(C0061);
+        let end = side.by_msac1(&mut ticket, |data| {
+            seen.push(data.to_vec());
+            Some(module.exchange(data))
+        });
+        assert_eq!(end, Ok(430_000));
+        let written = seen.iter().filter(|data| data.first() == Some(&0x5F)).collect::<Vec<_>>();
+        assert_eq!(written, [&[0x5F, 0, 0x2F, 0x0A, 1, 1, 0, 1, 0x10, 0, 0x5F, 0xC2, 0, 0]]);
+        assert_eq!(seen.iter().filter(|data| data.is_empty()).count() as u32, delay * (2 + busy));
+        assert!(
+            seen.iter().filter(|data| data.first() == Some(&0x5E)).all(|data| data[..] == [0x5E, 0, 47, 240])
+        );
+    }
+}
+
+#[test]
+fn several_codes_are_read_in_one_request_each_with_its_own_end() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module::new();
+    let mut others = [side.read(code(39, 2, Kind::Own)), side.read(code(999, 0, Kind::Own))];
+    let mut last = side.read(C0061);
+    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Ok(430_000));
+    let ends = others.each_mut().map(|ticket| ticket.poll().unwrap().map(|answer| answer.value));
+    assert_eq!((module.requests, ends), (1, [Ok(7), Err(CallError::Refused(0))]));
+    // More than a request holds, and another call behind them.
+    let mut many: Vec<CallTicket> = (0..BATCH + 3).map(|_| side.read(C0061)).collect();
+    let mut record = side.read(record(1, 3));
+    assert_eq!(side.by_msac1(&mut record, |data| Some(module.exchange(data))), Ok(0x03_0201));
+    assert!(many.iter_mut().all(|ticket| ticket.poll().unwrap().unwrap().value == 430_000));
+    assert_eq!(module.requests, 3);
+    // In a series, nothing behind the first that fails is reported as done.
+    let mut series = side.series(&[(READ, C0061, 0), (READ, code(999, 0, Kind::Own), 0), (READ, C0061, 0)]);
+    let mut last = series.pop().unwrap();
+    let end = side.by_msac1(&mut last, |data| Some(module.exchange(data)));
+    assert_eq!(end, Err(CallError::Skipped));
+    assert!(series[0].poll().unwrap().is_ok());
+}
+
+#[test]
+fn writes_go_together_unless_the_first_that_fails_has_to_end_the_rest() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module::new();
+    let mut first = side.write(C0039_2, (-5_i32) as u32 as u64);
+    let mut last = side.write(code(12, 0, Kind::U8), 0x1FF);
+    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Ok(0x1FF));
+    assert!(first.poll().unwrap().is_ok());
+    let expected = [
+        &[1, 2, 0, 2, 0x10, 1, 0x5F, 0xD8, 0, 2, 0x10, 0, 0x5F, 0xF3, 0, 0][..],
+        &[4, 1, 0xFF, 0xFF, 0xFF, 0xFB, 5, 1, 0xFF, 0],
+    ];
+    assert_eq!(module.written, [expected.concat()]);
+    module.written.clear();
+    let series = [(WRITE, code(999, 0, Kind::Own), 1), (WRITE, C0039_2, 2)];
+    let mut series = side.series(&series);
+    let mut last = series.pop().unwrap();
+    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
+    assert_eq!(series[0].poll(), Some(Err(CallError::Refused(0))));
+    assert_eq!(module.written.len(), 1, "the second one was never sent");
+    // A read that fails keeps the write behind it from being sent.
+    let mut series = side.series(&[(READ, code(999, 0, Kind::Own), 0), (WRITE, C0039_2, 2)]);
+    let mut last = series.pop().unwrap();
+    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
+    assert_eq!(module.written.len(), 1);
+    // One that is cancelled before the request leaves is not in it.
+    let mut wanted = side.write(C0039_2, 3);
+    let unwanted = side.write(C0039_2, 4);
+    side.access.advance(side.now, Link::Online, true, false);
+    drop(unwanted);
+    assert!(side.by_msac1(&mut wanted, |data| Some(module.exchange(data))).is_ok());
+    assert_eq!(module.written.last().map(|request| request[3]), Some(1));
+}
+
+#[test]
+fn a_response_to_another_request_is_not_taken() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module::new();
+    let mut ticket = side.read(C0061);
+    let mut foreign = 2;
+    let end = side.by_msac1(&mut ticket, |data| match module.exchange(data) {
+        Reply::Data(mut data) if data[0] == 0x5E && foreign > 0 => {
+            foreign -= 1;
+            // The record is read again, and the drive has the right one by then.
+            (module.request, module.left) = (Some(vec![1, 1, 0, 1, 0x10, 0, 0x5F, 0xC2, 0, 0]), 0);
+            data[4] = 0x77;
+            data[13] ^= 1;
+            Some(Reply::Data(data))
+        }
+        reply => Some(reply),
+    });
+    assert_eq!((end, foreign), (Ok(430_000), 0));
+}
+
+#[test]
+fn an_answer_that_is_cut_or_is_none_ends_the_call() {
+    let cut = |service, answer: &dyn Fn(&mut Vec<u8>)| {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module::new();
+        let mut ticket = side.post(service, C0039_2, 1);
+        side.by_msac1(&mut ticket, |data| match module.exchange(data) {
+            Reply::Data(mut data) if data[0] == 0x5E => {
+                answer(&mut data);
+                Some(Reply::Data(data))
+            }
+            reply => Some(reply),
+        })
+    };
+    let broken = Err(CallError::Refused(BROKEN));
+    let shorter = |data: &mut Vec<u8>| data.truncate(data.len() - 1);
+    let shorter_inside = |data: &mut Vec<u8>| {
+        data.pop();
+        data[3] -= 1;
+    };
+    for service in [READ, WRITE] {
+        assert_eq!(cut(service, &shorter), broken);
+        assert_eq!(cut(service, &shorter_inside), broken);
+        // Another axis, another number of parameters, another id.
+        for (at, bit) in [(6, 1), (7, 1), (5, 3), (0, 0x20)] {
+            assert_eq!(cut(service, &|data: &mut Vec<u8>| data[at] ^= bit), broken, "{at}");
+        }
+    }
+}
+
+#[test]
+fn a_write_is_sent_once_whatever_is_lost() {
+    // Each telegram in turn is lost: the request, or the answer to it.
+    for (lost, answer) in (0..16).flat_map(|lost| [(lost, false), (lost, true)]) {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module::new();
+        let mut ticket = side.write(C0039_2, 9);
+        let mut number = 0;
+        let end = side.by_msac1(&mut ticket, |data| {
+            number += 1;
+            match number - 1 == lost {
+                true if answer => {
+                    module.exchange(data);
+                    None
+                }
+                true => None,
+                false => Some(module.exchange(data)),
+            }
+        });
+        // It may be uncertain. It was never done twice, and is never said to be done if it was not.
+        assert!(module.written.len() <= 1, "{lost} {answer}");
+        match end {
+            Ok(9) => assert_eq!(module.written.len(), 1, "{lost} {answer}"),
+            end => assert_eq!(end, Err(CallError::TimedOut), "{lost} {answer}"),
+        }
+        assert!(end.is_ok() || lost == 0 || answer, "a request or a poll that never arrived costs nothing");
+    }
+}
+
+#[test]
+fn a_read_is_done_whatever_is_lost() {
+    for (lost, answer) in (0..16).flat_map(|lost| [(lost, false), (lost, true)]) {
+        for address in [C0061, record(1, 3)] {
+            let mut side = Side::new(MSAC1);
+            let mut module = Module::new();
+            let mut ticket = side.read(address);
+            let mut number = 0;
+            let end = side.by_msac1(&mut ticket, |data| {
+                number += 1;
+                let reply = if number - 1 == lost && !answer { None } else { Some(module.exchange(data)) };
+                reply.filter(|_| number - 1 != lost)
+            });
+            assert_eq!(end, Ok(if address == C0061 { 430_000 } else { 0x03_0201 }), "{lost} {answer}");
+        }
+    }
+}
+
+#[test]
+fn busy_is_again_later_and_all_else_is_refused_by_name() {
+    let mut side = Side::new(MSAC1);
+    for (refusal, expected) in [
+        ([0xDF, 0x80, 0xC2, 0], Ok(9)),
+        ([0xDF, 0x80, 0xB5, 0], Ok(9)),
+        ([0xDF, 0x80, 0xB6, 0], Err(CallError::Refused(0x1080_B600))),
+        ([0xDF, 0x81, 0xC2, 0], Err(CallError::Refused(0x1081_C200))),
+    ] {
+        let mut module = Module::new();
+        let mut ticket = side.write(C0039_2, 9);
+        let (mut times, mut at) = (3, Vec::new());
+        let now = std::cell::Cell::new(0);
+        let end = side.until(
+            &mut ticket,
+            |out| {
+                now.set(now.get() + 1);
+                Some(out)
+            },
+            |data| {
+                if data.first() == Some(&0x5F) && times > 0 {
+                    times -= 1;
+                    at.push(now.get());
+                    return Some(Reply::Data(refusal.to_vec()));
+                }
+                Some(module.exchange(data))
+            },
+        );
+        assert_eq!(end, expected);
+        assert!(at.windows(2).all(|two| two[1] - two[0] >= 4), "{at:?}");
+        assert_eq!(module.written.len(), usize::from(expected.is_ok()));
+    }
+    for function in [1, 3] {
+        let mut ticket = side.write(C0039_2, 9);
+        let end = side.by_msac1(&mut ticket, |_| Some(Reply::Refused(function)));
+        assert_eq!(end, Err(CallError::Refused(0x3000_0000 | u32::from(function))));
+    }
+}
+
+#[test]
+fn a_write_whose_outcome_is_refused_is_uncertain() {
+    // The poll for the answer, and the reading of the response.
+    for (refused, reply) in [
+        (&[][..], Reply::Refused(3)),
+        (&[0x5E, 0, 47, 240], Reply::Refused(3)),
+        (&[0x5E, 0, 47, 240], Reply::Data(vec![0xDE, 0x80, 0xB6, 0])),
+    ] {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module::new();
+        let mut ticket = side.write(C0039_2, 9);
+        let end = side.by_msac1(&mut ticket, |data| {
+            Some(if data == refused { reply.clone() } else { module.exchange(data) })
+        });
+        assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1), "{reply:?}");
+    }
+}
+
+#[test]
+fn an_answer_that_nobody_has_fetched_is_fetched_first() {
+    let mut side = Side::new(MSAC1);
+    let stale = vec![0x5E, 0, 47, 4, 1, 1, 0, 1];
+    let mut module = Module { stored: Some((1, stale)), ..Module::new() };
+    let mut ticket = side.write(C0039_2, 9);
+    assert_eq!(side.by_msac1(&mut ticket, |data| Some(module.exchange(data))), Ok(9));
+    assert_eq!(module.written.len(), 1);
+}
+
+#[test]
+fn the_answer_to_a_request_that_was_given_up_is_fetched_before_the_next_one() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module { delay: u32::MAX, ..Module::new() };
+    let mut first = side.read(C0061);
+    let end = side.by_msac1(&mut first, |data| Some(module.exchange(data)));
+    assert_eq!(end, Err(CallError::TimedOut));
+    while !side.access.is_idle() {
+        match side.turn() {
+            Sent::Exchange(inputs) => side.access.channel_answered(&inputs),
+            Sent::Msac1(data) => side.access.answered(side.now, module.exchange(&data).answer()),
+        }
+    }
+    // It comes at last.
+    module.delay = 0;
+    module.stored.iter_mut().for_each(|(polls, _)| *polls = 1);
+    let mut second = side.read(C0061);
+    let end = side.by_msac1(&mut second, |data| {
+        let reply = module.exchange(data);
+        assert_ne!(reply, Reply::Refused(2), "it was in the way");
+        Some(reply)
+    });
+    assert_eq!(end, Ok(430_000));
+}
+
+#[test]
+fn a_write_that_has_timed_out_ends_with_the_drive_before_the_next_call() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module { busy: u32::MAX, ..Module::new() };
+    let mut first = side.write(C0039_2, 9);
+    let mut second = side.read(C0061);
+    let end = side.by_msac1(&mut first, |data| Some(module.exchange(data)));
+    assert_eq!(end, Err(CallError::TimedOut));
+    assert!(side.access.commands());
+    module.left = 3;
+    module.busy = 0;
+    assert_eq!(side.by_msac1(&mut second, |data| Some(module.exchange(data))), Ok(430_000));
+    assert!(!side.access.commands() && module.written.len() == 1 && module.requests == 2);
+}
+
+#[test]
+fn what_the_drive_forgets_ends_with_it() {
+    for (service, why) in [(READ, CallError::Restarted), (WRITE, CallError::TimedOut)] {
+        let mut side = Side::new(MSAC1);
+        let mut ticket = side.post(service, C0039_2, 0);
+        while !matches!(side.turn(), Sent::Msac1(_)) {
+            side.access.channel_answered(&[0; 8]);
+        }
+        side.access.ended();
+        assert_eq!(ticket.poll(), Some(Err(why)));
+        side.rest(2, [0; 8]);
+        assert!(side.access.is_idle());
+    }
+}
+
+/// A module with a text of 51 characters, of which a response has at most so many.
+fn text(most: usize) -> (Result<u64, CallError>, Vec<u8>, u32) {
+    let whole: Vec<u8> = (0..51).map(|n| b'0' + n % 10).collect();
+    let mut side = Side::new(MSAC1);
+    let address = code(200, 0, Kind::Text);
+    let calls: Vec<_> =
+        [(READ, 0), (SIZE, 0)].into_iter().chain((1..7).map(|part| (PART, 8 * part))).collect();
+    let calls: Vec<_> = calls.into_iter().map(|(service, value)| (service, address, value)).collect();
+    let mut tickets = side.series(&calls);
+    let (mut request, mut requests) = (Vec::new(), 0);
+    let mut last = tickets.pop().unwrap();
+    let end = side.by_msac1(&mut last, |data| {
+        Some(Reply::Data(match data {
+            [0x5F, 0, 47, _, bytes @ ..] => {
+                request = bytes.to_vec();
+                requests += 1;
+                data[..4].to_vec()
+            }
+            _ => {
+                let (count, from) = (usize::from(request[5]), usize::from(request[9]));
+                let count = if count < 2 { whole.len() } else { count };
+                let part = &whole[from.min(whole.len())..whole.len().min(from + count)];
+                let mut out = match part.len() {
+                    0 => vec![request[0], 0x81, 0, 1, 0x44, 1, 0, 3],
+                    size if size > most => vec![request[0], 0x81, 0, 1, 0x44, 1, 0, 0x15],
+                    size => [&[request[0], 1, 0, 1, 9, size as u8], part].concat(),
+                };
+                if out.len() % 2 == 1 {
+                    out.push(0);
+                }
+                [&[0x5E, 0, 47, out.len() as u8], &out[..]].concat()
+            }
+        }))
+    });
+    let answers = tickets.iter_mut().map(|ticket| ticket.poll().unwrap().map(|answer| answer.value));
+    let mut bytes = Vec::new();
+    for (place, answer) in answers.enumerate().filter(|(place, _)| *place != 1) {
+        bytes.extend(answer.unwrap_or_else(|error| panic!("{place}: {error}")).to_le_bytes());
+    }
+    (end, bytes, requests)
+}
+
+#[test]
+fn a_text_is_read_whole_or_in_parts() {
+    let expected: Vec<u8> = (0..48).map(|n| b'0' + n % 10).collect();
+    for (most, requests) in [(60, 1), (32, 5), (16, 5)] {
+        let (end, bytes, count) = text(most);
+        assert_eq!((bytes, count), (expected.clone(), requests));
+        assert_eq!(end, Ok(0x30_3938), "the last three characters");
+    }
+}
+
+#[test]
+fn a_text_is_written_whole_by_msac1_and_refused_by_name_elsewhere() {
+    let to = code(199, 0, Kind::Text);
+    let calls = |text: &[u8]| [(LOAD, to, raw(text)), (STORE, to, text.len() as u64)];
+    for text in [b"axis 1".as_slice(), b"axis 12"] {
+        let mut side = Side::new(MSAC1);
+        let mut module = Module { values: vec![(0x5F38, 0)], ..Module::new() };
+        let mut tickets = side.series(&calls(text));
+        let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
+        assert_eq!(end, Ok(text.len() as u64));
+        let pad = if text.len() % 2 == 0 { &[][..] } else { &[0] };
+        let head = [1, 2, 0, 1, 0x10, 0, 0x5F, 0x38, 0, 0, 9, text.len() as u8];
+        assert_eq!(module.written, [[&head[..], text, pad].concat()]);
+    }
+    for (path, why) in [(ParameterPath::None, NO_PATH), (PKW, NO_TEXT), (ParameterPath::Drivecom, NO_TEXT)] {
+        let mut side = Side::new(path);
+        let mut tickets = side.series(&calls(b"axis 1"));
+        assert_eq!(side.by_channel(&mut tickets[1], Some), Err(CallError::Refused(why)), "{path:?}");
+    }
+    // What was not handed over, what is not written so, and a drive that refuses.
+    let mut side = Side::new(MSAC1);
+    for (service, address, why) in [(STORE, to, NOT_LOADED), (WRITE, to, NO_CALL), (STORE, C0039_2, NO_CALL)]
+    {
+        let mut ticket = side.post(service, address, 6);
+        assert_eq!(side.by_msac1(&mut ticket, |_| None), Err(CallError::Refused(why)));
+    }
+    let mut module = Module::new();
+    let mut tickets = side.series(&calls(b"axis 1"));
+    let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
+    assert_eq!((end, module.written.len()), (Err(CallError::Refused(0)), 1));
+}
+
+#[test]
+fn any_record_is_read_and_written_with_any_path() {
+    for path in [ParameterPath::None, PKW, ParameterPath::Drivecom, MSAC1] {
+        let mut side = Side::new(path);
+        let mut module = Module::new();
+        let to = record(1, 3);
+        let mut read = side.series(&[(READ, to, 0), (SIZE, to, 0)]);
+        let mut size = read.pop().unwrap();
+        let channel = |out: [u8; 8]| Some(out);
+        assert_eq!(side.until(&mut size, channel, |data| Some(module.exchange(data))), Ok(3));
+        assert_eq!(read[0].poll().unwrap().unwrap().value, 0x03_0201);
+        let pieces = [(LOAD, to, 0x0807_0605_0403_0201), (LOAD, to, 0x0A09), (STORE, to, 10)];
+        let mut pieces = side.series(&pieces);
+        assert_eq!(side.until(&mut pieces[2], channel, |data| Some(module.exchange(data))), Ok(10));
+        assert_eq!(module.written, [(1..=10).collect::<Vec<u8>>()]);
+        for (service, address) in [(READ, record(2, 3)), (READ, record(1, 4))] {
+            let mut ticket = side.post(service, address, 0);
+            let end = side.until(&mut ticket, channel, |data| Some(module.exchange(data)));
+            assert_eq!(end, Err(CallError::Refused(0x1080_B000)));
+        }
+        // What was not handed over is not written.
+        let mut ticket = side.post(STORE, to, 10);
+        assert_eq!(side.until(&mut ticket, channel, |_| None), Err(CallError::Refused(NOT_LOADED)));
+    }
+}
+
+#[test]
+fn a_record_that_was_perhaps_written_is_uncertain() {
+    let mut side = Side::new(MSAC1);
+    let mut module = Module { delay: 0, ..Module::new() };
+    let to = record(1, 3);
+    let mut pieces = side.series(&[(LOAD, to, 1), (STORE, to, 8)]);
+    let mut first = true;
+    let end = side.by_msac1(&mut pieces[1], |data| {
+        let reply = module.exchange(data);
+        (!std::mem::take(&mut first)).then_some(reply)
+    });
+    assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1));
+}
+
+#[test]
+fn while_power_is_on_fewer_turns_are_taken_from_the_exchange() {
+    for (guarded, every) in [(false, 2), (true, 4)] {
+        let mut side = Side::new(MSAC1);
+        side.guarded = guarded;
+        let _ticket = side.read(C0061);
+        let mut turns = Vec::new();
+        for turn in 0..40 {
+            match side.turn() {
+                Sent::Exchange(_) => side.access.channel_answered(&[0; 8]),
+                Sent::Msac1(_) => {
+                    turns.push(turn);
+                    side.access.answered(side.now, Answer::Acknowledged);
+                }
+            }
+        }
+        assert!(turns.len() > 8 && turns.windows(2).all(|two| two[1] - two[0] == every), "{turns:?}");
+    }
+}

@@ -1,0 +1,267 @@
+//! All drives of one PROFIBUS wire: stations, the link layer and the port, as a [`Bus`].
+//!
+//! What is due is queued, and has its turn in the order of the plan, round and round. The next telegram leaves when the
+//! one before is closed and the wire was idle, in `send` or in `poll`, as long as the window lasts. Global_Control, a
+//! token and a search for other masters follow when the round is over; Global_Control does not wait for that for ever.
+
+mod end;
+mod queue;
+mod receive;
+mod turns;
+mod upkeep;
+
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use self::end::End;
+use self::queue::Queue;
+use self::upkeep::Upkeep;
+use super::line::Line;
+use super::notes::{Known, WireNotes};
+use super::other::Others;
+use super::plan::{LenzeDrive, ProfibusPlan};
+use super::station::Station;
+use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
+use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// A wire and its drives.
+pub(super) struct ProfibusBus {
+    name: String,
+    /// The drives whose exchange is queued.
+    queue: Queue,
+    /// Those that start up, a bit each.
+    starting: u128,
+    /// The drive whose turn was last: what belongs to nobody is counted for it.
+    last: u8,
+    /// So many turns come before one may be acyclic again: each round has room for one.
+    acyclic_after: usize,
+    upkeep: Upkeep,
+    /// The wire is looked at before anything is sent: always, or in so many cycles more.
+    always_looks: bool,
+    watchful: u16,
+    /// When the telegram under way began.
+    began_at: Time,
+    /// The slot of the grid.
+    grid: Time,
+    line: Line,
+    stations: Vec<Station>,
+    net: Box<dyn Serial>,
+    /// The own slots of each drive: divisor and phase.
+    own_slots: Vec<(u64, u64)>,
+    others: Others,
+    /// When the port was opened.
+    opened_at: Time,
+    end: End,
+    /// Cycles that the end has waited for.
+    waits: u32,
+    notes: WireNotes,
+    ends: Ends,
+    unmatched: Unmatched,
+    /// The port is this master's until it is closed.
+    _lock: Lock,
+}
+
+impl std::fmt::Debug for ProfibusBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ProfibusBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+    }
+}
+
+impl ProfibusBus {
+    /// Begins to open the port of `plan`, which is free of faults.
+    pub(super) fn open(plan: &ProfibusPlan, carriers: &dyn Carriers) -> Result<ProfibusBus, OpenError> {
+        let lock = carriers.lock(Place::Port(&plan.device)).map_err(|why| OpenError::InUse {
+            bus: plan.name.clone(),
+            what: plan.device.clone(),
+            why,
+        })?;
+        let (mut stations, mut ends) = (Vec::new(), Ends::default());
+        for drive in &plan.drives {
+            let broken = || OpenError::Plan { bus: plan.name.clone(), drive: drive.axis.name.clone() };
+            let (station, native, acyclic) =
+                Station::new(drive, plan.address, &carriers.log()).ok_or_else(broken)?;
+            stations.push(station);
+            ends.push(native, acyclic);
+        }
+        let net = carriers.serial(&plan.device, &plan.line()).map_err(|source| OpenError::Interface {
+            bus: plan.name.clone(),
+            interface: plan.device.clone(),
+            source,
+            remedy: "look at device: a serial port, like \"/dev/ttyS1\"",
+        })?;
+        let known = |drive: &LenzeDrive| Known {
+            address: drive.address,
+            ident: drive.ident,
+            configuration: drive.configuration.clone(),
+        };
+        let known = plan.drives.iter().map(known).collect();
+        let own_slot = |drive: &LenzeDrive| (drive.axis.divisor.into(), drive.axis.phase.into());
+        Ok(ProfibusBus {
+            name: plan.name.clone(),
+            queue: Queue::default(),
+            starting: 0,
+            last: 0,
+            acyclic_after: 0,
+            upkeep: Upkeep::new(plan),
+            // What an adapter holds back, or returns, is no sign of what is on the wire.
+            always_looks: plan.echo || plan.bits.latency_ns > 0,
+            watchful: 0,
+            began_at: Time(0),
+            grid: Time(0),
+            line: Line::new(plan),
+            stations,
+            own_slots: plan.drives.iter().map(own_slot).collect(),
+            others: Others::new(),
+            opened_at: Time(0),
+            end: End::default(),
+            waits: 0,
+            notes: WireNotes::new(&plan.device, plan.address, known, net.notes()),
+            net,
+            ends,
+            unmatched: Unmatched::default(),
+            _lock: lock,
+        })
+    }
+
+    /// Takes over a port that was opened.
+    #[cold]
+    fn opened(&mut self, now: Time) {
+        let is_timed = self.net.is_timed();
+        self.line.opened(now, is_timed);
+        self.opened_at = now;
+        self.always_looks |= !is_timed;
+        if self.net.discard().is_err() {
+            self.unmatched.errors += 1;
+        }
+    }
+
+    /// The port can no longer be used.
+    #[cold]
+    fn broken(&mut self, broken: Broken, slots: &mut [Slot]) {
+        self.line.closed();
+        if broken == Broken::Absent {
+            return;
+        }
+        let why = match broken {
+            Broken::Closed => "the other end has closed it",
+            _ => "the port has failed: look at its adapter",
+        };
+        self.net.abandon(0, why);
+        (self.queue, self.starting) = (Queue::default(), 0);
+        self.upkeep.operate(None);
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            station.cut_off(slot);
+        }
+    }
+}
+
+impl Bus for ProfibusBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        self.notes.memory(regions);
+        regions.add(&*self.own_slots);
+        regions.add(&*self.stations);
+        self.stations.iter().for_each(|station| station.memory(regions));
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.grid = cycle.grid;
+        if self.net.opened().is_some() {
+            self.opened(cycle.grid);
+        }
+        self.look(slots);
+        self.watchful = self.watchful.saturating_sub(1);
+        let up = self.line.is_up();
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            // One that is queued stays so: here it is made sure of, after a panic in its turn for example.
+            let waits = matches!(slot.exchange, Exchange::Idle | Exchange::Missed | Exchange::Queued);
+            if !slot.due || !waits {
+                continue;
+            }
+            if up && self.end == End::None {
+                slot.exchange = Exchange::Queued;
+                self.queue.push(index as u8);
+            } else {
+                station.unsent(slot);
+            }
+        }
+        self.go_on(cycle, cycle.grid, slots);
+        if self.starting != 0 {
+            self.let_start(cycle, slots);
+        }
+        if self.others.has_gone(cycle.grid) {
+            self.notes.set_other(None);
+        }
+    }
+
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
+        self.take_in(slots);
+    }
+
+    fn poll_at(&self) -> Option<Time> {
+        self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over())
+    }
+
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
+        usize::from(waits.is_some_and(|slot| slot.exchange.is_waited_for(cycle)))
+    }
+
+    fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
+        self.look(slots);
+        self.go_on(cycle, now, slots);
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            if slot.due || slot.exchange == Exchange::Queued {
+                station.prepare(cycle, slot);
+            }
+        }
+    }
+
+    fn native_bytes(
+        &self,
+        index: usize,
+        since: Time,
+        outputs: WantedOutputs,
+        bytes: &mut NativeBytes,
+    ) -> Option<Time> {
+        bytes.clear();
+        let station = self.stations.get(index)?;
+        let received_at = station.native().inputs(since, bytes);
+        bytes.put_outputs(outputs, received_at, || Some(station.sent_outputs()))
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.end(cycle, slots)
+    }
+
+    fn unmatched(&self) -> Unmatched {
+        self.unmatched
+    }
+
+    fn helper_ended(&self) -> bool {
+        self.net.has_ended()
+    }
+
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        Some(Arc::new(self.notes.clone()))
+    }
+
+    fn ends(&mut self) -> Option<&mut Ends> {
+        Some(&mut self.ends)
+    }
+}

@@ -1,0 +1,168 @@
+//! What is sent, one telegram after the other.
+
+use super::ProfibusBus;
+use super::receive::WATCHFUL;
+use super::upkeep::Behind;
+use crate::counters::Own;
+use crate::line::{Instead, Job, Ready};
+use crate::wire::dp::GlobalControl;
+use crate::wire::sap::global_control;
+use fieldbeat_core::bus::{Cycle, Exchange, Slot};
+use fieldbeat_core::time::Time;
+
+/// Steps of the wire in one call: a telegram and what follows from it each.
+const MOST_STEPS: usize = 16;
+
+impl ProfibusBus {
+    /// Continues with what is due at `now`.
+    pub(super) fn go_on(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
+        for _ in 0..MOST_STEPS {
+            let goes_on = match self.line.ready(now) {
+                Ready::Wait => false,
+                Ready::Free => self.start_next(cycle, now, slots),
+                Ready::Resend => self.hand_over(slots),
+                Ready::Claim => {
+                    // It was silent.
+                    self.notes.set_other(None);
+                    self.hand_over(slots);
+                    false
+                }
+                Ready::Overdue { job, instead, failed } => self.overdue(now, job, instead, failed, slots),
+            };
+            if !goes_on {
+                return;
+            }
+        }
+    }
+
+    /// Hands the telegram to the driver; false: none of it has left.
+    pub(super) fn hand_over(&mut self, slots: &mut [Slot]) -> bool {
+        match self.net.send(0, self.line.to_send()) {
+            Ok((at, count)) => self.line.sent(at, count),
+            Err(broken) => {
+                self.broken(broken, slots);
+                false
+            }
+        }
+    }
+
+    /// The request of `job` has no answer. False: it has not left the driver yet.
+    #[cold]
+    pub(super) fn overdue(
+        &mut self,
+        now: Time,
+        job: Job,
+        instead: Instead,
+        failed: bool,
+        slots: &mut [Slot],
+    ) -> bool {
+        if instead == Instead::Silence
+            && let Ok(bytes @ 1..) = self.net.unsent()
+        {
+            self.line.still_sends(now, bytes, failed);
+            return false;
+        }
+        let Job::Drive(index) = job else { return true };
+        self.watchful = WATCHFUL;
+        let place = usize::from(index);
+        let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place)) else {
+            return true;
+        };
+        match instead {
+            Instead::Silence => Own::SlotTimes.count(&mut slot.counters),
+            Instead::Part => Own::WrongEnd.count(&mut slot.counters),
+            Instead::Garbage => {}
+        }
+        if failed {
+            slot.counters.own[Own::WireUs as usize] += now.since(self.began_at) / 1_000;
+            station.failed(slot);
+            self.changed(index);
+        } else {
+            Own::Retries.count(&mut slot.counters);
+        }
+        true
+    }
+
+    /// Sends the next telegram; false: nothing more can be sent now.
+    #[inline]
+    fn start_next(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
+        if self.upkeep.control_is_due(now, !self.queue.is_empty()) {
+            return self.control(now, GlobalControl::OPERATE, slots);
+        }
+        let Some(index) = self.queue.pop() else {
+            return self.upkeep.is_round_over() && self.end_round(cycle, now, slots);
+        };
+        self.last = index;
+        if self.queue.is_empty() {
+            self.upkeep.end_round();
+        }
+        let place = usize::from(index);
+        let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place)) else {
+            return true;
+        };
+        if slot.exchange != Exchange::Queued {
+            return true;
+        }
+        let may_be_acyclic = self.acyclic_after == 0;
+        if !self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) {
+            station.unsent(slot);
+            return true;
+        }
+        match self.net.send(0, self.line.to_send()) {
+            Ok((at, count)) if self.line.sent(at, count) => {
+                self.began_at = at;
+                self.acyclic_after = match station.is_acyclic() {
+                    true => self.own_slots.len() - 1,
+                    false => self.acyclic_after.saturating_sub(1),
+                };
+                // By its window, or by a later one.
+                let within = at + self.line.closed_within_ns();
+                let more = match within > cycle.deadline {
+                    true => within.since(cycle.deadline).div_ceil(cycle.period_ns.max(1)) * cycle.period_ns,
+                    false => 0,
+                };
+                station.sent(at, cycle.deadline + more, slot);
+                false
+            }
+            Ok(_) => {
+                station.unsent(slot);
+                true
+            }
+            Err(broken) => {
+                station.unsent(slot);
+                self.broken(broken, slots);
+                false
+            }
+        }
+    }
+
+    /// Tells all drives that what they are sent counts, or not.
+    #[cold]
+    pub(super) fn control(&mut self, now: Time, command: u8, slots: &mut [Slot]) -> bool {
+        self.upkeep.controlled(now);
+        let data = GlobalControl { command, groups: 0 }.data();
+        self.line.broadcast(&global_control(self.line.address()), &data) && self.hand_over(slots)
+    }
+
+    /// Behind the turns of a round, in what is left of the window: a token, or a search for another master.
+    fn end_round(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
+        let is_station = |address| self.stations.iter().any(|station| station.address() == address);
+        match self.upkeep.behind_round(now < cycle.deadline, is_station) {
+            None => return false,
+            Some(Behind::Token) => self.line.token(),
+            Some(Behind::Gap(address)) => self.line.gap(address),
+        }
+        self.hand_over(slots)
+    }
+
+    /// Those that start up have their turns in their own slots, whatever their link.
+    #[cold]
+    pub(super) fn let_start(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        let next = cycle.index + 1;
+        for (index, (slot, (divisor, phase))) in slots.iter_mut().zip(&self.own_slots).enumerate() {
+            if self.starting >> index & 1 != 0 && next % divisor.max(&1) == *phase {
+                slot.reachable = true;
+            }
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! `fieldbeat profibus`: the stations of a PROFIBUS wire.
+
+use std::os::fd::{BorrowedFd, RawFd};
+use std::thread::sleep;
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use serde_json::{Value, json};
+
+use super::scan::{Found, ScanError, scan};
+use crate::check::{LATENCY_MAX_NS, rates};
+use crate::plan::{ADDRESS_MAX, Bits, ProfibusPlan, RATES, Rs485};
+use crate::wire::dp::{Diagnosis, DiagnosisStatus};
+use fieldbeat_core::net::{Carriers, Os, Place};
+use fieldbeat_core::rt::MonotonicClock;
+use fieldbeat_core::time::MS;
+use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
+
+/// The commands that this protocol adds.
+pub const TOOLS: &[Tool] = &[Tool {
+    name: "profibus",
+    about: "The stations of a PROFIBUS wire",
+    arguments: Profibus::augment_args,
+    run: |matches, program| match arguments::<Profibus>(matches)?.what {
+        What::Scan(scan) => scan.run(program),
+    },
+}];
+
+/// What a port may add before a byte is read while nothing is known of it, ms.
+pub(super) const SCAN_LATENCY_MS: u64 = 20;
+
+/// Arguments of `profibus`.
+#[derive(Debug, Args)]
+struct Profibus {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Lists the stations that answer, with their ident numbers and masters; changes nothing. It listens first, and
+    /// sends nothing while another master uses the wire.
+    Scan(Scan),
+}
+
+#[derive(Debug, Args)]
+struct Scan {
+    /// The serial port, for example /dev/ttyS1; or `local:NAME`, a simulated wire of this host.
+    device: String,
+    /// The rate of the wire, bit/s.
+    #[arg(long, value_name = "BITS", default_value_t = ProfibusPlan::RATE, value_parser = rate)]
+    rate: u32,
+    /// The own address: no station is looked for there. 0 is that of a programming device. Not that of a master that
+    /// has died while its drives turn: a diagnosis from there feeds their watchdogs.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=i64::from(ADDRESS_MAX)))]
+    address: u8,
+    /// What the port adds before a byte is read, ms: an answer is waited for so much longer.
+    #[arg(
+        long, value_name = "MS", default_value_t = SCAN_LATENCY_MS,
+        value_parser = clap::value_parser!(u64).range(0..=LATENCY_MAX_NS / MS)
+    )]
+    latency: u64,
+    /// The driver of the port switches the direction of the wire, and not the adapter by itself.
+    #[arg(long)]
+    driver: bool,
+    /// The adapter returns what is sent.
+    #[arg(long)]
+    echo: bool,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn rate(text: &str) -> Result<u32, String> {
+    let rate = text.parse().ok().filter(|rate| RATES.contains(rate));
+    rate.ok_or_else(|| format!("must be {} bit/s", rates()))
+}
+
+impl Scan {
+    /// The wire as it is scanned.
+    fn plan(&self) -> ProfibusPlan {
+        let plan = ProfibusPlan::new(&self.device, self.rate, Vec::new());
+        ProfibusPlan {
+            address: self.address,
+            bits: Bits { latency_ns: self.latency * MS, ..plan.bits },
+            rs485: if self.driver { Rs485::Driver } else { Rs485::Adapter },
+            echo: self.echo,
+            ..plan
+        }
+    }
+
+    fn run(self, program: &dyn Program) -> Result<(), Stop> {
+        let (device, plan) = (&self.device, self.plan());
+        let _lock = Place::Port(device).lock().map_err(|why| Stop::usage(format!("{device} {why}")))?;
+        let cannot = |error| Stop::usage(format!("cannot use {device}: {error}"));
+        let mut port = Os::default().serial(device, &plan.line()).map_err(cannot)?;
+        let mut wait = |fd, most_ns| {
+            pause(fd, most_ns);
+            (!program.is_interrupted()).then(MonotonicClock::read)
+        };
+        let found = scan(&mut *port, &plan, &mut wait).map_err(|error| match error {
+            ScanError::Port(why) => Stop::usage(why),
+            other => Stop::failed(format!("{device}: {other}")),
+        })?;
+        if self.json {
+            let stations: Vec<Value> = found.iter().map(object).collect();
+            program.print(&json!({ "device": device, "rate": self.rate, "stations": stations }))
+        } else {
+            program.print(&text(&found))
+        }
+    }
+}
+
+/// Waits until the descriptor is readable, or for so many ns, rounded up to whole milliseconds.
+pub(super) fn pause(fd: Option<RawFd>, most_ns: u64) {
+    let ms = most_ns.div_ceil(MS);
+    let Some(fd) = fd else { return sleep(Duration::from_millis(ms)) };
+    // SAFETY: the carrier holds it, and is borrowed by the caller.
+    let fd = unsafe { BorrowedFd::borrow_raw(fd) };
+    let most = PollTimeout::try_from(ms).unwrap_or(PollTimeout::MAX);
+    // A signal wakes it early: the caller decides whether to go on.
+    let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], most);
+}
+
+fn text(found: &[Found]) -> String {
+    table(["address", "ident", "master", "watchdog", "state"], found.iter().map(row))
+}
+
+fn row(found: &Found) -> [String; 5] {
+    let none = || "-".to_owned();
+    let address = found.address.to_string();
+    let Some(seen) = found.diagnosis() else {
+        return [address, none(), none(), none(), "answers without a diagnosis: no slave of DP".to_owned()];
+    };
+    let watchdog = if seen.status.has(DiagnosisStatus::WD_ON) { "on" } else { "off" };
+    [
+        address,
+        format!("{:#06x}", seen.ident),
+        seen.master.map_or_else(none, |master| master.to_string()),
+        watchdog.to_owned(),
+        state(&seen),
+    ]
+}
+
+/// What its master, or whoever is to become it, has to know.
+fn state(seen: &Diagnosis<'_>) -> String {
+    let status = seen.status.without(DiagnosisStatus::ALWAYS | DiagnosisStatus::WD_ON);
+    let mut words: Vec<String> = status.names().map(str::to_owned).collect();
+    if words.is_empty() {
+        words.push("in operation".to_owned());
+    }
+    words.extend(seen.fault().filter(|fault| *fault != 0).map(|fault| format!("fault {fault:#06x}")));
+    words.join(", ")
+}
+
+/// A station as JSON.
+fn object(found: &Found) -> Value {
+    let seen = found.diagnosis();
+    json!({
+        "address": found.address,
+        "ident": seen.map(|seen| seen.ident),
+        "master": seen.and_then(|seen| seen.master),
+        "watchdog": seen.map(|seen| seen.status.has(DiagnosisStatus::WD_ON)),
+        "status": seen.map(|seen| seen.status.names().collect::<Vec<_>>()),
+        "extended": seen.map(|seen| seen.extended),
+        "fault": seen.and_then(|seen| seen.fault()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stations_stand_in_a_table_with_what_is_known_of_them() {
+        let found = |address, status: u32, master, fault: u16| {
+            let status = [&status.to_le_bytes()[..3], &[master]].concat();
+            let data = [&status[..], &[0, 0x82, 3], &fault.to_be_bytes()].concat();
+            Found { address, data }
+        };
+        let waits = DiagnosisStatus::PRM_REQ | DiagnosisStatus::ALWAYS;
+        let runs = DiagnosisStatus::WD_ON | DiagnosisStatus::ALWAYS;
+        let silent = Found { address: 126, data: Vec::new() };
+        let found = [found(3, waits, 255, 0), found(14, runs, 2, 0x2310), silent];
+        let lines: Vec<String> = text(&found).lines().map(str::to_owned).collect();
+        let words = |row: usize| lines[row].split_whitespace().collect::<Vec<_>>().join(" ");
+        assert_eq!(words(0), "address ident master watchdog state");
+        assert_eq!(words(1), "3 0x0082 - off parametrisation requested");
+        assert_eq!(words(2), "14 0x0082 2 on in operation, fault 0x2310");
+        assert_eq!(words(3), "126 - - - answers without a diagnosis: no slave of DP");
+        let json = object(&found[1]);
+        assert_eq!(
+            (&json["ident"], &json["master"], &json["fault"]),
+            (&0x82.into(), &2.into(), &0x2310.into())
+        );
+        assert_eq!(object(&found[2])["ident"], Value::Null);
+    }
+
+    #[test]
+    fn a_rate_is_one_of_the_ten() {
+        assert_eq!(rate("500000"), Ok(500_000));
+        assert!(rate("115200").unwrap_err().contains("1500000"));
+    }
+}

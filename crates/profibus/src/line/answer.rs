@@ -1,0 +1,143 @@
+//! What has arrived, and whether it answers a request.
+
+use super::Job;
+use crate::other::Sign;
+use crate::wire::telegram::{self, Frame, Head, Malformed, Telegram};
+
+/// Bit 6 of a function code: a request.
+const REQUEST: u8 = 1 << 6;
+/// Bits 5 and 4 of the function code of an answer: the kind of station; 0 is a slave.
+const STATION: u8 = 0x30;
+/// Functions of answers: none (OK), refused (UE, RR, RS), data (DL, DH), taken without data (NR).
+const OK: u8 = 0;
+const REFUSED: std::ops::RangeInclusive<u8> = 1..=3;
+const DATA_LOW: u8 = 0x8;
+const DATA_HIGH: u8 = 0xA;
+const NO_DATA: u8 = 0x9;
+/// Bytes of a telegram before its data.
+pub(super) const HEAD: usize = 7;
+
+/// A request, as far as its answer is recognised by it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Expected {
+    /// The station.
+    pub da: u8,
+    /// Its service access point, and ours.
+    pub saps: Option<(u8, u8)>,
+    /// The bare acknowledgement answers it.
+    pub acknowledge: bool,
+    /// Its data are so many bytes; `None`: any number.
+    pub data: Option<u8>,
+}
+
+/// What has arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) enum Heard<'a> {
+    /// The answer to the request that was under way, which ends with it.
+    Answer(Job, Answer<'a>),
+    /// Something that answers nothing.
+    Other(Other),
+}
+
+/// An answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer<'a> {
+    /// The bare acknowledgement, or OK or NR without data: the request was taken.
+    Acknowledged,
+    /// Data.
+    Data {
+        /// Of high priority.
+        high: bool,
+        /// The data.
+        data: &'a [u8],
+    },
+    /// Refused, with this function (UE, RR, RS).
+    Refused(u8),
+}
+
+/// What answers nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) enum Other {
+    /// A telegram: of this station, if it says one.
+    Unrelated(Unrelated, Option<u8>),
+    /// No telegram, while an answer was expected or not.
+    Malformed { why: Malformed, expected: bool },
+    /// A telegram of the master at this address.
+    Master { address: u8, sign: Sign },
+}
+
+/// Why a telegram answers nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) enum Unrelated {
+    /// From or to another station.
+    Station,
+    /// Of another service, or of a kind that does not answer it.
+    Kind,
+    /// Nothing is under way.
+    Late,
+}
+
+impl Expected {
+    /// The bytes are the usual answer to Data_Exchange of the master at `own`, and no more: whether it is of high
+    /// priority. Anything else is parsed.
+    #[inline]
+    pub(super) fn is_usual(&self, bytes: &[u8], own: u8) -> Option<bool> {
+        let length = usize::from(self.data.filter(|length| *length > 0 && self.saps.is_none())?);
+        let (&[sd, le, again, second, da, sa, fc], rest) = bytes.split_first_chunk::<HEAD>()?;
+        let (covered, end) = bytes.get(HEAD - 3..)?.split_last_chunk::<2>()?;
+        let is_usual = rest.len() == length + 2
+            && (sd, second) == (telegram::SD2, telegram::SD2)
+            && usize::from(le) == length + 3
+            && again == le
+            && (da, sa) == (own, self.da)
+            && matches!(fc, DATA_LOW | DATA_HIGH)
+            && *end == [telegram::sum(covered), telegram::ED];
+        is_usual.then_some(fc == DATA_HIGH)
+    }
+
+    /// Whether a telegram answers it, and how.
+    pub(super) fn judge<'a>(&self, telegram: Telegram<'a>, own: u8) -> Result<Answer<'a>, Other> {
+        let unrelated = |why, from| Err(Other::Unrelated(why, from));
+        match telegram {
+            Telegram::Acknowledge if self.acknowledge => Ok(Answer::Acknowledged),
+            Telegram::Acknowledge => unrelated(Unrelated::Kind, None),
+            // With the own address: from an adapter that returns it, or of a master with the same address.
+            Telegram::Token { da, sa } => {
+                let sign = if da == sa { Sign::Token } else { Sign::Passed };
+                Err(Other::Master { address: sa, sign })
+            }
+            Telegram::Data(Frame { head, .. }) if head.fc.0 & REQUEST != 0 => {
+                Err(Other::Master { address: head.sa, sign: Sign::Request })
+            }
+            Telegram::Data(Frame { head, .. }) if (head.da, head.sa) != (own, self.da) => {
+                unrelated(Unrelated::Station, Some(head.sa))
+            }
+            Telegram::Data(Frame { head, .. }) if head.fc.0 & STATION != 0 => {
+                Err(Other::Master { address: head.sa, sign: Sign::Answer })
+            }
+            Telegram::Data(frame) => {
+                self.answer(&frame).ok_or(Other::Unrelated(Unrelated::Kind, Some(frame.head.sa)))
+            }
+        }
+    }
+
+    /// What the slave says.
+    fn answer<'a>(&self, frame: &Frame<'a>) -> Option<Answer<'a>> {
+        let Head { dsap, ssap, fc, .. } = frame.head;
+        let same_service = self.saps == ssap.zip(dsap);
+        // What has no such service cannot name it.
+        let same_or_none = same_service || (dsap, ssap) == (None, None);
+        let fits = self.data.is_none_or(|length| frame.data.len() == usize::from(length));
+        match fc.0 {
+            DATA_LOW | DATA_HIGH if same_service && fits => {
+                Some(Answer::Data { high: fc.0 == DATA_HIGH, data: frame.data })
+            }
+            function if REFUSED.contains(&function) && same_or_none => Some(Answer::Refused(function)),
+            NO_DATA if self.acknowledge && frame.data.is_empty() && same_or_none => {
+                Some(Answer::Acknowledged)
+            }
+            OK if same_or_none && (self.acknowledge || self.data == Some(0)) => Some(Answer::Acknowledged),
+            _ => None,
+        }
+    }
+}

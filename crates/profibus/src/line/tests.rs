@@ -1,0 +1,402 @@
+use super::*;
+use crate::LenzeDrive;
+use crate::other::Sign;
+use crate::wire::telegram::Malformed;
+use fieldbeat_core::time::{MS, US};
+
+const SLAVE: u8 = 7;
+/// The sheet's Data_Exchange with 12 bytes, and its reply.
+const REQUEST: [u8; 21] =
+    [0x68, 0x0F, 0x0F, 0x68, 0x07, 0x02, 0x7D, 0x10, 0x3D, 0, 0, 0, 0, 0, 0, 0x04, 0x7F, 0x10, 0, 0x66, 0x16];
+const REPLY: [u8; 21] = [
+    0x68, 0x0F, 0x0F, 0x68, 0x02, 0x07, 0x08, 0x20, 0x3D, 0, 0, 0, 0x06, 0x8F, 0xB0, 0x02, 0x37, 0x10, 0,
+    0xFC, 0x16,
+];
+const TOKEN: [u8; 3] = [0xDC, 2, 2];
+
+/// A line at 1.5 Mbit/s, whose port was just opened, and the time.
+struct Rig {
+    line: Line,
+    now: Time,
+}
+
+impl Rig {
+    fn new(change: impl FnOnce(&mut ProfibusPlan)) -> Rig {
+        let mut plan = ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![LenzeDrive::new("x", SLAVE)]);
+        change(&mut plan);
+        let mut rig = Rig { line: Line::new(&plan), now: Time(MS) };
+        rig.line.opened(rig.now, true);
+        rig
+    }
+
+    /// The wire is claimed.
+    fn up(change: impl FnOnce(&mut ProfibusPlan)) -> Rig {
+        let mut rig = Rig::new(change);
+        rig.now = rig.now + 10 * MS;
+        for _ in 0..2 {
+            assert_eq!(rig.line.ready(rig.now), Ready::Claim);
+            assert!(!rig.line.is_up());
+            assert_eq!(rig.send(), TOKEN);
+            rig.idle();
+        }
+        assert_eq!(rig.line.ready(rig.now), Ready::Free);
+        rig
+    }
+
+    /// What is to be sent leaves.
+    fn send(&mut self) -> Vec<u8> {
+        let bytes = self.line.to_send().to_vec();
+        assert!(self.line.sent(self.now, bytes.len()));
+        bytes
+    }
+
+    /// The line is looked at when it wants to be.
+    fn idle(&mut self) {
+        self.now = self.line.look_at(true).expect("it waits for something");
+    }
+
+    fn request(&mut self) {
+        let expected = Expected { da: SLAVE, saps: None, acknowledge: false, data: Some(12) };
+        assert!(self.line.request(0, |out| {
+            out[..REQUEST.len()].copy_from_slice(&REQUEST);
+            Some((REQUEST.len(), expected))
+        }));
+        assert_eq!(self.send(), REQUEST);
+    }
+
+    fn arrive(&mut self, bytes: &[u8]) {
+        self.line.room()[..bytes.len()].copy_from_slice(bytes);
+        self.line.received(self.now, bytes.len());
+    }
+
+    fn heard(&mut self) -> Option<Heard<'_>> {
+        self.line.heard(self.now)
+    }
+}
+
+fn answer() -> Option<Heard<'static>> {
+    let data = &REPLY[7..19];
+    Some(Heard::Answer(Job::Drive(0), Answer::Data { high: false, data }))
+}
+
+#[test]
+fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
+    let mut rig = Rig::new(|_| ());
+    // Tto of address 2: ten slot times of 300 bits.
+    let silent = 10 * 200 * US;
+    for _ in 0..5 {
+        rig.now = rig.now + silent - US;
+        assert_eq!(rig.line.ready(rig.now), Ready::Wait);
+        rig.arrive(&[0xDC, 9, 9]);
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, sign: Sign::Token })));
+        assert_eq!(rig.heard(), None);
+    }
+    rig.now = rig.now + silent;
+    assert_eq!(rig.line.ready(rig.now), Ready::Claim);
+}
+
+#[test]
+fn the_answer_of_the_sheet_answers_at_any_split() {
+    for split in 0..REPLY.len() {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        rig.now = rig.now + 180 * US;
+        rig.arrive(&REPLY[..split]);
+        assert_eq!(rig.heard(), None);
+        // What has begun is waited for, longer than a slot time.
+        rig.now = rig.now + 190 * US;
+        if split > 0 {
+            assert_eq!(rig.line.ready(rig.line.look_at(true).unwrap() - 1), Ready::Wait);
+        }
+        rig.arrive(&REPLY[split..]);
+        assert_eq!(rig.heard(), answer(), "{split}");
+        // An idle time follows.
+        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+    }
+}
+
+#[test]
+fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
+    let byte = 22_000 / 3;
+    // Request, MaxTsdr, answer.
+    let ended = 21 * byte + 100 * US + 21 * byte;
+    for late in [0, 5 * US, 22 * US, 500 * US] {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        let begin = rig.now;
+        rig.now = begin + ended + late;
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), answer());
+        let free = begin + ended + 22 * US;
+        assert_eq!(rig.line.ready(free - US), Ready::Wait, "{late}");
+        assert_eq!(rig.line.ready(free + US), Ready::Free, "{late}");
+    }
+    // With a slow driver, or with something behind it, the wire may have been in use until now.
+    for (latency_ns, behind) in [(400 * US, &[][..]), (0, &TOKEN[..])] {
+        let mut rig = Rig::up(|plan| plan.bits.latency_ns = latency_ns);
+        rig.request();
+        rig.now = rig.now + ended + 300 * US;
+        rig.arrive(&[&REPLY, behind].concat());
+        assert_eq!(rig.heard(), answer());
+        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+    }
+}
+
+#[test]
+fn a_request_without_an_answer_is_repeated_byte_for_byte_and_then_fails() {
+    let mut rig = Rig::up(|plan| plan.retries = 2);
+    rig.request();
+    for left in [2, 1, 0] {
+        rig.idle();
+        let failed = left == 0;
+        let overdue = Ready::Overdue { job: Job::Drive(0), instead: Instead::Silence, failed };
+        assert_eq!(rig.line.ready(rig.now), overdue);
+        if !failed {
+            assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+            assert_eq!(rig.send(), REQUEST);
+        }
+    }
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
+    // The slot time is 300 bits behind the last byte of the request.
+    rig.request();
+    rig.now = rig.now + 154 * US + 200 * US - US;
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait);
+    // It comes after all.
+    rig.idle();
+    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { .. }));
+}
+
+#[test]
+fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
+    let mut rig = Rig::up(|plan| plan.retries = 0);
+    rig.request();
+    rig.idle();
+    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: true, .. }));
+    rig.now = rig.now + US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
+    assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+    assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+}
+
+#[test]
+fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    let leaves = rig.now + 154 * US;
+    for (after_us, bytes) in [(0, &REPLY[..]), (100, &REPLY[..9]), (153, &[0xFF, 0x33])] {
+        rig.now = leaves - 154 * US + after_us * US;
+        rig.arrive(bytes);
+        match after_us {
+            0 => assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE))))),
+            100 => {}
+            _ => assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. })))),
+        }
+        assert_eq!(rig.heard(), None);
+    }
+    rig.now = leaves + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer(), "it is waited for all the same");
+    // Where the other end has all bytes at once, an answer may be there sooner.
+    rig.line.is_timed = false;
+    rig.idle();
+    rig.request();
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+}
+
+#[test]
+fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_next_one() {
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.idle();
+    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: false, .. }));
+    assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+    rig.send();
+    // The first answer, which is late, and the second, late by the same.
+    rig.now = rig.now + 160 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+    rig.now = rig.now + 154 * US;
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
+}
+
+#[test]
+fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle() {
+    for (at, why) in [
+        (0, Malformed::Start),
+        (1, Malformed::Length),
+        (3, Malformed::Length),
+        (10, Malformed::Check),
+        (20, Malformed::End),
+    ] {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        let mut broken = REPLY;
+        broken[at] ^= 1;
+        rig.now = rig.now + 350 * US;
+        rig.arrive(&broken);
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Malformed { why, expected: true })), "{at}");
+        // A rest that looks like an answer.
+        rig.now = rig.now + 5 * US;
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), None);
+        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
+        rig.idle();
+        let overdue = Ready::Overdue { job: Job::Drive(0), instead: Instead::Garbage, failed: false };
+        assert_eq!(rig.line.ready(rig.now), overdue);
+        assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+        assert_eq!(rig.send(), REQUEST);
+        rig.now = rig.now + 350 * US;
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), answer());
+    }
+}
+
+#[test]
+fn what_comes_from_others_or_of_another_kind_answers_nothing() {
+    let frame = |da, sa, fc| {
+        let mut bytes = REPLY;
+        (bytes[4], bytes[5], bytes[6]) = (da, sa, fc);
+        bytes[19] = bytes[4..19].iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
+        bytes
+    };
+    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
+    for (bytes, heard) in [
+        (frame(2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
+        (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
+        (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
+        (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
+        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
+        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
+    ] {
+        let mut rig = Rig::up(|_| ());
+        rig.request();
+        rig.now = rig.now + 200 * US;
+        rig.arrive(&bytes);
+        assert_eq!(rig.heard(), heard, "{bytes:02x?}");
+        rig.arrive(&[telegram::SC]);
+        assert_eq!(rig.heard(), unrelated(Unrelated::Kind, None), "an acknowledgement has no data");
+        // The true one counts all the same.
+        rig.arrive(&REPLY);
+        assert_eq!(rig.heard(), answer());
+    }
+}
+
+#[test]
+fn a_refusal_may_leave_out_the_access_points() {
+    let mut rig = Rig::up(|_| ());
+    let head = Service::ChkCfg.head(SLAVE, 2, true, false);
+    let saps = Service::ChkCfg.saps();
+    let expected = Expected { da: SLAVE, saps, acknowledge: true, data: None };
+    for (reply, answer) in [
+        (&[telegram::SC][..], Answer::Acknowledged),
+        (&[0x10, 2, 7, 3, 12, 0x16], Answer::Refused(3)),
+        (&[0x10, 2, 7, 0, 9, 0x16], Answer::Acknowledged),
+        // NR: it was taken, and has no answer yet.
+        (&[0x10, 2, 7, 9, 18, 0x16], Answer::Acknowledged),
+    ] {
+        assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))));
+        rig.send();
+        rig.now = rig.now + 200 * US;
+        rig.arrive(reply);
+        assert_eq!(rig.heard(), Some(Heard::Answer(Job::Drive(3), answer)));
+        rig.idle();
+    }
+}
+
+#[test]
+fn the_own_telegram_is_skipped_where_the_adapter_returns_it() {
+    for split in [0, 5, REQUEST.len()] {
+        let mut rig = Rig::up(|plan| plan.echo = true);
+        rig.request();
+        rig.arrive(&REQUEST[..split]);
+        assert_eq!(rig.heard(), None);
+        rig.now = rig.now + 200 * US;
+        rig.arrive(&[&REQUEST[split..], &REPLY[..]].concat());
+        assert_eq!(rig.heard(), answer());
+    }
+    // What is not the own telegram is no echo.
+    let mut rig = Rig::up(|plan| plan.echo = true);
+    rig.request();
+    rig.arrive(&[0, 0, 0]);
+    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { .. }))));
+}
+
+#[test]
+fn what_the_driver_takes_in_pieces_goes_on_where_it_stopped() {
+    let mut rig = Rig::up(|_| ());
+    assert!(rig.line.broadcast(&super::super::wire::sap::global_control(2), &[0, 0]));
+    let whole = rig.line.to_send().to_vec();
+    assert!(rig.line.sent(rig.now, 4));
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Resend);
+    assert_eq!(rig.line.to_send(), &whole[4..]);
+    assert!(rig.line.sent(rig.now, whole.len() - 4));
+    // Nobody answers it, and the wire is free behind Tid2.
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait);
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
+}
+
+#[test]
+fn any_bytes_at_any_time_are_taken() {
+    let mut random = fastrand::Rng::with_seed(4);
+    let mut rig = Rig::up(|plan| plan.retries = 1);
+    for _ in 0..50_000 {
+        let bytes: Vec<u8> = match random.u8(..3) {
+            0 => (0..random.usize(..300)).map(|_| random.u8(..)).collect(),
+            1 => REPLY[random.usize(..21)..].to_vec(),
+            _ => Vec::new(),
+        };
+        let room = rig.line.room();
+        let count = bytes.len().min(room.len());
+        room[..count].copy_from_slice(&bytes[..count]);
+        rig.line.received(rig.now, count);
+        while rig.heard().is_some() {}
+        rig.now = rig.now + random.u64(..300 * US);
+        match rig.line.ready(rig.now) {
+            Ready::Free => rig.request(),
+            Ready::Resend | Ready::Claim => drop(rig.send()),
+            Ready::Wait | Ready::Overdue { .. } => {}
+        }
+    }
+}
+
+#[test]
+fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what_is_sent() {
+    let other = |sign| Some(Heard::Other(Other::Master { address: 2, sign }));
+    // Before its first telegram, nothing of its own can come back.
+    for echo in [false, true] {
+        let mut rig = Rig::new(|plan| plan.echo = echo);
+        rig.arrive(&TOKEN);
+        assert_eq!(rig.heard(), other(Sign::Token));
+    }
+
+    // The adapter has returned nothing for a second.
+    let mut rig = Rig::up(|_| ());
+    rig.now = rig.now + 2_000 * MS;
+    rig.request();
+    for (bytes, sign) in [(&REQUEST[..], Sign::Request), (&TOKEN, Sign::Token)] {
+        rig.arrive(bytes);
+        assert_eq!(rig.heard(), other(sign));
+    }
+    rig.now = rig.now + 200 * US;
+    rig.arrive(&REPLY);
+    assert_eq!(rig.heard(), answer());
+
+    // It has returned one: it returns others, early or late.
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.arrive(&TOKEN);
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
+    rig.now = rig.now + 2_000 * MS;
+    rig.arrive(&TOKEN);
+    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
+}

@@ -1,0 +1,209 @@
+//! How people write what is in a Lenze drive, and the calls made from it.
+//!
+//! | address | access |
+//! |---|---|
+//! | `C0061`, `C0039/2` | a code, and one with a subcode; zeros in front may be left out |
+//! | `C0150.u16` | the same with the kind of its value: u8, i8, u16, i16, u32, i32 |
+//! | `C0200.text` | a text, by DP-V1 |
+//! | `1/3` | slot and index of a record of the module, by DP-V1, as bytes |
+//!
+//! | value | means |
+//! |---|---|
+//! | `430000` | a count, as sent on the wire |
+//! | `43.0` | with a point: scaled; 430000 of C0061. A code that is not in the `catalogue` is taken for one of 32 bits with four decimals, one with a kind behind it has none |
+//! | `0x68FB0` | the bits of a count |
+//! | `true`, `false` | 1, 0 |
+//! | `"01 A0"` | bytes of a record |
+//! | `"axis 1"` | the characters of a text |
+//!
+//! What a call does is in [`target`](super::target).
+
+mod list;
+
+use super::catalogue::Known;
+use super::target::{Kind, Parameter, Target, reason};
+use super::wire::msac1::Record;
+use fieldbeat_core::axis::acyclic::long::{self, READ, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::{
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Wanted, bits, count,
+    within,
+};
+
+const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, i32, \
+    text), or 1/3 (slot and index of a record)";
+const READ_ONLY: &str = "another one: the drive only reports this";
+
+/// Addresses and values of these drives.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Codes;
+
+/// A number and nothing else.
+fn digits<T: std::str::FromStr>(text: &str) -> Option<T> {
+    text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok())?
+}
+
+impl Target {
+    /// From text.
+    pub fn parse(text: &str) -> Option<Target> {
+        let Some(code) = text.strip_prefix(['C', 'c']) else {
+            let (slot, index) = text.split_once('/')?;
+            return Some(Target::Record(Record { slot: digits(slot)?, index: digits(index)? }));
+        };
+        let (code, kind) = match code.split_once('.') {
+            Some((code, name)) => {
+                (code, Kind::ALL.into_iter().find(|kind| kind.name() == name && *kind != Kind::Own)?)
+            }
+            None => (code, Kind::Own),
+        };
+        let (code, sub) = match code.split_once('/') {
+            Some((code, sub)) => (code, digits(sub)?),
+            None => (code, 0),
+        };
+        Some(Target::Parameter(Parameter { code: digits(code)?, sub, kind }))
+    }
+
+    /// The type of a value that is a number.
+    fn integer(self) -> Option<Integer> {
+        match self {
+            Target::Parameter(parameter) => parameter.kind().integer(),
+            Target::Record(_) => None,
+        }
+    }
+
+    fn decimals(self) -> u32 {
+        match self {
+            Target::Parameter(parameter) => parameter.decimals(),
+            Target::Record(_) => 0,
+        }
+    }
+
+    fn known(self) -> Option<&'static Known> {
+        match self {
+            Target::Parameter(parameter) => parameter.known(),
+            Target::Record(_) => None,
+        }
+    }
+
+    /// What is no number, from text.
+    fn bytes(self, text: &str) -> Option<Vec<u8>> {
+        match self {
+            Target::Parameter(_) => long::parse_text(text),
+            Target::Record(_) => long::parse_octets(text),
+        }
+    }
+
+    /// What is no number, as text.
+    fn text(self, bytes: &[u8]) -> String {
+        match self {
+            Target::Parameter(_) => long::text(bytes),
+            Target::Record(_) => long::octets(bytes),
+        }
+    }
+}
+
+/// The correct form of a value.
+fn form(target: Target) -> String {
+    let Some(integer) = target.integer() else {
+        return match target {
+            Target::Parameter(_) => format!("1 to {} characters of ASCII", long::MOST),
+            Target::Record(_) => format!("1 to {} bytes of two digits each, like \"01 A0\"", long::MOST),
+        };
+    };
+    let (low, high) = integer.range();
+    let whole = format!("a whole number, {low} ... {high}, or its bits as 0x...");
+    match target.decimals() {
+        0 => whole,
+        decimals => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
+    }
+}
+
+fn find(text: &str) -> Result<Target, NotationError> {
+    Target::parse(text).ok_or(NotationError::Address { form: FORM })
+}
+
+fn writable(text: &str) -> Result<Target, NotationError> {
+    let target = find(text)?;
+    match target.known() {
+        Some(known) if known.read_only => Err(NotationError::ReadOnly { instead: READ_ONLY }),
+        _ => Ok(target),
+    }
+}
+
+impl Notation for Codes {
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        Ok(Call { service: READ, address: find(address)?.pack(), value: 0 })
+    }
+
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        let target = writable(address)?;
+        let Some(integer) = target.integer() else {
+            // It has its own size: it goes in parts, and never by this call alone.
+            return Ok(Call { service: STORE, address: target.pack(), value: 0 });
+        };
+        match integer.number_within(value, integer.range()) {
+            Some(number) => Ok(Call { service: WRITE, address: target.pack(), value: integer.raw(number) }),
+            None => Err(NotationError::Value { value: value.to_string(), form: form(target) }),
+        }
+    }
+
+    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let target = writable(address)?;
+        let Some(integer) = target.integer() else {
+            let wrong = || NotationError::Value { value: text.to_owned(), form: form(target) };
+            return target.bytes(text).map(|bytes| long::raw(&bytes)).ok_or_else(wrong);
+        };
+        let range = integer.range();
+        let number = match text.strip_prefix("0x") {
+            Some(digits) => bits(digits).map(|raw| integer.number_within(raw, range).unwrap_or(i64::MAX)),
+            None => count(text, target.decimals()),
+        };
+        within(number, range, text, || form(target)).map(|number| integer.raw(number))
+    }
+
+    fn number(&self, address: &str, raw: u64) -> i64 {
+        let integer = Target::parse(address).and_then(Target::integer);
+        integer.map_or(raw as i64, |integer| integer.number(raw))
+    }
+
+    fn show(&self, address: &str, raw: u64) -> String {
+        let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
+        let Some(integer) = target.integer() else { return target.text(&raw.to_le_bytes()) };
+        let number = integer.number(raw);
+        let plain = format!("{number} (0x{:X})", integer.raw(number));
+        match target.decimals() as usize {
+            0 => plain,
+            decimals => {
+                let unit = target.known().map_or("", |known| known.unit);
+                let value = number as f64 / 10_f64.powi(decimals as i32);
+                format!("{plain} = {value:.decimals$} {unit}").trim_end().to_owned()
+            }
+        }
+    }
+
+    fn reason(&self, status: u32) -> String {
+        reason(status).into_owned()
+    }
+
+    fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
+        let target = Target::parse(address).filter(|target| target.integer().is_none())?;
+        let call = Call { service: READ, address: target.pack(), value: 0 };
+        let read = long::read(carrier, call.address, self.limit(&call));
+        Some(read.map(|bytes| (long::raw(&bytes), target.text(&bytes))))
+    }
+
+    fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
+        let target = writable(address).ok().filter(|target| target.integer().is_none())?;
+        Some(long::write(target.pack(), &target.bytes(text)?))
+    }
+
+    fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
+        list::list(wanted)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,122 @@
+//! Addresses and values as people write them.
+
+use super::*;
+use fieldbeat_core::axis::acyclic::long::LOAD;
+
+#[test]
+fn addresses_are_codes_and_records() {
+    let parameter = |code, sub, kind| Some(Target::Parameter(Parameter { code, sub, kind }));
+    for (text, expected) in [
+        ("C0061", parameter(61, 0, Kind::Own)),
+        ("c61", parameter(61, 0, Kind::Own)),
+        ("C0039/2", parameter(39, 2, Kind::Own)),
+        ("C0168/8.u16", parameter(168, 8, Kind::U16)),
+        ("C0200.text", parameter(200, 0, Kind::Text)),
+        ("1/3", Some(Target::Record(Record { slot: 1, index: 3 }))),
+        ("0/47", Some(Target::Record(Record { slot: 0, index: 47 }))),
+    ] {
+        assert_eq!(Target::parse(text), expected, "{text}");
+    }
+    for text in [
+        "",
+        "C",
+        "61",
+        "C+61",
+        "C0061/",
+        "C0061/256",
+        "C65536",
+        "C1.",
+        "C1.f32",
+        "1/256",
+        "/3",
+        "1/3/4",
+        "C1 ",
+    ] {
+        assert_eq!(Target::parse(text), None, "{text}");
+        let error = Codes.read(text).unwrap_err().to_string();
+        assert!(error.contains("C0061") && error.contains("1/3"), "{error}");
+    }
+}
+
+#[test]
+fn values_are_counts_or_scaled_by_their_code() {
+    for (address, text, raw) in [
+        ("C0039", "1504000", 1_504_000),
+        ("C0039", "150.4", 1_504_000),
+        ("C0039/2", "-0.0001", 0xFFFF_FFFF),
+        ("C0039", "0x16F300", 1_504_000),
+        ("C0003", "true", 1),
+        ("C0999", "2.5", 25_000),
+        ("C0150.u16", "65535", 0xFFFF),
+        ("C0150.i16", "-2", 0xFFFE),
+        ("C0150.u8", "0xFF", 0xFF),
+        ("1/3", "01 A0", 0xA001),
+        ("C0200.text", "S7 x", 0x7820_3753),
+    ] {
+        assert_eq!(Codes.value(address, text), Ok(raw), "{address} {text}");
+    }
+    for (address, text) in [
+        ("C0039", "0.00001"),
+        ("C0039", "2147483648"),
+        ("C0039", "300000.0"),
+        ("C0150.u16", "-1"),
+        ("C0150.u16", "1.0"),
+        ("C0150.i8", "128"),
+        ("C0039", "fast"),
+        ("1/3", ""),
+        ("1/3", "0"),
+        ("C0200.text", ""),
+        ("C0200.text", "\u{b5}"),
+    ] {
+        assert!(Codes.value(address, text).is_err(), "{address} {text}");
+    }
+    assert!(matches!(Codes.value("C0061", "1"), Err(NotationError::ReadOnly { .. })));
+    assert!(Codes.write("C0061", 1).is_err() && Codes.write_long("C0061.text", "a").is_none());
+    assert_eq!(Codes.show("C0061", 430_000), "430000 (0x68FB0) = 43.0000 °C");
+    assert_eq!(Codes.show("C0039/2", 0xFFFF_FFFF), "-1 (0xFFFFFFFF) = -0.0001 Hz");
+    assert_eq!(Codes.show("C0999", 25_000), "25000 (0x61A8) = 2.5000");
+    assert_eq!(Codes.show("C0150.u16", 0x237), "567 (0x237)");
+    assert_eq!(Codes.show("1/3", 0xA001), "01 A0 00 00 00 00 00 00");
+    assert_eq!(
+        (Codes.number("C0039", 0xFFFF_FFFE), Codes.number("C0039.u32", 0xFFFF_FFFE)),
+        (-2, 0xFFFF_FFFE)
+    );
+}
+
+#[test]
+fn a_call_has_the_bits_of_its_kind() {
+    let write =
+        |address: &str, value: u64| Codes.write(address, value).map(|call| (call.service, call.value));
+    assert_eq!(write("C0039", 1_504_000), Ok((WRITE, 1_504_000)));
+    // As an i32 that is negative, of 32 bits and of 64.
+    assert_eq!(write("C0039", 0xFFFF_FFFE), Ok((WRITE, 0xFFFF_FFFE)));
+    assert_eq!(write("C0150.i16", -2_i64 as u64), Ok((WRITE, 0xFFFE)));
+    assert_eq!(write("C0150.i16", 0xFFFF_FFFE), Ok((WRITE, 0xFFFE)));
+    assert!(write("C0150.u16", 0x1_0000).is_err() && write("C0039", 1 << 40).is_err());
+    assert_eq!(write("1/3", 7), Ok((STORE, 0)), "and that is refused without its bytes");
+    let long = Codes.write_long("1/3", "01 02 03 04 05 06 07 08 09").unwrap();
+    let calls: Vec<_> = long.iter().map(|call| (call.service, call.value)).collect();
+    assert_eq!(calls, [(LOAD, 0x0807_0605_0403_0201), (LOAD, 9), (STORE, 9)]);
+    let text = Codes.write_long("C0200.text", "left axis").unwrap();
+    let calls: Vec<_> = text.iter().map(|call| (call.service, call.value)).collect();
+    assert_eq!(calls, [(LOAD, u64::from_le_bytes(*b"left axi")), (LOAD, u64::from(b's')), (STORE, 9)]);
+    assert!(Codes.write_long("C0039", "1").is_none() && Codes.write_long("C0200.text", "\n").is_none());
+}
+
+#[test]
+fn the_known_codes_are_listed() {
+    let wanted = Wanted { drive: "x", ..Wanted::default() };
+    let Ok(Listing::Known(rows)) = Codes.list(&wanted) else { panic!("they are known") };
+    let row = |address: &str| rows.iter().find(|row| row.address == address).cloned();
+    assert_eq!(row("C0061").and_then(|row| row.usage).as_deref(), Some("i32 read"));
+    assert!(row("C0039/3").is_some() && row("C0039").is_none() && row("C0039/4").is_none());
+    assert!(rows.iter().all(|row| Codes.read(&row.address).is_ok() && row.name.is_some()));
+    assert!(matches!(Codes.list(&Wanted { values: true, ..wanted }), Ok(Listing::Read(_))));
+    for wanted in [
+        Wanted { part: Some("1"), ..wanted },
+        Wanted { modified: true, ..wanted },
+        Wanted { from: Some("C1"), ..wanted },
+    ] {
+        assert!(matches!(Codes.list(&wanted), Err(ListError::Wanted(_))));
+    }
+}

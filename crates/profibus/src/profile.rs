@@ -1,0 +1,311 @@
+//! What is desired of a drive as control word and set point, and what its inputs prove.
+//!
+//! An output is *delivered* when a new telegram after the one with it was answered: a drive that received the first of
+//! two equal telegrams answers the second from its memory, and ignores what is in it. The states of power are *seen* in
+//! the status word.
+//!
+//! Assumed, because the sheet is silent: bits of the ramp generator that are 0 stop the drive along its own ramp with
+//! its power on. PROFIdrive has the bits of DRIVECOM, and bit 10 in addition; without it the drive ignores the
+//! telegram.
+
+use super::native::{NativeOutput, NativePort};
+use super::plan::{DriveProfile, LenzeDrive, StatusBit};
+use super::wire::words::{DrivecomControl as Control, DrivecomStatus, ProfidriveStatus};
+use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::axis::{Lacks, State};
+use fieldbeat_core::bus::desired::{
+    Capabilities, Desired, Evidence, FaultIs, Generator, Motion, Power, Quantity, Resettable,
+};
+use fieldbeat_core::time::Time;
+
+/// An output is delivered with so many answers from the telegram with it on.
+const ANSWERS: u64 = 2;
+/// Bits that let the ramp generator follow the set point.
+const RAMP: u16 = Control::RAMP_ENABLE | Control::RAMP_RUN | Control::SETPOINT;
+/// A drive stands with so many reports of that in a row.
+const STILL: u8 = 3;
+
+const NO_POSITION: &str = "it takes speeds, not positions: jog, or give it velocities";
+const NO_TORQUE: &str = "it takes speeds, not torques: jog, or give it velocities";
+const NO_WATCHDOG: &str = "it has no watchdog, nothing stops it if the master dies: set watchdog, or \
+    no_drive_watchdog = \"accept\"";
+/// Why a drive that nothing would stop is not enabled.
+const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, nothing would stop it if the master dies: \
+    look at the watchdog of the module, or set watchdog = \"off\" and no_drive_watchdog = \"accept\"";
+
+/// What the inputs show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Inputs {
+    pub status: u16,
+    pub state: State,
+    pub inhibited: bool,
+    /// The code of its fault; 0: it has none, or it is not known.
+    pub fault: u16,
+    /// Its code is known, as far as it will ever be.
+    pub named: bool,
+}
+
+impl Inputs {
+    pub(super) fn faulted(&self) -> bool {
+        matches!(self.state, State::Fault | State::FaultReactionActive)
+    }
+}
+
+/// A serial, and the number of answers when the first telegram with it was sent.
+#[derive(Clone, Copy, Debug, Default)]
+struct Carried {
+    serial: u64,
+    since: u64,
+}
+
+impl Carried {
+    #[inline]
+    fn sent(&mut self, serial: u64, answers: u64) {
+        if serial != self.serial {
+            *self = Carried { serial, since: answers };
+        }
+    }
+
+    #[inline]
+    fn is_delivered(&self, answers: u64) -> bool {
+        answers - self.since >= ANSWERS
+    }
+}
+
+/// The profile of one drive.
+#[derive(Debug)]
+#[repr(C)] // What an exchange touches in any case comes first.
+pub(super) struct Profile {
+    /// The serials and the velocity that the outputs are built of.
+    serials: (u64, u64),
+    velocity: f64,
+    /// Counts of one user unit/s; negative if the axis is inverted.
+    scale: f64,
+    /// New telegrams that were answered.
+    answers: u64,
+    power: Carried,
+    motion: Carried,
+    /// What is desired was sent, and is proved.
+    steady: bool,
+    /// It follows the set point.
+    runs: bool,
+    control: u16,
+    setpoint: i16,
+    /// The set point that was sent last.
+    turning: i16,
+    /// Who owns the control word in native mode; `None`: that does not run.
+    native_owner: Option<NativeOwner>,
+    /// The next native output went out.
+    is_sent: bool,
+    /// The drive's watchdog was seen on, or nothing needs one.
+    watched: bool,
+    needs_watchdog: bool,
+    profile: DriveProfile,
+    ramp_bits: u16,
+    enable_bit: Option<StatusBit>,
+    output: Option<NativeOutput>,
+}
+
+/// What a drive can do.
+pub(super) fn capabilities(drive: &LenzeDrive) -> Capabilities {
+    let unwatched = drive.watchdog.timeout_ns.is_none() && !drive.watchdog.accept_none;
+    Capabilities {
+        lacks: Lacks {
+            moves: Some(NO_POSITION),
+            rows: Some(NO_POSITION),
+            homing: Some(NO_POSITION),
+            torques: Some(NO_TORQUE),
+            velocities: unwatched.then_some(NO_WATCHDOG),
+            ..Lacks::default()
+        },
+        switches_on_at_once: false,
+        leaves_quick_stop: false,
+        // One telegram at a time has the wire: nothing that was sent comes later than its slot time.
+        power_reports: 1,
+        still_reports: STILL,
+        ..Capabilities::of(Generator::Master(Quantity::Velocity))
+    }
+}
+
+impl Profile {
+    pub(super) fn new(drive: &LenzeDrive) -> Profile {
+        Profile {
+            serials: (0, 0),
+            velocity: 0.0,
+            scale: drive.counts_per_velocity(),
+            answers: 0,
+            power: Carried::default(),
+            motion: Carried::default(),
+            steady: false,
+            runs: false,
+            control: 0,
+            setpoint: 0,
+            turning: 0,
+            native_owner: None,
+            is_sent: true,
+            watched: false,
+            needs_watchdog: drive.watchdog.timeout_ns.is_some(),
+            profile: drive.profile,
+            ramp_bits: if drive.ramp_bits { RAMP } else { 0 },
+            enable_bit: drive.enable_bit,
+            output: None,
+        }
+    }
+
+    /// The control word and the set point that are desired with the next telegram, if they are others than before;
+    /// built again for the same telegram, they are the same.
+    #[inline]
+    pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort) -> Option<(u16, i16)> {
+        let Desired { power, motion, setpoint, .. } = desired;
+        let changed = (power.serial, motion.serial) != self.serials;
+        if changed {
+            self.change(desired, native);
+        }
+        if !changed && setpoint.velocity == self.velocity {
+            return None;
+        }
+        self.velocity = setpoint.velocity;
+        // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
+        // saturates.
+        let raw = if self.runs { self.velocity * self.scale } else { 0.0 };
+        self.setpoint = (raw + 0.5_f64.copysign(raw)) as i16;
+        Some((self.control, self.setpoint))
+    }
+
+    /// Something else is desired.
+    #[cold]
+    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+        let Desired { power, motion, .. } = desired;
+        if motion.serial != self.serials.1 {
+            (self.output, self.is_sent) = (None, true);
+            native.flush();
+        }
+        self.serials = (power.serial, motion.serial);
+        self.steady = false;
+        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
+        let halted = motion.value == Motion::Halt;
+        self.runs = power.value == Power::EnableOperation && !halted;
+        let word = match power.value {
+            Power::Untouched | Power::Off => Control::INHIBIT,
+            Power::Shutdown => Control::SHUTDOWN,
+            Power::SwitchOn => Control::SWITCHED_ON,
+            Power::EnableOperation if halted => Control::ENABLED.with(self.ramp_bits & !Control::SETPOINT),
+            Power::EnableOperation => Control::ENABLED.with(self.ramp_bits),
+            Power::QuickStop => Control::QUICK_STOP,
+            Power::FaultReset => Control(Control::FAULT_RESET),
+        };
+        self.control = match self.profile {
+            DriveProfile::Profidrive if power.value != Power::Untouched => word.0 | Control::BY_PLC,
+            _ => word.0,
+        };
+    }
+
+    /// The native output of the application that the next telegram carries, and whether it owns the control word.
+    #[inline]
+    pub(super) fn native(&mut self, native: &mut NativePort) -> Option<(&NativeOutput, bool)> {
+        let owner = self.native_owner?;
+        if self.is_sent
+            && let Some(output) = native.next()
+        {
+            // Each one is sent, even if a telegram fails.
+            (self.output, self.is_sent) = (Some(output), false);
+        }
+        self.output.as_ref().map(|output| (output, owner == NativeOwner::Application))
+    }
+
+    /// Native mode runs.
+    #[inline]
+    pub(super) fn is_native(&self) -> bool {
+        self.native_owner.is_some()
+    }
+
+    /// The next telegram has to be Data_Exchange: nothing of what is desired was sent yet.
+    #[inline]
+    pub(super) fn is_new(&self) -> bool {
+        (self.power.serial, self.motion.serial) != self.serials
+    }
+
+    /// The telegram with the outputs that were built last has left; of one that is repeated, once.
+    #[inline]
+    pub(super) fn sent(&mut self) {
+        self.turning = self.setpoint;
+        if !self.steady {
+            self.is_sent = true;
+            self.power.sent(self.serials.0, self.answers);
+            self.motion.sent(self.serials.1, self.answers);
+        }
+    }
+
+    /// A new telegram was answered.
+    #[inline]
+    pub(super) fn answered(&mut self) {
+        self.answers += 1;
+    }
+
+    /// The drive has left Data_Exchange: what is sent from now on is proved anew. `watched`: its watchdog is on, as far
+    /// as that is known.
+    pub(super) fn dropped(&mut self) {
+        (self.power.since, self.motion.since, self.steady) = (self.answers, self.answers, false);
+        (self.output, self.is_sent) = (None, true);
+    }
+
+    /// Its diagnosis reports its watchdog as on, or off.
+    pub(super) fn watchdog_is(&mut self, on: bool) {
+        self.watched = on || !self.needs_watchdog;
+        self.steady = false;
+    }
+
+    /// Its state by the status word.
+    #[inline]
+    pub(super) fn state(&self, status: u16) -> State {
+        match self.profile {
+            DriveProfile::Drivecom => DrivecomStatus(status).state(),
+            DriveProfile::Profidrive => ProfidriveStatus(status).state(),
+        }
+    }
+
+    /// Its hardware enable is missing.
+    #[inline]
+    pub(super) fn is_inhibited(&self, status: u16) -> bool {
+        self.enable_bit.is_some_and(|StatusBit { bit, set }| (status >> (bit & 0xF) & 1 != 0) != set)
+    }
+
+    /// A set point other than 0 is on its way.
+    #[inline]
+    pub(super) fn is_turning(&self) -> bool {
+        self.turning != 0
+    }
+
+    /// The next report proves the same, if its status is the same.
+    #[inline]
+    pub(super) fn is_steady(&self) -> bool {
+        self.steady
+    }
+
+    /// What a report proves.
+    pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
+        let delivered = |carried: &Carried, so_far| match carried.is_delivered(self.answers) {
+            true => carried.serial,
+            false => so_far,
+        };
+        evidence.accepted.power = delivered(&self.power, evidence.accepted.power);
+        evidence.accepted.motion = delivered(&self.motion, evidence.accepted.motion);
+        evidence.outputs_count = true;
+        evidence.is_set_up = self.watched;
+        evidence.obstacle = (!self.watched).then_some(NOT_WATCHED);
+        let faulted = inputs.faulted();
+        let resettable = match inputs.state {
+            State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
+            _ => Resettable::Now,
+        };
+        evidence.fault = FaultIs { active: faulted, named: !faulted || inputs.named, resettable };
+        self.steady = !self.is_new()
+            && !self.is_native()
+            && self.power.is_delivered(self.answers)
+            && self.motion.is_delivered(self.answers)
+            && (!faulted || inputs.named);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,119 @@
+//! What is proved of the outputs: the answers to new telegrams alone count.
+
+use super::*;
+use crate::native::native;
+use fieldbeat_core::bus::desired::Intent;
+
+struct Rig {
+    profile: Profile,
+    native: NativePort,
+    desired: Desired,
+    inputs: Inputs,
+}
+
+impl Rig {
+    fn new() -> Rig {
+        let drive = LenzeDrive::new("x", 3);
+        let (_, native) = native();
+        let profile = Profile::new(&drive);
+        Rig { profile, native, desired: Desired::default(), inputs: Inputs::default() }
+    }
+
+    fn power(&mut self, serial: u64, value: Power) {
+        self.desired.power = Intent { serial, value };
+    }
+
+    fn motion(&mut self, serial: u64, value: Motion) {
+        self.desired.motion = Intent { serial, value };
+    }
+
+    /// A new telegram leaves, however often it is repeated.
+    fn sends(&mut self) {
+        self.profile.encode(&self.desired, &mut self.native);
+        self.profile.sent();
+    }
+
+    /// It is answered: the serials of power and motion that are proved then.
+    fn answered(&mut self) -> (u64, u64) {
+        self.profile.answered();
+        self.proves()
+    }
+
+    fn proves(&mut self) -> (u64, u64) {
+        let mut evidence = Evidence::default();
+        self.profile.prove(&self.inputs, &mut evidence);
+        (evidence.accepted.power, evidence.accepted.motion)
+    }
+}
+
+#[test]
+fn an_output_is_proved_by_the_answer_to_the_next_new_telegram() {
+    for power in [Power::Off, Power::SwitchOn, Power::EnableOperation, Power::QuickStop, Power::FaultReset] {
+        let mut rig = Rig::new();
+        rig.power(7, power);
+        assert_eq!(rig.proves(), (0, 0), "nothing was sent: {power:?}");
+        rig.sends();
+        assert_eq!(rig.proves(), (0, 0), "it is on its way");
+        assert_eq!(rig.answered(), (0, 0), "the answer may be that of the telegram before");
+        rig.sends();
+        assert_eq!(rig.proves(), (0, 0));
+        assert_eq!(rig.answered(), (7, 0), "{power:?}");
+        assert_eq!(rig.answered(), (7, 0), "and stays so");
+    }
+}
+
+#[test]
+fn a_telegram_that_failed_proves_nothing_however_often_it_was_sent() {
+    let mut rig = Rig::new();
+    rig.motion(3, Motion::Halt);
+    for _ in 0..5 {
+        rig.sends();
+        assert_eq!(rig.proves(), (0, 0));
+    }
+    rig.answered();
+    rig.sends();
+    assert_eq!(rig.answered(), (0, 3));
+}
+
+#[test]
+fn a_newer_output_is_proved_anew_and_the_other_stays_proved() {
+    let mut rig = Rig::new();
+    rig.power(1, Power::EnableOperation);
+    rig.motion(1, Motion::Follow);
+    for _ in 0..2 {
+        rig.sends();
+        rig.answered();
+    }
+    rig.motion(2, Motion::Halt);
+    // It is desired while a telegram is under way that has the old one.
+    rig.profile.encode(&rig.desired, &mut rig.native);
+    assert!(rig.profile.is_new());
+    let mut evidence = Evidence::default();
+    evidence.accepted.motion = 1;
+    for _ in 0..3 {
+        rig.profile.answered();
+        rig.profile.prove(&rig.inputs, &mut evidence);
+        assert_eq!((evidence.accepted.power, evidence.accepted.motion), (1, 1), "it has not left yet");
+        assert!(!rig.profile.is_steady());
+    }
+    for (proved, steady) in [(1, false), (2, true)] {
+        rig.sends();
+        rig.profile.answered();
+        rig.profile.prove(&rig.inputs, &mut evidence);
+        assert_eq!((evidence.accepted.power, evidence.accepted.motion), (1, proved));
+        assert_eq!(rig.profile.is_steady(), steady);
+    }
+}
+
+#[test]
+fn what_was_sent_before_a_start_up_is_proved_anew() {
+    let mut rig = Rig::new();
+    rig.power(1, Power::EnableOperation);
+    rig.sends();
+    rig.answered();
+    rig.profile.dropped();
+    rig.sends();
+    assert_eq!(rig.answered(), (0, 0));
+    rig.sends();
+    assert_eq!(rig.answered(), (1, 0));
+}

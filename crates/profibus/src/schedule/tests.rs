@@ -1,0 +1,159 @@
+//! Turns on the grid, against the table of the sheet (7) and by hand.
+
+use super::*;
+use crate::ParameterPath;
+use fieldbeat_core::time::{MS, S, US};
+
+const USUAL: Grid = Grid { period_ns: MS, deadline_ns: MS / 2 };
+const WIDE: Grid = Grid { period_ns: MS, deadline_ns: 800 * US };
+
+fn wire(rate: u32, drives: u8) -> ProfibusPlan {
+    let drive = |index| LenzeDrive::new(format!("l{index}"), 3 + index);
+    ProfibusPlan::new("/dev/ttyS1", rate, (0..drives).map(drive).collect())
+}
+
+fn every(divisor: u32, plan: ProfibusPlan) -> ProfibusPlan {
+    plan.in_turn(divisor)
+}
+
+#[test]
+fn a_turn_of_12_bytes_takes_what_the_sheet_says() {
+    let sheet_us = [57_800, 28_900, 12_200, 5_920, 2_960, 1_190, 430, 250, 160, 110];
+    for (rate, us) in RATES.into_iter().zip(sheet_us) {
+        let turn_us = wire(rate, 1).usual_turn_ns(0) as f64 / 1e3;
+        assert!((turn_us / f64::from(us) - 1.0).abs() < 0.03, "{rate}: {turn_us} us");
+    }
+    // 42 bytes of 11 bits, MaxTsdr, Tsyn.
+    assert_eq!(wire(1_500_000, 1).usual_turn_ns(0), 645 * 2_000 / 3);
+}
+
+#[test]
+fn whole_turns_begin_inside_the_windows() {
+    // At 500 kbit/s a turn takes 1.19 ms. It begins 0, 1.19, 2.38 ... 4.76 ms after a slot, and then in the next one.
+    assert_eq!(wire(500_000, 3).exchanges_within(6 * MS, WIDE), 5);
+    assert_eq!(wire(500_000, 3).exchanges_within(S, WIDE), 166 * 5 + 4);
+    // With half of the cycle: 0, 1.19, 2.38, and at 3.57 the window is over.
+    assert_eq!(wire(500_000, 1).exchanges_within(S, USUAL), 250 * 3);
+    // At 1.5 Mbit/s 0, 0.43; 0.86 is behind either deadline.
+    assert_eq!(wire(1_500_000, 1).exchanges_within(S, USUAL), 2_000);
+    // At 12 Mbit/s 107.9 us.
+    assert_eq!(wire(12_000_000, 4).exchanges_within(S, WIDE), 8_000);
+    assert_eq!(wire(12_000_000, 0).exchanges_within(S, WIDE), 0);
+}
+
+#[test]
+fn twelve_megabit_carry_four_drives_in_every_cycle_with_room() {
+    let mut plan = wire(12_000_000, 4);
+    assert_eq!(plan.schedule_faults(WIDE), []);
+    for drive in &mut plan.drives {
+        drive.parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Default::default() };
+    }
+    // The longest record of MSAC1 fits, too.
+    assert_eq!(plan.schedule_faults(WIDE), []);
+    assert!(!wire(12_000_000, 7).schedule_faults(WIDE).is_empty());
+    assert!(!wire(12_000_000, 4).schedule_faults(USUAL).is_empty());
+}
+
+#[test]
+fn what_does_not_fit_is_refused_with_what_would() {
+    // Two turns begin in a window, but nothing is left for a slot time.
+    let said = wire(1_500_000, 2).schedule_faults(USUAL);
+    let [(0 | 1, PlanFault { key: "divisor", message })] = &said[..] else { panic!("{said:?}") };
+    let expected = "asks for an exchange every 1 ms, which is over ";
+    assert!(message.starts_with(expected), "{message}");
+    assert!(message.ends_with("; use divisor 2 and phases in turn, or rate 6000000"), "{message}");
+    assert_eq!(every(2, wire(1_500_000, 2)).schedule_faults(USUAL), []);
+    assert_eq!(wire(6_000_000, 2).schedule_faults(USUAL), []);
+    assert!(!wire(3_000_000, 2).schedule_faults(USUAL).is_empty());
+    for (rate, drives) in [(500_000, 1), (500_000, 4), (1_500_000, 31), (93_750, 2)] {
+        let plan = wire(rate, drives);
+        let divisor = plan.least_divisor(USUAL).unwrap();
+        assert!(every(divisor, plan.clone()).lay(USUAL).is_ok());
+        assert!(every(divisor - 1, plan.clone()).lay(USUAL).is_err(), "{rate}, {drives}: {divisor}");
+        // The wire carries so many.
+        let due = S / MS * u64::from(drives) / u64::from(divisor);
+        assert!(due <= plan.exchanges_within(S, USUAL), "{rate}, {drives}: {divisor}");
+    }
+    assert!(wire(9_600, 120).least_divisor(USUAL).is_none());
+}
+
+#[test]
+fn phases_count() {
+    // One in every cycle, and one of two others in each.
+    let mut plan = wire(12_000_000, 9);
+    let grid = Grid { period_ns: MS, deadline_ns: 450 * US };
+    for (index, drive) in plan.drives.iter_mut().enumerate().skip(1) {
+        (drive.axis.divisor, drive.axis.phase) = (8, index as u32 - 1);
+    }
+    assert_eq!(plan.schedule_faults(grid), []);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.phase = 0);
+    let said = plan.schedule_faults(grid);
+    assert!(matches!(&said[..], [(0, _)]), "that of every cycle waits for eight others: {said:?}");
+    // Divisors without a common round: as if all were due at once.
+    for (drive, divisor) in plan.drives.iter_mut().zip([991, 997, 983, 977, 971, 967, 953, 947, 941]) {
+        (drive.axis.divisor, drive.axis.phase) = (divisor, 5);
+    }
+    assert_eq!(plan.lay(grid), Ok(()));
+}
+
+#[test]
+fn the_longest_wait_is_that_for_all_others_with_their_repetitions() {
+    let mut plan = wire(1_500_000, 2);
+    (plan.token, plan.gap) = (false, None);
+    let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);
+    // A try ends with its answer at MaxTsdr, since that is later than the slot time.
+    let once = 42.0 * byte + 183.0 * bit;
+    let control = 13.0 * byte + 150.0 * bit;
+    // In the first window Global_Control and one try, then two in each.
+    assert!(control + once > 500e3 && control < 500e3);
+    let expected = 2e6 + once;
+    let within = plan.turn_within(1, USUAL) as f64;
+    assert!((within - expected).abs() < 10.0, "{within}, {expected}");
+    // It is over in the third cycle.
+    assert_eq!(USUAL.cycles_behind(plan.turn_within(1, USUAL)), 2);
+    // One record of MSAC1 among all turns.
+    plan.drives[0].parameters =
+        ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Default::default() };
+    let record = (255.0 + 15.0) * byte + 183.0 * bit;
+    let within = plan.turn_within(1, USUAL) as f64;
+    // It is sent twice, from 0.2 ms to 4.4 ms, then two tries of the other one begin at 4.4 and at 5 ms.
+    assert!((control + 2.0 * record + once - 4.83e6).abs() < 10e3);
+    assert!((within - (5e6 + once)).abs() < 10.0, "{within}");
+    assert_eq!(wire(1_500_000, 0).turn_within(0, USUAL), 0);
+}
+
+#[test]
+fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
+    let mut plan = wire(1_500_000, 2);
+    let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);
+    let (once, control) = (42.0 * byte + 183.0 * bit, 13.0 * byte + 150.0 * bit);
+    let within = |plan: &ProfibusPlan| [plan.request_within(1, WIDE), plan.turn_within(1, WIDE)];
+    let close = |within: [u64; 2], expected: [f64; 2]| {
+        let is_close = within.iter().zip(expected).all(|(ns, expected)| (*ns as f64 - expected).abs() < 10.0);
+        assert!(is_close, "{within:?}, {expected:?}");
+    };
+    (plan.token, plan.gap) = (false, None);
+    // Two tries begin in a window. In each cycle there is no room for both drives with all their repetitions, and
+    // Global_Control may come between them.
+    close(within(&plan), [1e6 + control, 1e6 + control + 2.0 * once]);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.divisor = 3);
+    close(within(&plan), [2.0 * once, 1e6 + 2.0 * once]);
+    // One that is due so often becomes late, and comes more than once.
+    plan.global_control_ns = 2 * MS;
+    close(within(&plan), [1e6 + control, 2e6 + control + 2.0 * once]);
+    // Alone on its wire it follows the own telegrams of the master only.
+    let mut plan = wire(500_000, 1);
+    plan.drives[0].axis.divisor = 3;
+    assert_eq!((plan.request_within(0, USUAL), plan.request_within(1, USUAL)), (32 * US, 0));
+}
+
+#[test]
+fn a_watchdog_outlasts_the_wait_for_a_turn() {
+    let mut plan = every(2, wire(1_500_000, 2));
+    plan.drives[0].watchdog.timeout_ns = Some(10 * MS);
+    assert_eq!(plan.schedule_faults(USUAL), []);
+    plan.drives[0].user_prm[0] |= 1 << 2;
+    plan.drives[0].watchdog.timeout_ns = Some(4 * MS);
+    let said = plan.schedule_faults(USUAL);
+    assert!(matches!(&said[..], [(0, PlanFault { key: "watchdog", .. })]), "{said:?}");
+}

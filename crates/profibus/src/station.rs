@@ -1,0 +1,365 @@
+//! The master's view of one drive: whose turn in what it is, the next telegram, and what its answers report.
+//!
+//! It takes instants and slices, and knows no port. What is desired of the drive becomes outputs in `profile`, which
+//! `telegram` sends. `answer` is what an answer changes, `report` what it says of the drive.
+//!
+//! Telegrams of the start-up are no exchanges: a slot that is due is unsent until the drive is in Data_Exchange. From
+//! then on a turn is Data_Exchange, or in its place a diagnosis that the drive has announced, or an MSAC1 request. A
+//! drive that does not answer is sent what is desired of it all the same, since it may be the stop; once its link is
+//! lost, a diagnosis takes turns with that, and shows what became of it.
+
+mod answer;
+mod report;
+mod telegram;
+
+use self::report::Shown;
+use self::telegram::Telegram;
+use super::acyclic::{Acyclic, Turn};
+use super::counters::Own;
+use super::line::Expected;
+use super::native::{NATIVE_WORDS, Native, NativePort, native};
+use super::notes::Note;
+use super::plan::LenzeDrive;
+use super::profile::{Inputs, Profile};
+use super::start_up::StartUp;
+use super::target::commanding;
+use super::wire::dp::station_status;
+use super::wire::sap::Service;
+use super::wire::telegram::MAX;
+use fieldbeat_core::axis::Link;
+use fieldbeat_core::axis::acyclic::{AcyclicEnds, queue};
+use fieldbeat_core::bus::{Cycle, Exchange, Slot};
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_core::rt::Regions;
+use fieldbeat_core::time::Time;
+
+/// The count bits of a function code: the first request; its FCB is 1, and does not count.
+const FIRST: u8 = 0x20;
+const FCB: u8 = 0x20;
+const SECOND: u8 = 0x10;
+/// Of so many answers in a row that came behind their window, one more, the first ones are waited for there.
+const SLOW: u8 = 63;
+const AWAITED: u8 = 4;
+/// A motor turns from this part of its full speed on (assumed): below it is noise of the measurement.
+const MOVES_FROM: u16 = 256;
+
+/// What the telegram under way is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sending {
+    StartUp,
+    DataExchange,
+    Diagnosis,
+    Msac1,
+    Unlock,
+}
+
+/// One drive.
+#[derive(Debug)]
+#[repr(C, align(64))] // What each exchange touches comes first.
+pub struct Station {
+    /// The slot of the grid that the outputs are built for, and the end of its window.
+    grid: Time,
+    window_end: Time,
+    sending: Sending,
+    /// The count bits of the next new telegram.
+    count: u8,
+    address: u8,
+    own: u8,
+    guarded: bool,
+    /// A diagnosis is due.
+    diagnosis_due: bool,
+    /// The last turn was no Data_Exchange.
+    passed_over: bool,
+    /// It was in Data_Exchange once, and is not any more.
+    was_lost: bool,
+    /// Diagnoses since a fault began.
+    unnamed: u8,
+    process_at: u8,
+    set_point_at: u8,
+    actual_at: u8,
+    inputs_len: u8,
+    /// It moves from so many counts of its actual value on.
+    moves_from: u16,
+    /// Its last telegram was answered.
+    was_answered: bool,
+    /// So many answers in a row came behind the window of their request.
+    slow: u8,
+    fault_at: Option<u8>,
+    start_up: StartUp,
+    velocity_per_count: f64,
+    inputs: Inputs,
+    /// Data_Exchange as it is sent next.
+    telegram: Telegram,
+    pub(super) profile: Profile,
+    native: NativePort,
+    acyclic: Acyclic,
+    shown: Box<[Shown]>,
+    unlock: [u8; 7],
+}
+
+impl Station {
+    /// The station of `drive` of the master at address `own`, and the application's ends of its native process data and
+    /// of its acyclic access. `None`: its plan is not free of faults.
+    pub fn new(drive: &LenzeDrive, own: u8, log: &InputLog) -> Option<(Station, Native, AcyclicEnds)> {
+        let (application, native) = native();
+        let (ends, port) = queue(drive.axis.parameter_queue, commanding());
+        let (native, port) = (native.logged(log), port.logged(log));
+        let (outputs, inputs) = drive.lengths()?;
+        let process_at = drive.process_at();
+        let word = |word: u8, length: usize| {
+            let at = process_at + 2 * usize::from(word);
+            u8::try_from(at).ok().filter(|_| at + 2 <= length)
+        };
+        word(0, inputs)?;
+        word(0, outputs)?;
+        let scale = drive.counts_per_velocity();
+        let [high, low] = drive.ident.to_be_bytes();
+        let mut station = Station {
+            grid: Time(0),
+            sending: Sending::StartUp,
+            count: FIRST,
+            address: drive.address,
+            own,
+            guarded: false,
+            diagnosis_due: false,
+            passed_over: false,
+            was_lost: false,
+            unnamed: 0,
+            process_at: process_at as u8,
+            set_point_at: word(drive.scale.set_point, outputs)?,
+            actual_at: word(drive.scale.actual, inputs)?,
+            inputs_len: u8::try_from(inputs).ok()?,
+            moves_from: (drive.scale.full_count.unsigned_abs() / MOVES_FROM).max(1),
+            was_answered: false,
+            slow: 0,
+            window_end: Time(0),
+            fault_at: drive.fault_at,
+            start_up: StartUp::new(drive, own)?,
+            velocity_per_count: 1.0 / scale,
+            inputs: Inputs::default(),
+            telegram: Telegram::new(drive.address, own, outputs)?,
+            profile: Profile::new(drive),
+            native,
+            acyclic: Acyclic::new(drive, port),
+            shown: Shown::all(drive, |at| word(at, inputs)),
+            unlock: [station_status::UNLOCK, 0, 0, 0, high, low, 0],
+        };
+        let set_point = usize::from(drive.scale.set_point);
+        let further = (1_u8..).filter(|word| usize::from(*word) != set_point);
+        for (n, value) in further.zip(&drive.further) {
+            if let Some(at) = word(n, outputs) {
+                station.telegram.put(at, *value);
+            }
+        }
+        Some((station, application, ends))
+    }
+
+    /// The native process data.
+    #[inline]
+    pub(super) fn native(&self) -> &NativePort {
+        &self.native
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(self.telegram.bytes());
+        regions.add(&*self.shown);
+        self.native.memory(regions);
+        self.acyclic.memory(regions);
+    }
+
+    /// The address of the drive.
+    pub(super) fn address(&self) -> u8 {
+        self.address
+    }
+
+    /// It is in Data_Exchange.
+    #[inline]
+    pub(super) fn exchanges(&self) -> bool {
+        self.start_up.is_over()
+    }
+
+    /// The next step of its start-up, or its first exchange, follows with its next own slot.
+    #[inline]
+    pub(super) fn starts(&self) -> bool {
+        self.start_up.is_due()
+    }
+
+    /// Its last telegram was answered.
+    pub(super) fn was_answered(&self) -> bool {
+        self.was_answered
+    }
+
+    /// Why it is not in Data_Exchange, unless its diagnosis is to say so first.
+    pub(super) fn note(&self) -> Option<Note> {
+        self.start_up.note()
+    }
+
+    /// Builds the outputs of the next send in place. Built again for the same send, they are the same: state that
+    /// changes with every telegram changes in [`sent`](Self::sent).
+    #[inline]
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        (self.grid, self.window_end) = (cycle.grid, cycle.deadline);
+        if let Some((control, setpoint)) = self.profile.encode(&slot.desired, &mut self.native) {
+            self.telegram.put(self.process_at, control);
+            self.telegram.put(self.set_point_at, setpoint as u16);
+        }
+        if self.profile.is_native() {
+            self.prepare_native();
+        }
+        if !self.acyclic.is_idle() || self.guarded != slot.guarded {
+            self.prepare_acyclic(slot);
+        } else {
+            slot.commanded = false;
+        }
+    }
+
+    #[inline(never)]
+    fn prepare_native(&mut self) {
+        if let Some((output, whole)) = self.profile.native(&mut self.native) {
+            self.telegram.change(self.process_at, |outputs| output.put(whole, outputs));
+        }
+    }
+
+    #[inline(never)]
+    fn prepare_acyclic(&mut self, slot: &mut Slot) {
+        self.guarded = slot.guarded;
+        self.acyclic.advance(self.grid, slot.link, self.start_up.is_over(), slot.guarded);
+        slot.commanded = self.acyclic.commands();
+        if self.process_at > 0 {
+            let channel = self.acyclic.channel();
+            self.telegram.change(0, |outputs| {
+                outputs.iter_mut().zip(channel).for_each(|(place, byte)| *place = *byte);
+            });
+        }
+    }
+
+    /// The outputs behind the parameter channel that were sent last, as long as no newer ones are built; nothing if its
+    /// turn was no Data_Exchange.
+    pub(super) fn sent_outputs(&self) -> &[u8] {
+        let outputs = match self.sending {
+            Sending::DataExchange => self.telegram.outputs(self.process_at),
+            Sending::StartUp | Sending::Diagnosis | Sending::Msac1 | Sending::Unlock => &[],
+        };
+        outputs.get(..2 * NATIVE_WORDS).unwrap_or(outputs)
+    }
+
+    /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
+    #[inline]
+    pub fn request(
+        &mut self,
+        slot: &Slot,
+        may_be_acyclic: bool,
+        out: &mut [u8; MAX],
+    ) -> Option<(usize, Expected)> {
+        let usual = self.start_up.is_over() && slot.link == Link::Online && !self.diagnosis_due;
+        if !usual || self.acyclic.data_unit().is_some() {
+            self.sending = self.choose(slot, may_be_acyclic);
+            if self.sending != Sending::DataExchange {
+                return self.request_other(out);
+            }
+        }
+        self.sending = Sending::DataExchange;
+        let length = self.telegram.emit(self.count, out)?;
+        let expected =
+            Expected { da: self.address, saps: None, acknowledge: false, data: Some(self.inputs_len) };
+        Some((length, expected))
+    }
+
+    /// What its turn is used for.
+    #[inline(never)]
+    fn choose(&self, slot: &Slot, may_be_acyclic: bool) -> Sending {
+        match slot.link {
+            _ if !self.start_up.is_over() => Sending::StartUp,
+            // What is new, a stop above all, comes first.
+            _ if self.passed_over || self.profile.is_new() => Sending::DataExchange,
+            _ if self.diagnosis_due => Sending::Diagnosis,
+            Link::Unseen | Link::Lost => Sending::Diagnosis,
+            // Without a count its repetition would be a second request.
+            _ if may_be_acyclic && self.count != FIRST && self.acyclic.data_unit().is_some() => {
+                Sending::Msac1
+            }
+            _ => Sending::DataExchange,
+        }
+    }
+
+    #[inline(never)]
+    fn request_other(&self, out: &mut [u8; MAX]) -> Option<(usize, Expected)> {
+        let (service, data) = match self.sending {
+            Sending::StartUp => self.start_up.request(),
+            Sending::Msac1 => (Service::Msac1, self.acyclic.data_unit()?),
+            Sending::Unlock => (Service::SetPrm, &self.unlock[..]),
+            Sending::Diagnosis | Sending::DataExchange => (Service::SlaveDiag, &[][..]),
+        };
+        let mut head = service.head(self.address, self.own, false, false);
+        head.fc.0 |= self.count;
+        let acknowledge = !matches!(service, Service::SlaveDiag);
+        let expected = Expected { da: self.address, saps: service.saps(), acknowledge, data: None };
+        Some((head.emit(data, out)?, expected))
+    }
+
+    /// The telegram of its turn is one of MSAC1.
+    #[inline]
+    pub(super) fn is_acyclic(&self) -> bool {
+        self.sending == Sending::Msac1
+    }
+
+    /// The telegram of its turn left at `at`; the first time, if it is repeated. The window is kept open for its answer
+    /// if that usually comes inside it; of many that do not, now and then.
+    #[inline]
+    pub fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
+        if self.sending == Sending::StartUp {
+            Own::StartUps.count(&mut slot.counters);
+            return self.unsent(slot);
+        }
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.slow & SLOW < AWAITED };
+        if self.sending != Sending::DataExchange {
+            return self.sent_other();
+        }
+        self.passed_over = false;
+        slot.gone.grid = Some(self.grid);
+        self.profile.sent();
+        if !self.acyclic.is_idle() {
+            self.acyclic.sent(Turn::DataExchange);
+        }
+    }
+
+    #[cold]
+    fn sent_other(&mut self) {
+        self.passed_over = true;
+        if self.sending == Sending::Msac1 {
+            self.acyclic.sent(Turn::Msac1);
+        }
+    }
+
+    /// Its turn was none: nothing could be sent, or what was sent is no exchange.
+    pub(super) fn unsent(&mut self, slot: &mut Slot) {
+        slot.counters.unsent += 1;
+        slot.exchange = Exchange::Unsent;
+    }
+
+    /// Its turn is to let the drive go: unlocked, it is any master's. False: it is not in Data_Exchange.
+    pub(super) fn unlocks(&mut self) -> bool {
+        self.sending = Sending::Unlock;
+        self.start_up.is_over()
+    }
+
+    /// The telegram that unlocks it.
+    pub(super) fn unlock(&self, out: &mut [u8; MAX]) -> Option<(usize, Expected)> {
+        self.request_other(out)
+    }
+
+    /// The port is gone, or the wire: it begins with a diagnosis, without a count.
+    pub(super) fn cut_off(&mut self, slot: &mut Slot) {
+        self.count = FIRST;
+        self.absent(slot);
+        if slot.exchange == Exchange::Queued {
+            self.unsent(slot);
+        }
+        if self.start_up.is_over() {
+            self.leave(slot);
+        }
+        self.start_up.again(false);
+    }
+}

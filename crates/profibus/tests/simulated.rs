@@ -1,0 +1,61 @@
+//! The scan of a wire with simulated drives, in virtual time.
+
+use fieldbeat_core::net::Carriers;
+use fieldbeat_core::time::MS;
+use fieldbeat_profibus::config::scan::{Found, ScanError, scan};
+use fieldbeat_profibus::wire::dp::DiagnosisStatus;
+use fieldbeat_profibus::{LenzeDrive, ProfibusPlan};
+use fieldbeat_sim::profibus::{ForeignSettings, ProfibusSegment};
+use fieldbeat_sim::{SimPlan, World, WorldOptions};
+
+const PORT: &str = "/dev/ttyS1";
+
+/// A scan of the wire of these drives in virtual time, the wire changed.
+fn scanned(change: impl FnOnce(&mut ProfibusSegment)) -> Result<Vec<Found>, ScanError> {
+    let drives = [3, 9].map(|address| LenzeDrive::new(format!("l{address}"), address));
+    let plan = ProfibusPlan::new(PORT, 500_000, drives.into());
+    let mut segment = ProfibusSegment::of(&plan);
+    change(&mut segment);
+    let world = World::new(SimPlan::from(segment).build(), WorldOptions::default()).unwrap();
+    let mut port = world.serial(PORT, &plan.line()).unwrap();
+    let own = ProfibusPlan { address: 0, drives: Vec::new(), ..plan };
+    let mut left = 1_000_000;
+    scan(&mut *port, &own, &mut |_, ns| {
+        world.advance(ns.max(1));
+        left -= 1;
+        (left > 0).then(|| world.now())
+    })
+}
+
+#[test]
+fn stations_are_found_with_their_ident_numbers_and_keep_waiting_for_their_master() {
+    let found = scanned(|segment| segment.drives[1].ident = 0x1234).unwrap();
+    let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
+    assert_eq!(addresses, [3, 9]);
+    let seen: Vec<_> = found.iter().map(|found| found.diagnosis().unwrap()).collect();
+    assert_eq!((seen[0].ident, seen[1].ident), (LenzeDrive::IDENT, 0x1234));
+    for seen in &seen {
+        assert!(seen.status.has(DiagnosisStatus::PRM_REQ), "{seen:?}");
+        assert_eq!(seen.master, None);
+    }
+}
+
+#[test]
+fn lost_telegrams_cost_a_station_a_round() {
+    let found = scanned(|segment| segment.faults.drop = 0.05).unwrap();
+    let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
+    assert_eq!(addresses, [3, 9]);
+}
+
+#[test]
+fn a_wire_without_stations_is_named() {
+    assert_eq!(scanned(|segment| segment.drives.clear()), Err(ScanError::Silent));
+}
+
+#[test]
+fn another_master_is_left_alone() {
+    let other = scanned(|segment| {
+        segment.foreign = Some(ForeignSettings { every_ns: 500 * MS, ..ForeignSettings::new(1) });
+    });
+    assert_eq!(other, Err(ScanError::OtherMaster(1)));
+}

@@ -1,0 +1,124 @@
+//! What a recording says of its machine besides the messages: as metadata of the file, and as that of its channels.
+
+use std::collections::BTreeMap;
+
+use fieldbeat_core::axis::{FaultNames, MONITOR_CHANNELS};
+use fieldbeat_core::bus::native::NativeLayout;
+use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::rt::host;
+
+/// The metadata record about the machine.
+pub const MACHINE: &str = "fieldbeat";
+
+/// The metadata record at the end: whether anything is missing.
+pub const END: &str = "fieldbeat end";
+
+/// The version of what the messages mean. Fields may be added without a new one.
+pub const FORMAT: &str = "1";
+
+/// A machine.
+#[derive(Clone, Debug, Default)]
+pub struct Machine {
+    /// Metadata of the file.
+    pub about: BTreeMap<String, String>,
+    /// Its axes, in the order of the plan.
+    pub axes: Vec<AxisAbout>,
+    /// The period of the cycle.
+    pub period_ns: u64,
+}
+
+/// An axis.
+#[derive(Clone, Debug, Default)]
+pub struct AxisAbout {
+    /// Its name.
+    pub name: String,
+    /// Metadata of its channel.
+    pub about: BTreeMap<String, String>,
+    /// The length of a turn of a rotary axis.
+    pub modulo: Option<f64>,
+    /// Names and units of its monitored variables.
+    pub monitor: [Option<(String, String)>; MONITOR_CHANNELS],
+    /// What is known of its native process data, if they are recorded.
+    pub native: Option<NativeLayout>,
+    /// Names of the codes of its drive.
+    pub faults: Faults,
+}
+
+/// Names of the codes of a drive.
+#[derive(Clone, Debug)]
+pub enum Faults {
+    /// All that its protocol knows.
+    Known(FaultNames),
+    /// Those that a file brings.
+    Listed(BTreeMap<u32, String>),
+}
+
+impl Default for Faults {
+    fn default() -> Faults {
+        Faults::Listed(BTreeMap::new())
+    }
+}
+
+impl Faults {
+    /// The name of a code.
+    pub fn name(&self, code: u32) -> Option<String> {
+        match self {
+            Faults::Known(names) => names(code).map(str::to_owned),
+            Faults::Listed(names) => names.get(&code).cloned(),
+        }
+    }
+}
+
+impl Machine {
+    /// The machine of a plan, with the text of its configuration if that can be read.
+    pub fn of(plan: &Plan) -> Machine {
+        let cycle = &plan.cycle;
+        let mut about =
+            of_cycle(env!("CARGO_PKG_VERSION"), cycle.period_ns, cycle.deadline_ns(), cycle.late_ns());
+        let host = [("kernel", host::kernel()), ("preemption", host::preemption()), ("cpu", host::cpu())];
+        let source = plan.source.as_ref();
+        let more = host.into_iter().chain([
+            ("host", host::name()),
+            ("reference", cycle.reference.clone()),
+            ("machine", source.map(|path| path.display().to_string())),
+            ("configuration", source.and_then(|path| std::fs::read_to_string(path).ok())),
+        ]);
+        about.extend(more.filter_map(|(key, value)| Some((key.to_owned(), value?))));
+        let of_buses = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
+        let axes = plan.axes().into_iter().zip(of_buses).zip(plan.monitored()).zip(plan.fault_names());
+        let axes = axes.map(|(((axis, protocol), monitored), faults)| AxisAbout {
+            name: axis.name.clone(),
+            about: of_axis(&axis.units.unit.to_string(), Some(protocol)),
+            modulo: axis.units.modulo,
+            monitor: monitored.map(|channel| channel.map(|of| (of.name, of.unit.to_owned()))),
+            native: None,
+            faults: Faults::Known(faults),
+        });
+        let mut axes: Vec<AxisAbout> = axes.collect();
+        for (axis, layout) in plan.native_layouts().into_iter().flatten() {
+            axes[axis].native = Some(layout);
+        }
+        Machine { about, axes, period_ns: cycle.period_ns }
+    }
+}
+
+/// What every machine has.
+pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -> BTreeMap<String, String> {
+    [
+        ("format", FORMAT.to_owned()),
+        ("program", program.to_owned()),
+        ("period_ns", period_ns.to_string()),
+        ("deadline_ns", deadline_ns.to_string()),
+        ("late_ns", late_ns.to_string()),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .into()
+}
+
+/// What the channel of an axis says of it.
+pub fn of_axis(unit: &str, protocol: Option<&str>) -> BTreeMap<String, String> {
+    let units =
+        [("unit", unit.to_owned()), ("unit_velocity", format!("{unit}/s")), ("unit_current", "A".to_owned())];
+    let units = units.into_iter().chain(protocol.map(|protocol| ("protocol", protocol.to_owned())));
+    units.map(|(key, value)| (key.to_owned(), value)).collect()
+}

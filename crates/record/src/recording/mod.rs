@@ -1,0 +1,39 @@
+//! Recordings: every cycle of every axis, commands, events and the causes of late cycles in a file that Foxglove,
+//! PlotJuggler and Rerun open: MCAP with messages in Protocol Buffers, described in the file itself.
+//!
+//! | file | what |
+//! |---|---|
+//! | `recorder` | what is recorded, and where to |
+//! | `whole` | the whole run |
+//! | `window` | what is newest, written when something fails |
+//! | `machine` | what a file says of its machine |
+//! | `messages` | the fields of each topic |
+//! | `native` | native process data, which come in parts |
+//! | `schema` | messages as bytes, and their description |
+//! | `writer` | the file |
+//! | `wire` | the log of the loop in it, for a replay |
+//! | `reading` | a file, whichever version wrote it |
+//! | `blackbox` | a file of the black box as a recording |
+//! | `csv`, `perfetto` | the same for spreadsheets, and for viewers of traces |
+//!
+//! A normal thread of its own writes it, fed like every other reader of the loop's records: the loop pays nothing for
+//! it. A disk that is too slow, or full, costs records, which are counted, and makes the run a failure.
+
+pub mod blackbox;
+pub mod csv;
+pub mod machine;
+mod messages;
+mod native;
+pub mod perfetto;
+pub mod reading;
+mod recorder;
+mod schema;
+mod whole;
+mod window;
+mod wire;
+pub mod writer;
+
+pub use self::recorder::{RecordError, Recorder};
+
+#[cfg(test)]
+mod tests;

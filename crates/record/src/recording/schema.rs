@@ -1,0 +1,332 @@
+//! The messages of a recording in Protocol Buffers (proto3). One table gives the fields of a message, their names and
+//! where their values come from; the bytes and the description that stands in the file follow from it.
+
+use std::borrow::Cow;
+
+use prost_reflect::prost::Message as _;
+use prost_reflect::prost_types::field_descriptor_proto::{Label, Type};
+use prost_reflect::prost_types::{
+    DescriptorProto, EnumDescriptorProto, EnumValueDescriptorProto, FieldDescriptorProto,
+    FileDescriptorProto, FileDescriptorSet,
+};
+
+/// The package of all messages.
+pub const PACKAGE: &str = "fieldbeat";
+
+/// Of every enumeration, in the scope of its type.
+const NAME: &str = "Name";
+
+/// Numbers with names.
+#[derive(Debug)]
+pub struct Names {
+    /// The name of their type.
+    pub name: &'static str,
+    /// From 0 on.
+    pub values: fn() -> Vec<&'static str>,
+}
+
+/// Where a value comes from, by its type.
+#[derive(Debug)]
+pub enum Get<T> {
+    /// Unsigned.
+    U64(fn(&T) -> u64),
+    /// Unsigned, of 32 bits.
+    U32(fn(&T) -> u32),
+    /// Signed, and small as a rule.
+    I64(fn(&T) -> i64),
+    /// Yes or no.
+    Bool(fn(&T) -> bool),
+    /// Of 64 bits.
+    F64(fn(&T) -> f64),
+    /// Of 32 bits.
+    F32(fn(&T) -> f32),
+    /// In words.
+    Text(fn(&T) -> &str),
+    /// A number that has a name.
+    Named(fn(&T) -> u32, &'static Names),
+    /// One of several of 64 bits.
+    Item(fn(&T) -> &[f64], usize),
+    /// As they are.
+    Bytes(fn(&T) -> &[u8]),
+}
+
+/// A message: its name, and its fields, which are numbered from 1 on.
+#[derive(Debug)]
+pub struct Table<T> {
+    name: String,
+    fields: Vec<(Cow<'static, str>, Get<T>)>,
+}
+
+/// How a value is written: the last three bits of a field's key.
+const VARINT: u64 = 0;
+const FIXED_64: u64 = 1;
+const LENGTH: u64 = 2;
+const FIXED_32: u64 = 5;
+
+impl<T> Table<T> {
+    /// A message of these fields.
+    pub fn new(name: &str, fields: Vec<(Cow<'static, str>, Get<T>)>) -> Table<T> {
+        Table { name: name.to_owned(), fields }
+    }
+
+    /// Its name with the package.
+    pub fn full_name(&self) -> String {
+        format!("{PACKAGE}.{}", self.name)
+    }
+
+    /// Replaces `out` by the bytes of the message about `of`. What is 0 is left out, as by every writer of proto3.
+    pub fn encode(&self, of: &T, out: &mut Vec<u8>) {
+        out.clear();
+        for (number, (_, get)) in (1..).zip(&self.fields) {
+            match get {
+                Get::U64(get) => varint(out, number, get(of)),
+                Get::U32(get) | Get::Named(get, _) => varint(out, number, get(of).into()),
+                Get::Bool(get) => varint(out, number, get(of).into()),
+                Get::I64(get) => {
+                    let value = get(of);
+                    varint(out, number, ((value << 1) ^ (value >> 63)) as u64);
+                }
+                Get::F64(get) => fixed_64(out, number, get(of)),
+                Get::Item(get, item) => {
+                    fixed_64(out, number, get(of).get(*item).copied().unwrap_or(f64::NAN));
+                }
+                Get::F32(get) => {
+                    let bits = get(of).to_bits();
+                    if bits != 0 {
+                        key(out, number, FIXED_32);
+                        out.extend_from_slice(&bits.to_le_bytes());
+                    }
+                }
+                Get::Text(get) => bytes(out, number, get(of).as_bytes()),
+                Get::Bytes(get) => bytes(out, number, get(of)),
+            }
+        }
+    }
+
+    /// What stands in the file: a `FileDescriptorSet` of this message.
+    pub fn descriptor(&self) -> Vec<u8> {
+        let mut names_of: Vec<DescriptorProto> = Vec::new();
+        let mut fields = Vec::new();
+        for (number, (name, get)) in (1..).zip(&self.fields) {
+            let (kind, type_name) = match get {
+                Get::U64(_) => (Type::Uint64, None),
+                Get::U32(_) => (Type::Uint32, None),
+                Get::I64(_) => (Type::Sint64, None),
+                Get::Bool(_) => (Type::Bool, None),
+                Get::F64(_) | Get::Item(..) => (Type::Double, None),
+                Get::F32(_) => (Type::Float, None),
+                Get::Text(_) => (Type::String, None),
+                Get::Bytes(_) => (Type::Bytes, None),
+                Get::Named(_, names) => {
+                    if names_of.iter().all(|known| known.name() != names.name) {
+                        names_of.push(names.descriptor());
+                    }
+                    (Type::Enum, Some(format!(".{}.{}.{NAME}", self.full_name(), names.name)))
+                }
+            };
+            fields.push(FieldDescriptorProto {
+                name: Some(name.clone().into_owned()),
+                number: Some(number),
+                label: Some(Label::Optional as i32),
+                r#type: Some(kind as i32),
+                type_name,
+                ..FieldDescriptorProto::default()
+            });
+        }
+        let message = DescriptorProto {
+            name: Some(self.name.clone()),
+            field: fields,
+            nested_type: names_of,
+            ..DescriptorProto::default()
+        };
+        let file = FileDescriptorProto {
+            name: Some(format!("{PACKAGE}/{}.proto", self.name)),
+            package: Some(PACKAGE.to_owned()),
+            message_type: vec![message],
+            syntax: Some("proto3".to_owned()),
+            ..FileDescriptorProto::default()
+        };
+        FileDescriptorSet { file: vec![file] }.encode_to_vec()
+    }
+}
+
+impl Names {
+    /// An enumeration in a scope of its own: its values would stand in that of the enumeration's own name, next to the
+    /// fields.
+    fn descriptor(&self) -> DescriptorProto {
+        let value = |(number, name): (i32, &'static str)| EnumValueDescriptorProto {
+            name: Some(identifier(name)),
+            number: Some(number),
+            options: None,
+        };
+        let names = EnumDescriptorProto {
+            name: Some(NAME.to_owned()),
+            value: (0..).zip((self.values)()).map(value).collect(),
+            ..EnumDescriptorProto::default()
+        };
+        DescriptorProto {
+            name: Some(self.name.to_owned()),
+            enum_type: vec![names],
+            ..DescriptorProto::default()
+        }
+    }
+}
+
+/// A name that Protocol Buffers takes: letters, digits and `_`, not beginning with a digit.
+pub fn identifier(name: &str) -> String {
+    let mut out = String::new();
+    for letter in name.chars() {
+        match letter {
+            'a'..='z' | 'A'..='Z' | '0'..='9' => out.push(letter),
+            _ if out.is_empty() || out.ends_with('_') => {}
+            _ => out.push('_'),
+        }
+    }
+    let out = out.trim_end_matches('_');
+    let needs_letter = out.is_empty() || out.starts_with(|first: char| first.is_ascii_digit());
+    if needs_letter { format!("v{out}") } else { out.to_owned() }
+}
+
+fn put(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+fn key(out: &mut Vec<u8>, number: u64, how: u64) {
+    put(out, number << 3 | how);
+}
+
+fn varint(out: &mut Vec<u8>, number: u64, value: u64) {
+    if value != 0 {
+        key(out, number, VARINT);
+        put(out, value);
+    }
+}
+
+fn fixed_64(out: &mut Vec<u8>, number: u64, value: f64) {
+    let bits = value.to_bits();
+    if bits != 0 {
+        key(out, number, FIXED_64);
+        out.extend_from_slice(&bits.to_le_bytes());
+    }
+}
+
+fn bytes(out: &mut Vec<u8>, number: u64, value: &[u8]) {
+    if !value.is_empty() {
+        key(out, number, LENGTH);
+        put(out, value.len() as u64);
+        out.extend_from_slice(value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use prost_reflect::{DescriptorPool, DynamicMessage, Value};
+
+    use super::*;
+
+    /// One field of each type.
+    #[derive(Default)]
+    struct All {
+        u64: u64,
+        u32: u32,
+        i64: i64,
+        bool: bool,
+        f64: f64,
+        f32: f32,
+        text: &'static str,
+        named: u32,
+        items: [f64; 2],
+        bytes: &'static [u8],
+    }
+
+    const COLOURS: Names = Names { name: "Colour", values: || vec!["-", "text", "blue (STO)"] };
+
+    fn table() -> Table<All> {
+        Table::new(
+            "All",
+            vec![
+                ("u64".into(), Get::U64(|of| of.u64)),
+                ("u32".into(), Get::U32(|of| of.u32)),
+                ("i64".into(), Get::I64(|of| of.i64)),
+                ("bool".into(), Get::Bool(|of| of.bool)),
+                ("f64".into(), Get::F64(|of| of.f64)),
+                ("f32".into(), Get::F32(|of| of.f32)),
+                ("text".into(), Get::Text(|of| of.text)),
+                ("named".into(), Get::Named(|of| of.named, &COLOURS)),
+                ("item".into(), Get::Item(|of| &of.items, 1)),
+                ("bytes".into(), Get::Bytes(|of| of.bytes)),
+            ],
+        )
+    }
+
+    /// The fields of `bytes`, as another reader of Protocol Buffers sees them.
+    fn read(table: &Table<All>, bytes: &[u8]) -> DynamicMessage {
+        let pool = DescriptorPool::decode(&*table.descriptor()).unwrap();
+        let message = pool.get_message_by_name(&table.full_name()).unwrap();
+        DynamicMessage::decode(message, bytes).unwrap()
+    }
+
+    #[test]
+    fn another_reader_finds_every_value_under_its_name() {
+        let table = table();
+        let mut out = vec![1, 2, 3];
+        for sign in [-1, 1] {
+            let all = All {
+                u64: u64::MAX,
+                u32: u32::MAX,
+                i64: sign * i64::MAX,
+                bool: true,
+                f64: -0.0,
+                f32: f32::MIN,
+                text: "µm",
+                named: 2,
+                items: [1.0, -2.5],
+                bytes: &[0, 0xFF],
+            };
+            table.encode(&all, &mut out);
+            let message = read(&table, &out);
+            let expected = [
+                ("u64", Value::U64(u64::MAX)),
+                ("u32", Value::U32(u32::MAX)),
+                ("i64", Value::I64(sign * i64::MAX)),
+                ("bool", Value::Bool(true)),
+                ("f64", Value::F64(-0.0)),
+                ("f32", Value::F32(f32::MIN)),
+                ("text", Value::String("µm".to_owned())),
+                ("named", Value::EnumNumber(2)),
+                ("item", Value::F64(-2.5)),
+                ("bytes", Value::Bytes(vec![0, 0xFF].into())),
+            ];
+            for (name, value) in expected {
+                assert_eq!(*message.get_field_by_name(name).unwrap(), value, "{name}");
+            }
+        }
+        let pool = DescriptorPool::decode(&*table.descriptor()).unwrap();
+        let colours = pool.get_enum_by_name("fieldbeat.All.Colour.Name").unwrap();
+        assert_eq!(colours.get_value(2).unwrap().name(), "blue_STO");
+    }
+
+    #[test]
+    fn zeros_take_no_bytes() {
+        let mut out = vec![1, 2, 3];
+        table().encode(&All::default(), &mut out);
+        assert!(out.is_empty(), "{out:?}");
+    }
+
+    #[test]
+    fn any_name_becomes_an_identifier() {
+        for (name, expected) in [
+            ("demand-current", "demand_current"),
+            ("0x1E10", "v0x1E10"),
+            ("hardware enable (STO) missing", "hardware_enable_STO_missing"),
+            ("-", "v"),
+            ("µ", "v"),
+        ] {
+            assert_eq!(identifier(name), expected);
+        }
+    }
+}

@@ -1,0 +1,628 @@
+//! Files as they are written, and as others find them.
+
+mod damage;
+mod log;
+
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::num::NonZeroU32;
+use std::path::Path;
+
+use tempfile::{NamedTempFile, TempPath};
+
+use super::csv::{PerTopic, Wide};
+use super::machine::{AxisAbout, Machine, of_axis, of_cycle};
+use super::perfetto::Trace;
+use super::reading::{Reading, Wrong};
+use super::whole::Whole;
+use super::window::Window;
+use super::writer::Writer;
+use crate::failures::Failures;
+use fieldbeat_core::axis::cell::cell;
+use fieldbeat_core::axis::{
+    self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target, Units,
+};
+use fieldbeat_core::bus::native::{NativeField, NativeLayout};
+use fieldbeat_core::cycle::CyclePlan;
+use fieldbeat_core::cycle::record::{
+    CommandRecord, CommandStep, CycleRecord, DriveRecord, EventRecord, Lateness, MonitorRecord, NativeRecord,
+    Record, ReferenceRecord, Reply, SkippedRecord,
+};
+use fieldbeat_core::cycle::status::Status;
+use fieldbeat_core::time::{MS, S, Time};
+use fieldbeat_telemetry::causes::{Cause, Judged};
+use fieldbeat_telemetry::sink::{Feed, Sink};
+use fieldbeat_telemetry::tap::Taps;
+use fieldbeat_telemetry::thread::{Failure, Measured, TelemetryThread};
+
+/// The clock of the loop is so much behind UTC.
+const UTC_NS: i64 = 1_000 * S as i64;
+const BEGIN: Time = Time(5 * S);
+
+fn machine() -> Machine {
+    let axis =
+        |name: &str| AxisAbout { name: name.into(), about: of_axis("mm", None), ..AxisAbout::default() };
+    let monitor =
+        [Some(("demand-current".into(), "A".into())), None, Some(("0x1E10".into(), "".into())), None];
+    let axes = vec![axis("x"), AxisAbout { monitor, ..axis("y") }];
+    Machine { about: of_cycle("9", MS, MS / 2, MS / 10), axes, period_ns: MS }
+}
+
+fn drive(index: u64, axis: u16) -> Record {
+    Record::Drive(DriveRecord {
+        index,
+        axis,
+        reply: Reply::Answered,
+        link: Link::Online,
+        state: State::OperationEnabled,
+        stopped: (axis == 1).then_some(StopCause::GroupFailed),
+        command: 4,
+        rtt_ns: NonZeroU32::new(300),
+        current: -1.5,
+        velocity: 2.5,
+        position: index as f64,
+        demand: index as f64 + 0.25,
+        ..DriveRecord::default()
+    })
+}
+
+fn cycle(index: u64) -> Record {
+    let stages_ns = [10, 20, 30, 40, 50, 60];
+    Record::Cycle(CycleRecord {
+        index,
+        grid: BEGIN + index * MS,
+        wake_ns: 7,
+        stages_ns,
+        ..CycleRecord::default()
+    })
+}
+
+/// So many cycles of two axes; a command of the first one begins in cycle 2 and fails in cycle 4.
+fn records(cycles: u64) -> Vec<Record> {
+    let id = CommandId(3);
+    let profile = Profile { velocity: 10.0, acceleration: 20.0, deceleration: 30.0 };
+    let command = Command::Move(Move { target: Target::Relative(-4.0), profile });
+    let step =
+        |index, step| Record::Command(CommandRecord { index, axis: 0, group: Some(0), step, id, command });
+    let failure = axis::Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
+    let ended = EventKind::Ended { id, command: "move", outcome: Outcome::Failed(failure) };
+    let mut records = Vec::new();
+    for index in 0..cycles {
+        records.push(drive(index, 0));
+        records.push(drive(index, 1));
+        match index {
+            1 => {
+                let shown = [Some(0.5), None, None, None].into();
+                records.push(Record::Monitor(MonitorRecord { index, axis: 1, shown }));
+            }
+            2 => records.extend([step(index, CommandStep::Taken), step(index, CommandStep::Begun)]),
+            4 => records.push(Record::Event(EventRecord::new(index, 0, ended))),
+            _ => {}
+        }
+        records.push(cycle(index));
+    }
+    records
+}
+
+fn written(records: &[Record]) -> Vec<u8> {
+    let mut writer = Writer::new(Vec::new(), machine(), UTC_NS).unwrap();
+    records.iter().for_each(|record| writer.enter(record).unwrap());
+    let (from, to) = (BEGIN + 3 * MS, BEGIN + 4 * MS);
+    let judged = Judged { index: 3, lateness: Lateness::Wake(500), from, to, cause: Cause::Drive(1) };
+    writer.late(&judged).unwrap();
+    writer.finish(11).unwrap()
+}
+
+/// A message: its topic, its time and its texts.
+type Read = (String, u64, Vec<String>);
+
+/// All messages, by topic and text.
+fn messages(bytes: Vec<u8>) -> (Vec<Read>, Option<Wrong>) {
+    let mut wrong = None;
+    let entries = Reading::of(bytes).map_while(|entry| entry.map_err(|why| wrong = Some(why)).ok());
+    let all =
+        entries.map(|entry| (entry.topic.name.clone(), entry.utc_ns, entry.texts().collect())).collect();
+    (all, wrong)
+}
+
+#[test]
+fn every_record_is_a_message_at_the_instant_of_its_cycle() {
+    let records = records(6);
+    let (messages, wrong) = messages(written(&records));
+    assert!(wrong.is_none(), "{wrong:?}");
+    assert_eq!(messages.len(), records.len() + 1);
+    let of = |topic: &str| -> Vec<(u64, Vec<&str>)> {
+        let of_topic = messages.iter().filter(|(name, ..)| name == topic);
+        of_topic.map(|(_, at, texts)| (*at, texts.iter().map(String::as_str).collect())).collect()
+    };
+    let instant = |index: u64| 1_000 * S + 5 * S + index * MS;
+    let (x, y) = (of("/axes/x"), of("/axes/y"));
+    assert_eq!((x.len(), y.len()), (6, 6));
+    for (index, (at, texts)) in (0..).zip(&y) {
+        assert_eq!(*at, instant(index));
+        let own = (5 * S + index * MS).to_string();
+        let [index, demand] = [index as f64, index as f64 + 0.25].map(|value| value.to_string());
+        let begin =
+            [&*index, &own, &index, &demand, "0.25", "2.5", "-1.5", "5", "OperationEnabled", "2", "online"];
+        assert_eq!(texts[..11], begin);
+        assert_eq!(texts[11..15], ["16", "command_of_its_group_failed", "4", "move"]);
+        assert_eq!(texts[19..], ["2", "answered", "0", "0", "300", "0"]);
+    }
+    assert_eq!(x[0].1[11..13], ["0", "not_stopped"]);
+    assert_eq!(of("/axes/y/monitors"), [(instant(1), vec!["1", "5001000000", "0.5", ""])]);
+    let command = ["2", "5002000000", "0", "x", "3"];
+    let [(at, taken), (_, begun)] = &of("/commands")[..] else { panic!("{messages:?}") };
+    assert_eq!((*at, &taken[..5], &begun[..5]), (instant(2), &command[..], &command[..]));
+    assert_eq!((&taken[5..7], &begun[5..7]), (&["0", "taken"][..], &["1", "begun"][..]));
+    assert_eq!(begun[7..], ["4", "move", "1", "0", "-4", "1", "10", "20", "30", ""]);
+    let [(at, ended)] = &of("/events")[..] else { panic!("{messages:?}") };
+    assert_eq!((*at, &ended[2..5]), (instant(4), &["0", "x", "ended"][..]));
+    assert!(ended[5].starts_with("failed: position 9 is outside its limit (0 ... 8)"), "{ended:?}");
+    assert_eq!(ended[6..], ["0", "3", "move", "failed"]);
+    let late = ["3", "5003000000", "wake", "500", "drive", "", "y"];
+    assert_eq!(of("/late"), [(instant(3), late.to_vec())]);
+    let stages = ["10", "20", "30", "40", "50", "60"];
+    assert_eq!(of("/cycle")[5].1[4..10], stages);
+}
+
+#[test]
+fn a_bus_clock_that_leads_is_a_topic_of_its_own() {
+    let silent = ReferenceRecord { index: 0, step_ns: 7, ..ReferenceRecord::default() };
+    let locked = ReferenceRecord { index: 1, error_ns: Some(-250), step_ns: -3, locked: true, counts: true };
+    let records = [Record::Reference(silent), cycle(0), Record::Reference(locked), cycle(1)];
+    let (messages, wrong) = messages(written(&records));
+    assert!(wrong.is_none(), "{wrong:?}");
+    let of = messages.into_iter().filter(|(topic, ..)| topic == "/reference");
+    let found: Vec<(u64, Vec<String>)> = of.map(|(_, at, texts)| (at, texts)).collect();
+    let expected = [
+        (1_005 * S, ["0", "5000000000", "0", "0", "7", "0"].map(str::to_owned).to_vec()),
+        (1_005 * S + MS, ["1", "5001000000", "1", "-250", "-3", "1"].map(str::to_owned).to_vec()),
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn a_recording_of_another_format_is_refused_and_one_of_none_is_read() {
+    let of = |format: Option<&str>| {
+        let mut machine = machine();
+        machine.about.remove("format");
+        machine.about.extend(format.map(|format| ("format".to_owned(), format.to_owned())));
+        let mut writer = Writer::new(Vec::new(), machine, UTC_NS).unwrap();
+        records(3).iter().for_each(|record| writer.enter(record).unwrap());
+        messages(writer.finish(0).unwrap())
+    };
+    let (read, wrong) = of(Some("2\x1b"));
+    let wrong = wrong.unwrap();
+    assert!(read.is_empty() && wrong.is_all(), "{wrong}");
+    let expected = "it was recorded by version 9 (format 2\\u{1b}): export it with that one, this is ";
+    assert!(wrong.to_string().starts_with(expected), "{wrong}");
+    assert_eq!(of(None).0, of(Some("1")).0);
+    assert!(of(None).1.is_none());
+}
+
+#[test]
+fn others_find_metadata_statistics_and_an_index_of_every_chunk() {
+    let bytes = written(&records(2_500));
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let statistics = summary.stats.unwrap();
+    assert_eq!(statistics.message_count, 3 * 2_500 + 5);
+    // One a second.
+    assert_eq!((statistics.chunk_count, summary.chunk_indexes.len()), (3, 3));
+    let mut about = Vec::new();
+    for index in &summary.metadata_indexes {
+        about.push(mcap::read::metadata(&bytes, index).unwrap());
+    }
+    let [machine, end] = &about[..] else { panic!("{about:?}") };
+    assert_eq!((&*machine.name, &*machine.metadata["period_ns"]), ("fieldbeat", "1000000"));
+    assert_eq!((&*end.name, &*end.metadata["lost_records"]), ("fieldbeat end", "11"));
+    let units = |topic: &str| {
+        let channel = summary.channels.values().find(|channel| channel.topic == topic).unwrap();
+        channel.metadata.clone()
+    };
+    assert_eq!(units("/axes/x")["unit_velocity"], "mm/s");
+    assert_eq!(units("/axes/y/monitors")["demand-current"], "A");
+}
+
+#[test]
+fn a_file_that_was_cut_anywhere_is_read_up_to_there_and_it_is_said() {
+    let bytes = written(&records(1_200));
+    let (whole, _) = messages(bytes.clone());
+    let first_chunk = {
+        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+        let index =
+            summary.chunk_indexes.iter().map(|index| index.chunk_start_offset + index.chunk_length).min();
+        index.unwrap() as usize
+    };
+    let mut before = 0;
+    for length in (0..bytes.len()).step_by(bytes.len() / 31) {
+        let (read, wrong) = messages(bytes[..length].to_vec());
+        assert!(matches!(wrong, Some(Wrong::Cut | Wrong::Foreign)), "{length}: {wrong:?}");
+        assert_eq!(read[..], whole[..read.len()]);
+        assert!(read.len() >= before, "{length}");
+        // A cycle of two axes: three messages.
+        assert!(length < first_chunk || read.len() >= 3 * 1_000, "{length}: {}", read.len());
+        before = read.len();
+    }
+    assert!(before > 3_000, "{before}");
+}
+
+#[test]
+fn a_changed_byte_is_damage_and_the_files_of_others_are_foreign() {
+    let mut bytes = written(&records(1_800));
+    let (whole, _) = messages(bytes.clone());
+    let place = bytes.len() * 2 / 3;
+    bytes[place] ^= 1;
+    let (read, wrong) = messages(bytes);
+    let Some(Wrong::Damaged(why)) = wrong else { panic!("{wrong:?}") };
+    // Nothing of its chunk, which begins after a second.
+    assert!(why.contains("CRC") && (3_000..3_100).contains(&read.len()), "{why}: {}", read.len());
+    assert_eq!(read[..], whole[..read.len()]);
+    for foreign in [&b""[..], b"PNG", &[0; 1_000]] {
+        let (read, wrong) = messages(foreign.to_vec());
+        assert!(read.is_empty() && wrong.is_some_and(|why| why.is_all() || matches!(why, Wrong::Cut)));
+    }
+    let mut others = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
+    let channel = others.add_channel(0, "/chat", "json", &Default::default()).unwrap();
+    let header =
+        mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
+    others.write_to_known_channel(&header, b"{}").unwrap();
+    others.finish().unwrap();
+    let (read, wrong) = messages(others.into_inner().into_inner());
+    assert!(read.is_empty() && matches!(wrong, Some(Wrong::Foreign)), "{wrong:?}");
+}
+
+#[test]
+fn a_record_that_says_to_be_longer_than_its_chunk_is_an_error() {
+    let mut bytes = written(&records(1_800));
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let last = summary.chunk_indexes.iter().max_by_key(|index| index.chunk_start_offset).unwrap();
+    let chunk = last.chunk_start_offset as usize;
+    // Behind opcode, length, times and size: a checksum, which 0 means not to be there, the name of no compression, and
+    // the size of the records. The first of them has its length behind its opcode.
+    let (checksum, size, length) = (chunk + 33, chunk + 41, chunk + 50);
+    bytes[checksum..][..4].fill(0);
+    let size = u64::from_le_bytes(bytes[size..][..8].try_into().unwrap());
+    for beyond in [1, 100, 100_000] {
+        bytes[length..][..8].copy_from_slice(&(size + beyond).to_le_bytes());
+        let (read, wrong) = messages(bytes.clone());
+        assert!(matches!(wrong, Some(Wrong::Cut | Wrong::Damaged(_))), "{beyond}: {wrong:?}");
+        assert!((3_000..3_100).contains(&read.len()), "{beyond}: {}", read.len());
+    }
+}
+
+#[test]
+fn records_without_that_of_their_cycle_are_written_by_the_one_before() {
+    let lost: Vec<Record> = (0..40_000).map(|index| drive(index / 2, (index % 2) as u16)).collect();
+    let all: Vec<Record> = [cycle(0)].into_iter().chain(lost).collect();
+    let (read, wrong) = messages(written(&all));
+    assert!(wrong.is_none() && read.len() == all.len() + 1, "{}", read.len());
+    let skipped = SkippedRecord { first: 9, grid: BEGIN + 9 * MS, count: 2, ..SkippedRecord::default() };
+    let (read, _) = messages(written(&[drive(8, 0), Record::Skipped(skipped)]));
+    assert_eq!(read[0].1, 1_000 * S + 5 * S + 8 * MS, "a period before the one that is known");
+}
+
+#[test]
+fn tables_have_their_units_and_a_row_a_message() {
+    let bytes = written(&records(6));
+    let directory = tempfile::tempdir().unwrap();
+    let mut tables = PerTopic::new(directory.path()).unwrap();
+    let mut out = Vec::new();
+    let mut wide = Wide::new(&mut out);
+    for entry in Reading::of(bytes) {
+        let entry = entry.unwrap();
+        tables.enter(&entry).unwrap();
+        wide.enter(&entry).unwrap();
+    }
+    wide.finish().unwrap();
+    assert_eq!(tables.finish().unwrap(), 7);
+    let table = std::fs::read_to_string(directory.path().join("axes_y_monitors.csv")).unwrap();
+    assert_eq!(
+        table,
+        "time [s],cycle,monotonic_ns,demand_current [A],v0x1E10\n0.001000000,1,5001000000,0.5,\n"
+    );
+    let table = std::fs::read_to_string(directory.path().join("cycle.csv")).unwrap();
+    assert_eq!(table.lines().count(), 7);
+    let text = String::from_utf8(out).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 7);
+    assert!(lines[0].starts_with("time [s],cycle,x.position [mm],x.demand [mm],x.following_error [mm],"));
+    assert_eq!(
+        lines[6],
+        "0.005000000,5,5,5.25,0.25,2.5,-1.5,OperationEnabled,0,5,5.25,0.25,2.5,-1.5,OperationEnabled,0"
+    );
+}
+
+#[test]
+fn topics_of_axes_with_unlucky_names_have_tables_of_their_own() {
+    let mut machine = machine();
+    machine.axes[0].name = "y_monitors".to_owned();
+    let mut writer = Writer::new(Vec::new(), machine, UTC_NS).unwrap();
+    records(6).iter().for_each(|record| writer.enter(record).unwrap());
+    let directory = tempfile::tempdir().unwrap();
+    let mut tables = PerTopic::new(directory.path()).unwrap();
+    for entry in Reading::of(writer.finish(0).unwrap()) {
+        tables.enter(&entry.unwrap()).unwrap();
+    }
+    assert_eq!(tables.finish().unwrap(), 6);
+    let lines = |name: &str| std::fs::read_to_string(directory.path().join(name)).unwrap().lines().count();
+    assert_eq!([lines("axes_y_monitors.csv"), lines("axes_y_monitors.2.csv")], [7, 2]);
+}
+
+/// It takes no byte, for this reason.
+struct Refusing(io::ErrorKind);
+
+impl io::Write for Refusing {
+    fn write(&mut self, _bytes: &[u8]) -> io::Result<usize> {
+        Err(self.0.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_table_that_is_not_taken_says_why() {
+    for kind in [io::ErrorKind::BrokenPipe, io::ErrorKind::StorageFull] {
+        let mut wide = Wide::new(Refusing(kind));
+        // More than the table holds back.
+        let mut entries = Reading::of(written(&records(1_000)));
+        let refused = entries.find_map(|entry| wide.enter(&entry.unwrap()).err());
+        assert_eq!(refused.map(|why| why.kind()), Some(kind));
+    }
+}
+
+#[test]
+fn a_trace_has_the_stages_one_after_the_other_and_commands_as_spans() {
+    let mut trace = Trace::new(Vec::new()).unwrap();
+    for entry in Reading::of(written(&records(6))) {
+        trace.enter(&entry.unwrap()).unwrap();
+    }
+    let (count, bytes) = trace.finish(0).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
+    let events = json["traceEvents"].as_array().unwrap();
+    assert_eq!(events.len() as u64, count);
+    let named = |name: &str| events.iter().find(|event| event["name"] == name).unwrap();
+    // Cycle 0 begins 7 ns after its grid point; in microseconds.
+    let spans = ["send", "receive", "evaluate"]
+        .map(|stage| (named(stage)["ts"].as_f64(), named(stage)["dur"].as_f64()));
+    let expected = [(0.007, 0.01), (0.017, 0.02), (0.037, 0.03)].map(|(ts, dur)| (Some(ts), Some(dur)));
+    assert_eq!(spans, expected);
+    let command = named("move");
+    assert_eq!(
+        (&command["ph"], &command["ts"], &command["dur"]),
+        (&"X".into(), &2000.0.into(), &2000.0.into())
+    );
+    assert_eq!(command["args"]["target"], "-4");
+    let late = named("drive");
+    assert_eq!((&late["ph"], &late["args"]["drive"]), (&"X".into(), &"y".into()));
+}
+
+/// As of a damaged black box: nothing in a record can be relied upon.
+#[test]
+fn no_number_of_a_record_is_too_large() {
+    let far = Record::Cycle(CycleRecord { index: u64::MAX, grid: Time(u64::MAX), ..CycleRecord::default() });
+    let near = Record::Cycle(CycleRecord::default());
+    let bytes = written(&[far, drive(0, 0), near, drive(u64::MAX, 1), far]);
+    let (mut trace, mut wide) = (Trace::new(Vec::new()).unwrap(), Wide::new(Vec::new()));
+    let mut count = 0;
+    for entry in Reading::of(bytes) {
+        let entry = entry.unwrap();
+        trace.enter(&entry).unwrap();
+        wide.enter(&entry).unwrap();
+        count += 1;
+    }
+    assert_eq!(count, 6);
+}
+
+/// A disk of so many bytes.
+struct Small(usize);
+
+impl std::io::Write for Small {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let room = bytes.len().min(self.0);
+        self.0 -= room;
+        if room == 0 { Err(std::io::ErrorKind::StorageFull.into()) } else { Ok(room) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_of_the_write_that_found_it() {
+    let mut writer = Writer::new(Small(300_000), machine(), UTC_NS).unwrap();
+    let failed = records(5_000).iter().find_map(|record| writer.enter(record).err());
+    assert_eq!(failed.unwrap().kind(), std::io::ErrorKind::StorageFull);
+}
+
+#[test]
+fn what_was_on_its_way_to_a_full_disk_is_lost() {
+    for cycles in [5, 1_500] {
+        let file = OpenOptions::new().write(true).open("/dev/full").unwrap();
+        // Were it removed, nothing would be.
+        let file = NamedTempFile::from_parts(file, TempPath::try_from_path("/dev/none/x").unwrap());
+        let mut whole = Whole::new(file, "/dev/full".into(), machine(), None);
+        whole.begin(UTC_NS);
+        let records = records(cycles);
+        records.iter().for_each(|record| whole.enter(record));
+        whole.look(3);
+        let [recorded] = &whole.finish()[..] else { panic!() };
+        assert!(recorded.error.is_some(), "{recorded:?}");
+        assert_eq!((recorded.messages, recorded.lost), (0, 3 + records.len() as u64));
+    }
+}
+
+/// A file of a failure is written 200 ms after it.
+#[test]
+fn a_short_window_has_the_failure_itself_in_its_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut window =
+        Window::new(directory.path().join("x.mcap"), machine(), Failures::of_names(&["x", "y"]), 50);
+    window.begin(UTC_NS);
+    // The second axis is stopped from cycle 0 on. Some records of that cycle are lost.
+    assert_eq!(window.look(7), None);
+    records(400).iter().for_each(|record| window.enter(record));
+    assert_eq!(window.look(7), None);
+    let written = window.finish();
+    assert_eq!([written[0].lost, written[1].lost], [7, 0], "the file of the end begins later");
+    assert_eq!(written[0].path, directory.path().join("x-cycle-0.mcap"));
+    let (read, wrong) = messages(std::fs::read(&written[0].path).unwrap());
+    assert!(wrong.is_none(), "{wrong:?}");
+    assert_eq!(read[0].2[0], "0", "the first cycle");
+}
+
+/// A machine whose second axis has native process data: the first byte of the inputs, and the fourth of the outputs.
+fn native_machine() -> Machine {
+    let mut machine = machine();
+    let byte = |name: &str, place: usize| {
+        NativeField::new(name, move |bytes: &[u8]| Some((*bytes.get(place)?).into()))
+    };
+    let (inputs, outputs) = (vec![byte("status-word", 0)], vec![byte("6040", 3)]);
+    machine.axes[1].native = Some(NativeLayout { inputs, outputs, most: 255 });
+    machine
+}
+
+/// So many bytes of inputs, and of outputs, in a cycle, in as many parts as they take.
+fn native(index: u64, inputs: u16, outputs: u16) -> Vec<Record> {
+    let total = inputs + outputs;
+    let all: Vec<u8> = (1..=total).map(|byte| byte as u8).collect();
+    let part = |(place, part): (usize, &[u8])| {
+        let mut bytes = [0; NativeRecord::PART];
+        bytes[..part.len()].copy_from_slice(part);
+        let offset = (place * NativeRecord::PART) as u16;
+        Record::Native(NativeRecord { index, received_ns: 600, axis: 1, total, inputs, offset, bytes })
+    };
+    all.chunks(NativeRecord::PART).enumerate().map(part).collect()
+}
+
+/// The messages with native process data in these records, as texts, and how many records were dropped.
+fn natives(records: &[Record]) -> (Vec<Vec<String>>, u64) {
+    let mut writer = Writer::new(Vec::new(), native_machine(), UTC_NS).unwrap();
+    records.iter().for_each(|record| writer.enter(record).unwrap());
+    let dropped = writer.dropped();
+    let (read, wrong) = messages(writer.finish(dropped).unwrap());
+    assert!(wrong.is_none(), "{wrong:?}");
+    let native = read.into_iter().filter(|(topic, ..)| topic == "/axes/y/native");
+    (native.map(|(.., texts)| texts).collect(), dropped)
+}
+
+fn hex(bytes: std::ops::RangeInclusive<u8>) -> String {
+    bytes.map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[test]
+fn native_process_data_stand_in_the_file_whole_in_however_many_parts_they_came() {
+    let at = |ns: u64| (BEGIN.0 + ns).to_string();
+    for (inputs, outputs) in [(4, 4), (40, 4), (44, 4), (44, 44), (100, 60)] {
+        let mut records = native(7, inputs, outputs);
+        assert_eq!(records.len(), usize::from(inputs + outputs).div_ceil(NativeRecord::PART));
+        records.push(cycle(7));
+        let all = inputs as u8..=(inputs + outputs) as u8;
+        let expected = [
+            "7".to_owned(),
+            at(7 * MS),
+            at(7 * MS + 600),
+            hex(1..=*all.start()),
+            hex(all.start() + 1..=*all.end()),
+            "1".to_owned(),
+            (all.start() + 4).to_string(),
+        ];
+        assert_eq!(natives(&records), (vec![expected.to_vec()], 0), "{inputs} {outputs}");
+    }
+    // Only outputs, only inputs: what was not received has no time, and what is not there no number.
+    let mut records = native(7, 0, 4);
+    records.extend(native(7, 2, 0));
+    records.push(cycle(7));
+    let (read, dropped) = natives(&records);
+    let texts: Vec<&[String]> = read.iter().map(|texts| &texts[2..]).collect();
+    assert_eq!(texts[0], ["0", "", &hex(1..=4), "", "4"]);
+    assert_eq!(
+        (texts[1], dropped),
+        (&[at(7 * MS + 600), hex(1..=2), "".into(), "1".into(), "".into()][..], 0)
+    );
+}
+
+#[test]
+fn native_process_data_of_which_a_part_is_lost_are_dropped_and_counted() {
+    let whole = native(7, 100, 60);
+    for lost in 0..whole.len() {
+        let mut records = whole.clone();
+        records.remove(lost);
+        records.extend([vec![cycle(7)], native(8, 100, 60), vec![cycle(8)]].concat());
+        let (read, dropped) = natives(&records);
+        // The next ones are whole again.
+        assert_eq!((read.len(), read[0][0].as_str(), dropped), (1, "8", whole.len() as u64 - 1), "{lost}");
+    }
+    // Of two cycles, or of two replies in one, parts that would fit together by their place.
+    let mut later = whole.clone();
+    for record in &mut later {
+        let Record::Native(part) = record else { panic!() };
+        part.received_ns += 1;
+    }
+    for others in [native(8, 100, 60), later] {
+        let records: Vec<Record> = [&whole[..2], &others[2..], &[cycle(8)]].concat();
+        assert_eq!(natives(&records), (Vec::new(), 4));
+    }
+}
+
+/// A file at `path`, as of a recorder.
+fn new_file(path: &Path) -> NamedTempFile {
+    NamedTempFile::from_parts(File::create_new(path).unwrap(), TempPath::try_from_path(path).unwrap())
+}
+
+#[test]
+fn a_recording_says_how_many_records_were_dropped() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("x.mcap");
+    let mut whole = Whole::new(new_file(&path), path, native_machine(), None);
+    whole.begin(UTC_NS);
+    let records: Vec<Record> = [&native(7, 100, 60)[1..], &[cycle(7)]].concat();
+    records.iter().for_each(|record| whole.enter(record));
+    let reported = whole.look(1).unwrap();
+    assert!(reported.contains("records are missing, since its disk or this host was too slow"), "{reported}");
+    assert_eq!(whole.look(2), None, "once");
+    let [recorded] = &whole.finish()[..] else { panic!() };
+    assert_eq!((recorded.lost, &recorded.error, recorded.failure()), (2 + 3, &None, Some(reported)));
+}
+
+#[test]
+fn a_recording_that_was_too_slow_fails_the_run_in_one_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("x.mcap");
+    let mut whole = Whole::new(new_file(&path), path.clone(), machine(), None);
+    whole.begin(UTC_NS);
+    // A queue for one batch, from which nobody takes meanwhile.
+    let taps = Taps::default();
+    let tap = taps.add(1);
+    let records = records(6);
+    records.chunks(3).for_each(|batch| taps.hand(batch.to_vec()));
+    let (_, ring) = rtrb::RingBuffer::new(1);
+    let measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
+    let telemetry = TelemetryThread::start(ring, measured, taps, None, None, || {}).unwrap();
+    let feed = Feed { path: path.clone(), sink: Box::new(whole), tap };
+    let (_, status) = cell(Status::default());
+    let measured = telemetry.feed(Some(feed), status, || {}).unwrap().finish(&Status::default(), None);
+    let [recorded] = &measured.recordings[..] else { panic!("{:?}", measured.recordings) };
+    assert_eq!((recorded.messages, recorded.lost), (3, records.len() as u64 - 3));
+    let what = format!(
+        "recording {} is not complete: records are missing, since its disk or this host was too slow; record to \
+         another disk, or with a longer period",
+        path.display()
+    );
+    assert_eq!(measured.failures, [Failure::of_run(what)]);
+}
+
+#[test]
+fn a_file_of_a_machine_that_does_not_start_is_removed() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("x.mcap");
+    let whole = || Whole::new(new_file(&path), path.clone(), machine(), None);
+    drop(whole());
+    assert!(!path.exists());
+    let mut begun = whole();
+    begun.begin(UTC_NS);
+    drop(begun);
+    assert!(path.exists());
+}

@@ -1,0 +1,200 @@
+//! One drive, its own counters and its monitored variables.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::ProtocolCounters;
+use super::numbers::{plain, reported};
+use fieldbeat_core::axis::{Fault, Link, MonitorChannel, StopCause};
+use fieldbeat_core::cycle::status::{AtEnd, Extent};
+use fieldbeat_telemetry::histograms::Quantiles;
+
+/// One drive.
+#[derive(Clone, Debug, Serialize)]
+pub struct Drive {
+    /// Its name.
+    pub name: String,
+    /// Its protocol.
+    pub protocol: &'static str,
+    /// Link at the end.
+    pub link: String,
+    /// Why it had no connection at the end; null: it had one, needs none, or its first opening was under way.
+    pub not_connected: Option<String>,
+    /// State at the end.
+    pub state: String,
+    /// Times that the link was lost.
+    pub losses: u64,
+    /// Requests sent.
+    pub sent: u64,
+    /// Answered in time.
+    pub answered: u64,
+    /// Not answered in time.
+    pub missed: u64,
+    /// Replies after their window.
+    pub late: u64,
+    /// Second replies.
+    pub duplicate: u64,
+    /// Malformed and foreign datagrams from its address.
+    pub rejected: u64,
+    /// Answered, but possibly by the reply to an earlier request.
+    pub suspect: u64,
+    /// Reports that were not taken: of a place that the axis cannot have reached, or of a loss that was not confirmed.
+    pub implausible: u64,
+    /// Refused by the operating system.
+    pub unsent: u64,
+    /// Round trips.
+    pub rtt_ns: Quantiles,
+    /// Differences between the distance of two successive requests and that of their grid points.
+    pub send_jitter_ns: Quantiles,
+    /// Age of its values whenever a window closed, while its link was up.
+    pub age_ns: Quantiles,
+    /// Cycles since the last values at the end.
+    pub age_cycles: u32,
+    /// What only its protocol counts, by its key; empty if that counts nothing of its own.
+    pub protocol_counters: ProtocolCounters,
+    /// Actual position at the end, user units; null if the drive reports none, or was never seen.
+    pub position: Option<f64>,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
+    /// Why the axis stands stopped.
+    pub stopped: Option<String>,
+    /// Fault code, null = none.
+    pub fault: Option<u32>,
+    /// What its protocol calls that; null if it has no name for it.
+    pub fault_name: Option<&'static str>,
+    /// Why it stands stopped is no failure: it was found running, or a drive of its stop group was.
+    #[serde(skip)]
+    pub(super) found_running: bool,
+    /// Its monitored variables, as planned.
+    pub monitor: Vec<Variable>,
+    /// How it was left at the end; null while the run goes on, and of a drive that has never reported its state and of
+    /// which nothing was requested.
+    pub at_end: Option<AtEnd>,
+    /// That in words; nothing of a drive that is off.
+    #[serde(skip)]
+    pub(super) left: Option<String>,
+}
+
+/// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
+#[derive(Clone, Debug, Serialize)]
+pub struct Variable {
+    /// Its name.
+    pub name: String,
+    /// Of its values; empty for a plain number.
+    pub unit: &'static str,
+    /// The newest value.
+    pub value: Option<f64>,
+    /// The smallest one.
+    pub min: Option<f64>,
+    /// The largest one.
+    pub max: Option<f64>,
+}
+
+impl Variable {
+    pub(super) fn of(MonitorChannel { name, unit }: MonitorChannel, extent: Option<Extent>) -> Variable {
+        let of = |number: fn(&Extent) -> f64| extent.as_ref().map(number).and_then(reported);
+        let (value, min, max) = (of(|extent| extent.value), of(|extent| extent.min), of(|extent| extent.max));
+        Variable { name, unit, value, min, max }
+    }
+}
+
+impl fmt::Display for Variable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Variable { name, unit, .. } = self;
+        let (Some(value), Some(min), Some(max)) = (self.value, self.min, self.max) else {
+            return write!(f, "{name:18} not received yet");
+        };
+        let [value, min, max] = [value, min, max].map(plain);
+        write!(f, "{name:18} {}, from {min} to {max}", format!("{value} {unit}").trim_end())
+    }
+}
+
+impl Drive {
+    /// Whether the link was up at the end.
+    pub fn is_online(&self) -> bool {
+        self.link == Link::Online.to_string()
+    }
+
+    /// Whether most of what was missed came after all, only after its window.
+    pub fn is_late(&self) -> bool {
+        self.missed > 0 && 2 * self.late > self.missed
+    }
+
+    /// Why it was stopped, other than by the end of the run.
+    pub(super) fn stopped_by(&self) -> Option<&String> {
+        self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())
+    }
+
+    /// That it stays powered as planned, in words.
+    pub fn held(&self) -> Option<&str> {
+        self.left.as_deref().filter(|_| self.at_end.as_ref().is_some_and(AtEnd::is_safe))
+    }
+
+    /// How it was left, what was tried and what to do, if it is not known to be off, nor held as planned.
+    pub fn left_on(&self) -> Option<String> {
+        let left = self.left.as_ref().filter(|_| self.held().is_none())?;
+        Some(format!("drive {} {left}", self.name))
+    }
+
+    /// What is wrong with it, a line each.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if let Some(code) = self.fault {
+            notes.push(format!("fault {}", Fault { code, name: self.fault_name }));
+        }
+        notes.extend(self.stopped_by().map(|cause| format!("stopped: {cause}")));
+        if self.inhibited {
+            notes.push("hardware enable (STO) missing".to_owned());
+        }
+        notes.extend(self.held().map(str::to_owned));
+        notes.extend(self.not_connected.as_ref().map(|why| format!("not connected: {why}")));
+        notes
+    }
+
+    /// Why the master had stopped it, and nobody had reset it, when the run ended: `None` also if it was only found
+    /// running, which its configuration allows, or stopped with its stop group by that.
+    pub fn failed_by(&self) -> Option<&String> {
+        self.stopped_by().filter(|_| !self.found_running)
+    }
+
+    /// Whether the axis was stopped by an overrun of the loop.
+    pub fn was_overrun(&self) -> bool {
+        self.was_stopped_by(&[StopCause::Overrun])
+    }
+
+    /// Whether the axis was stopped because the application fed it too late.
+    pub fn was_starved(&self) -> bool {
+        self.was_stopped_by(&[
+            StopCause::Underrun,
+            StopCause::StaleSetpoint,
+            StopCause::DeadMan,
+            StopCause::Heartbeat,
+        ])
+    }
+
+    fn was_stopped_by(&self, causes: &[StopCause]) -> bool {
+        self.stopped.as_ref().is_some_and(|stopped| causes.iter().any(|cause| cause.to_string() == *stopped))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_variable_reads_naturally() {
+        let text = |unit, extent| {
+            Variable::of(MonitorChannel { name: "demand-velocity".into(), unit }, extent).to_string()
+        };
+        let extent = |value, min, max| Some(Extent { value, min, max });
+        let shown = [
+            ("mm/s", extent(0.1 + 0.2, -1e-9, 200.0), "0.3 mm/s, from 0 to 200"),
+            ("", extent(4294967295.0, -12.5, 4294967295.0), "4294967295, from -12.5 to 4294967295"),
+            ("C", None, "not received yet"),
+        ];
+        for (unit, extent, expected) in shown {
+            assert_eq!(text(unit, extent), format!("demand-velocity    {expected}"));
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! Reads the log of a recorded run from its file, piece by piece.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use mcap::records::Record;
+
+use super::machine::{Replay, TaskOf};
+use fieldbeat_config as config;
+use fieldbeat_core::bus::{Cycle, OpenError};
+use fieldbeat_core::cycle::task::Axes;
+use fieldbeat_core::cycle::{Plan, PlanErrors};
+use fieldbeat_record::log::layout::{BEGIN, Begin, CUT_AT, END, LAYOUT, TOPIC, words};
+use fieldbeat_record::log::records::Records;
+use fieldbeat_telemetry::log::MachineOf;
+
+/// Why a recorded run cannot be repeated.
+#[derive(thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplayError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {why}; name a recording of a run with --record-wire")]
+    Read {
+        /// The file.
+        path: String,
+        /// The reason.
+        why: std::io::Error,
+    },
+    /// The file has no log of the loop.
+    #[error("{path} has no wire to repeat{why}; record the run with --record FILE --record-wire")]
+    NoWire {
+        /// The file.
+        path: String,
+        /// Why not.
+        why: String,
+    },
+    /// Another version has written it.
+    #[error(
+        "{path} was recorded by version {version} (layout {layout}): repeat it with that one, this is {}",
+        env!("CARGO_PKG_VERSION")
+    )]
+    Version {
+        /// The file.
+        path: String,
+        /// The version that wrote it.
+        version: String,
+        /// The layout of its log.
+        layout: String,
+    },
+    /// Its configuration is none for this version.
+    #[error("{path}: the configuration in it is not one of this version: {why}")]
+    Configuration {
+        /// The file.
+        path: String,
+        /// The first mistake in it.
+        why: String,
+    },
+    /// The machine was built by a program of its own.
+    #[error(
+        "{path} is of a machine that was built in code: repeat it in a test of that program, with its plan"
+    )]
+    Code {
+        /// The file.
+        path: String,
+    },
+    /// The plan contradicts itself.
+    #[error(transparent)]
+    Plan(#[from] PlanErrors),
+    /// A bus cannot be built.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+}
+fieldbeat_core::debug_as_display!(ReplayError);
+
+/// How the log of a file ends.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum LogEnd {
+    /// It is still being read.
+    #[default]
+    Unknown,
+    /// In order.
+    Whole,
+    /// There was no room for this cycle and those behind it.
+    CutAt(u64),
+    /// The file ends before the log does, or is broken: what is before that can be repeated.
+    Broken(String),
+}
+
+/// A recorded run, from its file.
+///
+/// [`Replay::open`] is the short way for a test.
+pub struct Recorded {
+    path: String,
+    log: Log,
+    begin: Begin,
+    plan: Option<Plan>,
+    task: Option<fieldbeat_core::cycle::task::Task>,
+    end: SharedEnd,
+}
+
+impl std::fmt::Debug for Recorded {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recorded")
+            .field("path", &self.path)
+            .field("begin", &self.begin)
+            .finish_non_exhaustive()
+    }
+}
+
+/// How the log ends, as far as it was read.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SharedEnd(Arc<Mutex<LogEnd>>);
+
+impl SharedEnd {
+    pub(super) fn get(&self) -> LogEnd {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set(&self, end: LogEnd) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = end;
+    }
+}
+
+impl Recorded {
+    /// Opens the file at `path`.
+    pub fn open(path: impl AsRef<Path>) -> Result<Recorded, ReplayError> {
+        let (path, name) = (path.as_ref(), path.as_ref().display().to_string());
+        let file = File::open(path).and_then(|file| match file.metadata()?.is_dir() {
+            true => Err(std::io::ErrorKind::IsADirectory.into()),
+            false => Ok(file),
+        });
+        let file = file.map_err(|why| ReplayError::Read { path: name.clone(), why })?;
+        let mut log = Log::new(file);
+        let begin = loop {
+            match log.next() {
+                Ok(Some(Piece::Begin(begin))) => break begin,
+                Ok(Some(Piece::Words(_) | Piece::End(_))) => {}
+                Ok(Some(Piece::Others) | None) => {
+                    return Err(ReplayError::NoWire { path: name, why: String::new() });
+                }
+                Err(why) => return Err(ReplayError::NoWire { path: name, why: format!(": {why}") }),
+            }
+        };
+        Ok(Recorded { path: name, log, begin, plan: None, task: None, end: SharedEnd::default() })
+    }
+
+    /// The version of the program that recorded it.
+    pub fn version(&self) -> &str {
+        &self.begin.version
+    }
+
+    /// Refuses a record of another version, whose loop may do something else.
+    pub fn require_version(self) -> Result<Recorded, ReplayError> {
+        match self.begin.version == env!("CARGO_PKG_VERSION") {
+            true => Ok(self),
+            false => Err(self.of_another_version()),
+        }
+    }
+
+    fn of_another_version(self) -> ReplayError {
+        let Begin { version, layout, .. } = self.begin;
+        ReplayError::Version { path: self.path, version, layout }
+    }
+
+    /// The plan of the machine, in place of its configuration: for a machine that was built in code.
+    pub fn with_plan(mut self, plan: Plan) -> Recorded {
+        self.plan = Some(plan);
+        self
+    }
+
+    /// Runs the code of the in-loop task, whose calls are compared. Without it the recorded calls are made again.
+    pub fn with_task(mut self, task: impl FnMut(&Cycle, &mut Axes<'_>) + Send + 'static) -> Recorded {
+        self.task = Some(Box::new(task));
+        self
+    }
+
+    /// The machine that repeats it.
+    pub fn replay(self) -> Result<Replay, ReplayError> {
+        if self.begin.layout != LAYOUT {
+            return Err(self.of_another_version());
+        }
+        let Recorded { path, mut log, begin, plan, task, end } = self;
+        let plan = match (plan, begin.machine) {
+            (Some(plan), _) => plan,
+            (None, MachineOf::Code) => return Err(ReplayError::Code { path }),
+            (None, machine) => {
+                let read = match &machine {
+                    MachineOf::Demo { drives, period_ns, place } => {
+                        config::demo::demo_plan(*drives, *period_ns, *place)
+                    }
+                    MachineOf::Configuration { file, text } => config::parse(text, file),
+                    MachineOf::Code => return Err(ReplayError::Code { path }),
+                };
+                let first = |text: String| text.lines().next().unwrap_or_default().to_owned();
+                match read {
+                    Ok(read) => read.plan,
+                    Err(why) => {
+                        return Err(ReplayError::Configuration { path, why: first(why.to_string()) });
+                    }
+                }
+            }
+        };
+        plan.check()?;
+        let task = match (task, begin.has_task) {
+            (Some(task), _) => TaskOf::Code(task),
+            (None, true) => TaskOf::Log,
+            (None, false) => TaskOf::Nobody,
+        };
+        let of_source = end.clone();
+        let source = Box::new(move || {
+            loop {
+                match log.next() {
+                    Ok(Some(Piece::Words(words))) => return Some(words),
+                    Ok(Some(Piece::End(end))) => of_source.set(end),
+                    Ok(Some(Piece::Begin(_) | Piece::Others)) => {}
+                    Ok(None) => return None,
+                    Err(why) => {
+                        of_source.set(LogEnd::Broken(why));
+                        return None;
+                    }
+                }
+            }
+        });
+        Ok(Replay::over(plan, source, task)?.ending(end))
+    }
+}
+
+/// What the file holds of the log.
+enum Piece {
+    Begin(Begin),
+    Words(Vec<u64>),
+    End(LogEnd),
+    /// Messages of others, of a file without a log.
+    Others,
+}
+
+/// The log of a file, piece by piece.
+struct Log {
+    records: Records<BufReader<File>>,
+    has_begun: bool,
+    channel: Option<u16>,
+    /// The number of its newest message: they count from 1.
+    sequence: u32,
+}
+
+impl Log {
+    fn new(file: File) -> Log {
+        let records = Records::new(BufReader::new(file));
+        Log { records, has_begun: false, channel: None, sequence: 0 }
+    }
+
+    /// The next piece; `None` at the end of the file. After an error there is nothing more.
+    fn next(&mut self) -> Result<Option<Piece>, String> {
+        let missing = || "a part of its log is missing".to_owned();
+        self.records.find(|record| match record {
+            Record::Metadata(metadata) if metadata.name == BEGIN => {
+                self.has_begun = true;
+                let begin = Begin::of_map(&metadata.metadata);
+                begin.map(|begin| Some(Piece::Begin(begin))).ok_or("its description is broken".into())
+            }
+            Record::Metadata(metadata) if metadata.name == END => {
+                let cut = metadata.metadata.get(CUT_AT).map(|cycle| cycle.parse().unwrap_or(0));
+                Ok(Some(Piece::End(cut.map_or(LogEnd::Whole, LogEnd::CutAt))))
+            }
+            Record::Channel(channel) if channel.topic == TOPIC => {
+                self.channel = Some(channel.id);
+                Ok(None)
+            }
+            Record::Message { header, data } if Some(header.channel_id) == self.channel => {
+                self.sequence = self.sequence.wrapping_add(1);
+                if header.sequence != self.sequence {
+                    return Err(missing());
+                }
+                let words = words(&data).ok_or("a piece of its log is broken")?;
+                Ok(Some(Piece::Words(words)))
+            }
+            // A log begins before all messages.
+            Record::Message { .. } if self.channel.is_none() => match self.has_begun {
+                true => Err(missing()),
+                false => Ok(Some(Piece::Others)),
+            },
+            _ => Ok(None),
+        })
+    }
+}

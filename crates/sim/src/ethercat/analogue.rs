@@ -1,0 +1,155 @@
+//! An analogue input terminal: two channels of 16 bits with a status each, a mailbox and its objects.
+//!
+//! Each channel follows time, so that a reader sees that it lives: the first one rises by 1 a millisecond, the second
+//! one falls. The status has nothing but the toggle bit, which changes with each value.
+
+use super::Application;
+use super::mailbox::{Answer, Mailbox};
+use super::settings::Dialect;
+use super::sii::Contents;
+use fieldbeat_core::time::{MS, Time};
+use fieldbeat_ethercat::object::Object;
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
+use fieldbeat_ethercat::wire::sdo::AbortCode;
+
+const NO_BOOT: AlCode = AlCode(0x0013);
+const OUTPUTS_WRONG: AlCode = AlCode(0x001D);
+const INPUTS_WRONG: AlCode = AlCode(0x001E);
+/// The bytes of a channel: status, value.
+const CHANNEL: usize = 4;
+const CHANNELS: usize = 2;
+/// Limits of a channel, which can be written, as an example of a setting.
+const LIMIT: Object = Object::new(0x8000, 0x13);
+/// A text of the user's, of up to so many bytes: longer than a message of its mailbox has room for. Assumed, as an
+/// example of a string.
+const TEXT: Object = Object::new(0x8005, 0);
+const TEXT_MOST: usize = 128;
+
+/// The terminal behind its controller.
+#[derive(Debug)]
+pub(super) struct Analogue {
+    contents: Contents,
+    mailbox: Mailbox,
+    now: Time,
+    limit: u16,
+    text: Vec<u8>,
+}
+
+impl Analogue {
+    pub(super) fn new(contents: Contents) -> Analogue {
+        let room = contents.mailboxes.map(|mailboxes| usize::from(mailboxes.input.1));
+        let mailbox = Mailbox::new(Dialect::Standard, room);
+        Analogue { mailbox, contents, now: Time::default(), limit: 0, text: Vec::new() }
+    }
+
+    fn value(&self, channel: u16) -> i16 {
+        let ms = (self.now.0 / MS) as i16;
+        if channel == 0 { ms } else { ms.wrapping_neg() }
+    }
+
+    /// Whether the toggle bit is set.
+    fn toggle(&self) -> bool {
+        !(self.now.0 / MS).is_multiple_of(2)
+    }
+
+    /// The value of an object, as it is on the wire.
+    fn read(&self, object: Object) -> Answer {
+        let identity = self.contents.identity;
+        let long = |value: u32| Ok(value.to_le_bytes().to_vec());
+        match (object.index, object.sub) {
+            (0x1000, 0) => long(0x0001_1389),
+            (0x1008, 0) => Ok(self.contents.name.as_bytes().to_vec()),
+            (0x1018, 0) => Ok(vec![4]),
+            (0x1018, 1) => long(identity.vendor),
+            (0x1018, 2) => long(identity.product),
+            (0x1018, 3) => long(identity.revision),
+            (0x1018, 4) => long(self.contents.serial),
+            (0x1C00, 0) => Ok(vec![4]),
+            (0x1C00, sub @ 1..=4) => Ok(vec![sub]),
+            (0x1C12, 0) => Ok(vec![0]),
+            (0x1C13, 0) => Ok(vec![self.contents.inputs.len() as u8]),
+            (0x1C13, sub) => {
+                let assigned = self.contents.inputs.get(usize::from(sub) - 1).ok_or(AbortCode::NO_SUB)?;
+                Ok(assigned.index.to_le_bytes().to_vec())
+            }
+            (0x1A00 | 0x1A02, sub) => {
+                let pdo = self.contents.inputs.iter().find(|pdo| pdo.index == object.index);
+                let entries = pdo.map_or(&[][..], |pdo| &pdo.entries);
+                let Some(n) = usize::from(sub).checked_sub(1) else { return Ok(vec![entries.len() as u8]) };
+                let (index, sub, bits) = *entries.get(n).ok_or(AbortCode::NO_SUB)?;
+                long(u32::from(index) << 16 | u32::from(sub) << 8 | u32::from(bits))
+            }
+            (0x1800 | 0x1802, 0) => Ok(vec![9]),
+            (0x1800 | 0x1802, 7) => Ok(vec![0]),
+            (0x1800 | 0x1802, 9) => Ok(vec![self.toggle().into()]),
+            (0x6000 | 0x6010, 0) => Ok(vec![0x11]),
+            (0x6000 | 0x6010, 1 | 2 | 3 | 5 | 7) => Ok(vec![0]),
+            (index @ (0x6000 | 0x6010), 0x11) => {
+                Ok(self.value((index - 0x6000) / 0x10).to_le_bytes().to_vec())
+            }
+            _ if object == LIMIT => Ok(self.limit.to_le_bytes().to_vec()),
+            _ if object == TEXT => Ok(self.text.clone()),
+            (0x1000 | 0x1008 | 0x1018 | 0x1800 | 0x1802 | 0x1C00 | 0x1C12 | 0x6000 | 0x6010, _) => {
+                Err(AbortCode::NO_SUB)
+            }
+            _ => Err(AbortCode::NO_OBJECT),
+        }
+    }
+
+    fn write(&mut self, object: Object, data: &[u8]) -> Answer {
+        match object {
+            LIMIT => self.limit = u16::from_le_bytes(data.try_into().map_err(|_| AbortCode::LENGTH)?),
+            TEXT if data.len() > TEXT_MOST => return Err(AbortCode::LENGTH),
+            TEXT => self.text = data.to_vec(),
+            _ => return self.read(object).and(Err(AbortCode::READ_ONLY)),
+        }
+        Ok(Vec::new())
+    }
+}
+
+impl Application for Analogue {
+    fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
+        if let Some(request) = self.mailbox.take(request) {
+            let answer = match &request.data {
+                _ if request.complete => Err(AbortCode::NOT_COMPLETE),
+                Some(data) => self.write(request.object, data),
+                None => self.read(request.object),
+            };
+            self.mailbox.answer(&request, answer);
+        }
+        self.message(reply)
+    }
+
+    fn message(&mut self, message: &mut Vec<u8>) -> bool {
+        self.mailbox.next().map(|next| *message = next).is_some()
+    }
+
+    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
+        match state {
+            AlState::Boot => return Err(NO_BOOT),
+            AlState::Init => self.mailbox.reset(),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn process(&mut self, now: Time, _outputs: &[u8], inputs: &mut [u8]) {
+        self.now = now;
+        for (n, channel) in (0..).zip(inputs.chunks_exact_mut(CHANNEL)) {
+            let [low, high] = self.value(n).to_le_bytes();
+            channel.copy_from_slice(&[0, u8::from(self.toggle()) << 7, low, high]);
+        }
+    }
+
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+        match (outputs, inputs) {
+            (1.., _) => Err(OUTPUTS_WRONG),
+            (_, inputs) if inputs != CHANNELS * CHANNEL => Err(INPUTS_WRONG),
+            _ => Ok(()),
+        }
+    }
+
+    fn advance(&mut self, now: Time) {
+        self.now = now;
+    }
+}

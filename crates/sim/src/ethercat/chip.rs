@@ -1,0 +1,411 @@
+//! Registers and memory of a slave controller: access rights, and the effects of an access.
+//!
+//! | file | what |
+//! |---|---|
+//! | `chip` | the controller as its firmware has it, and its time |
+//! | `access` | what a master may read and write |
+//! | `fmmu` | the same by logical addresses |
+//! | `effects` | the effects of a write |
+//! | `misuse` | counts what a master should not do |
+//! | `met` | counts what a master met |
+
+mod access;
+mod effects;
+mod fmmu;
+mod met;
+mod misuse;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+pub use self::met::Met;
+pub use self::misuse::Misuse;
+use super::clock::Clock;
+use super::hardware::Settings;
+use super::manager::Manager;
+use super::sii::Eeprom;
+use fieldbeat_core::time::Time;
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, SyncManager, address};
+use fieldbeat_ethercat::wire::sii::Status;
+
+const SPACE: usize = 0x1_0000;
+/// Memory that a master may use freely; digital outputs of small slaves begin here.
+const USER: usize = 0x0F00;
+const PROCESS: usize = 0x1000;
+const AL_CODE: usize = 0x0134;
+/// Events for the master: links and state have changed.
+const EVENTS: usize = 0x0210;
+const LINKS_CHANGED: u16 = 1 << 2;
+const STATE_CHANGED: u16 = 1 << 3;
+/// Events for the firmware.
+const REQUESTS: usize = 0x0220;
+/// In the AL status: its code is the device id (ETG.1020).
+const DEVICE_ID: u16 = 1 << 5;
+const FIFO_SIZE: usize = 0x0102;
+const ALIAS_ENABLE: usize = 0x0103;
+/// What is behind the controller: digital inputs and outputs, with device emulation; or a microcontroller.
+const PDI_CONTROL: u16 = 0x0140;
+const EMULATED: [u8; 2] = [0x04, 0x01];
+const PROCESSOR: [u8; 2] = [0x08, 0x00];
+const WATCHDOG_COUNTER: usize = 0x0442;
+/// In the owner of the SII: the processor may have it; and behind it: it has it.
+const SLAVES: u8 = 1 << 0;
+/// In the owner: it is taken from the processor.
+const FORCED: u8 = 1 << 1;
+/// The watchdog's divider and time as delivered: 100 us, 100 ms.
+const DIVIDER: u16 = 0x09C2;
+const TICKS: u16 = 1_000;
+/// SYNC0: cyclic operation and the pulse itself.
+const SYNC0: u8 = 0b11;
+const CYCLIC: u8 = 0b01;
+
+/// When a frame is at a slave.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Passage {
+    /// On its way out.
+    pub(super) at: Time,
+    /// Back at each port; `None`: nothing is behind that.
+    pub(super) back: [Option<Time>; 4],
+}
+
+/// A slave controller without its firmware.
+#[derive(Debug)]
+pub(super) struct Chip {
+    memory: Vec<u8>,
+    features: Features,
+    receive_times: bool,
+    device_id: Option<u16>,
+    /// AL status follows AL control.
+    emulated: bool,
+    managers: Vec<Manager>,
+    fmmus: Vec<Fmmu>,
+    eeprom: Eeprom,
+    clock: Clock,
+    passage: Passage,
+    /// AL control was written, and when.
+    requested: Option<Time>,
+    /// When the mailbox was filled.
+    filled: Option<Time>,
+    /// Outputs were written.
+    outputs: bool,
+    events: u16,
+    /// The watchdog was last fed; `None`: never.
+    fed: Option<Time>,
+    expired: bool,
+    misuse: Misuse,
+    pub(super) met: Met,
+}
+
+impl Chip {
+    pub(super) fn new(settings: &Settings, sii: Vec<u16>) -> Chip {
+        let mut chip = Chip {
+            memory: vec![0; SPACE],
+            features: settings.features,
+            receive_times: settings.receive_times || settings.features.has_clock(),
+            device_id: settings.device_id,
+            emulated: settings.emulated,
+            managers: vec![Manager::default(); settings.sync_managers.min(32).into()],
+            fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
+            eeprom: Eeprom::new(sii, settings.sii_access),
+            clock: Clock::new(
+                settings.features.has_long_clock(),
+                settings.clock_ns,
+                settings.drift_ppm,
+                settings.settling,
+            ),
+            passage: Passage::default(),
+            requested: None,
+            filled: None,
+            outputs: false,
+            events: 0,
+            fed: None,
+            expired: false,
+            misuse: Misuse::default(),
+            met: Met::default(),
+        };
+        chip.describe(settings);
+        chip
+    }
+
+    /// Its descriptive registers.
+    fn describe(&mut self, settings: &Settings) {
+        let Settings { kind, ram_kib, ports, .. } = *settings;
+        let [features, divider, ticks] = [self.features.0, DIVIDER, TICKS].map(u16::to_le_bytes);
+        self.put(address::TYPE, &kind);
+        let (fmmus, managers) = (self.fmmus.len() as u8, self.managers.len() as u8);
+        self.put(address::RESOURCES, &[fmmus, managers, ram_kib, ports]);
+        self.put(address::FEATURES, &features);
+        self.put(address::WATCHDOG_DIVIDER, &divider);
+        self.put(PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
+        self.put(0x0410, &ticks);
+        self.put(address::WATCHDOG, &ticks);
+        self.put(address::DC_SPEED, &[0x00, 0x10, 0, 0, 0x00, 0x0C]);
+        let alias = self.eeprom.alias();
+        self.put(address::ALIAS, &alias.to_le_bytes());
+        if settings.sii_access.owned_by_slave {
+            self.give_sii();
+        }
+        self.show_state(AlState::Init, false, AlCode::NONE);
+        self.events = 0;
+    }
+
+    // What the slave's firmware does with it.
+
+    fn put(&mut self, at: u16, bytes: &[u8]) {
+        let at = usize::from(at);
+        if let Some(place) = self.memory.get_mut(at..at + bytes.len()) {
+            place.copy_from_slice(bytes);
+        }
+    }
+
+    fn bytes<const N: usize>(&self, at: impl Into<usize>) -> [u8; N] {
+        self.memory.get(at.into()..).and_then(<[u8]>::first_chunk).copied().unwrap_or([0; N])
+    }
+
+    fn word(&self, at: u16) -> u16 {
+        u16::from_le_bytes(self.bytes(at))
+    }
+
+    fn quad(&self, at: u16) -> u64 {
+        u64::from_le_bytes(self.bytes(at))
+    }
+
+    /// Shows the links of its ports; a port without one is closed.
+    pub(super) fn link(&mut self, ports: [bool; 4]) {
+        let mut links = 0;
+        for (port, up) in ports.into_iter().enumerate() {
+            links |= if up { 1 << (4 + port) | 1 << (9 + 2 * port) } else { 1 << (8 + 2 * port) };
+        }
+        if links != self.word(address::LINKS) {
+            self.put(address::LINKS, &links.to_le_bytes());
+            self.events |= LINKS_CHANGED;
+        }
+    }
+
+    /// Shows a state, and locks the parts that it does not use.
+    pub(super) fn show_state(&mut self, state: AlState, error: bool, code: AlCode) {
+        let own = self.device_id.filter(|_| !error);
+        let status = [(error, AlStatus::ERROR), (own.is_some(), DEVICE_ID)]
+            .into_iter()
+            .filter(|(set, _)| *set)
+            .fold(AlStatus::request(state).0, |status, (_, bit)| status | bit);
+        self.put(address::AL_STATUS, &status.to_le_bytes());
+        self.put(AL_CODE as u16, &own.unwrap_or(code.0).to_le_bytes());
+        self.events |= STATE_CHANGED;
+        // What locks buffers is a processor.
+        let unlocked = if self.emulated { AlState::Op } else { state };
+        self.managers.iter_mut().for_each(|manager| manager.enter(unlocked));
+        if state == AlState::Init {
+            self.filled = None;
+        }
+        self.show();
+    }
+
+    /// Its state, if it has no processor: as it was requested last.
+    pub(super) fn emulated_state(&self) -> Option<AlState> {
+        AlStatus(self.word(address::AL_STATUS)).state().filter(|_| self.emulated)
+    }
+
+    /// Whether its processor may read the SII: the master has given it.
+    pub(super) fn has_sii(&self) -> bool {
+        self.memory[usize::from(address::SII_OWNER)] & SLAVES != 0
+    }
+
+    /// A command of its SII has failed.
+    pub(super) fn fail_sii(&mut self) {
+        self.eeprom.fail();
+    }
+
+    /// The processor has the SII now, and keeps it until it is taken by force.
+    pub(super) fn give_sii(&mut self) {
+        self.put(address::SII_OWNER, &[SLAVES; 2]);
+    }
+
+    /// When AL control was written, until it is read.
+    pub(super) fn requested(&self) -> Option<Time> {
+        self.requested
+    }
+
+    /// Reads AL control.
+    pub(super) fn take_request(&mut self) -> AlStatus {
+        self.requested = None;
+        AlStatus(self.word(address::AL_CONTROL))
+    }
+
+    /// The SyncManagers.
+    pub(super) fn managers(&self) -> &[Manager] {
+        &self.managers
+    }
+
+    /// Where the memory ends.
+    pub(super) fn memory_end(&self) -> usize {
+        PROCESS + 1024 * usize::from(self.memory[usize::from(address::RESOURCES) + 2])
+    }
+
+    /// When the mailbox was filled, until its message is taken.
+    pub(super) fn filled(&self) -> Option<Time> {
+        self.filled
+    }
+
+    /// Takes what is in the mailbox that the master writes.
+    pub(super) fn take_message(&mut self) -> Vec<u8> {
+        self.filled = None;
+        let Some(manager) = self.managers.first_mut() else { return Vec::new() };
+        manager.take();
+        let message = self.memory.get(manager.area()).unwrap_or_default().to_vec();
+        self.show();
+        message
+    }
+
+    /// Whether the mailbox that the master reads is on and empty.
+    pub(super) fn has_room(&self) -> bool {
+        self.managers.get(1).is_some_and(|manager| manager.is_mailbox(false) && !manager.is_full())
+    }
+
+    /// Puts a message there; the old bytes after it stay.
+    pub(super) fn put_message(&mut self, message: &[u8]) {
+        let Some(manager) = self.managers.get_mut(1) else { return };
+        manager.put();
+        if let Some(place) = self.memory.get_mut(manager.area()) {
+            let size = message.len().min(place.len());
+            place[..size].copy_from_slice(&message[..size]);
+        }
+        self.show();
+    }
+
+    /// The master requests the last message again; returned once.
+    pub(super) fn takes_repeat(&mut self) -> bool {
+        let requested = self.managers.get_mut(1).is_some_and(Manager::takes_repeat);
+        if requested {
+            self.show();
+        }
+        requested
+    }
+
+    /// The outputs of all SyncManagers, in order; zeros of one that was not written yet, nothing if none was.
+    pub(super) fn outputs(&self) -> impl Iterator<Item = u8> {
+        let managers = || self.managers.iter().filter(|manager| manager.is_process(true));
+        let any = managers().any(|manager| !manager.taken().is_empty());
+        managers().filter(move |_| any).flat_map(|manager| {
+            let taken = manager.taken();
+            (0..manager.area().len()).map(move |at| taken.get(at).copied().unwrap_or(0))
+        })
+    }
+
+    /// Outputs were written; returned once.
+    pub(super) fn takes_outputs(&mut self) -> bool {
+        std::mem::take(&mut self.outputs)
+    }
+
+    /// The inputs of all SyncManagers, in order.
+    pub(super) fn inputs(&self) -> impl Iterator<Item = &u8> {
+        let areas = self.managers.iter().filter(|manager| manager.is_process(false)).map(Manager::area);
+        areas.flat_map(|area| self.memory.get(area).unwrap_or_default())
+    }
+
+    /// Writes them there.
+    pub(super) fn put_inputs(&mut self, mut inputs: &[u8]) {
+        for manager in self.managers.iter_mut().filter(|manager| manager.is_process(false)) {
+            let Some(place) = self.memory.get_mut(manager.area()) else { continue };
+            let Some((own, rest)) = inputs.split_at_checked(place.len()) else { break };
+            place.copy_from_slice(own);
+            manager.put();
+            inputs = rest;
+        }
+        self.show();
+    }
+
+    // Time.
+
+    /// Advances to `now`.
+    pub(super) fn advance(&mut self, now: Time) {
+        self.clock.advance(now);
+        if self.eeprom.advance(now) {
+            self.show_sii();
+        }
+    }
+
+    /// The clock.
+    pub(super) fn clock(&mut self) -> &mut Clock {
+        &mut self.clock
+    }
+
+    /// The watchdog of the outputs: ns, and `None` if it is off.
+    fn watchdog_ns(&self) -> Option<u64> {
+        let tick_ns = (u64::from(self.word(address::WATCHDOG_DIVIDER)) + 2) * 40;
+        Some(tick_ns * u64::from(self.word(address::WATCHDOG))).filter(|limit| *limit > 0)
+    }
+
+    /// Feeds the watchdog.
+    pub(super) fn feed(&mut self, now: Time) {
+        (self.fed, self.expired) = (Some(now), false);
+    }
+
+    /// Whether the watchdog is armed and has run out by `now`; that is counted.
+    pub(super) fn watchdog_expired(&mut self, now: Time) -> bool {
+        let Some(limit_ns) = self.watchdog_ns() else { return false };
+        let is_late = self.fed.is_some_and(|fed| now.since(fed) >= limit_ns);
+        if is_late && !self.expired {
+            self.expired = true;
+            self.memory[WATCHDOG_COUNTER] = self.memory[WATCHDOG_COUNTER].saturating_add(1);
+        }
+        let arms = |manager: &Manager| manager.setting().control & SyncManager::WATCHDOG != 0;
+        self.expired && self.managers.iter().any(|manager| manager.is_process(true) && arms(manager))
+    }
+
+    /// A frame begins: registers that change by themselves are updated.
+    pub(super) fn begin(&mut self, passage: Passage) {
+        self.passage = passage;
+        self.show();
+    }
+
+    /// Writes the values that change by themselves into its registers.
+    fn show(&mut self) {
+        for n in 0..self.managers.len() {
+            let at = address::sync_manager(n as u16);
+            let (status, control) = self.managers[n].registers();
+            self.put(at + 5, &[status]);
+            self.put(at + 7, &[control]);
+        }
+        let [status, events] = [self.eeprom.status(), self.events].map(u16::to_le_bytes);
+        self.put(address::SII_CONTROL, &status);
+        self.put(EVENTS as u16, &events);
+        let requests = self.requests();
+        self.put(REQUESTS as u16, &requests.to_le_bytes());
+        let runs = self.watchdog_ns().is_none() || (self.fed.is_some() && !self.expired);
+        self.put(address::WATCHDOG_STATUS, &[u8::from(runs)]);
+        if self.features.has_clock() {
+            let (system_time, difference) = (self.clock.system_time(), self.clock.difference());
+            self.put(address::DC_TIME, &system_time.to_le_bytes());
+            self.put(address::DC_DIFFERENCE, &difference.to_le_bytes());
+            if let Some(next) = self.clock.next_sync() {
+                self.put(address::DC_START, &next.to_le_bytes());
+            }
+        }
+    }
+
+    fn requests(&self) -> u32 {
+        let managers = self.managers.iter().take(16).enumerate();
+        managers.fold(u32::from(self.requested.is_some()), |bits, (n, manager)| {
+            bits | u32::from(manager.event()) << (8 + n)
+        })
+    }
+
+    /// Shows the read data, and the alias if it was loaded again.
+    fn show_sii(&mut self) {
+        let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
+        self.met.sii_failed += u32::from(Status(self.eeprom.status()).failed());
+        self.put(address::SII_DATA, &data);
+        if let Some(at) = self.eeprom.slipped_to() {
+            self.met.sii_slipped += 1;
+            self.put(address::SII_CONTROL + 2, &at.to_le_bytes());
+        }
+        self.put(address::ALIAS, &alias.to_le_bytes());
+    }
+
+    /// Takes the words of its EEPROM, for its next start.
+    pub(super) fn take_sii(&mut self) -> Vec<u16> {
+        self.eeprom.take_words()
+    }
+}

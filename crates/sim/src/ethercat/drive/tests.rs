@@ -1,0 +1,474 @@
+//! The simulated drive against the sheet, cycle by cycle, in its own time.
+
+mod messages;
+mod motion;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::ethercat::objects::abort;
+use crate::ethercat::{Dialect, MotorSettings};
+use fieldbeat_core::time::US;
+use fieldbeat_ethercat::wire::mailbox::{Counter, Message, SDO_SIZE, emit, parse};
+use fieldbeat_ethercat::wire::sdo::{AbortCode, Request, Response};
+
+/// Counts a turn.
+const TURN: i32 = 1 << 20;
+
+/// A drive, a master's notion of time, and what it sends in every cycle.
+struct Bench {
+    drive: Drive,
+    now: Time,
+    cycle_ns: u64,
+    counter: Counter,
+    outputs: Vec<u8>,
+    inputs: Vec<u8>,
+}
+
+impl Bench {
+    /// In INIT.
+    fn new(change: impl FnOnce(&mut DriveSettings)) -> Bench {
+        Bench::of(Family::S700, change)
+    }
+
+    fn of(family: Family, change: impl FnOnce(&mut DriveSettings)) -> Bench {
+        let mut settings = DriveSettings::new(family);
+        change(&mut settings);
+        let drive = Drive::new(settings);
+        let (outputs, inputs) = drive.sizes();
+        Bench {
+            drive,
+            now: Time(5 * S),
+            cycle_ns: MS,
+            counter: Counter::default(),
+            outputs: vec![0; outputs],
+            inputs: vec![0; inputs],
+        }
+    }
+
+    fn enter(&mut self, state: AlState) -> Result<(), AlCode> {
+        self.drive.may_enter(self.now, state)
+    }
+
+    /// In PREOP.
+    fn pre_op(change: impl FnOnce(&mut DriveSettings)) -> Bench {
+        let mut bench = Bench::new(change);
+        bench.enter(AlState::PreOp).unwrap();
+        bench
+    }
+
+    /// From PREOP to OP, with cycles, the usual way.
+    fn go_to_op(&mut self) {
+        let (outputs, inputs) = self.drive.sizes();
+        (self.outputs, self.inputs) = (vec![0; outputs], vec![0; inputs]);
+        self.enter(AlState::SafeOp).unwrap();
+        self.cycles(100);
+        assert!(self.drive.is_synchronous());
+        self.enter(AlState::Op).unwrap();
+    }
+
+    /// In OP, in this mode with these PDOs.
+    fn op(mode: Mode, outputs: u16, inputs: u16) -> Bench {
+        let mut bench = Bench::pre_op(|_| {});
+        bench.select(0x1C12, outputs);
+        bench.select(0x1C13, inputs);
+        bench.write("0x6060:0", &[mode.0 as u8]).unwrap();
+        bench.go_to_op();
+        bench
+    }
+
+    /// The same, and operation is enabled.
+    fn enabled(mode: Mode, outputs: u16, inputs: u16) -> Bench {
+        let mut bench = Bench::op(mode, outputs, inputs);
+        bench.put(INTERPOLATION, bench.drive.position());
+        bench.put(TARGET_POSITION, bench.drive.position());
+        bench.enable();
+        bench
+    }
+
+    fn enable(&mut self) {
+        [0x06, 0x07, 0x0F].into_iter().for_each(|word| self.control(word));
+        assert_eq!(self.drive.axis_state(), State::OperationEnabled);
+    }
+
+    fn select(&mut self, assignment: u16, pdo: u16) {
+        let object = |sub| Object::new(assignment, sub).to_string();
+        self.write(&object(0), &[0]).unwrap();
+        self.write(&object(1), &pdo.to_le_bytes()).unwrap();
+        self.write(&object(0), &[1]).unwrap();
+    }
+
+    /// One cycle.
+    fn cycle(&mut self) {
+        self.now = self.now + self.cycle_ns;
+        self.drive.process(self.now, &self.outputs, &mut self.inputs);
+    }
+
+    fn cycles(&mut self, count: u32) {
+        (0..count).for_each(|_| self.cycle());
+    }
+
+    /// A control word for a cycle.
+    fn control(&mut self, word: u16) {
+        self.put(CONTROL_WORD, word.into());
+        self.cycle();
+    }
+
+    /// A value in the outputs, if it is mapped.
+    fn put(&mut self, object: Object, value: i64) {
+        let layout = self.drive.selected(OUTPUT_PDO).unwrap();
+        if let Some(at) = layout.place(object) {
+            let bytes = object.known().unwrap().kind.bytes();
+            self.outputs[at..at + bytes].copy_from_slice(&value.to_le_bytes()[..bytes]);
+        }
+    }
+
+    /// A value in the inputs.
+    fn got(&self, object: Object) -> i64 {
+        let at = self.drive.selected(INPUT_PDO).unwrap().place(object).unwrap();
+        let kind = object.known().unwrap().kind;
+        let mut raw = [0; 8];
+        raw[..kind.bytes()].copy_from_slice(&self.inputs[at..at + kind.bytes()]);
+        kind.number(u64::from_le_bytes(raw))
+    }
+
+    fn status(&self) -> StatusWord {
+        StatusWord(self.got(STATUS_WORD) as u16)
+    }
+
+    fn ask(&mut self, request: &Request<'_>) -> Result<Vec<u8>, AbortCode> {
+        self.counter = self.counter.next();
+        let mut bytes = [0; SDO_SIZE];
+        assert_eq!(emit(request, self.counter, &mut bytes), SDO_SIZE);
+        let mut reply = Vec::new();
+        assert!(self.drive.mailbox(&bytes, &mut reply));
+        while !matches!(parse(&reply), Some(Message::Sdo { .. })) {
+            assert!(self.drive.message(&mut reply));
+        }
+        match parse(&reply) {
+            Some(Message::Sdo { response: Response::Value { data, .. }, .. }) => Ok(data.to_vec()),
+            Some(Message::Sdo { response: Response::Downloaded { .. }, .. }) => Ok(Vec::new()),
+            Some(Message::Sdo { response: Response::Abort { code, .. }, .. }) => Err(code),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn write(&mut self, object: &str, data: &[u8]) -> Result<(), AbortCode> {
+        let mut value = [0; 4];
+        value[..data.len()].copy_from_slice(data);
+        let object = Object::parse(object).unwrap();
+        self.ask(&Request::Download { object, value, length: data.len() as u8 }).map(|_| ())
+    }
+
+    fn read(&mut self, object: &str) -> Result<i64, AbortCode> {
+        let object = Object::parse(object).unwrap();
+        let data = self.ask(&Request::Upload { object, complete: false })?;
+        let mut raw = [0; 8];
+        raw[..data.len()].copy_from_slice(&data);
+        Ok(object.known().unwrap().kind.number(u64::from_le_bytes(raw)))
+    }
+
+    /// The emergencies that wait.
+    fn emergencies(&mut self) -> Vec<u16> {
+        let mut reply = Vec::new();
+        let mut codes = Vec::new();
+        while self.drive.message(&mut reply) {
+            if let Some(Message::Emergency(emergency)) = parse(&reply) {
+                codes.push(emergency.code);
+            }
+        }
+        codes
+    }
+}
+
+#[test]
+fn states_of_the_bus_come_one_after_the_other_and_go_at_once() {
+    let mut bench = Bench::new(|_| {});
+    let refused = Err(AlCode::INVALID_REQUEST);
+    assert_eq!(bench.enter(AlState::SafeOp), refused);
+    assert_eq!(bench.enter(AlState::Op), refused);
+    assert_eq!(bench.enter(AlState::PreOp), Ok(()));
+    assert_eq!(bench.enter(AlState::Op), refused);
+    assert_eq!(bench.enter(AlState::Boot), refused);
+    bench.go_to_op();
+    assert_eq!(bench.enter(AlState::Boot), refused);
+    assert_eq!(bench.enter(AlState::PreOp), Ok(()));
+    assert!(!bench.drive.is_synchronous());
+    assert_eq!(bench.enter(AlState::Init), Ok(()));
+    assert_eq!(bench.enter(AlState::Boot), Ok(()));
+    assert_eq!(bench.enter(AlState::PreOp), refused);
+    assert_eq!(bench.enter(AlState::Init), Ok(()));
+}
+
+#[test]
+fn op_is_refused_until_the_drive_is_synchronous_and_that_is_f28() {
+    let mut bench = Bench::pre_op(|_| {});
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycles(99);
+    assert!(bench.status().has(StatusWord::WARNING), "n17");
+    assert_eq!(bench.enter(AlState::Op), Err(AlCode::SYNCHRONISATION));
+    assert_eq!(bench.drive.al_state(), AlState::SafeOp);
+    assert_eq!(bench.drive.fault(), Some(Fault::SYNCHRONISATION));
+    bench.cycle();
+    assert!(!bench.status().has(StatusWord::WARNING));
+    assert_eq!(bench.enter(AlState::Op), Ok(()));
+    bench.control(0);
+    assert_eq!(bench.status().state(), State::Fault);
+    bench.control(0x80);
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
+    assert_eq!(bench.emergencies(), [0x8700, 0]);
+}
+
+#[test]
+fn going_through_pre_op_deletes_what_is_not_fatal() {
+    let mut bench = Bench::pre_op(|_| {});
+    bench.drive.provoke(Fault::MAINS);
+    assert_eq!(bench.read("0x1003:1"), Ok(0x3100));
+    bench.go_to_op();
+    assert_eq!(bench.drive.fault(), None);
+    bench.enter(AlState::PreOp).unwrap();
+    bench.drive.provoke(Fault::EARTH);
+    bench.go_to_op();
+    assert_eq!(bench.drive.fault(), Some(Fault::EARTH));
+}
+
+#[test]
+fn a_cycle_of_another_length_than_60c2_never_makes_it_synchronous() {
+    let mut bench = Bench::pre_op(|_| {});
+    // 2 ms, in the form 20 x 10^-4.
+    bench.write("0x60C2:1", &[20]).unwrap();
+    bench.write("0x60C2:2", &[-4_i8 as u8]).unwrap();
+    assert_eq!(bench.read("0x35D5:1"), Ok(8));
+    assert_eq!(bench.read("0x1C32:2"), Ok(2_000_000));
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycles(300);
+    assert!(!bench.drive.is_synchronous());
+    bench.cycle_ns = 2 * MS;
+    bench.cycles(110);
+    assert!(bench.drive.is_synchronous());
+    // 1.1 ms is no multiple of 250 us.
+    bench.enter(AlState::PreOp).unwrap();
+    bench.write("0x60C2:1", &[11]).unwrap();
+    bench.cycle_ns = 1_100 * US;
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycles(300);
+    assert!(!bench.drive.is_synchronous());
+}
+
+#[test]
+fn two_cycles_that_fail_in_a_row_stop_it_and_drop_it_to_safe_op() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 1_000);
+    bench.cycles(200);
+    let rpm = bench.drive.rpm();
+    assert!(rpm > 200.0, "{rpm}");
+    bench.now = bench.now + MS;
+    bench.cycle();
+    assert_eq!((bench.drive.al_state(), bench.drive.dropped()), (AlState::Op, None), "one is forgiven");
+    bench.cycles(10);
+    bench.now = bench.now + 2 * MS;
+    bench.cycle();
+    assert_eq!(bench.drive.dropped(), Some(AlCode::SYNCHRONISATION));
+    assert_eq!((bench.drive.al_state(), bench.drive.dropped()), (AlState::SafeOp, None));
+    assert_eq!(bench.drive.fault(), Some(Fault::SYNCHRONISATION));
+    bench.cycles(200);
+    assert_eq!(bench.drive.axis_state(), State::Fault);
+    assert!(bench.drive.rpm().abs() < 1.0);
+}
+
+#[test]
+fn a_master_that_dies_is_noticed_without_another_cycle() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 1_000);
+    bench.cycles(200);
+    bench.now = bench.now + 10 * S;
+    bench.drive.advance(bench.now);
+    assert_eq!(bench.drive.dropped(), Some(AlCode::SYNCHRONISATION));
+    assert_eq!(bench.drive.axis_state(), State::Fault);
+    assert!(bench.drive.rpm().abs() < 1.0);
+}
+
+#[test]
+fn the_status_words_of_the_sheet_are_those_on_the_way_up() {
+    let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.control(0x00);
+    assert_eq!(bench.status(), StatusWord(0x0240));
+    bench.control(0x0F);
+    assert_eq!(bench.status(), StatusWord(0x0240), "no step is left out");
+    bench.control(0x06);
+    assert_eq!(bench.status(), StatusWord(0x0221));
+    bench.control(0x07);
+    assert_eq!(bench.status(), StatusWord(0x0633));
+    bench.control(0x0F);
+    assert_eq!(bench.status(), StatusWord(0x0637));
+    bench.control(0x02);
+    bench.cycle();
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled, "it stood: the quick stop was short");
+}
+
+#[test]
+fn outputs_count_in_op_only() {
+    let mut bench = Bench::pre_op(|_| {});
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycles(100);
+    [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));
+    assert_eq!(bench.status(), StatusWord(0x0240));
+    bench.inputs.fill(0xEE);
+    bench.enter(AlState::PreOp).unwrap();
+    bench.cycle();
+    assert!(bench.inputs.iter().all(|byte| *byte == 0xEE), "no actual values in PREOP");
+}
+
+#[test]
+fn leaving_op_stops_quickly_and_switches_off() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 2_000);
+    bench.cycles(200);
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycle();
+    assert_eq!(bench.status().state(), State::QuickStopActive);
+    bench.cycles(100);
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
+    assert!(bench.drive.rpm().abs() < 1.0);
+    bench.enter(AlState::Op).unwrap();
+    bench.cycle();
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled, "the old word is obeyed, but is no shutdown");
+}
+
+#[test]
+fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 4_000);
+    bench.cycles(300);
+    bench.put(CONTROL_WORD, 0x8F);
+    bench.drive.provoke(Fault::MOTOR_TEMPERATURE);
+    bench.cycle();
+    assert_eq!(bench.status().state(), State::FaultReactionActive);
+    bench.cycles(100);
+    assert_eq!(bench.status().state(), State::Fault, "bit 7 stood before the fault was over");
+    assert_eq!(bench.emergencies(), [0x4310]);
+    assert_eq!(bench.read("0x1001:0"), Ok(9));
+    bench.control(0x00);
+    bench.control(0x80);
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
+    assert_eq!(bench.emergencies(), [0]);
+    assert_eq!(bench.read("0x1001:0"), Ok(0));
+    bench.enable();
+}
+
+#[test]
+fn a_reset_bit_that_stands_when_op_is_reached_is_no_edge() {
+    let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.drive.provoke(Fault::MAINS);
+    bench.enter(AlState::SafeOp).unwrap();
+    bench.cycles(10);
+    bench.enter(AlState::Op).unwrap();
+    bench.control(0x80);
+    bench.cycles(10);
+    assert_eq!(bench.status().state(), State::Fault);
+    bench.control(0x00);
+    bench.control(0x80);
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
+}
+
+#[test]
+fn a_fault_that_needs_a_cold_start_outlives_a_reset() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.drive.provoke(Fault::EARTH);
+    assert_eq!(bench.drive.axis_state(), State::Fault, "power is off at once");
+    bench.control(0x00);
+    bench.control(0x80);
+    assert_eq!(bench.status().state(), State::Fault);
+    bench.drive.restart(bench.now);
+    assert_eq!((bench.drive.fault(), bench.drive.al_state()), (None, AlState::Init));
+}
+
+#[test]
+fn without_its_hardware_enable_it_has_no_power() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 1_000);
+    bench.cycles(100);
+    bench.drive.inhibit(bench.now + 50 * MS);
+    bench.cycle();
+    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
+    [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));
+    assert_eq!(bench.status().state(), State::ReadyToSwitchOn);
+    assert!(bench.drive.rpm() > 50.0, "it coasts");
+    bench.cycles(50);
+    [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));
+    assert_eq!(bench.status().state(), State::OperationEnabled);
+}
+
+#[test]
+fn a_restart_loses_what_was_written_and_goes_on_turning() {
+    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.put(VELOCITY_SETPOINT, 1_000);
+    bench.cycles(200);
+    bench.drive.restart(bench.now);
+    assert_eq!((bench.drive.al_state(), bench.drive.axis_state()), (AlState::Init, State::SwitchOnDisabled));
+    assert!(bench.drive.rpm() > 100.0);
+    bench.drive.advance(bench.now + 100 * S);
+    assert!(bench.drive.rpm().abs() < 1.0, "friction ends it");
+}
+
+#[test]
+fn areas_that_are_too_short_are_left_alone() {
+    let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    let now = bench.now + MS;
+    let mut inputs = [0xEE; 7];
+    bench.drive.process(now, &[6, 0], &mut inputs);
+    assert_eq!((inputs, bench.drive.axis_state()), ([0xEE; 7], State::SwitchOnDisabled));
+    // Longer ones are written as far as the PDO goes.
+    let mut inputs = [0xEE; 9];
+    bench.drive.process(now + MS, &[0, 0, 0, 0, 6, 0, 0xFF], &mut inputs);
+    assert_eq!((inputs[8], bench.drive.axis_state()), (0xEE, State::ReadyToSwitchOn));
+}
+
+#[test]
+fn torque_limits_and_inertia_are_those_of_the_settings() {
+    let heavy = MotorSettings { inertia_kgm2: 0.2, ..MotorSettings::default() };
+    let mut bench = Bench::pre_op(|settings| settings.motor = heavy);
+    bench.go_to_op();
+    bench.enable();
+    bench.put(VELOCITY_SETPOINT, 4_096);
+    bench.cycles(100);
+    // 15 N m on 0.2 kg m^2: 75 rad/s^2.
+    let speed = bench.drive.rpm() * RPM;
+    assert!((5.0..8.0).contains(&speed), "{speed}");
+    assert_eq!(bench.got(TORQUE), 3_000);
+}
+
+proptest! {
+    #[test]
+    fn no_mailbox_message_panics(messages: Vec<Vec<u8>>) {
+        let mut bench = Bench::pre_op(|_| {});
+        let mut reply = Vec::new();
+        for message in messages {
+            let _ = bench.drive.mailbox(&message, &mut reply);
+        }
+    }
+
+    #[test]
+    fn no_sdo_and_no_outputs_panic(
+        rounds in proptest::collection::vec(
+            (0_usize..80, any::<[u8; 4]>(), any::<[u8; 6]>(), 0_u64..3 * MS),
+            1..60,
+        ),
+        mode in proptest::sample::select(vec![1_u8, 3, 4, 6, 7, 0x80, 0x82, 0x85]),
+    ) {
+        let mut bench = Bench::enabled(Mode(mode as i8), 0x1701, 0x1B03);
+        let known: Vec<_> = fieldbeat_ethercat::object::catalogue::all().collect();
+        for (place, value, outputs, wait_ns) in rounds {
+            let known = known[place % known.len()];
+            let length = known.kind.bytes().min(4) as u8;
+            let _ = bench.ask(&Request::Download { object: known.object, value, length });
+            bench.outputs.copy_from_slice(&outputs);
+            // Commands, so that it moves.
+            bench.outputs[4] = [0x06, 0x07, 0x0F, 0x1F, 0x80][usize::from(outputs[4]) % 5];
+            bench.cycle_ns = wait_ns;
+            bench.cycle();
+            let _ = bench.enter([AlState::SafeOp, AlState::Op][usize::from(outputs[0]) % 2]);
+        }
+        prop_assert!(bench.drive.rpm().is_finite());
+    }
+}

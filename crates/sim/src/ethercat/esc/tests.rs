@@ -1,0 +1,206 @@
+use super::super::testing::{Bench, with_mailbox};
+use super::*;
+use crate::ethercat::sii::Access;
+use fieldbeat_ethercat::wire::frame::position;
+use fieldbeat_ethercat::wire::registers::Features;
+use fieldbeat_ethercat::wire::sii;
+
+/// Memory that nothing guards.
+const FREE: u16 = 0x0F80;
+
+/// Two drives and a slave without a clock.
+fn three() -> Bench {
+    let blind = Settings { features: Features(0x0180), ..Settings::default() };
+    Bench::new(vec![Settings::default(), Settings::default(), blind])
+}
+
+#[test]
+fn each_command_counts_as_often_as_it_is_carried_out() {
+    let mut bench = three();
+    let second = position(1);
+    for (command, count) in [
+        (Command::Nop, 0),
+        (Command::Aprd(second, FREE), 1),
+        (Command::Apwr(second, FREE), 1),
+        (Command::Aprw(second, FREE), 3),
+        (Command::Aprd(position(3), FREE), 0),
+        (Command::Fprd(0x1002, FREE), 1),
+        (Command::Fpwr(0x1002, FREE), 1),
+        (Command::Fprw(0x1002, FREE), 3),
+        (Command::Fprd(0x2000, FREE), 0),
+        (Command::Brd(FREE), 3),
+        (Command::Bwr(FREE), 3),
+        (Command::Brw(FREE), 9),
+        (Command::Armw(second, FREE), 3),
+        (Command::Frmw(0x1002, FREE), 3),
+        (Command::Frmw(0x2000, FREE), 3),
+        // What the slave without a clock has of it, and what it does not have.
+        (Command::Bwr(address::DC_PORTS), 3),
+        (Command::Bwr(address::DC_TIME), 2),
+        (Command::Frmw(0x1001, address::DC_TIME), 2),
+        (Command::Armw(position(0), address::DC_TIME), 2),
+        // What cannot be written, and what is not there.
+        (Command::Bwr(address::TYPE), 0),
+        (Command::Brw(address::TYPE), 3),
+        (Command::Brd(0x4000), 0),
+        (Command::Lrd(0), 0),
+        (Command::Lwr(0), 0),
+        (Command::Lrw(0), 0),
+    ] {
+        assert_eq!(bench.send(command, &[0; 4]).1, count, "{command:?}");
+    }
+}
+
+#[test]
+fn positions_are_counted_and_other_addresses_stay() {
+    let mut bench = three();
+    let at = |first: u16| u32::from(first) | u32::from(FREE) << 16;
+    for (command, back) in [
+        (Command::Aprd(0xFFFF, FREE), at(2)),
+        (Command::Apwr(0, FREE), at(3)),
+        (Command::Aprw(0xFFF0, FREE), at(0xFFF3)),
+        (Command::Armw(0, FREE), at(3)),
+        (Command::Brd(FREE), at(3)),
+        (Command::Bwr(FREE), at(3)),
+        (Command::Brw(FREE), at(3)),
+        (Command::Fprd(0x1001, FREE), at(0x1001)),
+        (Command::Fpwr(0x1001, FREE), at(0x1001)),
+        (Command::Fprw(0x1001, FREE), at(0x1001)),
+        (Command::Frmw(0x1001, FREE), at(0x1001)),
+        (Command::Lrd(5), 5),
+        (Command::Lwr(5), 5),
+        (Command::Lrw(5), 5),
+    ] {
+        assert_eq!(bench.send_whole(command, &[0; 2]).2, back, "{command:?}");
+    }
+}
+
+#[test]
+fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
+    let mut bench = Bench::drives(|_| {});
+    bench.all_to(&[AlState::SafeOp]);
+    bench.go(1, AlState::Op);
+    assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 2]), (vec![0x0C, 0], 2));
+    // What the master sends is or-ed too.
+    assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0xF0, 0]), (vec![0xFC, 0], 2));
+}
+
+#[test]
+fn a_read_write_brings_what_was_there_and_leaves_what_came() {
+    let mut bench = three();
+    for n in 0..3 {
+        bench.write(n, FREE, &[1 << n]);
+    }
+    assert_eq!(bench.send(Command::Fprw(0x1002, FREE), &[0x80]), (vec![2], 3));
+    assert_eq!(bench.read(1, FREE), Some([0x80]));
+    // Each writes what reaches it: what the ones before it have or-ed.
+    assert_eq!(bench.send(Command::Brw(FREE), &[0x10]), (vec![0x95], 9));
+    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [[0x10], [0x11], [0x91]].map(Some));
+}
+
+#[test]
+fn one_reads_and_those_behind_it_write_that() {
+    let mut bench = three();
+    for n in 0..3 {
+        bench.write(n, FREE, &[n as u8 + 1]);
+    }
+    assert_eq!(bench.send(Command::Frmw(0x1002, FREE), &[9]), (vec![2], 3));
+    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [[9], [2], [2]].map(Some));
+    assert_eq!(bench.send(Command::Armw(position(0), FREE), &[5]), (vec![9], 3));
+    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [Some([9]); 3]);
+}
+
+#[test]
+fn the_alias_counts_once_it_is_switched_on() {
+    let mut bench = Bench::new(vec![with_mailbox()]);
+    let by_alias = Command::Fprd(0x77, address::STATION);
+    assert_eq!(bench.send(by_alias, &[0; 2]).1, 0);
+    bench.write(0, 0x0103, &[1]);
+    assert_eq!(bench.send(by_alias, &[0; 4]), (vec![0x01, 0x10, 0x77, 0], 1));
+}
+
+#[test]
+fn process_data_counts_three_from_safeop_on_and_nothing_below() {
+    let mut bench = Bench::drives(|_| {});
+    let sent = [7; 28];
+    let image = Command::Lrw(0x1_0000);
+    assert_eq!(bench.send(image, &sent), (sent.to_vec(), 0));
+    bench.scripts[0].script().inputs = vec![1; 8];
+    bench.go(0, AlState::SafeOp);
+    bench.send(image, &sent);
+    let mut back = sent;
+    back[12..20].fill(1);
+    assert_eq!(bench.send(image, &sent), (back.to_vec(), 3));
+    bench.go(1, AlState::SafeOp);
+    assert_eq!(bench.send(image, &sent).1, 6);
+    assert_eq!(bench.send(Command::Lrd(0x1_0000), &sent).1, 2);
+    assert_eq!(bench.send(Command::Lwr(0x1_0000), &sent).1, 2);
+    // Of a slave whose outputs are not in it only the inputs count.
+    assert_eq!(bench.send(Command::Lrw(0x1_000C), &[0; 8]).1, 1);
+    assert_eq!(bench.send(Command::Lrw(0x1_0006), &[0; 6]).1, 2);
+}
+
+#[test]
+fn a_slave_does_not_do_what_its_features_lack() {
+    let mut bench = Bench::drives(|settings| settings.features = Features(0x0784));
+    bench.all_to(&[AlState::SafeOp]);
+    assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]), (vec![7; 28], 0));
+    assert_eq!(bench.send(Command::Lrd(0x1_0000), &[7; 28]).1, 2);
+    assert_eq!(bench.send(Command::Lwr(0x1_0000), &[7; 28]).1, 2);
+    for command in [Command::Brw(FREE), Command::Fprw(0x1001, FREE), Command::Aprw(0, FREE)] {
+        assert_eq!(bench.send(command, &[7; 2]), (vec![7; 2], 0));
+    }
+}
+
+#[test]
+fn the_eeprom_is_read_by_its_registers_and_by_its_owner_only() {
+    let access = Access { busy_ns: 1_000, ..Access::default() };
+    let mut bench = Bench::new(vec![Settings { sii_access: access, ..with_mailbox() }]);
+    let begin = sii::read(sii::word::MAILBOX_OUT);
+    assert_eq!(bench.write(0, address::SII_OWNER, &[1]), 1);
+    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 0);
+    for owner in [sii::FORCE, sii::MASTER] {
+        assert_eq!(bench.write(0, address::SII_OWNER, &[owner]), 1);
+    }
+    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 1);
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0x00, 0x81]));
+    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 0, "busy");
+    bench.wait(1_000);
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0]));
+    assert_eq!(bench.read(0, address::SII_DATA), Some([0x00, 0x18, 0x00, 0x04]));
+}
+
+#[test]
+fn a_power_cycle_loses_all_but_the_eeprom() {
+    let mut bench = Bench::drives(|_| {});
+    let now = bench.now;
+    bench.segment.slave(0).unwrap().restart(now);
+    assert_eq!(bench.scripts[0].script().restarts, 1);
+    assert_eq!(bench.send(Command::Aprd(0, address::STATION), &[0; 4]), (vec![0, 0, 0x77, 0], 1));
+    assert_eq!(bench.send(Command::Aprd(0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
+    assert_eq!(bench.send(Command::Aprd(0, address::SYNC_MANAGER), &[0; 4]), (vec![0; 4], 1));
+    assert_eq!(bench.state(1), (AlState::PreOp, None));
+    let slave = bench.segment.slave(0).unwrap();
+    assert_eq!((slave.state(), slave.error()), (AlState::Init, None));
+}
+
+#[test]
+fn sync0_runs_the_application_on_its_time_and_no_output_does() {
+    let mut bench =
+        Bench::drives(|settings| (settings.clock_ns, settings.features) = (5_000, Features(0x018C)));
+    bench.all_to(&[AlState::SafeOp]);
+    bench.write(0, address::DC_CYCLE, &1_000_u32.to_le_bytes());
+    bench.write(0, address::DC_START, &7_000_u64.to_le_bytes());
+    bench.write(0, address::DC_CONTROL, &[0, 3]);
+    bench.scripts[0].script().cycles.clear();
+    let begin = bench.now;
+    bench.wait(4_500);
+    bench.send(Command::Lrw(0x1_0000), &[1; 28]);
+    let at: Vec<u64> = bench.scripts[0].script().cycles.iter().map(|(at, _)| at.since(begin)).collect();
+    assert_eq!(at, [2_000, 3_000, 4_000]);
+    assert_eq!(bench.read(0, address::DC_START), Some(10_000_u64.to_le_bytes()), "the next one");
+    bench.send(Command::Bwr(address::DC_ACTIVATION), &[0]);
+    bench.wait(9_000);
+    bench.send(Command::Lrw(0x1_0000), &[1; 28]);
+    assert_eq!(bench.scripts[0].script().cycles.len(), 4, "by the outputs again");
+}

@@ -1,0 +1,376 @@
+//! The firmware of every slave: the EtherCAT state machine, the mailbox, the cycle (ETG.1000.6, 6.4; ETG.1000.4,
+//! 6.7).
+
+use std::ops::Range;
+
+use super::chip::Chip;
+use super::hardware::Settings;
+use super::manager::Manager;
+use super::slave::MailboxSettings;
+use super::{Application, Drive};
+use fieldbeat_core::time::Time;
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, SyncManager, address};
+use fieldbeat_ethercat::wire::sii::{Use, word};
+
+/// Standard codes that every slave has.
+const UNKNOWN_STATE: AlCode = AlCode(0x0012);
+const MAILBOX: AlCode = AlCode(0x0016);
+const NO_SII: AlCode = AlCode(0x0050);
+const OUTPUTS: AlCode = AlCode(0x001D);
+const INPUTS: AlCode = AlCode(0x001E);
+/// Buffers below it are no memory, but outputs.
+const MEMORY: usize = 0x1000;
+
+/// The firmware without its application.
+#[derive(Debug)]
+pub(super) struct Firmware {
+    application: Box<dyn Application>,
+    watchdog_code: AlCode,
+    reaction_ns: u64,
+    has_mailbox: bool,
+    /// It reads its SII on the way to PREOP.
+    reads_sii: bool,
+    /// The SyncManagers that it wants; empty: it does not compare them.
+    wanted: Vec<(SyncManager, Use)>,
+    state: AlState,
+    /// Why it refused, or fell back, until that is acknowledged.
+    error: Option<AlCode>,
+    /// The requested state of the application that it cannot enter yet.
+    pending: Option<AlState>,
+    manner: MailboxSettings,
+    /// A message that waits for room in the mailbox, and when it is ready.
+    waiting: Option<(Time, Vec<u8>)>,
+    /// Answers so far.
+    answers: u32,
+    /// The last message put there.
+    last: Vec<u8>,
+    /// Process data of the present cycle.
+    outputs: Vec<u8>,
+    inputs: Vec<u8>,
+    /// Outputs of another slave that are wired to its inputs.
+    sensed: Option<Vec<u8>>,
+}
+
+impl Firmware {
+    pub(super) fn new(application: Box<dyn Application>, settings: &Settings) -> Firmware {
+        let protocols = settings.sii.get(usize::from(word::PROTOCOLS));
+        Firmware {
+            application,
+            watchdog_code: settings.watchdog_code,
+            reaction_ns: settings.reaction_ns,
+            has_mailbox: protocols.is_some_and(|protocols| *protocols != 0),
+            reads_sii: settings.sii_access.read_in_preop,
+            wanted: settings.managers.clone(),
+            state: AlState::Init,
+            error: None,
+            pending: None,
+            manner: settings.mailbox,
+            waiting: None,
+            answers: 0,
+            last: Vec::new(),
+            outputs: Vec::new(),
+            inputs: Vec::new(),
+            sensed: None,
+        }
+    }
+
+    /// The state it is in.
+    pub(super) fn state(&self) -> AlState {
+        self.state
+    }
+
+    /// Why it refused, or fell back, until that is acknowledged.
+    pub(super) fn error(&self) -> Option<AlCode> {
+        self.error
+    }
+
+    /// The outputs of the present cycle.
+    pub(super) fn driven(&self) -> &[u8] {
+        &self.outputs
+    }
+
+    /// Outputs of another slave are at its inputs.
+    pub(super) fn sense(&mut self, levels: &[u8]) {
+        let sensed = self.sensed.get_or_insert_default();
+        sensed.clear();
+        sensed.extend_from_slice(levels);
+    }
+
+    /// The drive behind it, if there is one.
+    pub(super) fn drive(&mut self) -> Option<&mut Drive> {
+        self.application.drive()
+    }
+
+    /// It is as another master has left it.
+    pub(super) fn leave(&mut self, chip: &mut Chip, status: AlStatus, code: AlCode) {
+        self.state = status.state().unwrap_or_default();
+        self.error = status.error().then_some(code);
+        if chip.emulated_state().is_some() {
+            chip.write(address::AL_CONTROL, &status.0.to_le_bytes());
+            return;
+        }
+        self.application.left_in(self.state);
+        self.show(chip);
+    }
+
+    /// Power cycle, or a restart of the processor alone.
+    pub(super) fn restart(&mut self, now: Time) {
+        self.application.restart(now);
+        (self.state, self.error, self.pending) = (AlState::Init, None, None);
+        self.forget();
+    }
+
+    /// The mailbox begins anew.
+    fn forget(&mut self) {
+        self.waiting = None;
+        self.last.clear();
+    }
+
+    /// Does what is due by `now`.
+    pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
+        self.application.advance(now);
+        self.stay(chip, now);
+        if chip.requested().is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
+            let request = chip.take_request();
+            self.take(chip, request, now);
+        }
+        self.follow(chip);
+        if let Some(state) = self.pending {
+            self.rise(chip, state, now);
+        }
+        if self.state != AlState::Init {
+            self.mailbox(chip, now);
+        }
+    }
+
+    /// Without a processor nobody decides: the state is the requested one.
+    fn follow(&mut self, chip: &Chip) {
+        self.state = chip.emulated_state().unwrap_or(self.state);
+    }
+
+    /// One cycle of the application. Without a processor inputs are read in every state.
+    pub(super) fn cycle(&mut self, chip: &mut Chip, at: Time) {
+        self.follow(chip);
+        self.stay(chip, at);
+        if self.state < AlState::SafeOp && chip.emulated_state().is_none() {
+            return;
+        }
+        self.outputs.clear();
+        if self.state == AlState::Op && !chip.watchdog_expired(at) {
+            self.outputs.extend(chip.outputs());
+            self.application.trim(&mut self.outputs);
+        }
+        self.inputs.clear();
+        self.inputs.extend(chip.inputs());
+        self.application.process(at, &self.outputs, &mut self.inputs);
+        if let Some(levels) = &self.sensed {
+            self.application.sense(levels, &mut self.inputs);
+        }
+        chip.put_inputs(&self.inputs);
+        self.stay(chip, at);
+    }
+
+    /// Falls back if it cannot stay in OP.
+    fn stay(&mut self, chip: &mut Chip, at: Time) {
+        let (expired, dropped) = (chip.watchdog_expired(at), self.application.dropped());
+        if self.state != AlState::Op || chip.emulated_state().is_some() {
+            return;
+        }
+        let code = match dropped {
+            Some(code) => code,
+            None if expired => {
+                // It is informed, not asked.
+                let _ = self.application.may_enter(at, AlState::SafeOp);
+                self.watchdog_code
+            }
+            None => return,
+        };
+        (self.state, self.error, self.pending) = (AlState::SafeOp, Some(code), None);
+        self.show(chip);
+    }
+
+    pub(super) fn show(&self, chip: &mut Chip) {
+        chip.show_state(self.state, self.error.is_some(), self.error.unwrap_or(AlCode::NONE));
+    }
+
+    /// Takes a request of the master's.
+    fn take(&mut self, chip: &mut Chip, request: AlStatus, now: Time) {
+        if self.error.is_some() && !request.error() {
+            return;
+        }
+        (self.error, self.pending) = (None, None);
+        match request.state() {
+            None => self.refuse(UNKNOWN_STATE),
+            Some(state) if state == self.state => {}
+            Some(state) if !leads(self.state, state) => self.refuse(AlCode::INVALID_REQUEST),
+            Some(state) if state < self.state => {
+                // It is informed, not asked.
+                let _ = self.application.may_enter(now, state);
+                self.enter(chip, state, now);
+            }
+            Some(state) => self.rise(chip, state, now),
+        }
+        self.show(chip);
+    }
+
+    fn refuse(&mut self, code: AlCode) {
+        (self.error, self.pending) = (Some(code), None);
+    }
+
+    /// Enters a higher state, if everything is ready for it.
+    fn rise(&mut self, chip: &mut Chip, state: AlState, now: Time) {
+        match self.check(chip, state).and_then(|()| self.application.may_enter(now, state)) {
+            Ok(()) => self.enter(chip, state, now),
+            Err(AlCode::NONE) => self.pending = Some(state),
+            Err(code) => {
+                self.refuse(code);
+                self.show(chip);
+            }
+        }
+    }
+
+    fn enter(&mut self, chip: &mut Chip, state: AlState, now: Time) {
+        if self.state == AlState::Init || state == AlState::Init {
+            self.forget();
+        }
+        if state == AlState::PreOp && self.reads_sii {
+            chip.give_sii();
+        }
+        let rises = state > std::mem::replace(&mut self.state, state);
+        chip.met.exact_managers += u32::from(rises && !self.wanted.is_empty());
+        self.pending = None;
+        if state == AlState::Op {
+            // The watchdog runs from here on.
+            chip.feed(now);
+        }
+        self.show(chip);
+        if state == AlState::SafeOp && rises {
+            self.inputs.clear();
+            self.inputs.extend(chip.inputs());
+            self.application.actual(&mut self.inputs);
+            chip.put_inputs(&self.inputs);
+        }
+    }
+
+    /// Faults of the SyncManagers for a state.
+    fn check(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
+        match state {
+            AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(NO_SII),
+            AlState::PreOp if self.has_mailbox => {
+                let fits = |n: usize, output| chip.managers().get(n).is_some_and(|m| m.is_mailbox(output));
+                if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(MAILBOX) }
+            }
+            AlState::SafeOp | AlState::Op => {
+                self.compare(chip, state).and_then(|()| self.check_process(chip))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Compares the SyncManagers that a state needs with the wanted ones: start, length, control, and whether they
+    /// are on.
+    fn compare(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
+        for (n, (wanted, usage)) in self.wanted.iter().enumerate() {
+            let is_due = wanted.is_mailbox() || state >= AlState::SafeOp;
+            let set = chip.managers().get(n).map(Manager::setting).unwrap_or_default();
+            let fits = SyncManager { activate: wanted.activate, ..set } == *wanted;
+            if is_due && wanted.length > 0 && !(fits && set.activate & 1 == wanted.activate & 1) {
+                return Err(match usage {
+                    Use::Outputs => OUTPUTS,
+                    Use::Inputs => INPUTS,
+                    _ => MAILBOX,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn check_process(&self, chip: &Chip) -> Result<(), AlCode> {
+        let managers: Vec<&Manager> = chip.managers().iter().filter(|manager| manager.is_on()).collect();
+        let areas: Vec<Range<usize>> =
+            managers.iter().map(|manager| manager.footprint()).filter(|area| area.start >= MEMORY).collect();
+        if areas.iter().any(|area| area.end > chip.memory_end()) || overlap(areas) {
+            return Err(AlCode::SYNC_MANAGER);
+        }
+        let bytes = |output| -> usize {
+            managers
+                .iter()
+                .filter(|manager| manager.is_process(output))
+                .map(|manager| manager.area().len())
+                .sum()
+        };
+        self.application.check_sizes(bytes(true), bytes(false))
+    }
+
+    /// Serves the mailbox: one message at a time.
+    fn mailbox(&mut self, chip: &mut Chip, now: Time) {
+        let is_requested = chip.takes_repeat();
+        chip.met.unheeded_repeats += u32::from(is_requested && !self.manner.resends);
+        let again = is_requested && self.manner.resends && self.waiting.is_none();
+        if again && !self.last.is_empty() && chip.has_room() {
+            self.waiting = Some((now, self.last.clone()));
+        }
+        self.post(chip, now);
+        if chip.has_room() && self.waiting.is_none() {
+            let mut message = Vec::new();
+            if self.application.message(&mut message) {
+                self.waiting = Some((now, message));
+                self.post(chip, now);
+            }
+        }
+        let is_due = chip.filled().is_some_and(|filled| now.since(filled) >= self.reaction_ns);
+        if is_due && self.waiting.is_none() {
+            let request = chip.take_message();
+            let mut reply = Vec::new();
+            if self.application.mailbox(&request, &mut reply) {
+                self.answer(chip, reply, now);
+                self.post(chip, now);
+            }
+        }
+    }
+
+    /// Takes an answer of the application, at once, late or not at all.
+    fn answer(&mut self, chip: &mut Chip, reply: Vec<u8>, now: Time) {
+        self.answers += 1;
+        let MailboxSettings { delay_ns, delay_every, lose_every, .. } = self.manner;
+        let is_one_of = |every: u32| every > 0 && self.answers.is_multiple_of(every);
+        if is_one_of(lose_every) {
+            chip.met.lost_answers += 1;
+            return;
+        }
+        let late_ns = if is_one_of(delay_every) { delay_ns } else { 0 };
+        chip.met.late_answers += u32::from(late_ns > 0);
+        self.waiting = Some((now + late_ns, reply));
+    }
+
+    /// Puts the waiting message into the mailbox, if that is empty.
+    fn post(&mut self, chip: &mut Chip, now: Time) {
+        if !chip.has_room() {
+            return;
+        }
+        if let Some((_, message)) = self.waiting.take_if(|(ready, _)| *ready <= now) {
+            chip.put_message(&message);
+            self.last = message;
+        }
+    }
+}
+
+/// Whether two of these overlap.
+fn overlap(mut areas: Vec<Range<usize>>) -> bool {
+    areas.sort_by_key(|area| area.start);
+    areas.windows(2).any(|pair| pair[1].start < pair[0].end)
+}
+
+/// Whether a transition leads from one state to another.
+fn leads(from: AlState, to: AlState) -> bool {
+    use AlState::{Boot, Init, Op, PreOp, SafeOp};
+    match (from, to) {
+        (_, Init) | (Init, PreOp | Boot) | (PreOp, SafeOp) | (SafeOp, PreOp | Op) | (Op, PreOp | SafeOp) => {
+            true
+        }
+        _ => from == to,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,267 @@
+use super::super::Settings;
+use super::super::testing::{Bench, Script, bytes, with_mailbox};
+use super::*;
+use fieldbeat_core::time::MS;
+use fieldbeat_ethercat::wire::frame::Command;
+use fieldbeat_ethercat::wire::registers::{AlState as S, SyncManager, address};
+
+/// The message of the sheet: read 1C00:0.
+const REQUEST: &str = "0A00 0000 00 13 0020 40 001C 00 00000000";
+
+fn script(bench: &Bench) -> std::sync::MutexGuard<'_, Script> {
+    bench.scripts[0].script()
+}
+
+/// The first drive in this state, by the transitions that lead there.
+fn at(state: S) -> Bench {
+    let mut bench = Bench::drives(|_| {});
+    let way: &[S] = match state {
+        S::Init => &[S::Init],
+        S::PreOp => &[],
+        S::Boot => &[S::Init, S::Boot],
+        S::SafeOp => &[S::SafeOp],
+        S::Op => &[S::SafeOp, S::Op],
+    };
+    for state in way {
+        assert_eq!(bench.go(0, *state), (*state, None));
+    }
+    script(&bench).requested.clear();
+    bench
+}
+
+#[test]
+fn the_states_are_left_by_the_ways_there_are_and_no_others() {
+    let invalid = Some(AlCode(0x0011));
+    let states = [S::Init, S::PreOp, S::Boot, S::SafeOp, S::Op];
+    let refused = [
+        (S::Init, vec![S::SafeOp, S::Op]),
+        (S::PreOp, vec![S::Op, S::Boot]),
+        (S::Boot, vec![S::PreOp, S::SafeOp, S::Op]),
+        (S::SafeOp, vec![S::Boot]),
+        (S::Op, vec![S::Boot]),
+    ];
+    for (from, refused) in refused {
+        for to in states {
+            let mut bench = at(from);
+            let expected = if refused.contains(&to) { (from, invalid) } else { (to, None) };
+            assert_eq!(bench.go(0, to), expected, "{from} -> {to}");
+            let notified = from != to && expected.1.is_none();
+            assert_eq!(script(&bench).requested, if notified { vec![to] } else { vec![] }, "{from} -> {to}");
+        }
+    }
+}
+
+#[test]
+fn an_error_blocks_until_it_is_acknowledged_with_the_state_that_is_shown() {
+    let mut bench = at(S::PreOp);
+    bench.go(0, S::Op);
+    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x12, 0, 0, 0, 0x11, 0]));
+    assert_eq!(bench.go(0, S::SafeOp), (S::PreOp, Some(AlCode(0x0011))), "a valid one is ignored, too");
+    assert_eq!(bench.go(0, S::Init), (S::PreOp, Some(AlCode(0x0011))));
+    bench.control(0, AlStatus(0x12));
+    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x02, 0, 0, 0, 0, 0]));
+    assert_eq!(bench.go(0, S::SafeOp), (S::SafeOp, None));
+    // INIT and the acknowledgement in one, as a master begins.
+    bench.control(0, AlStatus(0x0C));
+    assert_eq!(bench.state(0), (S::SafeOp, Some(AlCode(0x0012))), "no state");
+    bench.control(0, AlStatus(0x11));
+    assert_eq!(bench.state(0), (S::Init, None));
+}
+
+#[test]
+fn a_second_request_before_the_first_was_read_is_not_taken() {
+    let mut bench = Bench::new(vec![Settings { reaction_ns: MS, ..Settings::default() }]);
+    bench.control(0, AlStatus::request(S::PreOp));
+    assert_eq!(bench.read(0, 0x0220), Some([1, 0, 0, 0]));
+    assert_eq!(bench.write(0, address::AL_CONTROL, &[1, 0]), 0);
+    assert_eq!(bench.state(0), (S::Init, None));
+    bench.wait(MS);
+    assert_eq!(bench.state(0), (S::PreOp, None));
+    assert_eq!(bench.read(0, 0x0220), Some([0; 4]));
+    bench.control(0, AlStatus::request(S::Init));
+}
+
+#[test]
+fn preop_needs_the_mailboxes() {
+    let mut bench = Bench::new(vec![with_mailbox()]);
+    assert_eq!(bench.go(0, S::PreOp), (S::Init, Some(AlCode(0x0016))));
+    bench.control(0, AlStatus(0x11));
+    bench.set_up(0, 6, 8);
+    assert_eq!(bench.go(0, S::PreOp), (S::PreOp, None));
+}
+
+#[test]
+fn safeop_and_op_need_process_data_of_the_right_lengths() {
+    for (outputs, inputs, code) in [
+        (6, 8, None),
+        (7, 8, Some(0x001D)),
+        (6, 9, Some(0x001E)),
+        (6, 0, Some(0x001E)),
+        // Three times 22 bytes do not fit between 1100h and 1140h.
+        (22, 8, Some(0x0017)),
+    ] {
+        let mut bench = at(S::PreOp);
+        bench.set_up(0, outputs, inputs);
+        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(AlCode(code))));
+        assert_eq!(bench.go(0, S::SafeOp), expected);
+    }
+    // As a real drive shows it.
+    let mut bench = at(S::PreOp);
+    bench.set_up(0, 5, 8);
+    bench.go(0, S::SafeOp);
+    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x12, 0, 0, 0, 0x1D, 0]));
+    let mut bench = at(S::SafeOp);
+    bench.set_up(0, 6, 7);
+    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(AlCode(0x001E))));
+}
+
+#[test]
+fn the_application_refuses_with_its_own_code_or_is_asked_again() {
+    let mut bench = at(S::SafeOp);
+    script(&bench).refuses = Some((S::Op, AlCode::SYNCHRONISATION));
+    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(AlCode(0x001A))));
+    bench.control(0, AlStatus(0x14));
+    script(&bench).refuses = Some((S::Op, AlCode::NONE));
+    assert_eq!(bench.go(0, S::Op), (S::SafeOp, None));
+    bench.idle(5);
+    assert_eq!(bench.state(0), (S::SafeOp, None));
+    script(&bench).refuses = None;
+    bench.idle(1);
+    assert_eq!(bench.state(0), (S::Op, None));
+    // Another request ends the waiting.
+    bench.go(0, S::SafeOp);
+    script(&bench).refuses = Some((S::Op, AlCode::NONE));
+    bench.go(0, S::Op);
+    assert_eq!(bench.go(0, S::PreOp), (S::PreOp, None));
+    script(&bench).refuses = None;
+    bench.idle(5);
+    assert_eq!(bench.state(0), (S::PreOp, None));
+}
+
+#[test]
+fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
+    let mut bench = at(S::Op);
+    let image = Command::Lrw(0x1_0000);
+    bench.send(image, &[7; 28]);
+    assert_eq!(script(&bench).cycles.last().unwrap().1, [7; 6]);
+    script(&bench).drops = Some(AlCode::SYNCHRONISATION);
+    bench.idle(1);
+    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x14, 0, 0, 0, 0x1A, 0]));
+    // They are still counted.
+    assert_eq!(bench.send(Command::Lwr(0x1_0000), &[7; 6]).1, 1);
+    assert!(script(&bench).cycles.last().unwrap().1.is_empty());
+    bench.control(0, AlStatus(0x14));
+    assert_eq!(bench.go(0, S::Op), (S::Op, None));
+}
+
+#[test]
+fn only_an_armed_watchdog_throws_it_out_of_op() {
+    for (control, armed) in [(0x24, false), (0x64, true)] {
+        let mut bench = at(S::PreOp);
+        let outputs = SyncManager { start: 0x1100, length: 6, control, activate: 1 };
+        bench.manage(0, 2, &outputs.to_bytes());
+        bench.go(0, S::SafeOp);
+        bench.idle(500);
+        bench.go(0, S::Op);
+        bench.send(Command::Lrw(0x1_0000), &[7; 28]);
+        bench.idle(99);
+        assert_eq!(bench.state(0), (S::Op, None));
+        bench.idle(1);
+        let fallen = (S::SafeOp, Some(AlCode::WATCHDOG));
+        assert_eq!(script(&bench).requested.last(), Some(if armed { &S::SafeOp } else { &S::Op }));
+        assert_eq!(bench.state(0), if armed { fallen } else { (S::Op, None) });
+    }
+}
+
+#[test]
+fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
+    let mut bench = at(S::PreOp);
+    let request = bytes(REQUEST);
+    assert_eq!(bench.read::<16>(0, 0x1C00), None, "empty");
+    assert_eq!(bench.write(0, 0x1800, &request), 1);
+    assert_eq!(bench.read(0, 0x0805), Some([0]), "its last byte is missing");
+    assert_eq!(bench.read(0, 0x080D), Some([0]));
+    assert_eq!(bench.write(0, 0x1BFF, &[0]), 1);
+    assert_eq!(bench.read(0, 0x0805), Some([0x02]));
+    assert_eq!(bench.read(0, 0x080D), Some([0x09]));
+    assert_eq!(script(&bench).requests[0].len(), 0x400);
+    assert_eq!(script(&bench).requests[0][..16], request);
+    let reversed: Vec<u8> = request.iter().rev().copied().collect();
+    assert_eq!(bench.read::<16>(0, 0x1C00).unwrap().as_slice(), reversed);
+    assert!(bench.read::<16>(0, 0x1C00).is_some(), "not read to its end");
+    assert_eq!(bench.read::<1>(0, 0x1FFF), Some([0]));
+    assert_eq!(bench.read(0, 0x080D), Some([0x02]));
+    assert_eq!(bench.send(Command::Fprd(0x1001, 0x1FFF), &[9]), (vec![9], 0), "the last byte alone too");
+}
+
+#[test]
+fn one_message_at_a_time() {
+    let mut bench = at(S::PreOp);
+    let with = |counter: u8| {
+        let mut message = vec![0; 0x400];
+        message[5] = counter << 4 | 3;
+        message
+    };
+    // The answer to the second has to wait for the first to be read, and the third for the second.
+    assert_eq!(bench.write(0, 0x1800, &with(1)), 1);
+    assert_eq!(bench.write(0, 0x1800, &with(2)), 1);
+    assert_eq!(bench.write(0, 0x1800, &with(3)), 1);
+    assert_eq!(bench.write(0, 0x1800, &with(4)), 0);
+    let counters = |bench: &mut Bench| bench.read::<0x400>(0, 0x1C00).map(|message| message[10] >> 4);
+    assert_eq!(counters(&mut bench), Some(1));
+    assert_eq!(script(&bench).requests.len(), 3);
+    assert_eq!([2, 3].map(Some), [counters(&mut bench), counters(&mut bench)]);
+    assert_eq!(counters(&mut bench), None);
+}
+
+#[test]
+fn a_lost_answer_is_offered_again() {
+    let mut bench = at(S::PreOp);
+    let message: Vec<u8> = (0..16).chain(std::iter::repeat_n(0, 0x3F0)).collect();
+    bench.write(0, 0x1800, &message);
+    let first = bench.read::<0x400>(0, 0x1C00).unwrap();
+    assert_eq!(bench.read::<0x400>(0, 0x1C00), None);
+    bench.write(0, 0x080E, &[3]);
+    assert_eq!(bench.read(0, 0x080F), Some([2]));
+    assert_eq!(bench.read::<0x400>(0, 0x1C00), Some(first));
+    bench.write(0, 0x080E, &[1]);
+    assert_eq!(bench.read(0, 0x080F), Some([0]));
+    assert_eq!(bench.read::<0x400>(0, 0x1C00), Some(first));
+}
+
+#[test]
+fn what_nobody_asked_for_comes_first_and_the_answer_behind_it() {
+    let mut bench = at(S::PreOp);
+    let emergency = bytes("0A00 0000 00 03 0010 1043 08 01 00000000");
+    script(&bench).messages.push(emergency.clone());
+    bench.idle(1);
+    bench.write(0, 0x1800, &[5; 0x400]);
+    assert_eq!(bench.read::<0x400>(0, 0x1C00).unwrap()[..16], emergency);
+    assert_eq!(bench.read::<0x400>(0, 0x1C00).unwrap()[..16], [5; 16]);
+}
+
+#[test]
+fn a_message_stays_where_it_is_until_the_firmware_reads_it() {
+    let mut bench = Bench::new(vec![Settings { reaction_ns: MS, ..with_mailbox() }]);
+    bench.set_up(0, 6, 8);
+    bench.control(0, AlStatus::request(S::PreOp));
+    bench.idle(1);
+    bench.write(0, 0x1800, &[5; 0x400]);
+    assert_eq!(bench.read(0, 0x0805), Some([0x09]));
+    assert_eq!(bench.write(0, 0x1800, &[5; 0x400]), 0);
+    bench.wait(MS);
+    assert_eq!(bench.read(0, 0x0805), Some([0x02]));
+    assert_eq!(bench.read::<0x400>(0, 0x1C00).unwrap()[..16], [5; 16]);
+}
+
+#[test]
+fn in_init_the_mailbox_is_locked_and_forgets() {
+    let mut bench = at(S::PreOp);
+    bench.write(0, 0x1800, &[5; 0x400]);
+    bench.go(0, S::Init);
+    assert_eq!(bench.write(0, 0x1800, &[5; 0x400]), 0);
+    assert_eq!(bench.read::<0x400>(0, 0x1C00), None);
+    bench.go(0, S::PreOp);
+    assert_eq!(bench.read::<0x400>(0, 0x1C00), None);
+    assert_eq!(bench.read(0, 0x0805), Some([0]));
+}

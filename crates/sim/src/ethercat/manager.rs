@@ -1,0 +1,237 @@
+//! A SyncManager: access to its buffer, and when the buffer is complete (ETG.1000.4, 6.7).
+
+use std::ops::Range;
+
+use fieldbeat_ethercat::wire::registers::{AlState, SyncManager};
+
+/// Bits of the status, as a real drive shows them: 0x09 full, 0x02 read.
+const WRITTEN: u8 = 1 << 0;
+const READ: u8 = 1 << 1;
+/// In `activate`: it is on; and this bit, toggled, requests the last message again.
+const ON: u8 = 1 << 0;
+const REPEAT: u8 = 1 << 1;
+
+/// One SyncManager.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Manager {
+    setting: SyncManager,
+    status: u8,
+    /// The slave's side of the repeat bit.
+    repeated: bool,
+    /// Of the slave: below the state that needs it the buffer is locked.
+    state: AlState,
+    /// The last completely written outputs.
+    taken: Vec<u8>,
+}
+
+impl Manager {
+    /// Takes over its registers. Its content is lost once it was off.
+    pub(super) fn set(&mut self, setting: SyncManager) {
+        let is_same = SyncManager { activate: self.setting.activate, ..setting } == self.setting;
+        self.setting = setting;
+        if !is_same || setting.activate & ON == 0 {
+            self.clear();
+        }
+    }
+
+    fn clear(&mut self) {
+        self.status = 0;
+        self.taken.clear();
+    }
+
+    /// The slave is in this state now.
+    pub(super) fn enter(&mut self, state: AlState) {
+        self.state = state;
+        if self.is_locked() {
+            self.clear();
+        }
+    }
+
+    fn is_locked(&self) -> bool {
+        self.state < if self.setting.is_mailbox() { AlState::PreOp } else { AlState::SafeOp }
+    }
+
+    /// As set by the master.
+    pub(super) fn setting(&self) -> SyncManager {
+        self.setting
+    }
+
+    /// Status and the slave's control, as they stand in the registers.
+    pub(super) fn registers(&self) -> (u8, u8) {
+        (self.status, u8::from(self.is_on() && self.is_locked()) | if self.repeated { REPEAT } else { 0 })
+    }
+
+    /// The master switched it on.
+    pub(super) fn is_on(&self) -> bool {
+        self.setting.activate & ON != 0 && self.setting.length > 0
+    }
+
+    /// Its buffer; empty if it is off.
+    pub(super) fn area(&self) -> Range<usize> {
+        let start = usize::from(self.setting.start);
+        start..start + if self.is_on() { usize::from(self.setting.length) } else { 0 }
+    }
+
+    /// Its memory: process data has three buffers.
+    pub(super) fn footprint(&self) -> Range<usize> {
+        let area = self.area();
+        let copies = if self.setting.is_mailbox() { 1 } else { 3 };
+        area.start..area.start + copies * area.len()
+    }
+
+    /// A mailbox for this direction that is on.
+    pub(super) fn is_mailbox(&self, output: bool) -> bool {
+        self.is_on() && self.setting.is_mailbox() && self.setting.is_output() == output
+    }
+
+    /// Process data of this direction, on.
+    pub(super) fn is_process(&self, output: bool) -> bool {
+        self.is_on() && !self.setting.is_mailbox() && self.setting.is_output() == output
+    }
+
+    /// The master may read its buffer.
+    pub(super) fn may_read(&self) -> bool {
+        !self.is_locked() && !self.setting.is_output() && (!self.setting.is_mailbox() || self.is_full())
+    }
+
+    /// The master may write its buffer.
+    pub(super) fn may_write(&self) -> bool {
+        !self.is_locked() && self.setting.is_output() && !(self.setting.is_mailbox() && self.is_full())
+    }
+
+    /// The mailbox holds a message.
+    pub(super) fn is_full(&self) -> bool {
+        self.status & SyncManager::FULL != 0
+    }
+
+    /// The mailbox was written by the master, or read.
+    pub(super) fn event(&self) -> bool {
+        self.status & if self.setting.is_output() { WRITTEN } else { READ } != 0
+    }
+
+    /// The master has read this range of the memory.
+    pub(super) fn has_read(&mut self, range: &Range<usize>) {
+        let area = self.area();
+        if area.is_empty() || !self.may_read() {
+            return;
+        }
+        if range.contains(&(area.end - 1)) {
+            self.status = if self.setting.is_mailbox() { READ } else { self.status & !WRITTEN | READ };
+        }
+    }
+
+    /// The master has written this range of the memory; whether that completes the buffer.
+    pub(super) fn has_written(&mut self, range: &Range<usize>, memory: &[u8]) -> bool {
+        let area = self.area();
+        if area.is_empty() || !self.may_write() || !range.contains(&(area.end - 1)) {
+            return false;
+        }
+        if self.setting.is_mailbox() {
+            self.status = WRITTEN | SyncManager::FULL;
+        } else {
+            self.status = self.status & !READ | WRITTEN;
+            self.taken.clear();
+            self.taken.extend_from_slice(memory.get(area).unwrap_or_default());
+        }
+        true
+    }
+
+    /// The slave has taken the message.
+    pub(super) fn take(&mut self) {
+        self.status = READ;
+    }
+
+    /// The slave has put a message, or inputs, there.
+    pub(super) fn put(&mut self) {
+        let full = if self.setting.is_mailbox() { SyncManager::FULL } else { 0 };
+        self.status = WRITTEN | full;
+    }
+
+    /// The last completely written outputs; none until then.
+    pub(super) fn taken(&self) -> &[u8] {
+        &self.taken
+    }
+
+    /// The master requests the last message again; returned once.
+    pub(super) fn takes_repeat(&mut self) -> bool {
+        let requested = self.setting.activate & REPEAT != 0;
+        std::mem::replace(&mut self.repeated, requested) != requested
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn manager(control: u8, state: AlState) -> Manager {
+        let mut manager = Manager::default();
+        manager.enter(state);
+        manager.set(SyncManager { start: 0x1800, length: 0x400, control, activate: 1 });
+        manager
+    }
+
+    #[test]
+    fn a_mailbox_is_written_and_read_by_its_last_byte_alone() {
+        let memory = vec![0; 0x1_0000];
+        let mut out = manager(SyncManager::MAILBOX_OUT, AlState::PreOp);
+        assert!(!out.has_written(&(0x1800..0x1BFF), &memory));
+        assert!(out.may_write() && !out.is_full() && !out.may_read());
+        assert!(out.has_written(&(0x1BFF..0x1C00), &memory));
+        assert_eq!((out.registers(), out.may_write()), ((0x09, 0), false));
+        assert!(!out.has_written(&(0x1BFF..0x1C00), &memory), "full");
+        out.take();
+        assert_eq!((out.registers(), out.may_write()), ((0x02, 0), true));
+
+        let mut input = manager(SyncManager::MAILBOX_IN, AlState::PreOp);
+        assert!(!input.may_read());
+        input.has_read(&(0x1800..0x1C00));
+        assert_eq!(input.registers(), (0, 0), "it was empty");
+        input.put();
+        input.has_read(&(0x1800..0x1BFF));
+        assert_eq!((input.registers(), input.may_read()), ((0x09, 0), true));
+        input.has_read(&(0x1BFF..0x1C00));
+        assert_eq!((input.registers(), input.may_read()), ((0x02, 0), false));
+    }
+
+    #[test]
+    fn what_a_state_has_no_use_for_is_locked_and_says_so() {
+        let mut mailbox = manager(SyncManager::MAILBOX_OUT, AlState::Init);
+        let mut outputs = manager(SyncManager::OUTPUTS, AlState::PreOp);
+        for manager in [&mailbox, &outputs] {
+            assert_eq!((manager.registers(), manager.may_write()), ((0, 1), false));
+        }
+        mailbox.enter(AlState::PreOp);
+        outputs.enter(AlState::SafeOp);
+        for manager in [&mailbox, &outputs] {
+            assert_eq!((manager.registers(), manager.may_write()), ((0, 0), true));
+        }
+    }
+
+    #[test]
+    fn outputs_count_once_they_are_whole_and_until_they_are_locked() {
+        let mut memory = vec![0; 0x1_0000];
+        memory[0x1BFF] = 7;
+        let mut outputs = manager(SyncManager::OUTPUTS, AlState::SafeOp);
+        assert!(!outputs.has_written(&(0x1800..0x1801), &memory) && outputs.taken().is_empty());
+        assert!(outputs.has_written(&(0x1BFF..0x1C00), &memory) && outputs.may_write());
+        assert_eq!((outputs.taken().len(), outputs.taken()[0x3FF]), (0x400, 7));
+        outputs.enter(AlState::PreOp);
+        assert!(outputs.taken().is_empty());
+    }
+
+    #[test]
+    fn a_repeat_is_asked_for_by_a_change_and_acknowledged_by_the_same() {
+        let mut input = manager(SyncManager::MAILBOX_IN, AlState::PreOp);
+        let ask = |activate| SyncManager { activate, ..input.clone().setting() };
+        let (on, toggled) = (ask(1), ask(3));
+        assert!(!input.takes_repeat());
+        input.put();
+        input.set(toggled);
+        assert!(input.is_full(), "it is not switched off by it");
+        assert!(input.takes_repeat() && !input.takes_repeat());
+        assert_eq!(input.registers().1, REPEAT);
+        input.set(on);
+        assert!(input.takes_repeat());
+        assert_eq!(input.registers().1, 0);
+    }
+}

@@ -1,0 +1,175 @@
+//! Devices as they can be bought: a coupler, a branch, terminals (Beckhoff). Their SII and their process memory are
+//! their own, whatever a plan says.
+//!
+//! Product codes are the type number and 2C52h or 3052h. Revisions are plausible ones.
+
+use super::coupler::{Coupler, Terminals};
+use super::sii::{Contents, Mailboxes, Pdo};
+use fieldbeat_ethercat::wire::registers::SyncManager;
+use fieldbeat_ethercat::wire::sii::{Identity, Use};
+
+const BECKHOFF: u32 = 2;
+/// Where the outputs of a digital terminal are: a byte and a SyncManager for each eight.
+const DIGITAL_OUTPUTS: u16 = 0x0F00;
+/// Their control byte: buffered, written by the master, with the watchdog.
+const DIGITAL: u8 = 0x44;
+/// Where its inputs are, with the control byte 0: buffered, read by the master.
+const DIGITAL_INPUTS: u16 = 0x1000;
+/// CoE, in the protocols of the SII.
+const COE: u16 = 1 << 2;
+
+/// A device of a simulated segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Model {
+    /// A coupler: no process data, no mailbox.
+    Ek1100,
+    /// A junction: two further branches.
+    Ek1122,
+    /// Two digital inputs.
+    El1002,
+    /// Four.
+    El1004,
+    /// Eight.
+    El1008,
+    /// Sixteen, behind one SyncManager.
+    El1809,
+    /// Two digital outputs.
+    El2002,
+    /// Four.
+    El2004,
+    /// Eight.
+    El2008,
+    /// Sixteen, behind two SyncManagers.
+    El2809,
+    /// Two analogue inputs, with a mailbox and objects.
+    El3102,
+}
+
+impl Model {
+    /// All of them, by their names in a configuration.
+    pub const ALL: [(&'static str, Model); 11] = [
+        ("EK1100", Model::Ek1100),
+        ("EK1122", Model::Ek1122),
+        ("EL1002", Model::El1002),
+        ("EL1004", Model::El1004),
+        ("EL1008", Model::El1008),
+        ("EL1809", Model::El1809),
+        ("EL2002", Model::El2002),
+        ("EL2004", Model::El2004),
+        ("EL2008", Model::El2008),
+        ("EL2809", Model::El2809),
+        ("EL3102", Model::El3102),
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Model::ALL.iter().find(|(_, model)| *model == self).map_or("", |(name, _)| name)
+    }
+
+    /// Its identity.
+    pub fn identity(self) -> Identity {
+        let (product, revision) = match self {
+            Model::Ek1100 => (0x044C_2C52, 0x0011_0000),
+            Model::Ek1122 => (0x0462_2C52, 0x0012_0000),
+            Model::El1002 => (0x03EA_3052, 0x0010_0000),
+            Model::El1004 => (0x03EC_3052, 0x0010_0000),
+            Model::El1008 => (0x03F0_3052, 0x0010_0000),
+            Model::El1809 => (0x0711_3052, 0x0011_0000),
+            Model::El2002 => (0x07D2_3052, 0x0010_0000),
+            Model::El2004 => (0x07D4_3052, 0x0010_0000),
+            Model::El2008 => (0x07D8_3052, 0x0010_0000),
+            Model::El2809 => (0x0AF9_3052, 0x0011_0000),
+            Model::El3102 => (0x0C1E_3052, 0x0012_0000),
+        };
+        Identity { vendor: BECKHOFF, product, revision }
+    }
+
+    /// Its digital channels: outputs, inputs.
+    fn channels(self) -> (u8, u8) {
+        match self {
+            Model::Ek1100 | Model::Ek1122 | Model::El3102 => (0, 0),
+            Model::El1002 => (0, 2),
+            Model::El1004 => (0, 4),
+            Model::El1008 => (0, 8),
+            Model::El1809 => (0, 16),
+            Model::El2002 => (2, 0),
+            Model::El2004 => (4, 0),
+            Model::El2008 => (8, 0),
+            Model::El2809 => (16, 0),
+        }
+    }
+
+    /// It has no processor.
+    pub fn is_emulated(self) -> bool {
+        self != Model::El3102
+    }
+
+    /// What its ports are: a coupler has one more, a junction two.
+    pub(super) fn ports(self) -> u8 {
+        match self {
+            Model::Ek1100 => 0x3B,
+            Model::Ek1122 => 0xFA,
+            _ => 0x0A,
+        }
+    }
+
+    /// Its digital terminals.
+    pub(super) fn terminals(self) -> Coupler {
+        let (outputs, inputs) = self.channels();
+        let digital = |digital| Terminals { digital, analogue: 0 };
+        Coupler { outputs: digital(outputs), inputs: digital(inputs) }
+    }
+
+    /// The content of its EEPROM.
+    pub(super) fn contents(self) -> Contents {
+        let contents = Contents { name: self.name(), identity: self.identity(), ..Contents::default() };
+        if self == Model::El3102 {
+            return analogue(contents);
+        }
+        let (outputs, inputs) = self.channels();
+        let manager = |start, length, control| SyncManager { start, length, control, activate: 1 };
+        let mut managers: Vec<_> = (0..u16::from(outputs).div_ceil(8))
+            .map(|n| (manager(DIGITAL_OUTPUTS + n, 1, DIGITAL), Use::Outputs))
+            .collect();
+        if inputs > 0 {
+            managers.push((manager(DIGITAL_INPUTS, u16::from(inputs).div_ceil(8), 0), Use::Inputs));
+        }
+        let channel = |pdo, object, n: u8, manager| Pdo {
+            index: pdo + u16::from(n),
+            manager,
+            entries: vec![(object + 0x10 * u16::from(n), 1, 1)],
+        };
+        Contents {
+            fmmus: managers.iter().map(|(_, usage)| if *usage == Use::Outputs { 1 } else { 2 }).collect(),
+            managers,
+            outputs: (0..outputs).map(|n| channel(0x1600, 0x7000, n, n / 8)).collect(),
+            inputs: (0..inputs).map(|n| channel(0x1A00, 0x6000, n, 0)).collect(),
+            ..contents
+        }
+    }
+}
+
+/// Two channels, each a status of 16 bits and a value of 16; no outputs, but a SyncManager for them. Addresses, lengths
+/// and PDOs are assumed, as analogue terminals with 16 bits of status usually have them.
+fn analogue(contents: Contents) -> Contents {
+    let manager = |start, length, control, activate| SyncManager { start, length, control, activate };
+    let channel = |n: u16| {
+        let (data, pdo) = (0x6000 + 0x10 * n, 2 * n);
+        // Underrange, overrange, two limits, error, a gap; state and toggle of the PDO; the value.
+        let status = [(1, 1), (2, 1), (3, 2), (5, 2), (7, 1)].map(|(sub, bits)| (data, sub, bits));
+        let rest = [(0, 0, 7), (0x1800 + pdo, 7, 1), (0x1800 + pdo, 9, 1), (data, 0x11, 16)];
+        Pdo { index: 0x1A00 + pdo, manager: 3, entries: status.into_iter().chain(rest).collect() }
+    };
+    Contents {
+        mailboxes: Some(Mailboxes { out: (0x1000, 128), input: (0x1080, 128), protocols: COE }),
+        fmmus: vec![1, 2, 3],
+        managers: vec![
+            (manager(0x1000, 128, SyncManager::MAILBOX_OUT, 1), Use::MailboxOut),
+            (manager(0x1080, 128, SyncManager::MAILBOX_IN, 1), Use::MailboxIn),
+            (manager(0x1100, 0, SyncManager::OUTPUTS, 0), Use::Outputs),
+            (manager(0x1180, 8, SyncManager::INPUTS, 1), Use::Inputs),
+        ],
+        inputs: vec![channel(0), channel(1)],
+        ..contents
+    }
+}

@@ -1,0 +1,405 @@
+//! Slaves in order, and a frame on its way through them.
+
+use super::chip::Passage;
+use super::esc::Esc;
+use super::topology::{Behind, Topology, Visit};
+use fieldbeat_core::time::Time;
+use fieldbeat_ethercat::wire::frame::{DATAGRAMS_MAX, Place, datagrams};
+
+/// The first byte of a frame's source, and the bit that the first slave sets there.
+const SOURCE: usize = 6;
+const PASSED: u8 = 1 << 1;
+
+/// A segment of slaves. The master is at the first one; the last one turns the frames.
+#[derive(Debug)]
+pub struct Segment {
+    slaves: Vec<Esc>,
+    topology: Topology,
+    /// The way of a frame.
+    visits: Vec<Option<Visit>>,
+    /// Outputs of slaves that are wired to the inputs of others: from, to.
+    wires: Vec<(usize, usize)>,
+    /// The offsets of the datagrams of the present frame.
+    places: Vec<Place>,
+}
+
+impl Segment {
+    /// A segment of these, all cables intact.
+    pub fn new(slaves: Vec<Esc>) -> Segment {
+        let mut segment = Segment {
+            topology: Topology::line(slaves.iter().map(Esc::delay_ns).collect()),
+            visits: Vec::new(),
+            slaves,
+            wires: Vec::new(),
+            places: Vec::with_capacity(DATAGRAMS_MAX),
+        };
+        segment.link();
+        segment
+    }
+
+    /// Cuts the cable in front of slave `n`, counted from 0, or repairs it. Frames turn at the slave before it; if
+    /// there is none, no slave is reached.
+    pub fn cut(&mut self, n: Option<usize>) {
+        self.topology.cut(n);
+        self.link();
+    }
+
+    /// Puts slave `n` behind another port than port 1 of the slave before it; false: a frame would come to it in
+    /// another position, and nothing changes.
+    pub fn put(&mut self, n: usize, behind: Behind) -> bool {
+        let fits = n < self.slaves.len() && self.topology.put(n, behind);
+        self.link();
+        fits
+    }
+
+    /// Wires the outputs of slave `from` to the inputs of slave `to`.
+    pub(super) fn wire(&mut self, from: usize, to: usize) {
+        self.wires.push((from, to));
+    }
+
+    /// What is wired is at the inputs.
+    fn sense(&mut self) {
+        for &(from, to) in &self.wires {
+            if let Ok([output, input]) = self.slaves.get_disjoint_mut([from, to]) {
+                input.sense(output.driven());
+            }
+        }
+    }
+
+    /// The slave `n`, counted from 0.
+    pub fn slave(&mut self, n: usize) -> Option<&mut Esc> {
+        self.slaves.get_mut(n)
+    }
+
+    /// The number of slaves.
+    pub fn slaves(&self) -> usize {
+        self.slaves.len()
+    }
+
+    /// The time of a frame through all slaves that it reaches and back to the master, ns.
+    pub fn delay_ns(&self) -> u64 {
+        self.topology.delay_ns()
+    }
+
+    /// A frame reaches a slave, and so comes back.
+    pub fn is_reached(&self) -> bool {
+        self.topology.reaches(0)
+    }
+
+    /// Advances all slaves to `now`, without a frame.
+    pub fn advance(&mut self, now: Time) {
+        self.slaves.iter_mut().for_each(|slave| slave.advance(now));
+    }
+
+    /// Carries a frame that the master sends at `now` through all slaves that it reaches, in place. Frames that are
+    /// not EtherCAT stay as they are; datagrams after a broken one are not carried out.
+    pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
+        self.sense();
+        let Ok(read) = datagrams(frame) else {
+            self.advance(now);
+            return;
+        };
+        self.places.clear();
+        self.places.extend(read.map_while(Result::ok).map(|datagram| datagram.place));
+        if let Some(source) = frame.get_mut(SOURCE).filter(|_| self.topology.reaches(0)) {
+            *source |= PASSED;
+        }
+        for (slave, visit) in self.slaves.iter_mut().zip(&self.visits) {
+            match visit {
+                None => slave.advance(now),
+                Some(Visit { at, back }) => {
+                    let passage =
+                        Passage { at: now + *at, back: back.map(|back| back.map(|back| now + back)) };
+                    slave.pass(passage, frame, &self.places);
+                }
+            }
+        }
+    }
+
+    fn link(&mut self) {
+        self.visits = self.topology.visits();
+        for (n, slave) in self.slaves.iter_mut().enumerate() {
+            slave.link(self.topology.links(n));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Settings;
+    use super::super::testing::{Bench, bytes};
+    use fieldbeat_core::time::{MS, US};
+    use fieldbeat_ethercat::wire::frame::{Command, datagrams};
+    use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, Links, address};
+
+    fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
+        let mut frame = bytes(sent);
+        bench.segment.pass(bench.now, &mut frame);
+        frame
+    }
+
+    #[test]
+    fn the_type_of_one_slave_is_read_as_in_a_capture() {
+        let mut bench = Bench::new(vec![Settings::default()]);
+        let back =
+            pass(&mut bench, "FFFFFFFFFFFF 010101010101 88A4 0E10 07 04 0000 0000 0200 0000 0000 0000");
+        assert_eq!(back, bytes("FFFFFFFFFFFF 030101010101 88A4 0E10 07 04 0100 0000 0200 0000 0402 0100"));
+    }
+
+    #[test]
+    fn a_cycle_of_two_drives_passes_byte_by_byte() {
+        let mut bench = Bench::drives(|settings| {
+            (settings.features, settings.clock_ns) = (Features(0x018C), 5_123_456_789);
+        });
+        bench.scripts[0].script().inputs = bytes("40E20100 06FF 3706");
+        bench.scripts[1].script().inputs = bytes("FFFFFFFF 0000 3306");
+        bench.all_to(&[AlState::SafeOp, AlState::Op]);
+        bench.send(Command::Lrw(0x1_0000), &[0; 28]);
+        let back = pass(
+            &mut bench,
+            "FFFFFFFFFFFF 101010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 0000000000000000 0000 | \
+             0C 43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 00000000 0000 0000 00000000 0000 0000 0000 | \
+             07 44 0000 3001 0200 0000 0000 0000",
+        );
+        assert_eq!(
+            back,
+            bytes(
+                "FFFFFFFFFFFF 121010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 15BF613101000000 0200 | \
+                 0C 43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 40E20100 06FF 3706 FFFFFFFF 0000 3306 0600 | \
+                 07 44 0200 3001 0200 0000 0800 0200"
+            )
+        );
+        let outputs = |n: usize| bench.scripts[n].script().cycles.last().unwrap().1.clone();
+        assert_eq!([0, 1].map(outputs), [bytes("A0860100 0F00"), bytes("6079FEFF 0700")]);
+    }
+
+    #[test]
+    fn a_line_that_others_used_is_cleared_as_a_real_master_does() {
+        let mut bench = Bench::drives(|_| {});
+        bench.all_to(&[AlState::SafeOp, AlState::Op]);
+        let mut all = |at: u16, data: &[u8]| {
+            assert_eq!(bench.send(Command::Bwr(at), data).1, 2, "{at:#06x}");
+        };
+        all(0x0101, &[0]);
+        all(0x0120, &[0x11, 0]);
+        all(0x0200, &[4, 0]);
+        all(0x0300, &[0; 8]);
+        all(0x0600, &[0; 256]);
+        all(0x0800, &[0; 256]);
+        all(0x0981, &[0]);
+        all(0x0910, &[0; 8]);
+        all(0x0930, &[0x00, 0x10]);
+        all(0x0934, &[0x00, 0x0C]);
+        all(0x0500, &[2]);
+        all(0x0500, &[0]);
+        assert_eq!(bench.send(Command::Brd(address::TYPE), &[0; 2]), (vec![4, 2], 2));
+        assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 6]), (vec![1, 0, 0, 0, 0, 0], 2));
+        assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 0);
+        let managers = bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]).0;
+        assert!(managers.chunks(8).all(|manager| manager[6] == 0), "they were on: that alone has changed");
+        assert_eq!(bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 64]).1, 2);
+        assert_eq!(bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]), (vec![0; 64], 2));
+        assert_eq!(bench.send(Command::Brd(address::FMMU), &[0; 64]), (vec![0; 64], 2));
+    }
+
+    #[test]
+    fn a_message_fits_into_two_datagrams_of_one_frame() {
+        let mut bench = Bench::drives(|_| {});
+        let header = "FFFFFFFFFFFF 101010101010 88A4";
+        let request = "0A000000001300204000 1C0000000000";
+        let write = format!(
+            "{header} 2910 05 01 0110 0018 1080 0000 {request} 0000 05 02 0110 FF1B 0100 0000 00 0000"
+        );
+        let counts = |frame: &[u8]| {
+            let counts = datagrams(frame).unwrap().map(|datagram| datagram.unwrap().working_counter);
+            counts.collect::<Vec<_>>()
+        };
+        assert_eq!(counts(&pass(&mut bench, &write)), [1, 1]);
+        let read = format!(
+            "{header} 2910 04 01 0110 001C 1080 0000 {} 0000 04 02 0110 FF1F 0100 0000 00 0000",
+            "00".repeat(16)
+        );
+        let answer = pass(&mut bench, &read);
+        assert_eq!(counts(&answer), [1, 1]);
+        let reversed: Vec<u8> = bytes(request).into_iter().rev().collect();
+        assert_eq!(answer[26..42], reversed);
+        assert_eq!(counts(&pass(&mut bench, &read)), [0, 0], "it is empty");
+    }
+
+    #[test]
+    fn what_is_no_sound_frame_stays_as_far_as_it_is_not() {
+        let mut bench = Bench::new(vec![Settings::default()]);
+        for other in [
+            "FFFFFFFFFFFF 010101010101 0800 0E10 07 04 0000 0000 0200 0000 0000 0000",
+            "FFFFFFFFFFFF 010101010101 88A4 0E40 07 04 0000 0000 0200 0000 0000 0000",
+            "FFFFFFFFFFFF 010101010101 88A4 FF17 07 04 0000 0000 0200 0000 0000 0000",
+            "FFFFFFFFFFFF",
+            "",
+        ] {
+            assert_eq!(pass(&mut bench, other), bytes(other));
+        }
+        // One datagram is sound, and the one that it says follows it is not.
+        let half = "FFFFFFFFFFFF 010101010101 88A4 1410 07 04 0000 0000 0280 0000 0000 0000 070500000000";
+        let back = "FFFFFFFFFFFF 030101010101 88A4 1410 07 04 0100 0000 0280 0000 0402 0100 070500000000";
+        assert_eq!(pass(&mut bench, half), bytes(back));
+    }
+
+    /// Four slaves; from one to the next it takes 100, 200, 300 and 400 ns.
+    fn four() -> Bench {
+        let settings = |n: u64| Settings {
+            features: Features(0x018C),
+            clock_ns: 1_000_000 * n,
+            delay_ns: 100 * n,
+            ..Settings::default()
+        };
+        Bench::new((1..=4).map(settings).collect())
+    }
+
+    fn links(bench: &mut Bench, n: u16) -> [bool; 2] {
+        let links = Links(u16::from_le_bytes(bench.read(n, address::LINKS).unwrap()));
+        assert!(!links.link(2) && !links.open(3));
+        [0, 1].map(|port| {
+            assert_eq!(links.link(port), links.open(port));
+            links.link(port)
+        })
+    }
+
+    #[test]
+    fn frames_turn_in_front_of_a_cut_cable_and_the_slave_there_says_so() {
+        let mut bench = four();
+        let count = |bench: &mut Bench| bench.send_whole(Command::Brd(address::TYPE), &[0; 2]);
+        assert_eq!(count(&mut bench), (vec![4, 2], 4, 4));
+        assert_eq!(
+            [0, 1, 2, 3].map(|n| links(&mut bench, n)),
+            [[true; 2], [true; 2], [true; 2], [true, false]]
+        );
+        bench.segment.cut(Some(2));
+        assert_eq!(count(&mut bench), (vec![4, 2], 2, 2));
+        assert_eq!([0, 1].map(|n| links(&mut bench, n)), [[true; 2], [true, false]]);
+        assert_eq!(bench.write(2, 0x0F80, &[0]), 0);
+        bench.segment.cut(Some(0));
+        assert_eq!(count(&mut bench), (vec![0, 0], 0, 0));
+        bench.segment.cut(None);
+        assert_eq!(count(&mut bench).1, 4);
+        assert_eq!(links(&mut bench, 1), [true; 2]);
+    }
+
+    #[test]
+    fn behind_a_cut_cable_the_watchdog_goes_on() {
+        let mut bench = Bench::drives(|_| {});
+        for n in 0..2 {
+            bench.manage(n, 2, &[0x00, 0x11, 6, 0, 0x64, 0, 1, 0]);
+        }
+        bench.all_to(&[AlState::SafeOp, AlState::Op]);
+        bench.segment.cut(Some(1));
+        for _ in 0..200 {
+            bench.wait(MS);
+            assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 3);
+        }
+        let states = [0, 1].map(|n| bench.segment.slave(n).unwrap().state());
+        assert_eq!(states, [AlState::Op, AlState::SafeOp]);
+        assert_eq!(
+            bench.scripts[1].script().requested.last(),
+            Some(&AlState::SafeOp),
+            "it was reported at once"
+        );
+        assert!(bench.segment.slave(2).is_none());
+    }
+
+    /// A master's use of the receive times: the delay from one slave to the next.
+    fn delays(bench: &mut Bench) -> Vec<u32> {
+        bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
+        let mut round = |n: u16| {
+            let [a, b, c, d, e, f, g, h] = bench.read(n, address::DC_PORTS).unwrap();
+            let [out, back] = [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes);
+            if back == 0 { 0 } else { back.wrapping_sub(out) }
+        };
+        let rounds = [0, 1, 2, 3].map(&mut round);
+        rounds.windows(2).map(|pair| (pair[0] - pair[1]) / 2).collect()
+    }
+
+    #[test]
+    fn a_master_finds_the_delays_out() {
+        assert_eq!(delays(&mut four()), [200, 300, 400]);
+    }
+
+    #[test]
+    fn clocks_with_offsets_and_delays_go_together_over_the_wrap_of_one() {
+        let slaves = [(0, 50.0, 0x018C), (1, -100.0, 0x018C), (2, 100.0, 0x0184), (3, 0.0, 0x018C)];
+        let settings = slaves.map(|(n, drift_ppm, features)| Settings {
+            features: Features(features),
+            clock_ns: (1 << 32) - 700_000_000 + 1_000 * n,
+            drift_ppm,
+            delay_ns: 100 * (n + 1),
+            ..Settings::default()
+        });
+        let mut bench = Bench::new(settings.to_vec());
+        delays(&mut bench);
+        let received = [0, 1, 2, 3].map(|n| u64::from_le_bytes(bench.read(n, address::DC_RECEIVED).unwrap()));
+        for (n, delay) in [(1, 200_u64), (2, 500), (3, 900)] {
+            let offset = (received[0] + delay).wrapping_sub(received[usize::from(n)]);
+            bench.write(n, address::DC_OFFSET, &offset.to_le_bytes());
+            bench.write(n, address::DC_DELAY, &(delay as u32).to_le_bytes());
+        }
+        for cycle in 0..2_000 {
+            bench.wait(MS);
+            // The slave with a short clock takes the lower half only.
+            bench.send(Command::Frmw(0x1001, address::DC_TIME), &[0; 8]);
+            if cycle < 1_000 {
+                continue;
+            }
+            for n in 1..4 {
+                let difference = u32::from_le_bytes(bench.read(n, address::DC_DIFFERENCE).unwrap());
+                assert!(Difference(difference).ns().abs() <= 2, "slave {n} in cycle {cycle}");
+            }
+        }
+        let now = bench.now + US;
+        let times = [0, 1, 2, 3].map(|n| bench.segment.slave(n).unwrap().system_time(now));
+        assert!(times[0] > 1 << 32, "it has gone round");
+        for (n, time) in times.into_iter().enumerate() {
+            assert!((time as u32).wrapping_sub(times[0] as u32).cast_signed().abs() <= 3, "slave {n}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_bytes_panic(frames: Vec<Vec<u8>>, cut in proptest::option::of(0_usize..4)) {
+            let mut bench = four();
+            bench.segment.cut(cut);
+            for (n, mut frame) in frames.into_iter().enumerate() {
+                if let Some(header) = frame.get_mut(12..16).filter(|_| n % 2 == 0) {
+                    // EtherCAT; as long as it likes.
+                    header[..2].copy_from_slice(&[0x88, 0xA4]);
+                    header[3] = header[3] & 0x07 & n as u8 | 0x10;
+                }
+                bench.wait(US);
+                bench.segment.pass(bench.now, &mut frame);
+            }
+        }
+
+        #[test]
+        fn no_command_panics_and_nothing_moves(
+            datagrams in proptest::collection::vec(
+                (
+                    0_u8..16,
+                    proptest::num::u16::ANY,
+                    0_u16..0x2100,
+                    proptest::collection::vec(proptest::num::u8::ANY, 0..40),
+                ),
+                1..60,
+            ),
+        ) {
+            let mut bench = Bench::drives(|_| {});
+            for (number, first, at, data) in datagrams {
+                let first = if first & 1 == 0 { 0x1001 + (first >> 1 & 1) } else { first >> 14 };
+                let address = u32::from(first) | u32::from(at) << 16;
+                let Some(command) = Command::new(number, address) else { continue };
+                bench.wait(MS);
+                // The frame is read again behind the segment: it must be intact.
+                let (back, count, _) = bench.send_whole(command, &data);
+                assert_eq!(back.len(), data.len());
+                assert!(count <= 6);
+            }
+        }
+    }
+}

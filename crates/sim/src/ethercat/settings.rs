@@ -1,0 +1,272 @@
+//! The settings of a simulated drive: its firmware, its motor, its answers.
+
+use std::collections::BTreeMap;
+
+use super::slave::SlaveSettings;
+use crate::FaultPlan;
+use fieldbeat_ethercat::mode::Mode;
+use fieldbeat_ethercat::object::pdo::{self, Layout};
+use fieldbeat_ethercat::object::{Family, Object};
+use fieldbeat_ethercat::wire::sii::Identity;
+
+/// How a drive answers an SDO. Both are reported of real ones, and a master must read both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dialect {
+    /// As in the standard and a real AKD: length 10, service 3, the counter returned.
+    #[default]
+    Standard,
+    /// As the drive's manual prints it: length 14, service 2, no counter.
+    Manual,
+}
+
+/// A simulated drive. Where no document says what it does, the default is the strict side, and assumed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DriveSettings {
+    /// The drive family: its objects and modes.
+    pub family: Family,
+    /// Its identity.
+    pub identity: Identity,
+    /// Its serial number. Default 0.
+    pub serial: u32,
+    /// How it answers an SDO.
+    pub dialect: Dialect,
+    /// Its name, 1008h. Default: the family's; of an AKD a long one, since it can be read.
+    pub name: String,
+    /// Bytes of the mailbox that the master reads, of a drive that supports more than SDOs of four bytes: normal
+    /// and segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
+    pub long_sdos: Option<u16>,
+    /// Interval at which it sends an unrequested mailbox message, Ethernet over EtherCAT, as a real AKD does, ns.
+    /// Default: none.
+    pub unrequested_ns: Option<u64>,
+    /// The PDOs that can be selected.
+    pub layouts: Vec<Layout>,
+    /// The PDOs selected as delivered: outputs, inputs.
+    pub selected: (u16, u16),
+    /// Increments per turn as a power of two, 1 ... 31. Default 20.
+    pub prbase: u8,
+    /// Turns to which its increments in 608Fh refer: the value there is larger by this factor. Default 1.
+    pub resolution_turns: u32,
+    /// Its position at power-on, increments. Default 0.
+    pub position: i32,
+    /// rpm per count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000
+    /// has it; of an AKD 0.001.
+    pub rpm_per_count: f64,
+    /// Per mille of the rated current per count of 6074h. Default 1.
+    pub permille_per_count: f64,
+    /// rpm/s up and down: 6083h and 6084h as delivered, in these units like 609Ah (assumed). Default 10 000.
+    pub ramps_rpm_s: (u32, u32),
+    /// rpm/s of a quick stop and of the reaction to a fault. Default 50 000.
+    pub stop_rpm_s: f64,
+    /// Position of the home switch, turns from the motor at power-on; `None`: nowhere. Default 0.5.
+    pub home_turns: Option<f64>,
+    /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
+    pub interrupts_to_sync: u32,
+    /// It changes its mode so long after 6060h, and shows it from then on, ns. Default 0.
+    pub mode_delay_ns: u64,
+    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
+    /// off. Default: it comes up in INIT and stands still.
+    pub running_rpm: Option<f64>,
+    /// The hardware enable (STO) is wired and closed. Default true.
+    pub hardware_enable: bool,
+    /// The motor and its load.
+    pub motor: MotorSettings,
+}
+
+/// Increments per 250 us as rpm, with 2^20 increments a turn.
+const RPM_PER_COUNT: f64 = 4_000.0 * 60.0 / (1 << 20) as f64;
+/// A name of 40 bytes.
+const AKD: &str = "AKD-P00306-NBEC-0000 (a simulated drive)";
+/// Vendor of all of them.
+const KOLLMORGEN: u32 = 0x6A;
+
+impl DriveSettings {
+    /// A drive with default settings.
+    pub fn new(family: Family) -> DriveSettings {
+        let (product, rpm_per_count, selected) = match family {
+            Family::S700 => (0x0300_0600, RPM_PER_COUNT, (0x1702, 0x1B03)),
+            Family::Akd => (0x0041_4B44, 0.001, (0x1701, 0x1B01)),
+        };
+        DriveSettings {
+            family,
+            identity: Identity { vendor: KOLLMORGEN, product, ..Identity::default() },
+            serial: 0,
+            dialect: Dialect::default(),
+            name: match family {
+                Family::S700 => "S700".into(),
+                Family::Akd => AKD.into(),
+            },
+            long_sdos: (family == Family::Akd).then_some(1_024),
+            unrequested_ns: None,
+            layouts: pdo::fixed(family),
+            selected,
+            prbase: 20,
+            resolution_turns: 1,
+            position: 0,
+            rpm_per_count,
+            permille_per_count: 1.0,
+            ramps_rpm_s: (10_000, 10_000),
+            stop_rpm_s: 50_000.0,
+            home_turns: Some(0.5),
+            interrupts_to_sync: 100,
+            mode_delay_ns: 0,
+            running_rpm: None,
+            hardware_enable: true,
+            motor: MotorSettings::default(),
+        }
+    }
+
+    /// Increments per turn.
+    pub(super) fn increments(&self) -> u32 {
+        1 << self.prbase.clamp(1, 31)
+    }
+
+    /// As much of its name as an expedited SDO has room for.
+    fn short_name(&self) -> [u8; 4] {
+        let mut short = *b"    ";
+        short.iter_mut().zip(self.name.bytes()).for_each(|(place, byte)| *place = byte);
+        short
+    }
+
+    /// Values of objects as delivered, where they are not 0.
+    pub(super) fn delivered(&self) -> Vec<(Object, i64)> {
+        let Identity { vendor, product, revision } = self.identity;
+        let increments = i64::from(self.increments());
+        let (up, down) = self.ramps_rpm_s;
+        let rpm = |rpm: f64| (rpm / self.rpm_per_count).round() as i64;
+        let mode = match self.family {
+            Family::S700 => Mode::DIGITAL_VELOCITY,
+            Family::Akd => Mode::INTERPOLATED,
+        };
+        let text = |text: [u8; 4]| i64::from(u32::from_le_bytes(text));
+        [
+            (0x1000, 0, 0x0002_0192),
+            (0x1008, 0, text(self.short_name())),
+            (0x1009, 0, text(*b"1.00")),
+            (0x100A, 0, text(*b"5.00")),
+            (0x1018, 0, 4),
+            (0x1018, 1, vendor.into()),
+            (0x1018, 2, product.into()),
+            (0x1018, 3, revision.into()),
+            (0x1018, 4, self.serial.into()),
+            (0x1C00, 0, 4),
+            (0x1C00, 1, 1),
+            (0x1C00, 2, 2),
+            (0x1C00, 3, 3),
+            (0x1C00, 4, 4),
+            (0x1C12, 0, 1),
+            (0x1C12, 1, self.selected.0.into()),
+            (0x1C13, 0, 1),
+            (0x1C13, 1, self.selected.1.into()),
+            (0x1C32, 0, 2),
+            (0x1C32, 1, 2),
+            (0x1C33, 0, 2),
+            (0x1C33, 1, 2),
+            (0x35D5, 1, 4),
+            (0x6060, 0, mode.0.into()),
+            (0x6065, 0, increments / 4),
+            (0x6072, 0, 3_000),
+            (0x607F, 0, rpm(6_000.0)),
+            (0x6080, 0, 6_000),
+            (0x6083, 0, up.into()),
+            (0x6084, 0, down.into()),
+            (0x6081, 0, rpm(1_000.0)),
+            (0x608F, 0, 2),
+            (0x608F, 1, increments.saturating_mul(i64::from(self.resolution_turns))),
+            (0x608F, 2, self.resolution_turns.into()),
+            (0x6092, 0, 2),
+            (0x6092, 1, increments),
+            (0x6092, 2, 1),
+            (0x6093, 0, 2),
+            (0x6093, 1, 1),
+            (0x6093, 2, 1),
+            (0x6098, 0, 1),
+            (0x6099, 0, 2),
+            (0x6099, 1, rpm(60.0)),
+            (0x6099, 2, rpm(6.0)),
+            (0x609A, 0, 1_000),
+            (0x60C1, 0, 1),
+            (0x60E0, 0, 3_000),
+            (0x60E1, 0, 3_000),
+            (0x60C2, 0, 2),
+            (0x60C2, 1, 1),
+            (0x60C2, 2, -3),
+            (0x60FE, 0, 1),
+        ]
+        .map(|(index, sub, value)| (Object::new(index, sub), value))
+        .to_vec()
+    }
+}
+
+/// The settings of a simulated segment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SegmentSettings {
+    /// The interface at the drives' end of the cable, where the master's is a real one.
+    pub interface: Option<String>,
+    /// How much faster than ours the clock of the slave at a position runs, ppm; the last value holds for all
+    /// further slaves. Default: 0.
+    pub drift_ppm: Vec<f64>,
+    /// The delay from one slave to the next, each way, ns. Default 500.
+    pub delay_ns: u64,
+    /// The clocks have 32 bits. Default: they have 64.
+    pub short_clocks: bool,
+    /// Frames with the time of the reference in which a clock removes most of a difference to it. Default: 32. A
+    /// real one, with its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM
+    /// waits 15 000; assumed).
+    pub settling: u16,
+    /// The number of FMMUs of the slave at a position; the last value holds for all further slaves. Default: 8.
+    /// Small couplers have 2 or 3, and none to spare for their state.
+    pub fmmus: Vec<u8>,
+    /// What sets the slave at a position apart.
+    pub slaves: BTreeMap<u16, SlaveSettings>,
+    /// Each slave shows its device id in its AL status: its position. Default: none does.
+    pub device_ids: bool,
+    /// The faults between the master and the first slave.
+    pub faults: FaultPlan,
+}
+
+impl Default for SegmentSettings {
+    fn default() -> SegmentSettings {
+        SegmentSettings {
+            interface: None,
+            drift_ppm: Vec::new(),
+            delay_ns: 500,
+            short_clocks: false,
+            settling: 32,
+            fmmus: Vec::new(),
+            slaves: BTreeMap::new(),
+            device_ids: false,
+            faults: FaultPlan::default(),
+        }
+    }
+}
+
+/// The motor and its load, in SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotorSettings {
+    /// Rated torque, N m, over 0: 1000 per mille. Default 5.
+    pub rated_nm: f64,
+    /// Largest torque, per mille of the rated torque. Default 3000.
+    pub peak_permille: f64,
+    /// Highest speed, rpm. Default 6000.
+    pub max_rpm: f64,
+    /// Inertia of everything that turns, kg m^2, over 0. Default 0.002.
+    pub inertia_kgm2: f64,
+    /// Dry friction, N m. Default 0.1.
+    pub friction_nm: f64,
+    /// A load against positive torque, N m, which a brake holds without power. A position controller gives way to it by
+    /// its stiffness (it has no integral part), and works against it then. Default 0.
+    pub load_nm: f64,
+}
+
+impl Default for MotorSettings {
+    fn default() -> MotorSettings {
+        MotorSettings {
+            rated_nm: 5.0,
+            peak_permille: 3_000.0,
+            max_rpm: 6_000.0,
+            inertia_kgm2: 0.002,
+            friction_nm: 0.1,
+            load_nm: 0.0,
+        }
+    }
+}

@@ -1,0 +1,439 @@
+//! The EEPROM of a slave (SII): the contents of an image, and access to it by registers (ETG.1000.4, 6.4;
+//! ETG.2010).
+
+use fieldbeat_core::time::Time;
+use fieldbeat_ethercat::wire::registers::SyncManager;
+use fieldbeat_ethercat::wire::sii::{Category, Identity, Status, Use, crc, word};
+
+/// Word addresses that only the slave needs.
+const ALIAS: usize = 4;
+const CHECK: usize = 7;
+const SIZE: usize = 0x3E;
+const VERSION: usize = 0x3F;
+/// In `size`: 2 KiB.
+const KIBIT_16: u16 = 15;
+
+/// Mailboxes as the SII has them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mailboxes {
+    /// Start and length of the one that the master writes.
+    pub out: (u16, u16),
+    /// Of the one that it reads.
+    pub input: (u16, u16),
+    /// The bits of [`Protocols`](fieldbeat_ethercat::wire::sii::Protocols).
+    pub protocols: u16,
+}
+
+/// A PDO.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pdo {
+    /// Its object.
+    pub index: u16,
+    /// Its SyncManager.
+    pub manager: u8,
+    /// Index, subindex and bits of its entries.
+    pub entries: Vec<(u16, u8, u8)>,
+}
+
+/// The contents of an image.
+#[derive(Clone, Debug, Default)]
+pub struct Contents {
+    /// The name of the type.
+    pub name: &'static str,
+    /// The slave's identity.
+    pub identity: Identity,
+    /// Its serial number.
+    pub serial: u32,
+    /// Its alias; 0: none.
+    pub alias: u16,
+    /// Its mailboxes, if there are any.
+    pub mailboxes: Option<Mailboxes>,
+    /// The use of each FMMU: 1 outputs, 2 inputs, 3 the state of the mailbox.
+    pub fmmus: Vec<u8>,
+    /// Its SyncManagers.
+    pub managers: Vec<(SyncManager, Use)>,
+    /// Its input PDOs.
+    pub inputs: Vec<Pdo>,
+    /// Its output PDOs.
+    pub outputs: Vec<Pdo>,
+}
+
+impl Contents {
+    /// The words of the image.
+    pub fn image(&self) -> Vec<u16> {
+        let mut words = vec![0; usize::from(word::CATEGORIES)];
+        words[ALIAS] = self.alias;
+        words[CHECK] = config_check(&words).into();
+        let Identity { vendor, product, revision } = self.identity;
+        let numbers = [vendor, product, revision, self.serial];
+        for (at, number) in (usize::from(word::VENDOR)..).step_by(2).zip(numbers) {
+            (words[at], words[at + 1]) = (number as u16, (number >> 16) as u16);
+        }
+        if let Some(Mailboxes { out, input, protocols }) = self.mailboxes {
+            let at = usize::from(word::MAILBOX_OUT);
+            words[at..at + 5].copy_from_slice(&[out.0, out.1, input.0, input.1, protocols]);
+        }
+        (words[SIZE], words[VERSION]) = (KIBIT_16, 1);
+        self.categories(&mut words);
+        words
+    }
+
+    fn categories(&self, words: &mut Vec<u16>) {
+        let name = &self.name.as_bytes()[..self.name.len().min(255)];
+        let strings = [&[1, name.len() as u8][..], name].concat();
+        category(words, Category::STRINGS, &strings);
+        category(words, Category::GENERAL, &self.general());
+        category(words, Category::FMMU, &self.fmmus);
+        let managers: Vec<u8> = self.managers.iter().flat_map(|manager| entry(*manager)).collect();
+        category(words, Category::SYNC_MANAGERS, &managers);
+        for (kind, pdos) in [(Category::TX_PDO, &self.inputs), (Category::RX_PDO, &self.outputs)] {
+            let bytes: Vec<u8> = pdos.iter().flat_map(Pdo::bytes).collect();
+            category(words, kind, &bytes);
+        }
+        words.push(0xFFFF);
+    }
+
+    /// The name is text 1; SDOs are there if CoE is.
+    fn general(&self) -> [u8; 32] {
+        let mut general = [0; 32];
+        general[3] = 1;
+        general[5] = u8::from(self.mailboxes.is_some_and(|mailboxes| mailboxes.protocols & 1 << 2 != 0));
+        general
+    }
+}
+
+impl Pdo {
+    fn bytes(&self) -> Vec<u8> {
+        let [low, high] = self.index.to_le_bytes();
+        let mut bytes = vec![low, high, self.entries.len() as u8, self.manager, 0, 0, 0, 0];
+        for (index, subindex, bits) in &self.entries {
+            let [low, high] = index.to_le_bytes();
+            bytes.extend([low, high, *subindex, 0, 0, *bits, 0, 0]);
+        }
+        bytes
+    }
+}
+
+/// A category, unless it is empty; its last word is filled up.
+fn category(words: &mut Vec<u16>, kind: u16, bytes: &[u8]) {
+    if bytes.is_empty() {
+        return;
+    }
+    words.extend([kind, bytes.len().div_ceil(2) as u16]);
+    words
+        .extend(bytes.chunks(2).map(|pair| u16::from_le_bytes([pair[0], pair.get(1).copied().unwrap_or(0)])));
+}
+
+/// A SyncManager in its category.
+fn entry((manager, usage): (SyncManager, Use)) -> [u8; 8] {
+    let mut entry = manager.to_bytes();
+    entry[7] = match usage {
+        Use::MailboxOut => 1,
+        Use::MailboxIn => 2,
+        Use::Outputs => 3,
+        Use::Inputs => 4,
+        Use::Other(other) => other,
+    };
+    entry
+}
+
+/// The checksum of the words before [`CHECK`].
+fn config_check(words: &[u16]) -> u8 {
+    let mut config = [0; 2 * CHECK];
+    for (pair, word) in config.chunks_mut(2).zip(words) {
+        pair.copy_from_slice(&word.to_le_bytes());
+    }
+    crc(&config)
+}
+
+/// Bits of control and status.
+mod bit {
+    pub const WRITES: u16 = 1 << 0;
+    pub const EMULATED: u16 = 1 << 5;
+    pub const EIGHT: u16 = 1 << 6;
+    pub const COMMAND: u16 = 7 << 8;
+    pub const CHECKSUM: u16 = 1 << 11;
+    pub const UNLOADED: u16 = 1 << 12;
+    pub const REFUSED: u16 = 1 << 13;
+    pub const PROTECTED: u16 = 1 << 14;
+    pub const BUSY: u16 = 1 << 15;
+}
+
+/// The properties of an EEPROM.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Access {
+    /// The time of each command, ns.
+    pub busy_ns: u64,
+    /// A read returns eight bytes, otherwise four.
+    pub eight: bool,
+    /// The firmware emulates it.
+    pub emulated: bool,
+    /// After power-on it is busy for so long, ns.
+    pub loading_ns: u64,
+    /// The first read returns the next word address, and the words there.
+    pub slips: bool,
+    /// Every so many reads one fails; 0: none.
+    pub fails_every: u32,
+    /// Nothing is loaded: there is no EEPROM, or it was never written.
+    pub unloaded: bool,
+    /// After power-on the processor has it.
+    pub owned_by_slave: bool,
+    /// The processor reads it on the way to PREOP.
+    pub read_in_preop: bool,
+}
+
+/// A command to be completed at its time.
+#[derive(Clone, Copy, Debug)]
+struct Job {
+    done_at: Time,
+    command: u16,
+    address: u32,
+    word: u16,
+}
+
+/// The EEPROM and the unit that reads it.
+#[derive(Debug)]
+pub(super) struct Eeprom {
+    words: Vec<u16>,
+    access: Access,
+    error: u16,
+    job: Option<Job>,
+    data: [u8; 8],
+    /// It has been busy since power-on.
+    loaded: bool,
+    /// The address that the first read has returned.
+    slipped: Option<u32>,
+    /// Reads that were completed.
+    reads: u32,
+}
+
+impl Eeprom {
+    pub(super) fn new(words: Vec<u16>, access: Access) -> Eeprom {
+        let mut eeprom = Eeprom {
+            words,
+            access,
+            error: 0,
+            job: None,
+            data: [0; 8],
+            loaded: false,
+            slipped: None,
+            reads: 0,
+        };
+        eeprom.load();
+        eeprom
+    }
+
+    /// Checks the configuration area.
+    fn load(&mut self) {
+        let is_sound = self.words.get(CHECK).is_some_and(|check| *check as u8 == config_check(&self.words));
+        self.error = match is_sound {
+            _ if self.access.unloaded => bit::UNLOADED,
+            true => 0,
+            false => bit::CHECKSUM,
+        };
+    }
+
+    /// The alias in a valid image.
+    pub(super) fn alias(&self) -> u16 {
+        if self.error & (bit::CHECKSUM | bit::UNLOADED) != 0 { 0 } else { self.word(ALIAS as u32) }
+    }
+
+    /// The word there; beyond the end nothing is programmed.
+    fn word(&self, address: u32) -> u16 {
+        usize::try_from(address).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(0xFFFF)
+    }
+
+    /// Takes the words as they are now: they survive a restart.
+    pub(super) fn take_words(&mut self) -> Vec<u16> {
+        std::mem::take(&mut self.words)
+    }
+
+    /// A command is being carried out: its registers are locked.
+    pub(super) fn is_busy(&self) -> bool {
+        self.job.is_some()
+    }
+
+    /// Control and status.
+    pub(super) fn status(&self) -> u16 {
+        let flag = |is: bool, bit: u16| if is { bit } else { 0 };
+        self.error
+            | flag(self.access.emulated, bit::EMULATED)
+            | flag(self.access.eight, bit::EIGHT)
+            | self.job.map_or(0, |job| bit::BUSY | job.command)
+    }
+
+    /// The read data.
+    pub(super) fn data(&self) -> [u8; 8] {
+        self.data
+    }
+
+    /// The address of the data, if it is not the requested one; returned once.
+    pub(super) fn slipped_to(&mut self) -> Option<u32> {
+        self.slipped.take()
+    }
+
+    /// Takes a command; the idle one ends an error. True: it is done already.
+    pub(super) fn command(&mut self, now: Time, control: u16, address: u32, word: u16) -> bool {
+        let command = control & bit::COMMAND;
+        self.error &= bit::CHECKSUM | bit::UNLOADED;
+        match command >> 8 {
+            0 => {}
+            2 if control & bit::WRITES == 0 => self.error |= bit::PROTECTED,
+            1..=4 => self.job = Some(Job { done_at: now + self.access.busy_ns, command, address, word }),
+            _ => self.error |= bit::REFUSED,
+        }
+        self.advance(now)
+    }
+
+    /// Completes a command whose time has come; whether there was one.
+    pub(super) fn advance(&mut self, now: Time) -> bool {
+        let loading_ns = if self.loaded { 0 } else { self.access.loading_ns };
+        self.loaded = true;
+        if loading_ns > 0 {
+            self.job = Some(Job { done_at: now + loading_ns, command: 0, address: 0, word: 0 });
+        }
+        let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
+        self.reads += u32::from(job.command == Status::READ);
+        let Access { fails_every, unloaded, .. } = self.access;
+        match job.command {
+            Status::IDLE => {}
+            Status::READ if unloaded || fails_every > 0 && self.reads.is_multiple_of(fails_every) => {
+                self.fail()
+            }
+            Status::READ if self.access.slips => {
+                self.access.slips = false;
+                self.slipped = Some(job.address.wrapping_add(1));
+                self.read(job.address.wrapping_add(1));
+            }
+            Status::READ => self.read(job.address),
+            0x0200 => {
+                let at = usize::try_from(job.address).ok();
+                match at.and_then(|at| self.words.get_mut(at)) {
+                    Some(word) => *word = job.word,
+                    None => self.error |= bit::REFUSED,
+                }
+            }
+            _ => self.load(),
+        }
+        true
+    }
+
+    /// A command has failed, which stays shown until the next one.
+    pub(super) fn fail(&mut self) {
+        self.error |= bit::REFUSED;
+    }
+
+    fn read(&mut self, address: u32) {
+        let words = if self.access.eight { 4 } else { 2 };
+        for (at, pair) in self.data.chunks_mut(2).take(words).enumerate() {
+            let word = usize::try_from(address).ok().and_then(|address| self.words.get(address + at));
+            pair.copy_from_slice(&word.copied().unwrap_or(0xFFFF).to_le_bytes());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fieldbeat_ethercat::wire::sii::{Protocols, sync_manager};
+
+    const T: Time = Time(5);
+
+    /// A drive of the sheet's.
+    fn contents() -> Contents {
+        Contents {
+            name: "S700",
+            identity: Identity { vendor: 0x6A, product: 0x0300_0600, revision: 2 },
+            serial: 0x1234_5678,
+            alias: 7,
+            mailboxes: Some(Mailboxes { out: (0x1800, 0x400), input: (0x1C00, 0x400), protocols: 4 }),
+            fmmus: vec![1, 2, 3],
+            managers: vec![
+                (SyncManager::new([0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 0]), Use::MailboxOut),
+                (SyncManager::new([0x00, 0x1C, 0x00, 0x04, 0x22, 0, 1, 0]), Use::MailboxIn),
+            ],
+            inputs: vec![Pdo { index: 0x1B03, manager: 3, entries: vec![(0x6064, 0, 32), (0x6041, 0, 16)] }],
+            outputs: Vec::new(),
+        }
+    }
+
+    fn read(eeprom: &mut Eeprom, address: u32) -> [u8; 8] {
+        eeprom.command(T, Status::READ, address, 0);
+        eeprom.data()
+    }
+
+    #[test]
+    fn an_image_is_found_again_word_by_word() {
+        let mut eeprom = Eeprom::new(contents().image(), Access { eight: true, ..Access::default() });
+        assert_eq!(eeprom.alias(), 7);
+        assert_eq!(read(&mut eeprom, word::VENDOR.into()), [0x6A, 0, 0, 0, 0x00, 0x06, 0x00, 0x03]);
+        assert_eq!(read(&mut eeprom, word::REVISION.into()), [2, 0, 0, 0, 0x78, 0x56, 0x34, 0x12]);
+        assert_eq!(
+            read(&mut eeprom, word::MAILBOX_OUT.into()),
+            [0x00, 0x18, 0x00, 0x04, 0x00, 0x1C, 0x00, 0x04]
+        );
+        assert!(Protocols(eeprom.word(word::PROTOCOLS.into())).coe());
+    }
+
+    #[test]
+    fn its_categories_can_be_walked_to_the_end() {
+        let words = contents().image();
+        let bytes = |at: usize, count: usize| -> Vec<u8> {
+            words[at..at + count].iter().flat_map(|word| word.to_le_bytes()).collect()
+        };
+        let mut at = usize::from(word::CATEGORIES);
+        let mut found = Vec::new();
+        while words[at] != 0xFFFF {
+            let category = Category::new(bytes(at, 2).try_into().unwrap()).unwrap();
+            found.push((category.kind, bytes(at + 2, category.words.into())));
+            at += 2 + usize::from(category.words);
+        }
+        let kinds: Vec<u16> = found.iter().map(|(kind, _)| *kind).collect();
+        assert_eq!(kinds, [10, 30, 40, 41, 50]);
+        assert_eq!(found[0].1, [1, 4, b'S', b'7', b'0', b'0']);
+        assert_eq!(found[2].1, [1, 2, 3, 0]);
+        assert_eq!(found[3].1[..8], [0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 1]);
+        let (_, usage) = sync_manager(found[3].1[8..16].try_into().unwrap());
+        assert_eq!(usage, Use::MailboxIn);
+        assert_eq!(found[4].1[..16], [0x03, 0x1B, 2, 3, 0, 0, 0, 0, 0x64, 0x60, 0, 0, 0, 32, 0, 0]);
+    }
+
+    #[test]
+    fn a_read_takes_its_time_and_brings_four_bytes_or_eight() {
+        let access = Access { busy_ns: 100, eight: false, emulated: true, ..Access::default() };
+        let mut eeprom = Eeprom::new(contents().image(), access);
+        assert_eq!(eeprom.status(), 0x0020);
+        eeprom.command(T, Status::READ, word::VENDOR.into(), 0);
+        assert_eq!((eeprom.status(), eeprom.is_busy()), (0x8120, true));
+        eeprom.advance(T + 99);
+        assert!(Status(eeprom.status()).busy());
+        eeprom.advance(T + 100);
+        assert_eq!((eeprom.status(), eeprom.data()), (0x0020, [0x6A, 0, 0, 0, 0, 0, 0, 0]));
+    }
+
+    #[test]
+    fn a_write_needs_its_enable_bit_and_a_reload_makes_it_count() {
+        let mut eeprom = Eeprom::new(contents().image(), Access::default());
+        eeprom.command(T, 0x0200, ALIAS as u32, 9);
+        assert_eq!(eeprom.status(), 0x4000);
+        eeprom.command(T, Status::IDLE, 0, 0);
+        assert_eq!(eeprom.status(), 0);
+        eeprom.command(T, 0x0201, ALIAS as u32, 9);
+        assert_eq!((eeprom.status(), eeprom.alias()), (0, 9));
+        // The check is that of the old alias.
+        eeprom.command(T, 0x0300, 0, 0);
+        assert_eq!((Status(eeprom.status()).error(), eeprom.alias()), (true, 0));
+        assert_eq!(eeprom.take_words()[ALIAS], 9);
+    }
+
+    #[test]
+    fn what_is_not_there_is_said() {
+        let mut blank = Eeprom::new(Vec::new(), Access::default());
+        assert_eq!((blank.status(), blank.alias()), (0x0800, 0));
+        assert_eq!(read(&mut blank, u32::MAX), [0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0]);
+        blank.command(T, 0x0201, 3, 1);
+        assert_eq!(blank.status(), 0x2800);
+        blank.command(T, 0x0700, 0, 0);
+        assert_eq!(blank.status(), 0x2800);
+    }
+}

@@ -1,0 +1,493 @@
+//! Slaves that are not like the usual ones, register by register.
+
+use super::super::super::testing::Bench;
+use super::*;
+use crate::ethercat::{Behind, MailboxSettings, Misuse, SiiContent};
+use fieldbeat_ethercat::wire::frame::Command;
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState as S, AlStatus, address};
+use fieldbeat_ethercat::wire::sii::word;
+
+const DIGITAL_OUTPUT: u16 = 0x0F00;
+
+/// A slave of this kind alone.
+fn alone(own: SlaveSettings) -> Bench {
+    let device = Device { name: "io".into(), slave: SlavePlan::new(0) };
+    let plan = EthercatPlan { devices: vec![device], ..EthercatPlan::new("local:test", Vec::new()) };
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.insert(0, own);
+    bench(&segment)
+}
+
+fn model(model: Model) -> SlaveSettings {
+    SlaveSettings { model: Some(model), ..SlaveSettings::default() }
+}
+
+/// A drive with these settings; its firmware reacts after a quarter of a millisecond.
+fn drive(own: SlaveSettings) -> Bench {
+    let plan = EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)]);
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.insert(0, own);
+    bench(&segment)
+}
+
+/// Requests a state and waits for the firmware.
+fn go(bench: &mut Bench, state: S) -> (S, Option<AlCode>) {
+    bench.control(0, AlStatus::request(state));
+    bench.wait(MS);
+    bench.state(0)
+}
+
+/// Its SyncManagers as the sheet has them for such a drive, with these control bytes of its process data.
+fn manage(bench: &mut Bench, outputs: u8, inputs: u8) {
+    for (n, bytes) in (0..).zip([
+        [0x00, 0x18, 16, 0, 0x26, 0, 1, 0],
+        [0x00, 0x1C, 16, 0, 0x22, 0, 1, 0],
+        [0x00, 0x11, 6, 0, outputs, 0, 1, 0],
+        [0x40, 0x11, 8, 0, inputs, 0, 1, 0],
+    ]) {
+        assert_eq!(bench.write(0, address::sync_manager(n), &bytes), 1);
+    }
+}
+
+#[test]
+fn without_a_processor_al_status_is_what_al_control_says() {
+    let mut bench = alone(model(Model::El2008));
+    assert_eq!(bench.read(0, 0x0140), Some([0x04, 0x01]));
+    for (control, status) in
+        [(0x11, 0x11), (0x01, 0x01), (0x08, 0x08), (0x12, 0x12), (0x02, 0x02), (0x0104, 0x04)]
+    {
+        bench.control(0, AlStatus(control));
+        assert_eq!(bench.read(0, address::AL_STATUS), Some([status, 0, 0, 0, 0, 0]), "{control:#x}");
+    }
+    assert_eq!(bench.segment.slave(0).unwrap().state(), S::SafeOp);
+    // A drive has one, and refuses.
+    let mut drive = drive(SlaveSettings::default());
+    assert_eq!(drive.read(0, 0x0140), Some([0x08, 0x00]));
+    assert_eq!(go(&mut drive, S::Op), (S::Init, Some(AlCode(0x0011))));
+}
+
+#[test]
+fn a_digital_output_terminal_moves_its_own_bits_in_op_only_and_until_its_watchdog() {
+    let mut bench = alone(model(Model::El2008));
+    assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
+    assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 1, DIGITAL_OUTPUT, true).to_bytes()), 1);
+    let driven = |bench: &mut Bench, byte: u8| {
+        assert_eq!(bench.send(Command::Lwr(0), &[byte]).1, 1, "no processor locks it");
+        bench.segment.slave(0).unwrap().driven().to_vec()
+    };
+    assert_eq!(driven(&mut bench, 0xA5), [0; 0]);
+    for state in [S::PreOp, S::SafeOp] {
+        bench.control(0, AlStatus::request(state));
+        assert_eq!(driven(&mut bench, 0xA5), [0; 0], "{state}");
+    }
+    bench.control(0, AlStatus::request(S::Op));
+    assert_eq!(driven(&mut bench, 0xA5), [0xA5]);
+    bench.wait(100 * MS);
+    bench.send(Command::Nop, &[]);
+    assert_eq!(bench.segment.slave(0).unwrap().driven(), [0; 0]);
+    assert_eq!(bench.read(0, address::AL_STATUS), Some([8, 0, 0, 0, 0, 0]), "nothing reports it");
+    assert_eq!(driven(&mut bench, 0x5A), [0x5A]);
+}
+
+#[test]
+fn bits_of_two_terminals_share_a_byte_and_one_does_not_move_the_others() {
+    let plan = EthercatPlan {
+        devices: (0..2).map(|n| Device { name: format!("o{n}"), slave: SlavePlan::new(n) }).collect(),
+        ..EthercatPlan::new("local:test", Vec::new())
+    };
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.extend((0..2).map(|n| (n, model(Model::El2002))));
+    let mut bench = bench(&segment);
+    for n in 0..2 {
+        assert_eq!(bench.write(n, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
+        let first = 2 * n as u8;
+        let bits = Fmmu { bits: (first, first + 1), ..Fmmu::bytes(0x40, 1, DIGITAL_OUTPUT, true) };
+        assert_eq!(bench.write(n, address::fmmu(0), &bits.to_bytes()), 1);
+        bench.control(n, AlStatus::request(S::Op));
+    }
+    assert_eq!(bench.send(Command::Lwr(0x40), &[0b0110]).1, 2);
+    let driven = |n: usize, bench: &mut Bench| bench.segment.slave(n).unwrap().driven().to_vec();
+    assert_eq!([driven(0, &mut bench), driven(1, &mut bench)], [[0b10], [0b01]]);
+    assert_eq!(bench.write(0, DIGITAL_OUTPUT, &[0xFF]), 1);
+    assert_eq!(driven(0, &mut bench), [0b11], "it has two");
+}
+
+#[test]
+fn sixteen_outputs_have_two_sync_managers_and_each_byte_needs_its_own() {
+    let mut bench = alone(model(Model::El2809));
+    let manager = |at| [at, 0x0F, 1, 0, 0x44, 0, 1, 0];
+    assert_eq!(bench.write(0, address::sync_manager(0), &manager(0)), 1);
+    assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 2, DIGITAL_OUTPUT, true).to_bytes()), 1);
+    bench.control(0, AlStatus::request(S::Op));
+    bench.send(Command::Lwr(0), &[1, 2]);
+    assert_eq!(bench.segment.slave(0).unwrap().driven(), [1], "the second byte has no SyncManager");
+    assert_eq!(bench.write(0, address::sync_manager(1), &manager(1)), 1);
+    bench.send(Command::Lwr(0), &[3, 4]);
+    assert_eq!(bench.segment.slave(0).unwrap().driven(), [3, 4]);
+    // Only the second one is written.
+    assert_eq!(bench.write(0, 0x0F01, &[7]), 1);
+    assert_eq!(bench.segment.slave(0).unwrap().driven(), [3, 7]);
+    // With a processor that compares, both have to be right.
+    let strict = SlaveSettings { emulated: Some(false), exact_managers: true, ..model(Model::El2809) };
+    let mut bench = alone(strict);
+    assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
+    assert_eq!(bench.write(0, address::sync_manager(0), &manager(0)), 1);
+    assert_eq!(go(&mut bench, S::SafeOp), (S::PreOp, Some(AlCode(0x001D))));
+    bench.control(0, AlStatus(0x12));
+    bench.wait(MS);
+    assert_eq!(bench.write(0, address::sync_manager(1), &manager(1)), 1);
+    assert_eq!(go(&mut bench, S::SafeOp), (S::SafeOp, None));
+}
+
+#[test]
+fn a_strict_processor_compares_each_byte_of_its_sync_managers() {
+    let strict =
+        |output_control| SlaveSettings { exact_managers: true, output_control, ..SlaveSettings::default() };
+    for (control, set, code) in [
+        (Some(0x24), 0x64, Some(0x001D)),
+        (Some(0x24), 0x24, None),
+        (None, 0x24, Some(0x001D)),
+        (None, 0x64, None),
+    ] {
+        let mut bench = drive(strict(control));
+        manage(&mut bench, set, 0x20);
+        assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
+        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(AlCode(code))));
+        assert_eq!(go(&mut bench, S::SafeOp), expected, "{control:?} {set:#x}");
+    }
+    let mut bench = drive(strict(None));
+    manage(&mut bench, 0x64, 0x00);
+    go(&mut bench, S::PreOp);
+    assert_eq!(go(&mut bench, S::SafeOp), (S::PreOp, Some(AlCode(0x001E))));
+    let mut bench = drive(strict(None));
+    manage(&mut bench, 0x64, 0x20);
+    // With an interrupt.
+    bench.manage(0, 0, &[0x00, 0x18, 16, 0, 0x36, 0, 1, 0]);
+    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(AlCode(0x0016))));
+}
+
+#[test]
+fn terminals_have_the_process_data_and_the_identity_of_the_real_ones() {
+    for (own, product, entries) in [
+        (Model::El1008, 0x03F0_3052, vec!["0010 0100 00 00 01 04"]),
+        (Model::El2008, 0x07D8_3052, vec!["000F 0100 44 00 01 03"]),
+        (Model::El2809, 0x0AF9_3052, vec!["000F 0100 44 00 01 03", "010F 0100 44 00 01 03"]),
+        (Model::El1809, 0x0711_3052, vec!["0010 0200 00 00 01 04"]),
+    ] {
+        let contents = own.contents();
+        let image = contents.image();
+        assert_eq!(contents.identity, Identity { vendor: 2, product, ..contents.identity });
+        let bytes: Vec<u8> = image.iter().flat_map(|word| word.to_le_bytes()).collect();
+        let entries = super::super::super::testing::bytes(&entries.concat());
+        assert!(bytes.windows(entries.len()).any(|window| window == entries), "{own:?}");
+        assert_eq!(
+            Model::ALL.iter().find(|(name, _)| *name == own.name()).map(|(_, model)| *model),
+            Some(own)
+        );
+    }
+    let channels = Model::El2002.contents().outputs;
+    assert_eq!(channels[1], Pdo { index: 0x1601, manager: 0, entries: vec![(0x7010, 1, 1)] });
+    assert_eq!(Model::El2809.contents().outputs[8].manager, 1);
+}
+
+/// Reads two words of the SII, as far as it answers.
+fn words(bench: &mut Bench, at: u16) -> Option<u32> {
+    (bench.write(0, address::SII_CONTROL, &sii::read(at)) == 1).then_some(())?;
+    bench.wait(MS);
+    bench.read(0, address::SII_DATA).map(u32::from_le_bytes)
+}
+
+fn own_sii(change: impl FnOnce(&mut SiiSettings)) -> SlaveSettings {
+    let mut own = SlaveSettings::default();
+    change(&mut own.sii);
+    own
+}
+
+#[test]
+fn a_processor_that_has_the_sii_lets_go_of_it_by_force_only() {
+    let mut bench = drive(own_sii(|sii| sii.owned_by_slave = true));
+    assert_eq!(words(&mut bench, word::VENDOR), None);
+    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    assert_eq!(words(&mut bench, word::VENDOR), None, "it is held");
+    bench.write(0, address::SII_OWNER, &[sii::FORCE]);
+    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
+}
+
+#[test]
+fn one_that_reads_its_sii_in_preop_needs_it_back() {
+    let mut bench = drive(own_sii(|sii| sii.read_in_preop = true));
+    manage(&mut bench, 0x64, 0x20);
+    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
+    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(AlCode(0x0050))));
+    bench.control(0, AlStatus(0x11));
+    bench.wait(MS);
+    bench.write(0, address::SII_OWNER, &[1]);
+    assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
+    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    assert_eq!(words(&mut bench, word::VENDOR), None, "the processor keeps it");
+}
+
+#[test]
+fn an_sii_is_busy_at_first_slips_once_and_may_be_wrong() {
+    let mut bench = drive(own_sii(|sii| sii.loading_ns = 5 * MS));
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x80]));
+    assert_eq!(words(&mut bench, word::VENDOR), None);
+    bench.wait(5 * MS);
+    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
+
+    let mut bench = drive(own_sii(|sii| (sii.slips, sii.eight) = (true, true)));
+    let read = |bench: &mut Bench| {
+        bench.write(0, address::SII_CONTROL, &sii::read(word::VENDOR));
+        bench.wait(MS);
+        bench.read::<14>(0, address::SII_CONTROL)
+    };
+    let slipped = [0x40, 0, 0x09, 0, 0, 0, 0, 0, 0, 0x06, 0, 0x03, 0, 0];
+    assert_eq!(read(&mut bench), Some(slipped), "another address, and its words");
+    assert_eq!(read(&mut bench), Some([0x40, 0, 0x08, 0, 0, 0, 0x6A, 0, 0, 0, 0x00, 0x06, 0x00, 0x03]));
+
+    // The third of each three fails; the next command ends that.
+    let mut bench = drive(own_sii(|sii| sii.fails_every = 3));
+    let shown: Vec<u8> = (0..4).map(|_| read(&mut bench).unwrap()[1]).collect();
+    assert_eq!(shown, [0, 0, 0x20, 0]);
+
+    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::Unloaded));
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x10]));
+    assert_eq!(read(&mut bench).map(|read| read[1]), Some(0x30));
+
+    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::WrongCheck));
+    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x08]));
+    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
+
+    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::Garbage));
+    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
+    assert_eq!(words(&mut bench, word::CATEGORIES), Some(0x0002_2545), "noise");
+}
+
+#[test]
+fn a_slave_that_another_master_left_has_all_that_it_set() {
+    let left = Left {
+        station: 0x1003,
+        alias_on: true,
+        al: (0x14, 0x001B),
+        fmmus: vec![Fmmu::bytes(0x1_0000, 6, 0x1100, true).to_bytes()],
+        managers: vec![[0x00, 0x18, 16, 0, 0x26, 0, 1, 0], [0x00, 0x1C, 16, 0, 0x22, 0, 1, 0]],
+        unwatched: true,
+        sync0_ns: Some(1_000_000),
+        sii_given: true,
+        sii_failed: true,
+    };
+    let plan = EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)]);
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.insert(0, SlaveSettings { left: Some(left), ..SlaveSettings::default() });
+    let mut sim = EthercatSim::new(&segment);
+    assert_eq!(sim.drive(0).unwrap().al_state(), S::SafeOp);
+    let mut bench = Bench::left(std::mem::replace(sim.segment(), Segment::new(Vec::new())));
+    let at = |bench: &mut Bench, ado| bench.send(Command::Fprd(0x1003, ado), &[0; 8]);
+    assert_eq!(at(&mut bench, address::AL_STATUS), (vec![0x14, 0, 0, 0, 0x1B, 0, 0, 0], 1));
+    assert_eq!(at(&mut bench, address::SYNC_MANAGER).0[..6], [0x00, 0x18, 16, 0, 0x26, 0]);
+    assert_eq!(at(&mut bench, address::FMMU).0, [0, 0, 1, 0, 6, 0, 0, 7]);
+    assert_eq!(at(&mut bench, address::WATCHDOG).0[..2], [0, 0]);
+    assert_eq!(at(&mut bench, address::DC_CONTROL).0[..2], [0, 3]);
+    assert_eq!(at(&mut bench, 0x0103).0[0], 1);
+    assert_eq!(bench.send(Command::Fpwr(0x1003, address::SII_CONTROL), &sii::read(8)).1, 0);
+    // A power cycle clears it.
+    let now = bench.now;
+    bench.segment.slave(0).unwrap().restart(now);
+    assert_eq!(bench.send(Command::Aprd(0, address::STATION), &[0; 2]), (vec![0, 0], 1));
+    assert_eq!(bench.send(Command::Aprd(0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
+}
+
+#[test]
+fn the_inputs_of_a_drive_are_valid_as_soon_as_it_is_in_safeop() {
+    let mut bench = drive(SlaveSettings::default());
+    manage(&mut bench, 0x64, 0x20);
+    go(&mut bench, S::PreOp);
+    assert_eq!(go(&mut bench, S::SafeOp), (S::SafeOp, None));
+    // Switch-on disabled, and the warning n17: it is not synchronous.
+    assert_eq!(bench.read::<8>(0, 0x1140).map(|inputs| inputs[6..].to_vec()), Some(vec![0xC0, 0x02]));
+}
+
+/// Writes a message to its mailbox.
+fn post(bench: &mut Bench, message: &str) {
+    assert_eq!(bench.write(0, 0x1800, &super::super::super::testing::bytes(message)), 1);
+}
+
+/// The message in its mailbox.
+fn fetch(bench: &mut Bench) -> Option<[u8; 16]> {
+    bench.wait(MS);
+    bench.read(0, 0x1C00)
+}
+
+/// A drive in PREOP whose mailbox answers like this.
+fn mailbox(mailbox: MailboxSettings) -> Bench {
+    let mut bench = drive(SlaveSettings { mailbox, ..SlaveSettings::default() });
+    manage(&mut bench, 0x64, 0x20);
+    assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
+    bench
+}
+
+const READ: &str = "0A00 0000 00 13 0020 40 001C 00 00000000";
+const NEXT: &str = "0A00 0000 00 23 0020 40 1810 00 00000000";
+
+#[test]
+fn an_answer_is_slow_and_a_late_one_comes_before_the_next() {
+    let usual = MailboxSettings::default();
+    let mut bench = mailbox(MailboxSettings { delay_ns: 10 * MS, delay_every: 2, ..usual });
+    post(&mut bench, READ);
+    assert_eq!(fetch(&mut bench).map(|answer| answer[5]), Some(0x13), "the first one is quick");
+    post(&mut bench, "0A00 0000 00 23 0020 40 001C 01 00000000");
+    assert_eq!(fetch(&mut bench), None);
+    post(&mut bench, "0A00 0000 00 33 0020 40 1810 01 00000000");
+    bench.idle(10);
+    assert_eq!(fetch(&mut bench).map(|answer| answer[5]), Some(0x23), "what nobody waits for any more");
+    assert_eq!(fetch(&mut bench).map(|answer| (answer[5], answer[12])), Some((0x33, 0x6A)));
+}
+
+#[test]
+fn an_answer_is_lost_and_a_repeat_acknowledged_without_one() {
+    let usual = MailboxSettings::default();
+    let mut bench = mailbox(MailboxSettings { lose_every: 2, resends: false, ..usual });
+    post(&mut bench, READ);
+    assert!(fetch(&mut bench).is_some());
+    bench.write(0, 0x080E, &[3]);
+    bench.wait(MS);
+    bench.send(Command::Nop, &[]);
+    assert_eq!((bench.read(0, 0x080F), fetch(&mut bench)), (Some([2]), None));
+    post(&mut bench, NEXT);
+    assert_eq!(fetch(&mut bench), None, "lost");
+    post(&mut bench, "0A00 0000 00 33 0020 40 1810 00 00000000");
+    assert_eq!(fetch(&mut bench).map(|answer| answer[5]), Some(0x33));
+}
+
+#[test]
+fn sdo_information_is_answered_by_an_abort_of_the_size_of_the_mailbox() {
+    let mut bench = mailbox(MailboxSettings::default());
+    // The list of all objects.
+    post(&mut bench, "0800 0000 00 43 0080 01 00 0000 0100 0000");
+    let answer = super::super::super::testing::bytes("0A00 0000 00 43 0080 07 00 0000 23000008");
+    assert_eq!(fetch(&mut bench).map(Vec::from), Some(answer));
+}
+
+#[test]
+fn a_longer_mailbox_takes_normal_and_segmented_downloads() {
+    let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
+    let usual = DriveSettings::new(plan.family);
+    assert_eq!(drive_settings(&plan, usual.clone()).long_sdos, None);
+    plan.slave.mailbox = Some([Area { start: 0x1800, length: 64 }, Area { start: 0x1C00, length: 64 }]);
+    assert_eq!(drive_settings(&plan, usual).long_sdos, Some(64));
+}
+
+#[test]
+fn outputs_are_seen_at_the_inputs_that_they_are_wired_to() {
+    let places = [Model::El1004, Model::El2008];
+    let plan = EthercatPlan {
+        devices: (0..2).map(|n| Device { name: format!("t{n}"), slave: SlavePlan::new(n) }).collect(),
+        ..EthercatPlan::new("local:test", Vec::new())
+    };
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.extend((0..).zip(places.map(model)));
+    segment.settings.slaves.entry(1).and_modify(|outputs| outputs.wired_to = Some(0));
+    let mut bench = bench(&segment);
+    assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x10, 1, 0, 0x00, 0, 1, 0]), 1);
+    assert_eq!(bench.write(1, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
+    bench.control(1, AlStatus::request(S::Op));
+    let mut seen = |byte: u8| {
+        assert_eq!(bench.write(1, DIGITAL_OUTPUT, &[byte]), 1);
+        bench.read(0, 0x1000)
+    };
+    assert_eq!([seen(0xA5), seen(0x0A)], [[0x05], [0x0A]].map(Some), "it has four inputs");
+    bench.control(1, AlStatus::request(S::PreOp));
+    bench.send(Command::Nop, &[]);
+    assert_eq!(bench.read(0, 0x1000), Some([0]));
+}
+
+#[test]
+fn an_analogue_terminal_has_objects_and_inputs_that_live() {
+    let mut bench = alone(model(Model::El3102));
+    for (n, bytes) in (0..).zip([
+        [0x00, 0x10, 128, 0, 0x26, 0, 1, 0],
+        [0x80, 0x10, 128, 0, 0x22, 0, 1, 0],
+        [0x00, 0x11, 0, 0, 0x24, 0, 0, 0],
+        [0x80, 0x11, 8, 0, 0x20, 0, 1, 0],
+    ]) {
+        assert_eq!(bench.write(0, address::sync_manager(n), &bytes), 1);
+    }
+    assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
+    let mut ask = |request: &str| {
+        let mut message = super::super::super::testing::bytes(request);
+        message.resize(128, 0);
+        assert_eq!(bench.write(0, 0x1000, &message), 1);
+        bench.wait(MS);
+        bench.send(Command::Nop, &[]);
+        let answer: [u8; 128] = bench.read(0, 0x1080).unwrap();
+        answer[8..22].to_vec()
+    };
+    let answer = |hex: &str| super::super::super::testing::bytes(hex);
+    assert_eq!(ask("0A00 0000 00 13 0020 40 1810 02 00000000")[..8], answer("43 1810 02 5230 1E0C"));
+    assert_eq!(ask("0A00 0000 00 23 0020 40 131C 01 00000000")[..6], answer("4B 131C 01 001A"));
+    assert_eq!(ask("0A00 0000 00 33 0020 40 131C 02 00000000")[..6], answer("4B 131C 02 021A"));
+    assert_eq!(ask("0A00 0000 00 43 0020 40 021A 09 00000000")[..8], answer("43 021A 09 1011 1060"));
+    assert_eq!(ask("0A00 0000 00 53 0020 40 1060 07 00000000")[..5], answer("4F 1060 07 00"));
+    assert_eq!(ask("0A00 0000 00 63 0020 40 0810 00 00000000"), answer("41 0810 00 06000000 454C33313032"));
+    assert_eq!(ask("0A00 0000 00 73 0020 2B 0080 13 34120000")[..4], answer("60 0080 13"));
+    assert_eq!(ask("0A00 0000 00 13 0020 40 0080 13 00000000")[..6], answer("4B 0080 13 3412"));
+    assert_eq!(ask("0A00 0000 00 23 0020 2F 0010 00 01000000")[..8], answer("80 0010 00 02000106"));
+    assert_eq!(ask("0A00 0000 00 33 0020 40 0020 00 00000000")[..8], answer("80 0020 00 00000206"));
+    assert_eq!(go(&mut bench, S::SafeOp), (S::SafeOp, None));
+    let first: [u8; 8] = bench.read(0, 0x1180).unwrap();
+    bench.idle(3);
+    let now: [u8; 8] = bench.read(0, 0x1180).unwrap();
+    assert_eq!([now[2].wrapping_sub(first[2]), first[6].wrapping_sub(now[6])], [3, 3]);
+    assert_eq!(
+        [now[1] ^ first[1], now[5] ^ first[5]],
+        [0x80; 2],
+        "the toggle bits, after an odd number of values"
+    );
+}
+
+#[test]
+fn a_branch_shows_its_links_and_when_a_frame_was_at_each_port() {
+    let places = [Model::Ek1100, Model::El2008, Model::Ek1100];
+    let plan = EthercatPlan {
+        devices: (0..3).map(|n| Device { name: format!("t{n}"), slave: SlavePlan::new(n) }).collect(),
+        ..EthercatPlan::new("local:test", Vec::new())
+    };
+    let mut segment = EthercatSegment::from(plan);
+    segment.settings.slaves.extend((0..).zip(places.map(model)));
+    let branch = Behind { place: 0, port: 2 };
+    segment.settings.slaves.entry(2).and_modify(|far| far.behind = Some(branch));
+    let mut bench = bench(&segment);
+    assert_eq!(bench.read(0, 0x0007), Some([0x3B]), "MII, EBUS, EBUS or MII, none");
+    assert_eq!(bench.read(0, address::LINKS).map(u16::from_le_bytes), Some(0b0110_1010_0111_0000));
+    bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
+    let times: [u8; 16] = bench.read(0, address::DC_PORTS).unwrap();
+    let times: Vec<u32> = times.chunks(4).map(|time| u32::from_le_bytes(time.try_into().unwrap())).collect();
+    let since = |port: usize| times[port].wrapping_sub(times[0]);
+    assert_eq!(([1, 2].map(since), times[3]), ([1_000, 2_000], 0), "500 ns each way to either");
+}
+
+#[test]
+fn what_a_master_should_not_do_is_counted() {
+    let mut bench = alone(model(Model::El2008));
+    let misuse = |bench: &mut Bench| bench.segment.slave(0).unwrap().misuse();
+    bench.write(0, 0x0101, &[0]);
+    bench.write(0, 0x0103, &[0]);
+    bench.control(0, AlStatus(0x01));
+    assert_eq!(misuse(&mut bench), Misuse::default());
+    bench.write(0, 0x0101, &[0; 3]);
+    bench.write(0, 0x1000, &[7]);
+    bench.control(0, AlStatus(0x11));
+    let manager = |bench: &mut Bench, length| {
+        bench.write(0, address::sync_manager(0), &[0, 0x0F, length, 0, 0x44, 0, 1, 0])
+    };
+    assert_eq!([1, 1, 2].map(|length| manager(&mut bench, length)), [1; 3]);
+    assert_eq!(bench.read(0, address::SYNC_MANAGER), Some([0, 0x0F, 1, 0]), "it is on, and stays as it is");
+    let counted = Misuse { fifo_sizes: 1, needless_acknowledges: 1, locked_managers: 1, early_writes: 1 };
+    assert_eq!(misuse(&mut bench), counted);
+    // Off, and then as wanted.
+    bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 8]);
+    manager(&mut bench, 2);
+    assert_eq!(bench.read(0, address::SYNC_MANAGER), Some([0, 0x0F, 2, 0]));
+    assert_eq!(misuse(&mut bench), counted);
+}

@@ -1,0 +1,220 @@
+//! Whether the cyclic interrupts of the bus are regular enough.
+//!
+//! Knows no state and no fault: it receives interrupts, and reports when they make the drive synchronous and when
+//! no longer.
+//!
+//! Each interrupt is expected a cycle after the previous one. The expectation follows the bus slowly, by at most
+//! 1000 ppm of a cycle, the mean deviation that the drive allows. One interrupt outside of the window is tolerated,
+//! the second in a row is not (EtherCAT manual). How fast the expectation follows, and how many interrupts make the
+//! drive synchronous, is assumed.
+
+use fieldbeat_core::time::{MS, Time, US};
+
+/// Cycles are multiples of this.
+pub(super) const QUANTUM_NS: u64 = 250 * US;
+/// The window either way, of cycles of 1 ms and more, and of shorter ones.
+const WINDOW_NS: (u64, u64) = (320 * US, 70 * US);
+/// Outside of the window in a row: no longer synchronous.
+const OUTSIDE_MAX: u32 = 2;
+/// The part of a deviation that the expectation follows.
+const FOLLOWS: i64 = 8;
+/// Most that it follows: this part of a cycle.
+const DRIFT: i64 = 1_000;
+
+/// The synchronisation of one drive.
+#[derive(Debug, Default)]
+pub(super) struct Sync {
+    needed: u32,
+    /// `None`: there is no valid cycle time, or no interrupts are wanted.
+    cycle_ns: Option<u64>,
+    /// When the next interrupt is due.
+    expected: Option<Time>,
+    inside: u32,
+    outside: u32,
+    /// The one before the expected one has not come yet.
+    owed: bool,
+    synchronous: bool,
+}
+
+impl Sync {
+    /// Without a cycle.
+    pub(super) fn new(needed: u32) -> Sync {
+        Sync { needed, ..Sync::default() }
+    }
+
+    /// Interrupts come from now on, so many ns apart; `None`: none, or none that could be followed.
+    pub(super) fn start(&mut self, cycle_ns: Option<u64>) {
+        *self = Sync { cycle_ns, ..Sync::new(self.needed) };
+    }
+
+    /// The drive follows the cycle.
+    pub(super) fn is_synchronous(&self) -> bool {
+        self.synchronous
+    }
+
+    /// The cycle that it follows, or tries to.
+    pub(super) fn cycle_ns(&self) -> Option<u64> {
+        self.cycle_ns
+    }
+
+    fn window_ns(cycle_ns: u64) -> u64 {
+        if cycle_ns >= MS { WINDOW_NS.0 } else { WINDOW_NS.1 }
+    }
+
+    /// It is `now`: interrupts due by then are missing. True if the drive is no longer synchronous.
+    #[must_use]
+    pub(super) fn pass(&mut self, now: Time) -> bool {
+        let Some(cycle_ns) = self.cycle_ns else { return false };
+        while let Some(expected) = self.expected
+            && now > expected + Sync::window_ns(cycle_ns)
+        {
+            self.expected = Some(expected + cycle_ns);
+            self.owed = true;
+            if self.miss() {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// An interrupt comes. True if the drive is no longer synchronous.
+    #[must_use]
+    pub(super) fn interrupt(&mut self, now: Time) -> bool {
+        let Some(cycle_ns) = self.cycle_ns else { return false };
+        if self.pass(now) {
+            return true;
+        }
+        let cycle = cycle_ns as i64;
+        let Some(expected) = self.expected else {
+            (self.expected, self.inside) = (Some(now + cycle_ns), 1);
+            return false;
+        };
+        let late = (now.0 as i64).wrapping_sub(expected.0 as i64);
+        let shift = |by: i64| Time((expected.0 as i64).saturating_add(by) as u64);
+        if late.unsigned_abs() <= Sync::window_ns(cycle_ns) {
+            let most = cycle / DRIFT;
+            self.expected = Some(shift(cycle + (late / FOLLOWS).clamp(-most, most)));
+            (self.outside, self.owed) = (0, false);
+            self.inside = self.inside.saturating_add(1);
+            self.synchronous |= self.inside >= self.needed;
+            return false;
+        }
+        // Too early, since late ones were passed above. It may be the one that was passed.
+        if std::mem::take(&mut self.owed) {
+            return false;
+        }
+        if late >= -cycle / 2 {
+            self.expected = Some(shift(cycle));
+        }
+        self.miss()
+    }
+
+    /// One is outside of the window. True if the drive is no longer synchronous.
+    fn miss(&mut self) -> bool {
+        self.inside = 0;
+        self.outside += 1;
+        if self.synchronous && self.outside < OUTSIDE_MAX {
+            return false;
+        }
+        let was = self.synchronous;
+        (self.synchronous, self.expected, self.outside, self.owed) = (false, None, 0, false);
+        was
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const NEEDED: u32 = 20;
+
+    /// Interrupts at these instants; whether it ended synchronous, and how often that was lost.
+    fn run(cycle_ns: u64, instants: impl IntoIterator<Item = u64>) -> (bool, u32) {
+        let mut sync = Sync::new(NEEDED);
+        sync.start(Some(cycle_ns));
+        let lost = instants.into_iter().filter(|at| sync.interrupt(Time(*at))).count();
+        (sync.is_synchronous(), lost as u32)
+    }
+
+    /// So many instants of a regular cycle, each moved by `jitter(index)` ns.
+    fn cycle(cycle_ns: u64, count: u64, jitter: impl Fn(u64) -> i64) -> Vec<u64> {
+        (0..count).map(|index| (1_000 * MS + index * cycle_ns).saturating_add_signed(jitter(index))).collect()
+    }
+
+    #[test]
+    fn enough_regular_interrupts_make_it_synchronous_and_not_one_less() {
+        let count = u64::from(NEEDED);
+        assert_eq!(run(MS, cycle(MS, count - 1, |_| 0)), (false, 0));
+        assert_eq!(run(MS, cycle(MS, count, |_| 0)), (true, 0));
+    }
+
+    #[test]
+    fn the_window_is_320_us_from_1_ms_on_and_70_us_below() {
+        for (cycle_ns, inside, outside) in [(MS, 300, 330), (4 * MS, 300, 330), (750 * US, 65, 80)] {
+            let late = |by: i64| move |index: u64| if matches!(index, 50 | 51) { by * US as i64 } else { 0 };
+            assert_eq!(run(cycle_ns, cycle(cycle_ns, 60, late(inside))), (true, 0), "{cycle_ns}");
+            assert_eq!(run(cycle_ns, cycle(cycle_ns, 60, late(outside))).1, 1, "{cycle_ns}");
+            assert_eq!(run(cycle_ns, cycle(cycle_ns, 60, late(-outside))).1, 1, "{cycle_ns}");
+        }
+    }
+
+    #[test]
+    fn one_outside_is_forgiven_whether_early_late_or_missing() {
+        for by in [-400, 400, 600] {
+            let jitter = |index: u64| if index == 50 { by * US as i64 } else { 0 };
+            assert_eq!(run(MS, cycle(MS, 60, jitter)), (true, 0), "{by}");
+        }
+        let missing = cycle(MS, 60, |_| 0).into_iter().enumerate().filter(|(index, _)| *index != 50);
+        assert_eq!(run(MS, missing.map(|(_, at)| at)), (true, 0));
+        let missing =
+            cycle(MS, 60, |_| 0).into_iter().enumerate().filter(|(index, _)| !matches!(index, 50 | 51));
+        assert_eq!(run(MS, missing.map(|(_, at)| at)).1, 1);
+    }
+
+    #[test]
+    fn a_cycle_that_ends_is_noticed_without_an_interrupt() {
+        let mut sync = Sync::new(NEEDED);
+        sync.start(Some(MS));
+        let instants = cycle(MS, 30, |_| 0);
+        assert!(instants.iter().all(|at| !sync.interrupt(Time(*at))));
+        let last = Time(instants[29]);
+        assert!(!sync.pass(last + MS + 320 * US), "the window of the first is still open");
+        assert!(!sync.pass(last + 2 * MS + 320 * US));
+        assert!(sync.pass(last + 2 * MS + 321 * US));
+        assert!(!sync.is_synchronous());
+        assert!(!sync.pass(last + 10 * MS), "it is lost once");
+    }
+
+    #[test]
+    fn a_mean_deviation_of_1000_ppm_is_followed_and_one_of_2000_is_not() {
+        let drift = |ppm: i64| move |index: u64| index as i64 * ppm;
+        assert_eq!(run(MS, cycle(MS, 5_000, drift(900))), (true, 0));
+        assert_eq!(run(MS, cycle(MS, 5_000, drift(-900))), (true, 0));
+        assert!(run(MS, cycle(MS, 5_000, drift(2_000))).1 > 0);
+    }
+
+    #[test]
+    fn a_cycle_of_another_length_is_never_followed() {
+        assert_eq!(run(MS, cycle(2 * MS, 200, |_| 0)), (false, 0));
+        assert_eq!(run(2 * MS, cycle(MS, 200, |_| 0)), (false, 0));
+        let mut sync = Sync::new(NEEDED);
+        assert!(!sync.interrupt(Time(0)) && !sync.is_synchronous(), "without a cycle time there is none");
+    }
+
+    proptest! {
+        #[test]
+        fn jitter_within_half_the_window_is_never_lost(jitter in proptest::collection::vec(-150_i64..150, 200)) {
+            let instants = cycle(MS, 200, |index| jitter[index as usize] * US as i64);
+            prop_assert_eq!(run(MS, instants), (true, 0));
+        }
+
+        #[test]
+        fn no_instants_panic(instants: Vec<u64>, cycle_ns in 1_u64..1_000 * MS) {
+            let mut sorted = instants;
+            sorted.sort_unstable();
+            let _ = run(cycle_ns, sorted);
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! A master for tests: it sends datagrams one by one; and a scripted application.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::sii::{Contents, Mailboxes};
+use super::{Application, Esc, Segment, Settings};
+use fieldbeat_core::time::{MS, S, Time};
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Fmmu, SyncManager, address};
+
+/// The bytes of hexadecimal digits; all else is left out.
+pub(super) fn bytes(hex: &str) -> Vec<u8> {
+    let digits: Vec<u8> = hex.bytes().filter(u8::is_ascii_hexdigit).collect();
+    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    digits.chunks(2).map(byte).collect()
+}
+
+/// The behaviour of an application, and its calls.
+#[derive(Debug, Default)]
+pub(super) struct Script {
+    pub(super) sizes: Option<(usize, usize)>,
+    pub(super) inputs: Vec<u8>,
+    pub(super) refuses: Option<(AlState, AlCode)>,
+    pub(super) drops: Option<AlCode>,
+    pub(super) messages: Vec<Vec<u8>>,
+    pub(super) requested: Vec<AlState>,
+    pub(super) requests: Vec<Vec<u8>>,
+    /// When it ran, and with which outputs.
+    pub(super) cycles: Vec<(Time, Vec<u8>)>,
+    pub(super) restarts: usize,
+}
+
+/// The same script on both sides.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scripted(Arc<Mutex<Script>>);
+
+impl Scripted {
+    pub(super) fn script(&self) -> MutexGuard<'_, Script> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Application for Scripted {
+    /// Answers with the first 16 bytes of the message, in reverse.
+    fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
+        let mut script = self.script();
+        script.requests.push(request.to_vec());
+        reply.extend(request.iter().take(16).rev());
+        true
+    }
+
+    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
+        let mut script = self.script();
+        script.requested.push(state);
+        script.refuses.filter(|(refused, _)| *refused == state).map_or(Ok(()), |(_, code)| Err(code))
+    }
+
+    fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
+        let mut script = self.script();
+        script.cycles.push((now, outputs.to_vec()));
+        for (input, own) in inputs.iter_mut().zip(&script.inputs) {
+            *input = *own;
+        }
+    }
+
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+        match self.script().sizes {
+            Some(sizes) if sizes.0 != outputs => Err(AlCode(0x001D)),
+            Some(sizes) if sizes.1 != inputs => Err(AlCode(0x001E)),
+            _ => Ok(()),
+        }
+    }
+
+    fn message(&mut self, message: &mut Vec<u8>) -> bool {
+        let next = self.script().messages.pop();
+        next.map(|next| message.extend(next)).is_some()
+    }
+
+    fn dropped(&mut self) -> Option<AlCode> {
+        self.script().drops.take()
+    }
+
+    fn restart(&mut self, _now: Time) {
+        self.script().restarts += 1;
+    }
+}
+
+/// A slave with a mailbox.
+pub(super) fn with_mailbox() -> Settings {
+    let mailboxes = Mailboxes { out: (0x1800, 0x400), input: (0x1C00, 0x400), protocols: 4 };
+    let contents = Contents { alias: 0x77, mailboxes: Some(mailboxes), ..Contents::default() };
+    Settings { sii: contents.image(), ..Settings::default() }
+}
+
+/// A segment, and a master's time.
+pub(super) struct Bench {
+    pub(super) segment: Segment,
+    pub(super) now: Time,
+    pub(super) scripts: Vec<Scripted>,
+}
+
+impl Bench {
+    /// A segment of these, with station addresses from 0x1001 on.
+    pub(super) fn with(slaves: Vec<Esc>) -> Bench {
+        Bench::of(Segment::new(slaves))
+    }
+
+    /// The same with an existing segment.
+    pub(super) fn of(segment: Segment) -> Bench {
+        let count = segment.slaves() as u16;
+        let mut bench = Bench::left(segment);
+        for n in 0..count {
+            let station = (0x1001 + n).to_le_bytes();
+            assert_eq!(bench.send(Command::Apwr(position(n), address::STATION), &station).1, 1);
+        }
+        bench
+    }
+
+    /// The same with the station addresses that it has.
+    pub(super) fn left(segment: Segment) -> Bench {
+        Bench { segment, now: Time(S), scripts: Vec::new() }
+    }
+
+    /// A segment of scripted slaves.
+    pub(super) fn new(settings: Vec<Settings>) -> Bench {
+        let scripts: Vec<Scripted> = settings.iter().map(|_| Scripted::default()).collect();
+        let slaves = settings.into_iter().zip(&scripts);
+        let slaves = slaves.map(|(settings, script)| Esc::new(settings, Box::new(script.clone()))).collect();
+        Bench { scripts, ..Bench::with(slaves) }
+    }
+
+    /// Two drives with mailboxes and a mapped image as in the sheet, in PREOP.
+    pub(super) fn drives(change: impl Fn(&mut Settings)) -> Bench {
+        let mut settings = with_mailbox();
+        change(&mut settings);
+        let mut bench = Bench::new(vec![settings.clone(), settings]);
+        for n in 0..2 {
+            bench.set_up(n, 6, 8);
+            bench.scripts[usize::from(n)].script().sizes = Some((6, 8));
+            assert_eq!(bench.go(n, AlState::PreOp), (AlState::PreOp, None));
+        }
+        bench
+    }
+
+    /// Sets the SyncManagers and FMMUs of a drive as the sheet has them.
+    pub(super) fn set_up(&mut self, n: u16, outputs: u16, inputs: u16) {
+        for (manager, bytes) in [
+            (0, [0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 0]),
+            (1, [0x00, 0x1C, 0x00, 0x04, 0x22, 0, 1, 0]),
+            (2, [0x00, 0x11, outputs as u8, 0, SyncManager::OUTPUTS, 0, 1, 0]),
+            (3, [0x40, 0x11, inputs as u8, 0, SyncManager::INPUTS, 0, 1, 0]),
+        ] {
+            self.manage(n, manager, &bytes);
+        }
+        let (own, at) = (u32::from(n), 0x1_0000);
+        let outputs = Fmmu::bytes(at + 6 * own, outputs, 0x1100, true);
+        let inputs = Fmmu::bytes(at + 12 + 8 * own, inputs, 0x1140, false);
+        assert_eq!(self.write(n, address::fmmu(0), &outputs.to_bytes()), 1);
+        assert_eq!(self.write(n, address::fmmu(1), &inputs.to_bytes()), 1);
+    }
+
+    /// Sets a SyncManager, which has to be off for that.
+    pub(super) fn manage(&mut self, n: u16, manager: u16, bytes: &[u8; 8]) {
+        assert_eq!(self.write(n, address::sync_manager(manager) + 6, &[0]), 1);
+        assert_eq!(self.write(n, address::sync_manager(manager), bytes), 1);
+    }
+
+    /// A frame with this one datagram: its data and its working counter as they come back.
+    pub(super) fn send(&mut self, command: Command, data: &[u8]) -> (Vec<u8>, u16) {
+        let (data, count, _) = self.send_whole(command, data);
+        (data, count)
+    }
+
+    /// The same, with the address as it comes back.
+    pub(super) fn send_whole(&mut self, command: Command, data: &[u8]) -> (Vec<u8>, u16, u32) {
+        let mut frame = [0; FRAME_MAX];
+        let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
+        builder.push_with(command, 7, data).unwrap();
+        let length = builder.finish();
+        self.segment.pass(self.now, &mut frame[..length]);
+        let back = datagrams(&frame[..length]).unwrap().next().unwrap().unwrap();
+        (back.data.to_vec(), back.working_counter, back.address)
+    }
+
+    pub(super) fn write(&mut self, n: u16, at: u16, data: &[u8]) -> u16 {
+        self.send(Command::Fpwr(0x1001 + n, at), data).1
+    }
+
+    /// `None`: not read.
+    pub(super) fn read<const N: usize>(&mut self, n: u16, at: u16) -> Option<[u8; N]> {
+        let (data, count) = self.send(Command::Fprd(0x1001 + n, at), &[0; N]);
+        (count == 1).then(|| data.try_into().unwrap())
+    }
+
+    /// Requests a state, and returns the resulting one.
+    pub(super) fn go(&mut self, n: u16, state: AlState) -> (AlState, Option<AlCode>) {
+        self.control(n, AlStatus::request(state));
+        self.state(n)
+    }
+
+    /// Writes AL control.
+    pub(super) fn control(&mut self, n: u16, request: AlStatus) {
+        assert_eq!(self.write(n, address::AL_CONTROL, &request.0.to_le_bytes()), 1);
+    }
+
+    /// The state as the registers show it.
+    pub(super) fn state(&mut self, n: u16) -> (AlState, Option<AlCode>) {
+        let [status, _, _, _, low, high] = self.read(n, address::AL_STATUS).unwrap();
+        let status = AlStatus(status.into());
+        let code = AlCode(u16::from_le_bytes([low, high]));
+        assert_eq!(status.error(), code != AlCode::NONE);
+        (status.state().unwrap(), status.error().then_some(code))
+    }
+
+    /// Both drives go to these states, the last one.
+    pub(super) fn all_to(&mut self, states: &[AlState]) {
+        for n in 0..2 {
+            for state in states {
+                assert_eq!(self.go(n, *state), (*state, None));
+            }
+        }
+    }
+
+    pub(super) fn wait(&mut self, ns: u64) {
+        self.now = self.now + ns;
+    }
+
+    /// Empty frames, one per millisecond.
+    pub(super) fn idle(&mut self, ms: u64) {
+        for _ in 0..ms {
+            self.wait(MS);
+            self.send(Command::Nop, &[]);
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! The parameters' values: in flash (ROM), in memory (RAM), and those in use by the software.
+//!
+//! Knows the rules of access, no wire block, and nothing of a parameter's effect.
+//!
+//! | memory | written by | takes effect |
+//! |---|---|---|
+//! | ROM | write ROM, write both, defaults | becomes RAM at the next restart of the drive |
+//! | RAM, live parameter | write RAM, write both, motion command 002x | at once |
+//! | RAM, other parameter | write RAM, write both | when the software is started next (36h); a restart of the drive loses it |
+//!
+//! The manuals state the first two. The third is chosen: RAM of a parameter that is not live can be written, and
+//! then it has to take effect at some time.
+
+use super::settings::LinMotSettings;
+use super::upids::{self, PARAMETERS, Parameter};
+use fieldbeat_core::time::US;
+use fieldbeat_linudp::upid::Usage;
+use fieldbeat_linudp::wire::Refusal;
+
+/// The values of one parameter.
+#[derive(Clone, Copy, Debug)]
+struct Value {
+    rom: i64,
+    ram: i64,
+    /// The value in use by the software.
+    used: i64,
+}
+
+/// One of the limits of a parameter.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Bound {
+    Minimum,
+    Maximum,
+    Default,
+}
+
+/// One of the four parts of the software, each with its own UPIDs: their highest digit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Part(pub u16);
+
+impl Part {
+    pub(super) const OS: Part = Part(0x0);
+    pub(super) const MC: Part = Part(0x1);
+    pub(super) const INTERFACE: Part = Part(0x2);
+    pub(super) const APPLICATION: Part = Part(0x3);
+}
+
+/// The values of all parameters, in the order of [`PARAMETERS`].
+#[derive(Debug)]
+pub(super) struct Parameters {
+    values: Box<[Value]>,
+    /// Values narrower than 32 bits carry their sign in the bits above.
+    extend: bool,
+}
+
+impl Parameters {
+    /// As commissioned: the defaults, and in ROM the values of the plan.
+    pub(super) fn new(plan: &LinMotSettings) -> Parameters {
+        let values = PARAMETERS.iter().map(|p| Value { rom: p.default, ram: p.default, used: p.default });
+        let mut parameters = Parameters { values: values.collect(), extend: plan.extend_sign };
+        for (upid, value) in [
+            (upids::HOME_POSITION, plan.home_position.into()),
+            (upids::SLIDER_HOME_POSITION, plan.home_position.into()),
+            (upids::MINIMUM_POSITION, plan.range.0.into()),
+            (upids::MAXIMUM_POSITION, plan.range.1.into()),
+            (upids::STREAM_PERIOD, i64::try_from(plan.stream_period_ns / US).unwrap_or(i64::MAX)),
+        ] {
+            if let Some((parameter, values)) = parameters.entry(upid) {
+                values.rom = value.clamp(parameter.low, parameter.high);
+            }
+        }
+        parameters.load();
+        parameters
+    }
+
+    /// The drive restarts: RAM is loaded from ROM.
+    pub(super) fn load(&mut self) {
+        for (value, parameter) in self.values.iter_mut().zip(PARAMETERS) {
+            value.ram = value.rom;
+            if !parameter.usage.has(Usage::ROM_READ) {
+                value.ram = parameter.default;
+            }
+        }
+        self.start();
+    }
+
+    /// The software starts: it uses the values in RAM.
+    pub(super) fn start(&mut self) {
+        for value in &mut self.values {
+            value.used = value.ram;
+        }
+    }
+
+    fn entry(&mut self, upid: u16) -> Option<(&'static Parameter, &mut Value)> {
+        let index = upids::find(upid)?;
+        Some((&PARAMETERS[index], self.values.get_mut(index)?))
+    }
+
+    /// The value in use. 0 for an unknown UPID.
+    pub(super) fn used(&self, upid: u16) -> i64 {
+        upids::find(upid).map_or(0, |index| self.values[index].used)
+    }
+
+    /// The value in RAM of the parameter at this index.
+    pub(super) fn ram(&self, index: usize) -> i64 {
+        self.values[index].ram
+    }
+
+    /// The value in ROM.
+    pub(super) fn rom(&self, upid: u16) -> Result<u32, Refusal> {
+        let index = allowed(upid, Usage::ROM_READ)?;
+        Ok(self.wire(index, self.values[index].rom))
+    }
+
+    /// A limit, or the default that a variable does not have.
+    pub(super) fn bound(&self, upid: u16, bound: Bound) -> Result<u32, Refusal> {
+        let index = upids::find(upid).ok_or(Refusal::NoSuchUpid)?;
+        let parameter = &PARAMETERS[index];
+        Ok(self.wire(
+            index,
+            match bound {
+                Bound::Minimum => parameter.low,
+                Bound::Maximum => parameter.high,
+                Bound::Default => {
+                    allowed(upid, Usage::ROM_READ)?;
+                    parameter.default
+                }
+            },
+        ))
+    }
+
+    /// A value of the parameter at this index, in wire form.
+    pub(super) fn wire(&self, index: usize, value: i64) -> u32 {
+        PARAMETERS[index].kind.raw(value, self.extend)
+    }
+
+    /// Writes RAM.
+    pub(super) fn write_ram(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
+        let value = check(upid, raw, Usage::RAM_WRITE)?;
+        if let Some((parameter, values)) = self.entry(upid) {
+            values.ram = value;
+            if parameter.usage.has(Usage::LIVE) {
+                values.used = value;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes ROM.
+    pub(super) fn write_rom(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
+        let value = check(upid, raw, Usage::ROM_WRITE)?;
+        if let Some((_, values)) = self.entry(upid) {
+            values.rom = value;
+        }
+        Ok(())
+    }
+
+    /// ROM of one part of the software to its defaults.
+    pub(super) fn restore(&mut self, part: Part) {
+        for (value, parameter) in self.values.iter_mut().zip(PARAMETERS) {
+            if parameter.upid >> 12 == part.0 {
+                value.rom = parameter.default;
+            }
+        }
+    }
+
+    /// The first parameter from `upid` on whose ROM differs from its default, with that ROM value.
+    pub(super) fn modified_from(&self, upid: u16) -> Option<(u16, u32)> {
+        let index = (upids::from(upid)..PARAMETERS.len()).find(|index| {
+            let parameter = &PARAMETERS[*index];
+            parameter.usage.has(Usage::ROM_READ) && self.values[*index].rom != parameter.default
+        })?;
+        Some((PARAMETERS[index].upid, self.wire(index, self.values[index].rom)))
+    }
+
+    /// The indices of the parameters that the monitoring channels report.
+    pub(super) fn monitored(&self) -> [Option<usize>; 4] {
+        [0, 1, 2, 3].map(|channel| {
+            let source = self.used(upids::MONITOR_SOURCE + channel);
+            u16::try_from(source).ok().and_then(upids::find)
+        })
+    }
+}
+
+/// The index of `upid`, if it can be used like this.
+pub(super) fn allowed(upid: u16, usage: u16) -> Result<usize, Refusal> {
+    let index = upids::find(upid).ok_or(Refusal::NoSuchUpid)?;
+    if PARAMETERS[index].usage.has(usage) { Ok(index) } else { Err(Refusal::AddressUsage) }
+}
+
+/// The number to be written, if it is allowed. Usage first, then type, then range.
+pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
+    let parameter = &PARAMETERS[allowed(upid, usage)?];
+    let value = parameter.kind.strict_number(raw).ok_or(Refusal::WrongType)?;
+    // A channel can report an existing parameter, or nothing.
+    let is_source = (upids::MONITOR_SOURCE..upids::MONITOR_SOURCE + 4).contains(&upid);
+    let shown =
+        !is_source || value == 0 || u16::try_from(value).is_ok_and(|upid| upids::find(upid).is_some());
+    if (parameter.low..=parameter.high).contains(&value) && shown {
+        Ok(value)
+    } else {
+        Err(Refusal::OutOfRange)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::{Ipv4Addr, SocketAddrV4};
+
+    fn settings() -> LinMotSettings {
+        LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 1))
+    }
+
+    #[test]
+    fn the_plan_is_what_was_commissioned() {
+        let plan =
+            LinMotSettings { range: (-5, 7), home_position: 3, stream_period_ns: 2_500_999, ..settings() };
+        let p = Parameters::new(&plan);
+        for (upid, value) in [
+            (upids::MINIMUM_POSITION, -5),
+            (upids::MAXIMUM_POSITION, 7),
+            (upids::HOME_POSITION, 3),
+            (upids::SLIDER_HOME_POSITION, 3),
+            (upids::STREAM_PERIOD, 2_500),
+        ] {
+            assert_eq!((p.used(upid), p.rom(upid)), (value, Ok(value as u32)), "{upid:04X}h");
+        }
+        let mut modified = Vec::new();
+        let mut at = 0;
+        while let Some((upid, _)) = p.modified_from(at) {
+            modified.push(upid);
+            at = upid + 1;
+        }
+        assert_eq!(modified, [0x13C7, 0x13CA, 0x146E, 0x146F, 0x14E6]);
+        assert_eq!(Parameters::new(&settings()).modified_from(0), None);
+    }
+
+    #[test]
+    fn usage_type_and_range_are_refused_in_this_order() {
+        let mut p = Parameters::new(&settings());
+        for (upid, raw, ram, rom) in [
+            (0x9999, 0, Err(Refusal::NoSuchUpid), Err(Refusal::NoSuchUpid)),
+            (0x1D51, 0x1_0000, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),
+            (0x000C, 0, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),
+            (upids::VARIABLE_1, 1, Ok(()), Err(Refusal::AddressUsage)),
+            (0x13A2, 0x1_0000, Err(Refusal::WrongType), Err(Refusal::WrongType)),
+            (upids::RUN_MODE, 0, Err(Refusal::OutOfRange), Err(Refusal::OutOfRange)),
+            (upids::MONITOR_SOURCE, 0x1E11, Err(Refusal::OutOfRange), Err(Refusal::OutOfRange)),
+            (upids::MONITOR_SOURCE, 0x1E10, Ok(()), Ok(())),
+            (upids::MONITOR_SOURCE, 0, Ok(()), Ok(())),
+        ] {
+            assert_eq!(
+                (p.write_ram(upid, raw), p.write_rom(upid, raw)),
+                (ram, rom),
+                "{upid:04X}h = {raw:X}h"
+            );
+        }
+        assert_eq!(p.rom(0x1D51), Err(Refusal::AddressUsage));
+        assert_eq!(p.bound(0x1D51, Bound::Default), Err(Refusal::AddressUsage));
+        assert_eq!(p.bound(0x1D51, Bound::Maximum), Ok(0xFFFF));
+        assert_eq!(p.bound(upids::MINIMUM_POSITION, Bound::Minimum), Ok(i32::MIN as u32));
+    }
+}

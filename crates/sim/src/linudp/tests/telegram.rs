@@ -1,0 +1,231 @@
+//! Telegrams as they should not be, filters, padding, real-time config, restarts. Arbitrary bytes and what a careless
+//! master sends are those of the fuzz target `drive`.
+
+use super::*;
+use fieldbeat_linudp::wire::{RequestDef, RtcBlock, RtcCommand, RtcStatus};
+
+const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 2), MASTER_PORT);
+
+const STATUS: [u8; 8] = [0, 0, 0, 0, 0x7F, 0, 0, 0];
+
+#[test]
+fn a_status_request_is_answered_as_in_the_manual() {
+    let mut bench = Bench::homed();
+    bench.command(go_to(123_456, VAD));
+    bench.until_standing();
+    let reply = bench.raw(MASTER, &STATUS).unwrap();
+    let golden = [
+        0x00, 0x00, 0x00, 0x00, 0x7F, 0x00, 0x00, 0x00, // echoes
+        0x37, 0x0C, 0xC1, 0x08, // on, in target, homed; count 1
+        0x40, 0xE2, 0x01, 0x00, 0x40, 0xE2, 0x01, 0x00, // 12.3456 mm
+        0x00, 0x00, 0x00, 0x00, 0x00, 0x00, // no current, no warning, no error
+    ];
+    assert_eq!(reply, golden);
+}
+
+#[test]
+fn what_is_no_telegram_is_not_answered() {
+    let mut bench = Bench::homed();
+    let go_to = go_to(CM, VAD).block(5);
+    assert_eq!(bench.raw(MASTER, &[]), None);
+    assert_eq!(bench.raw(MASTER, &STATUS[..7]), None);
+    // Control word announced and missing; motion command in front of a config block cut short.
+    assert_eq!(bench.raw(MASTER, &[1, 0, 0, 0, 0x7F, 0, 0, 0]), None);
+    let whole = Request {
+        response_def: ResponseDef::CYCLIC,
+        motion: Some(go_to),
+        config: Some(RtcBlock::default()),
+        ..Request::default()
+    };
+    let mut bytes = [0; 64];
+    let size = whole.emit(&mut bytes);
+    assert_eq!(bench.raw(MASTER, &bytes[..size - 7]), None);
+    assert_eq!(bench.sim.ignored(), Ignored { malformed: 4, ..Ignored::default() });
+    // None of them moved anything.
+    let response = bench.exchange(None);
+    assert_eq!(response.state.unwrap().count(), Some(0));
+    assert!(!response.status.unwrap().motion_active());
+}
+
+#[test]
+fn a_cut_motion_command_and_a_cut_config_block_are_taken() {
+    let mut bench = Bench::homed();
+    let go_to = Request {
+        response_def: ResponseDef::CYCLIC,
+        motion: Some(go_to(CM, VAD).block(5)),
+        ..Request::default()
+    };
+    let mut bytes = [0; 64];
+    go_to.emit(&mut bytes);
+    // Header and the 16 bytes that are not 0.
+    assert!(bench.raw(MASTER, &bytes[..8 + 18]).is_some());
+    assert_eq!(bench.until_standing().actual, Some(CM));
+    // Control and UPID of a parameter read.
+    let reply = bench.raw(MASTER, &[4, 0, 0, 0, 0, 1, 0, 0, 0x01, 0x11, 0xA8, 0x20]).unwrap();
+    // The sheet's example: it is the demand velocity that the first monitoring channel shows.
+    assert_eq!(reply, [4, 0, 0, 0, 0, 1, 0, 0, 0x01, 0x00, 0xA8, 0x20, 0x0F, 0x1E, 0, 0]);
+}
+
+#[test]
+fn longer_telegrams_and_reserved_bits_do_no_harm() {
+    let mut bench = Bench::homed();
+    let mut long = [0xA5; 300];
+    long[..8].copy_from_slice(&[0xF8, 0xFF, 0xFF, 0xFF, 0x7F, 0xFE, 0xFF, 0xFF]);
+    let reply = bench.raw(MASTER, &long).unwrap();
+    assert_eq!((reply.len(), &reply[..8]), (26, &long[..8]));
+    assert_eq!(bench.exchange(None).state.unwrap().count(), Some(0));
+}
+
+#[test]
+fn a_duplicate_is_answered_and_not_run() {
+    let mut bench = Bench::homed();
+    let step = MotionCommand { id: 0x012, ..go_to(CM, VAD) }.block(5);
+    bench.exchange(Some(step));
+    bench.now = bench.now - MS;
+    let again = bench.exchange(Some(step));
+    assert_eq!(again.state.unwrap().count(), Some(5));
+    assert_eq!(bench.until_standing().actual, Some(CM));
+}
+
+#[test]
+fn only_requests_from_the_masters_port_are_answered() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
+    let stranger = SocketAddrV4::new(*OTHER.ip(), MASTER_PORT + 1);
+    assert_eq!(bench.raw(stranger, &STATUS), None);
+    assert_eq!(bench.sim.ignored().wrong_port, 1);
+    // It did not become the single master.
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+}
+
+#[test]
+fn a_single_master_is_the_first_one_after_start() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
+    assert_eq!(bench.raw(OTHER, &STATUS[..5]), None);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    assert_eq!(bench.raw(OTHER, &STATUS), None);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    assert_eq!(bench.sim.ignored(), Ignored { malformed: 1, filtered: 1, ..Ignored::default() });
+    bench.sim.restart(bench.now);
+    assert!(bench.raw(OTHER, &STATUS).is_some());
+    assert_eq!(bench.raw(MASTER, &STATUS), None);
+}
+
+#[test]
+fn a_fixed_master_is_the_only_one() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Fixed(*OTHER.ip()));
+    assert_eq!(bench.raw(MASTER, &STATUS), None);
+    assert!(bench.raw(OTHER, &STATUS).is_some());
+    let mut bench = Bench::new(|_| {});
+    assert!(bench.raw(MASTER, &STATUS).is_some() && bench.raw(OTHER, &STATUS).is_some());
+}
+
+#[test]
+fn short_answers_are_padded_with_what_is_left_of_earlier_ones() {
+    for (padding, expected) in [(0, 10), (14, 14), (64, 64), (1_000, 64)] {
+        let mut bench = Bench::new(|plan| plan.padding = padding);
+        // A long answer first: its bytes are what the padding shows.
+        let long = bench.raw(MASTER, &[0, 0, 0, 0, 0xFF, 0, 0, 0]).unwrap();
+        assert_eq!(long.len(), 42_usize.max(expected));
+        let short = bench.raw(MASTER, &[0, 0, 0, 0, 1, 0, 0, 0]).unwrap();
+        assert_eq!(short.len(), expected);
+        assert_eq!(short[10..], long[10..expected]);
+        assert_eq!(padding == 0, short[10..].iter().all(|byte| *byte == 0));
+        // The master's parser does not see it.
+        let response = Response::parse(&short).unwrap();
+        assert!(response.status.is_some() && response.state.is_none() && response.config.is_none());
+    }
+}
+
+#[test]
+fn monitoring_channels_show_velocity_acceleration_temperature_and_status() {
+    let mut bench = Bench::homed();
+    bench.command(go_to(-10 * CM, VAD));
+    bench.now = bench.now + 20 * MS;
+    let request = Request { response_def: ResponseDef(0xFF), ..Request::default() };
+    let response = bench.ask(&request);
+    let monitor = response.monitor.unwrap();
+    assert_eq!(monitor[0] as i32, -200_000);
+    assert_eq!(monitor[1] as i32, -1_000_000);
+    assert_eq!((monitor[2], monitor[3]), (400, u32::from(response.status.unwrap().0)));
+    assert!(response.current.unwrap() < 0);
+}
+
+#[test]
+fn the_config_block_is_there_if_the_request_had_one() {
+    let mut bench = Bench::new(|_| {});
+    // Not because of response bit 8.
+    let without = Request { response_def: ResponseDef(0x1FF), ..Request::default() };
+    assert_eq!(bench.ask(&without).config, None);
+    let nothing = RtcBlock::command(4, RtcCommand::NO_OPERATION);
+    let with = Request { response_def: ResponseDef(1), config: Some(nothing), ..Request::default() };
+    let response = bench.ask(&with);
+    assert_eq!(response.request_def, RequestDef::CONFIG);
+    assert_eq!(response.config, Some(RtcBlock::answer(4, RtcStatus::DONE)));
+}
+
+#[test]
+fn a_restart_forgets_all_but_where_the_motor_is() {
+    let mut bench = Bench::homed();
+    bench.command(go_to(10 * CM, VAD));
+    bench.until_standing();
+    bench.configure(RtcBlock::call(3, RtcCommand::READ_RAM, 0x20A8, 0));
+    bench.sim.restart(bench.now);
+    assert_eq!(bench.configure(RtcBlock::command(0, RtcCommand::READ_RAM)), RtcBlock::default());
+    // Booting: both words are 0 and nothing is taken.
+    for _ in 0..99 {
+        let response = bench.exchange(Some(go_to(0, VAD).block(7)));
+        assert_eq!((response.status, response.state), (Some(StatusWord(0)), Some(StateVar(0))));
+    }
+    bench.now = bench.now + MS;
+    bench.enable();
+    assert_eq!(bench.count, 0);
+    let response = bench.exchange(None);
+    assert!(!response.status.unwrap().homed() && response.warn.unwrap().0 != 0);
+    // The sensor begins anew, wherever the motor is; homing finds the truth.
+    assert_eq!(response.actual, Some(2 * CM));
+    bench.control = ControlWord::HOME;
+    let took = bench.until(|response| response.state.unwrap().finished());
+    assert!(took > 1_000, "100 mm at 100 mm/s, in {took} ms");
+    bench.control = ControlWord::ON;
+    assert_eq!(bench.until_standing().actual, Some(0));
+}
+
+#[test]
+fn a_drive_can_be_found_running() {
+    let mut bench = Bench::new(|plan| plan.start_running = true);
+    let first = Response::parse(&bench.raw(MASTER, &STATUS).unwrap()).unwrap();
+    assert!(first.status.unwrap().has(StatusWord::MOTION_ACTIVE | StatusWord::HOMED));
+    assert_eq!(first.state, Some(StateVar(0x08A5)));
+    // It goes on for as long as nobody takes over, and turns round.
+    let (mut low, mut high) = (i32::MAX, i32::MIN);
+    for _ in 0..100 {
+        bench.now = bench.now + S;
+        let response = Response::parse(&bench.raw(MASTER, &STATUS).unwrap()).unwrap();
+        assert_eq!(response.error, Some(ErrorCode::NONE));
+        (low, high) = (low.min(response.actual.unwrap()), high.max(response.actual.unwrap()));
+    }
+    assert!(low < -15 * CM && high > 15 * CM, "{low} ... {high}");
+    // A count that it already has does nothing, the next one stops it.
+    bench.control = ControlWord::ON;
+    let stop = MotionCommand::vai_stop(Acceleration(100_000));
+    assert!(bench.exchange(Some(stop.block(5))).status.unwrap().motion_active());
+    bench.exchange(Some(stop.block(6)));
+    let stood = bench.until_standing();
+    bench.now = bench.now + S;
+    assert_eq!(bench.exchange(None).demand, stood.demand);
+    // A power cycle ends it for good.
+    bench.sim.restart(bench.now);
+    bench.now = bench.now + S;
+    assert!(!bench.exchange(None).status.unwrap().operation_enabled());
+}
+
+#[test]
+fn a_long_silence_costs_a_bounded_number_of_steps() {
+    let mut bench = Bench::new(|plan| plan.start_running = true);
+    bench.raw(MASTER, &STATUS).unwrap();
+    bench.now = Time(u64::MAX);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    // Time that goes backwards is no time.
+    bench.now = Time(0);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+}

@@ -1,0 +1,149 @@
+//! The values of the parameters: in use, saved, and as delivered; and the parameters that menu 0 shows.
+//! Knows nothing of a parameter's effect. A written value is lost at a restart unless it was saved: xx.000 = 1000
+//! or 1001 in any menu, then a reset of the drive; 1233 and 1244 restore the values as delivered (all four
+//! assumed).
+
+use super::settings::UnidriveSettings;
+use super::table::{self, Row, TABLE};
+use fieldbeat_modbus::parameter::{Addressing, Parameter};
+
+/// Values of xx.000.
+const SAVE: [i32; 2] = [1000, 1001];
+const RESTORE: [i32; 2] = [1233, 1244];
+
+/// All values, in the order of the table.
+#[derive(Debug)]
+pub(super) struct Database {
+    rows: &'static [Row],
+    used: Vec<i32>,
+    saved: Vec<i32>,
+    delivered: Vec<i32>,
+    /// The parameters that menu 0 shows, by their index in the table.
+    shown: [Option<usize>; table::SETUPS],
+    menu_zero: bool,
+    /// In use since the last start.
+    addressing: Addressing,
+}
+
+impl Database {
+    pub(super) fn new(settings: &UnidriveSettings) -> Database {
+        let rows = &TABLE.rows[..];
+        let mut delivered: Vec<i32> = rows.iter().map(|row| row.default).collect();
+        let motor = &settings.motor;
+        let modified = settings.interface.addressing == Addressing::Modified;
+        for (row, value) in [
+            (table::MAXIMUM_REFERENCE, motor.rated_rpm * 1e1),
+            (table::RATED_SPEED, motor.rated_rpm * 1e2),
+            (table::RATED_CURRENT, motor.rated_a * 1e3),
+            (table::TORQUE_LIMIT, motor.limit_percent * 1e1),
+            (table::POLE_PAIRS, motor.pole_pairs.into()),
+            (table::ACCELERATION, settings.ramps_s.0 * 1e3),
+            (table::DECELERATION, settings.ramps_s.1 * 1e3),
+            (table::ADDRESSING, modified.into()),
+        ] {
+            delivered[row] = rows[row].clamp(value.round() as i32);
+        }
+        let mut saved = delivered.clone();
+        for (parameter, value) in &settings.commissioned {
+            if let Some(row) = TABLE.of(*parameter, settings.interface.slot) {
+                saved[row] = rows[row].clamp(*value);
+            }
+        }
+        let mut database = Database {
+            rows,
+            used: saved.clone(),
+            saved,
+            delivered,
+            shown: [None; table::SETUPS],
+            menu_zero: settings.interface.menu_zero,
+            addressing: settings.interface.addressing,
+        };
+        database.restart();
+        database
+    }
+
+    /// The saved values are in use again.
+    pub(super) fn restart(&mut self) {
+        for (place, row) in self.rows.iter().enumerate() {
+            self.used[place] = if row.saved { self.saved[place] } else { row.default };
+        }
+        self.addressing = match self.is_on(table::ADDRESSING) {
+            true => Addressing::Modified,
+            false => Addressing::Standard,
+        };
+        self.show();
+    }
+
+    /// The drive was reset: commands in any xx.000 are carried out.
+    pub(super) fn reset(&mut self) {
+        let mut commands = [0; 2];
+        for (row, value) in self.rows.iter().zip(&mut self.used).filter(|(row, _)| row.number == 0) {
+            commands[0] |= i32::from(SAVE.contains(value));
+            commands[1] |= i32::from(RESTORE.contains(value));
+            *value = row.default;
+        }
+        match commands {
+            [_, 1] => {
+                self.saved.copy_from_slice(&self.delivered);
+                for (place, _) in self.rows.iter().enumerate().filter(|(_, row)| row.saved) {
+                    self.used[place] = self.saved[place];
+                }
+                self.show();
+            }
+            [1, _] => self.saved.copy_from_slice(&self.used),
+            _ => {}
+        }
+    }
+
+    /// The parameter at this index.
+    pub(super) fn row(&self, place: usize) -> &'static Row {
+        &self.rows[place]
+    }
+
+    /// Its value.
+    pub(super) fn get(&self, place: usize) -> i32 {
+        self.used[place]
+    }
+
+    /// Whether a flag is set.
+    pub(super) fn is_on(&self, place: usize) -> bool {
+        self.used[place] != 0
+    }
+
+    /// Gives it a value that was checked, or that is the drive's own.
+    pub(super) fn set(&mut self, place: usize, value: i32) {
+        self.used[place] = value;
+        if self.rows[place].menu == table::SETUP_MENU {
+            self.show();
+        }
+    }
+
+    /// The index of a parameter of the drive, or of the one shown in menu 0.
+    pub(super) fn find(&self, parameter: Parameter) -> Option<usize> {
+        match parameter.menu {
+            0 => *self.shown.get(usize::from(parameter.number).checked_sub(1)?)?,
+            table::INTERFACE.. => None,
+            menu => TABLE.find(menu, parameter.number),
+        }
+    }
+
+    /// The same for a parameter of the interface.
+    pub(super) fn find_own(&self, parameter: Parameter) -> Option<usize> {
+        TABLE.find(parameter.menu.checked_add(table::INTERFACE)?, parameter.number)
+    }
+
+    /// How addresses are made.
+    pub(super) fn addressing(&self) -> Addressing {
+        self.addressing
+    }
+
+    /// Looks up the parameters that menu 0 shows. It does not show itself.
+    fn show(&mut self) {
+        for number in 1..=table::SETUPS {
+            let setup = TABLE.find(table::SETUP_MENU, number as u8).map_or(0, |place| self.used[place]);
+            let source = u16::try_from(setup).ok().and_then(Parameter::from_setup);
+            let source = source.filter(|source| self.menu_zero && source.menu != 0);
+            self.shown[number - 1] = source.and_then(|source| self.find(source));
+        }
+    }
+}

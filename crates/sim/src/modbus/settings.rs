@@ -1,0 +1,195 @@
+//! The settings of a simulated Unidrive: its network interface, its motor, and its state at the start.
+
+use std::net::SocketAddrV4;
+
+use crate::FaultPlan;
+use fieldbeat_core::time::{MS, S};
+use fieldbeat_modbus::parameter::{Addressing, Parameter};
+use fieldbeat_modbus::wire::REGISTERS_MAX;
+
+/// A simulated Unidrive. Where no document says what the drive does, the default is the strict side, and assumed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UnidriveSettings {
+    /// The address that it listens at.
+    pub address: SocketAddrV4,
+    /// The faults between it and the master.
+    pub faults: FaultPlan,
+    /// The Modbus side.
+    pub interface: Interface,
+    /// The motor and its load.
+    pub motor: MotorSettings,
+    /// Seconds to 1000 rpm and from there to standstill: Pr 02.011 and 02.021 as delivered. Default 0.2 each.
+    pub ramps_s: (f64, f64),
+    /// The drive at its first start. Default: idle.
+    pub start: Start,
+    /// The hardware enable (safe torque off) is wired and closed. Default true.
+    pub hardware_enable: bool,
+    /// A trip whose cause does not go away: it comes back at each reset and each start.
+    pub persistent_trip: Option<u16>,
+    /// The control word's watchdog (06.042, bit 14). Default: trips after 1 s.
+    pub watchdog: Watchdog,
+    /// From trip 3 (OI ac) until it can be reset, ns. Default 10 s (M702 user guide).
+    pub overcurrent_wait_ns: u64,
+    /// From power-on until it listens, ns. Default 500 ms.
+    pub boot_ns: u64,
+    /// Saved parameters that differ from the values as delivered. Unknown ones are ignored, values out of range are
+    /// clamped.
+    pub commissioned: Vec<(Parameter, i32)>,
+}
+
+impl UnidriveSettings {
+    /// A drive with default settings.
+    pub fn new(address: SocketAddrV4) -> UnidriveSettings {
+        UnidriveSettings {
+            address,
+            faults: FaultPlan::default(),
+            interface: Interface::default(),
+            motor: MotorSettings::default(),
+            ramps_s: (0.2, 0.2),
+            start: Start::default(),
+            hardware_enable: true,
+            persistent_trip: None,
+            watchdog: Watchdog::default(),
+            overcurrent_wait_ns: 10 * S,
+            boot_ns: 500 * MS,
+            commissioned: Vec::new(),
+        }
+    }
+}
+
+/// The Modbus side of a simulated Unidrive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Interface {
+    /// How addresses are made of parameters: Pr S.15.013 as delivered.
+    pub addressing: Addressing,
+    /// The slot of the Ethernet interface: 4 on M700 and M702, that of the option module on M701. Its unit id, too.
+    pub slot: u8,
+    /// The most connections at a time; further ones are refused. Default 4, assumed.
+    pub connections: usize,
+    /// What it does with FC23. Default: it has it.
+    pub read_write: ReadWrite,
+    /// The most registers of a request in one direction. Default 120 (SI-Ethernet guide).
+    pub registers: u16,
+    /// Menu 0 shows what Pr 22.001 ... 22.080 say. Without it there is no menu 0. Default true.
+    pub menu_zero: bool,
+    /// The unit ids of the drive. Default 0 and 255 (SI-Ethernet guide).
+    pub drive_units: Vec<u8>,
+    /// Unit 255 answers requests to unit 0, as seen in the field. Default false.
+    pub answers_as_255: bool,
+    /// An unknown unit id gets exception 02, assumed; false: silence.
+    pub refuses_units: bool,
+    /// Of several requests that come at once all are answered, in order. False: the first one only.
+    pub pipelining: bool,
+    /// A parameter that does not exist, inside a block that is read.
+    pub holes: Holes,
+}
+
+impl Default for Interface {
+    fn default() -> Interface {
+        Interface {
+            addressing: Addressing::Standard,
+            slot: 4,
+            connections: 4,
+            read_write: ReadWrite::default(),
+            registers: REGISTERS_MAX,
+            menu_zero: true,
+            drive_units: vec![0, 255],
+            answers_as_255: false,
+            refuses_units: true,
+            pipelining: true,
+            holes: Holes::default(),
+        }
+    }
+}
+
+/// What a server does with FC23. Other servers than a Unidrive are known to do each of these.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReadWrite {
+    /// It writes, then reads.
+    #[default]
+    Served,
+    /// Up to so many registers, both directions together; more are exception 02.
+    UpTo(u16),
+    /// Exception 01.
+    Refused,
+    /// Nothing: no answer.
+    Ignored,
+    /// It ends the connection.
+    Closes,
+}
+
+/// The result of a block with a missing parameter among existing ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Holes {
+    /// Exception 02; nothing is read or written.
+    #[default]
+    Refused,
+    /// It reads as 0. A write is refused all the same.
+    Zero,
+}
+
+/// The motor and its load, in SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotorSettings {
+    /// Rated speed, rpm, over 0: Pr 05.008 and the maximum reference 01.006 as delivered. Default 3000.
+    pub rated_rpm: f64,
+    /// Rated torque, N m, over 0: 100 % load. Default 5.
+    pub rated_nm: f64,
+    /// Rated current, A, at rated torque. Default 3.
+    pub rated_a: f64,
+    /// Largest torque that the drive allows, % of the rated torque: Pr 04.007 as delivered. Default 250.
+    pub limit_percent: f64,
+    /// Pole pairs. Default 3.
+    pub pole_pairs: u8,
+    /// Inertia of everything that turns, kg m^2, over 0. Default 0.005.
+    pub inertia_kgm2: f64,
+    /// Load torque at rated speed, N m; it grows with speed. Default 1.5.
+    pub load_nm: f64,
+    /// Dry friction, N m. Default 0.1.
+    pub friction_nm: f64,
+}
+
+impl Default for MotorSettings {
+    fn default() -> MotorSettings {
+        MotorSettings {
+            rated_rpm: 3000.0,
+            rated_nm: 5.0,
+            rated_a: 3.0,
+            limit_percent: 250.0,
+            pole_pairs: 3,
+            inertia_kgm2: 0.005,
+            load_nm: 1.5,
+            friction_nm: 0.1,
+        }
+    }
+}
+
+/// A drive at its first start; after a restart it is idle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Start {
+    /// Healthy and switched off.
+    #[default]
+    Idle,
+    /// With this trip, which can be reset.
+    Tripped(u16),
+    /// Enabled by the control word of a master that has disappeared, and running at this speed, rpm; negative is
+    /// reverse, 0 is standstill.
+    Running(f64),
+}
+
+/// The watchdog in the control word. The SI-PROFIBUS guide names it; everything else is assumed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Watchdog {
+    /// The longest time between two services, ns. Default 1 s.
+    pub time_ns: u64,
+    /// Only a change of the bit from 0 to 1 is a service. Default false: each write with the bit set.
+    pub edges_only: bool,
+    /// Once armed, a control word without the bit does not disarm it. Always so with `edges_only`. Default false.
+    pub held: bool,
+}
+
+impl Default for Watchdog {
+    fn default() -> Watchdog {
+        Watchdog { time_ns: S, edges_only: false, held: false }
+    }
+}

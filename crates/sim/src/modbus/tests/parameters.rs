@@ -1,0 +1,140 @@
+//! Parameters: menu 0, saving, restarts.
+
+use super::*;
+
+const SETUP: Parameter = Parameter::new(22, 1);
+const MENU_ZERO: Parameter = Parameter::new(0, 1);
+
+#[test]
+fn menu_0_shows_what_menu_22_says_and_is_written_through() {
+    let mut bench = Bench::new(|_| {});
+    // As delivered: both clamps, both ramps, the selector, the limit.
+    assert_eq!(bench.read_block(MENU_ZERO), [0, 30_000, 200, 200, 0, 2_500]);
+    assert_eq!(bench.write_block(SETUP, &[6_042, 1_021]), 4);
+    assert_eq!(bench.write_block(parameter("22.011"), &[10_040, 3_002, 4_020, 10_020]), 8);
+    assert_eq!(bench.write_block(MENU_ZERO, &[0x0180, 15_000]), 4);
+    assert_eq!(bench.read(Parameter::CONTROL_WORD), 0x0180);
+    assert_eq!(bench.read(Parameter::REFERENCE), 15_000);
+    let [status, speed, load, trip] = bench.read_block(Parameter::new(0, 11));
+    assert_eq!((W(status as u16).healthy(), speed, load, trip), (true, 0, 0, 0));
+    // What the target refuses is refused here.
+    assert_eq!(bench.write_block(MENU_ZERO, &[0x0181, 9_999_999]), 2);
+    assert!(!bench.try_write(Parameter::new(0, 12), 1));
+}
+
+#[test]
+fn one_function_23_carries_the_whole_process_image_by_menu_0() {
+    let mut bench = Bench::idle();
+    bench.write_block(SETUP, &[6_042, 1_021]);
+    bench.write_block(parameter("22.011"), &[10_040, 3_002]);
+    let data = longs(&[C::FORWARD.0.into(), 6_000]);
+    for _ in 0..500 {
+        let cycle = Request::ReadWrite { read: 0x400A, count: 4, write: 0x4000, data: data.registers() };
+        bench.ask(DRIVE_UNIT, &cycle, |response| assert!(matches!(response, Response::ReadWritten { .. })));
+        bench.wait(MS);
+    }
+    let [status, speed] = bench.read_block(Parameter::new(0, 11));
+    assert!(W(status as u16).at_speed());
+    assert_eq!(speed, 6_000);
+}
+
+#[test]
+fn what_menu_0_shows_of_nothing_is_a_hole() {
+    let mut bench = Bench::new(|_| {});
+    for setup in [0, 7, 6_041, 1_999, 59_999] {
+        bench.write(SETUP, setup);
+        let address = bench.address(MENU_ZERO, Width::Long);
+        assert_eq!(
+            bench.exception(&Request::Read { address, count: 2 }),
+            Some(ExceptionCode::ADDRESS),
+            "{setup}"
+        );
+    }
+    assert!(!bench.try_write(SETUP, 60_000));
+}
+
+#[test]
+fn a_drive_without_the_mapping_has_no_menu_0() {
+    let mut bench = Bench::new(|settings| settings.interface.menu_zero = false);
+    let address = bench.address(MENU_ZERO, Width::Long);
+    assert_eq!(bench.exception(&Request::Read { address, count: 2 }), Some(ExceptionCode::ADDRESS));
+    bench.write(SETUP, 6_042);
+    assert_eq!(bench.exception(&Request::Read { address, count: 2 }), Some(ExceptionCode::ADDRESS));
+}
+
+#[test]
+fn a_restart_forgets_what_was_not_saved() {
+    let restarted = |bench: &mut Bench| {
+        bench.sim.restart(bench.now);
+        bench.wait(S);
+        assert!(bench.sim.connect(bench.now, MASTER));
+    };
+    for (order, by_trip, survives) in
+        [(None, true, false), (Some(1000), true, true), (Some(1001), false, true), (Some(999), true, false)]
+    {
+        let mut bench = Bench::new(|_| {});
+        bench.write(RAMP, 3_000);
+        bench.write(SETUP, 6_042);
+        bench.write(Parameter::CONTROL_WORD_ENABLE, 1);
+        bench.write(Parameter::CONTROL_WORD, 0x0181);
+        if let Some(order) = order {
+            bench.write(parameter("02.000"), order);
+            assert_eq!(bench.read(parameter("02.000")), order);
+            if by_trip {
+                bench.write(USER_TRIP, 100);
+            } else {
+                bench.write(RESET, 1);
+            }
+            assert_eq!(bench.read(parameter("02.000")), 0);
+        }
+        restarted(&mut bench);
+        let expected = if survives { (3_000, 6_042, 1) } else { (200, 1_007, 0) };
+        let got = (bench.read(RAMP), bench.read(SETUP), bench.read(Parameter::CONTROL_WORD_ENABLE));
+        assert_eq!(got, expected, "{order:?}");
+        // The control word never survives.
+        assert_eq!((bench.read(Parameter::CONTROL_WORD), bench.status().active()), (0, false));
+    }
+}
+
+#[test]
+fn saved_values_can_be_made_what_they_were_when_the_drive_was_delivered() {
+    let mut bench = Bench::new(|settings| settings.commissioned = vec![(RAMP, 3_000), (SETUP, 6_042)]);
+    assert_eq!((bench.read(RAMP), bench.read(SETUP)), (3_000, 6_042));
+    bench.write(parameter("01.000"), 1_233);
+    bench.write(RESET, 1);
+    assert_eq!((bench.read(RAMP), bench.read(SETUP), bench.read(MENU_ZERO)), (200, 1_007, 0));
+}
+
+#[test]
+fn a_commissioned_value_is_moved_into_its_range() {
+    let mut bench = Bench::new(|settings| {
+        settings.commissioned =
+            vec![(Parameter::REFERENCE, i32::MAX), (parameter("06.043"), 7), (parameter("99.001"), 1)];
+    });
+    let reference = Parameter::REFERENCE.known().unwrap();
+    assert_eq!(i64::from(bench.read(Parameter::REFERENCE)), reference.max);
+    assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 1);
+}
+
+#[test]
+fn a_new_addressing_mode_counts_from_the_next_start_on() {
+    let mut bench = Bench::new(|_| {});
+    bench.write(parameter("4.15.013"), 1);
+    bench.write(parameter("01.000"), 1_000);
+    bench.write(RESET, 1);
+    assert_eq!(bench.read(Parameter::FIRMWARE), 1_220_010);
+    bench.sim.restart(bench.now);
+    bench.wait(S);
+    assert!(bench.sim.connect(bench.now, MASTER));
+    bench.addressing = Addressing::Modified;
+    assert_eq!(bench.read(Parameter::FIRMWARE), 1_220_010);
+}
+
+#[test]
+fn every_parameter_of_the_catalogue_can_be_read_and_is_within_its_range() {
+    let mut bench = Bench::new(|_| {});
+    for known in fieldbeat_modbus::parameter::catalogue::all() {
+        let value = bench.read(known.parameter).into();
+        assert!((known.min..=known.max).contains(&value), "{} = {value}", known.parameter);
+    }
+}

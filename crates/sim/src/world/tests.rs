@@ -1,0 +1,232 @@
+//! Time in a world, and datagrams.
+
+use super::*;
+use crate::SimDrive;
+use fieldbeat_core::time::{MS, S, US};
+use std::net::Ipv4Addr;
+
+const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 41136);
+const UNKNOWN: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 9, 9), 5);
+
+fn drive(n: u8) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 0, 1, n), 49360)
+}
+
+/// Answers with what it got and how often it has answered since its start.
+struct Echo {
+    address: SocketAddrV4,
+    faults: FaultPlan,
+    answered: u8,
+}
+
+impl SimDrive for Echo {
+    fn address(&self) -> SocketAddrV4 {
+        self.address
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.faults.clone()
+    }
+
+    fn receive(
+        &mut self,
+        _now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        self.answered = self.answered.wrapping_add(1);
+        reply.extend_from_slice(bytes);
+        reply.push(self.answered);
+        Some(from)
+    }
+
+    fn inhibit(&mut self, _until: Time) {}
+
+    fn restart(&mut self, _now: Time) {
+        self.answered = 0;
+    }
+}
+
+fn world(count: u8, faults: FaultPlan, options: WorldOptions) -> World {
+    let drives = (0..count).map(|n| {
+        let faults = FaultPlan { seed: faults.seed + u64::from(n), ..faults.clone() };
+        Box::new(Echo { address: drive(n), faults, answered: 0 }) as Box<dyn SimDrive>
+    });
+    World::new(drives.collect::<Vec<_>>(), options).unwrap()
+}
+
+/// One carrier and a message to each of `count` drives.
+struct Master {
+    world: World,
+    carrier: Box<dyn Datagrams>,
+    outbox: Outbox,
+}
+
+impl Master {
+    fn new(world: &World, count: u8, send: SendMode) -> Master {
+        let options =
+            UdpOptions { peers: usize::from(count), waiting: 0, room: 16, send, dscp: 0, groups: 0 };
+        let carrier = world.datagrams(MASTER, &options).unwrap();
+        let outbox = Outbox::new(&(0..count).map(drive).collect::<Vec<_>>(), 16);
+        Master { world: world.clone(), carrier, outbox }
+    }
+
+    fn send(&mut self) {
+        for index in 0..self.outbox.len() {
+            self.outbox.room(index)[0] = index as u8;
+            self.outbox.set_length(index, 1);
+            self.outbox.post(index, true);
+        }
+        self.carrier.send(&mut self.outbox);
+    }
+
+    fn receive(&mut self) -> Vec<(Time, SocketAddrV4, Vec<u8>, bool)> {
+        let mut got = Vec::new();
+        while self.carrier.receive(&mut |r| got.push((r.at, r.from, r.bytes.to_vec(), r.truncated))).unwrap()
+            == self.carrier.batch()
+        {}
+        got
+    }
+
+    /// A cycle of 1 ms with a window of half of it; what arrived in the window.
+    fn cycle(&mut self) -> usize {
+        let mut clock = self.world.clock();
+        let grid = clock.now();
+        self.send();
+        let (mut got, mut set) = (0, PollSet::default());
+        while clock.wait(&mut set, grid + MS / 2) {
+            got += self.receive().len();
+        }
+        clock.sleep_until(grid + MS);
+        got
+    }
+}
+
+#[test]
+fn a_round_trip_takes_two_latencies_and_the_answer_time() {
+    let faults = FaultPlan { answer_ns: 100 * US, ..FaultPlan::default() };
+    let world = world(1, faults, WorldOptions { read_ns: 0, ..WorldOptions::default() });
+    let mut master = Master::new(&world, 1, SendMode::Batch);
+    let begin = world.now();
+    master.send();
+    assert_eq!(master.outbox.sent(0), Sent::At(begin));
+    assert!(master.receive().is_empty());
+    assert!(!world.clock().wait(&mut PollSet::default(), begin + 139 * US));
+    assert_eq!(world.now(), begin + 139 * US);
+    assert!(world.clock().wait(&mut PollSet::default(), begin + MS));
+    assert_eq!(master.receive(), [(begin + 140 * US, drive(0), vec![0, 1], false)]);
+}
+
+#[test]
+fn reading_the_clock_takes_time_and_lets_things_happen() {
+    let world = world(1, FaultPlan::default(), WorldOptions::default());
+    let mut clock = world.clock();
+    let begin = clock.now();
+    assert_eq!(clock.now(), begin + 50);
+    let mut master = Master::new(&world, 1, SendMode::Batch);
+    master.send();
+    // Polled without a wait in between: the reply comes all the same.
+    while master.receive().is_empty() {}
+    assert_eq!(world.now(), begin + 50 + 50 + 40 * US);
+}
+
+#[test]
+fn each_message_has_its_own_stamp_in_that_mode() {
+    let world = world(3, FaultPlan::default(), WorldOptions::default());
+    let mut master = Master::new(&world, 3, SendMode::Each);
+    let t = world.now();
+    master.send();
+    let sent: Vec<_> = (0..3).map(|k| master.outbox.sent(k)).collect();
+    assert_eq!(sent, [Sent::At(t + 100), Sent::At(t + 150), Sent::At(t + 200)]);
+}
+
+#[test]
+fn a_hold_up_delays_one_wake_and_loses_nothing() {
+    let world = world(1, FaultPlan::default(), WorldOptions::default());
+    let mut master = Master::new(&world, 1, SendMode::Batch);
+    let mut clock = world.clock();
+    let begin = world.now();
+    master.send();
+    world.delay_next_wake(3 * MS);
+    clock.sleep_until(begin + MS);
+    assert_eq!(world.now(), begin + 4 * MS);
+    assert_eq!(master.receive().len(), 1);
+    clock.sleep_until(begin + 5 * MS);
+    assert_eq!(world.now(), begin + 5 * MS);
+    clock.sleep_until(begin);
+    assert_eq!(world.now(), begin + 5 * MS);
+}
+
+#[test]
+fn wake_ups_are_late_but_never_early() {
+    let options = WorldOptions { seed: 9, wake_ns: 10 * US, ..WorldOptions::default() };
+    let world = world(0, FaultPlan::default(), options);
+    let mut clock = world.clock();
+    let late: Vec<u64> = (1..=1_000)
+        .map(|k| {
+            let at = Time(1_000 * fieldbeat_core::time::S) + k * MS;
+            clock.sleep_until(at);
+            assert!(world.now() >= at);
+            world.now().since(at)
+        })
+        .collect();
+    assert!(late.iter().all(|ns| *ns <= 10 * US) && late.iter().any(|ns| *ns > 9 * US));
+}
+
+#[test]
+fn a_foreign_datagram_comes_at_its_instant() {
+    let world = world(1, FaultPlan::default(), WorldOptions { read_ns: 0, ..WorldOptions::default() });
+    let mut master = Master::new(&world, 0, SendMode::Batch);
+    let begin = world.now();
+    world.inject(MASTER, UNKNOWN, &[9; 17], begin + MS);
+    world.inject(drive(0), UNKNOWN, &[1], begin);
+    assert!(world.clock().wait(&mut PollSet::default(), begin + S));
+    assert_eq!(master.receive(), [(begin + MS, UNKNOWN, vec![9; 16], true)]);
+    assert_eq!(world.delivered(), 2);
+}
+
+#[test]
+fn what_finds_no_room_at_a_carrier_is_lost_and_counted() {
+    let world = world(0, FaultPlan::default(), WorldOptions::default());
+    let mut master = Master::new(&world, 0, SendMode::Batch);
+    (0..INBOX + 7).for_each(|_| world.inject(MASTER, UNKNOWN, &[9], world.now()));
+    world.advance(1);
+    assert_eq!(master.carrier.dropped(), 7);
+    assert_eq!(master.receive().len(), INBOX);
+    world.inject(MASTER, UNKNOWN, &[9], world.now());
+    world.advance(1);
+    assert_eq!((master.receive().len(), master.carrier.dropped()), (1, 7));
+}
+
+#[test]
+fn the_plug_the_switch_and_the_faults_can_be_pulled_in_between() {
+    let world = world(2, FaultPlan::default(), WorldOptions::default());
+    let mut master = Master::new(&world, 2, SendMode::Batch);
+    assert_eq!((master.cycle(), master.cycle()), (2, 2));
+    assert!(world.unplug(drive(0)) && !world.unplug(drive(7)));
+    assert_eq!((master.cycle(), master.cycle()), (1, 1));
+    assert!(world.plug(drive(0)) && world.restart(drive(1)));
+    master.send();
+    world.advance(MS);
+    let counts: Vec<_> = master.receive().into_iter().map(|got| got.2[1]).collect();
+    assert_eq!(counts, [3, 1]);
+    assert!(world.set_faults(drive(1), FaultPlan { drop: 1.0, ..FaultPlan::default() }));
+    assert_eq!(master.cycle(), 1);
+    assert_eq!(world.injected(drive(1)), Some(Injected { dropped: 1, ..Injected::default() }));
+    assert_eq!(world.injected(drive(7)), None);
+}
+
+#[test]
+fn an_address_has_one_owner_until_it_is_dropped() {
+    let world = world(1, FaultPlan::default(), WorldOptions::default());
+    let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 0 };
+    let refused = |at| world.datagrams(at, &options).map(|_| ()).unwrap_err().kind();
+    let first = world.datagrams(MASTER, &options).unwrap();
+    assert_eq!(refused(MASTER), io::ErrorKind::AddrInUse);
+    assert_eq!(refused(drive(0)), io::ErrorKind::AddrInUse);
+    drop(first);
+    assert!(world.datagrams(MASTER, &options).is_ok());
+}
+
+mod producers;

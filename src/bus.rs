@@ -1,0 +1,103 @@
+//! The buses of a plan: a module for each protocol, with the plan of its buses, its native process data, its services.
+
+#[doc(inline)]
+pub use fieldbeat_core::bus::{BusPlan, Grid, OpenError};
+
+#[cfg(feature = "linudp")]
+pub mod linudp {
+    //! LinMot drives by LinUDP V2: UDP, one reply to each request.
+    //!
+    //! What follows is the reference of docs/ for its configuration.
+    #![doc = include_str!("../docs/src/configuration-linudp.md")]
+
+    #[doc(inline)]
+    pub use fieldbeat_linudp::curve;
+    /// # Example
+    ///
+    /// ```
+    /// use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+    ///
+    /// let ramp = Acceleration::from_mm_per_s2(1_000.0)?;
+    /// let velocity = Velocity::from_mm_per_s(200.0)?;
+    /// let command = MotionCommand::vai_go_to(Position::from_mm(120.5)?, velocity, ramp, ramp);
+    /// assert_eq!(command.header(1), 0x0101);
+    /// assert_eq!(command.parameters[..4], 1_205_000_i32.to_le_bytes());
+    /// # Ok::<(), fieldbeat::axis::RangeError>(())
+    /// ```
+    #[doc(inline)]
+    pub use fieldbeat_linudp::motion;
+    #[doc(inline)]
+    pub use fieldbeat_linudp::service;
+    #[doc(inline)]
+    pub use fieldbeat_linudp::table;
+    #[doc(inline)]
+    pub use fieldbeat_linudp::{
+        COUNTS_PER_MM, ControlWord, DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MainState,
+        MonitorPlan, MotionBlock, Native, NativeInputs, NativeOutput, PROTOCOL, ReplyTag, StateVar,
+        StatusWord, StreamCommand, WarnWord,
+    };
+}
+
+#[cfg(feature = "modbus")]
+pub mod modbus {
+    //! Nidec Unidrives by Modbus TCP: one request outstanding on a connection.
+    //!
+    //! What follows is the reference of docs/ for its configuration.
+    #![doc = include_str!("../docs/src/configuration-modbus.md")]
+
+    #[doc(inline)]
+    pub use fieldbeat_modbus::{
+        Addressing, Block, ControlWord, Functions, Map, Mapped, Mapping, ModbusPlan, Native, NativeInputs,
+        NativeOutput, PORT, PROTOCOL, Parameter, ParseError, Role, StatusWord, Trip, UnidriveDrive, Via,
+        WATCHDOG_MAX_NS, Watchdog, Width,
+    };
+}
+
+#[cfg(feature = "ethercat")]
+pub mod ethercat {
+    //! Kollmorgen drives by EtherCAT CoE: one frame for all.
+    //!
+    //! What follows is the reference of docs/ for its configuration.
+    #![doc = include_str!("../docs/src/configuration-ethercat.md")]
+
+    #[doc(inline)]
+    pub use fieldbeat_ethercat::{
+        Area, Device, Entry, EthercatPlan, Expected, Family, Identity, KOLLMORGEN, KollmorgenDrive, Layout,
+        MOST_AREAS, Mapping, Native, NativeInputs, NativeOutput, Object, Owner, PDO_MAX, PROTOCOL, Scaling,
+        Setpoint, SlavePlan, Start, TERMINAL_MAX, TerminalError, TerminalInputs, Terminals, Type, Watchdog,
+    };
+}
+
+#[cfg(feature = "ethernet-ip")]
+pub mod ethernet_ip {
+    //! MOONS' drives by EtherNet/IP: packets of their own clock.
+    //!
+    //! What follows is the reference of docs/ for its configuration.
+    #![doc = include_str!("../docs/src/configuration-ethernet-ip.md")]
+
+    #[doc(inline)]
+    pub use fieldbeat_ethernet_ip::command;
+    #[doc(inline)]
+    pub use fieldbeat_ethernet_ip::status;
+    #[doc(inline)]
+    pub use fieldbeat_ethernet_ip::{
+        Access, Condition, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT,
+        Inputs, IoCode, Layout, Letters, MoonsDrive, Native, NativeInputs, NativeOutput, NativeProfile,
+        NoIoCode, Originator, Outputs, PORT, PROTOCOL, Version, Watchdog,
+    };
+}
+
+#[cfg(feature = "profibus")]
+pub mod profibus {
+    //! Lenze drives by PROFIBUS DP: half duplex, one drive after the other.
+    //!
+    //! What follows is the reference of docs/ for its configuration.
+    #![doc = include_str!("../docs/src/configuration-profibus.md")]
+
+    #[doc(inline)]
+    pub use fieldbeat_profibus::{
+        ADDRESS_MAX, Bits, CHANNEL, DATA_MAX, DriveProfile, LEAST_SLOT_BITS, LenzeDrive, NATIVE_WORDS,
+        Native, NativeInputs, NativeOutput, Numbers, PROTOCOL, ParameterPath, ProfibusPlan, RATES,
+        RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, USUAL_MAX_TSDR, Watchdog,
+    };
+}
