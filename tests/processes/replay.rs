@@ -4,6 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use fieldbeat_core::cycle::REVISION;
+
 use super::support::{Ended, LONG, Machine, PROGRAM, Program, run, until};
 use super::{await_online, limit_files, master, serve};
 
@@ -193,17 +195,32 @@ fn files_that_are_none_are_refused_and_broken_ones_are_repeated_as_far_as_they_g
         replay(&other, &[]).refused(&["has no wire to repeat", why, "--record-wire"]);
     }
 
-    // The version is written in clear.
+    // The version and the revision of the loop are written in clear, behind their keys and lengths.
     let version = env!("CARGO_PKG_VERSION");
     let find = |from: usize, text: &[u8]| {
         from + text.len() + whole[from..].windows(text.len()).position(|bytes| bytes == text).unwrap()
     };
-    let at = find(find(0, b"fieldbeat.wire"), b"version") + 4;
+    let begin = find(0, b"fieldbeat.wire");
+    let at = find(begin, b"\x07\0\0\0version") + 4;
     assert_eq!(&whole[at..at + version.len()], version.as_bytes());
+    let at = find(begin, b"\x08\0\0\0revision") + 4;
+    assert_eq!(whole[at..at + 1], REVISION.to_string().into_bytes());
     let mut old = whole.clone();
-    old[at..at + version.len()].fill(b'9');
+    old[at] = b'9';
     fs::write(&other, old).unwrap();
-    replay(&other, &[]).refused(&["was recorded by version 99999 (layout 3)", "repeat it with that one"]);
+    replay(&other, &[]).refused(&[
+        &format!("was recorded by version {version}"),
+        "whose loop has revision 9 (layout 3)",
+        "repeat it with that one",
+    ]);
+    // The plan in it, of the same length and with another value.
+    let at = find(begin, b"priority: ");
+    let mut old = whole.clone();
+    old[at] = if old[at] == b'9' { b'8' } else { b'9' };
+    fs::write(&other, old).unwrap();
+    let repeated = replay(&other, &[]);
+    let said = &repeated.expect(0).err;
+    assert!(said.contains("its plan is another one to this program: ") && said.contains("here `"), "{said}");
 
     // A third is missing, or one byte of the last chunk is another one.
     fs::write(&other, &whole[..whole.len() * 2 / 3]).unwrap();

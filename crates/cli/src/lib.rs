@@ -43,6 +43,9 @@ use clap::{CommandFactory, Parser, Subcommand};
 use fieldbeat_tools::Stop;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
+/// With the commit that it was built from, where that is known.
+const VERSION: &str = env!("FIELDBEAT_VERSION");
+
 /// What it is, in the help and in the manual page.
 const ABOUT: &str = "Hard-real-time cyclic master for servo drives: one pinned SCHED_FIFO loop, many drives, measured \
     latency";
@@ -51,7 +54,7 @@ const ABOUT: &str = "Hard-real-time cyclic master for servo drives: one pinned S
 ///
 /// Not a safety function: a machine needs its own STO / emergency stop.
 #[derive(Debug, Parser)]
-#[command(name = "fieldbeat", version, about = ABOUT, max_term_width = 100)]
+#[command(name = "fieldbeat", version = VERSION, about = ABOUT, max_term_width = 100)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

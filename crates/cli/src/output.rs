@@ -17,7 +17,7 @@ use fieldbeat_telemetry::Run;
 use fieldbeat_telemetry::log::MachineOf;
 
 use super::serving::{Served, Servers, Serving};
-use super::{Stop, complain, print, show, span};
+use super::{Stop, VERSION, complain, print, show, span};
 
 /// A disk that does not take the report within this time does not hold up the end.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -88,7 +88,8 @@ impl Output {
         if self.record_wire {
             recorder = recorder.map(Recorder::with_wire).transpose().map_err(Stop::usage)?;
         }
-        let recorder = recorder.map(|recorder| recorder.with_native(self.record_native));
+        let recorder =
+            recorder.map(|recorder| recorder.with_native(self.record_native).with_version(VERSION));
         Ok(Prepared { json: self.json, report, served, recorder })
     }
 }

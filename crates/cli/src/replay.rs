@@ -25,7 +25,8 @@ pub struct Replay {
 impl Replay {
     /// Repeats it.
     pub fn run(self) -> Result<(), Stop> {
-        let recorded = Recorded::open(&self.file).and_then(Recorded::require_version).map_err(Stop::usage)?;
+        let recorded =
+            Recorded::open(&self.file).and_then(Recorded::require_revision).map_err(Stop::usage)?;
         let machine = recorded.replay().map_err(|why| match why {
             // It was a machine, so its buses can be built: the log is not of it.
             ReplayError::Open(_) => Stop::failed(why),
@@ -36,10 +37,13 @@ impl Replay {
             None => machine,
         };
         let verdict = machine.run();
+        if let Some(other) = machine.other_plan() {
+            complain(&format!("{}: its plan is another one to this program: {other}", self.file.display()));
+        }
         let end = machine.log_end();
         let cut = self.cut(&end);
         let printed = match self.json {
-            true => print(object(&verdict, cut.as_deref())),
+            true => print(object(&verdict, &machine, cut.as_deref())),
             false => self.print(&verdict, &machine),
         };
         both(printed, self.judge(&verdict, cut))
@@ -94,7 +98,7 @@ impl Replay {
     }
 }
 
-fn object(verdict: &Verdict, cut: Option<&str>) -> serde_json::Value {
+fn object(verdict: &Verdict, machine: &Machine, cut: Option<&str>) -> serde_json::Value {
     let where_it_is = |difference: &Difference| {
         let Difference { cycle, drive, .. } = difference;
         json!({ "cycle": cycle, "drive": drive, "what": difference.to_string() })
@@ -106,6 +110,7 @@ fn object(verdict: &Verdict, cut: Option<&str>) -> serde_json::Value {
         "bytes": verdict.bytes,
         "difference": verdict.difference.as_ref().map(where_it_is),
         "other_inputs": verdict.other_inputs.as_ref().map(where_it_is),
+        "other_plan": machine.other_plan(),
         "cut": cut,
     })
 }

@@ -44,7 +44,8 @@ impl Setup {
         let Some(sink) = self.log_sink.take() else { return InputLog::default() };
         let (log, reader) = begin(&self.plan, regions);
         let machine = std::mem::take(&mut self.machine);
-        sink(LogBegin { reader, machine, has_task: self.task.is_some() });
+        let plan = self.plan.resolved();
+        sink(LogBegin { reader, machine, plan, has_task: self.task.is_some() });
         log
     }
 }

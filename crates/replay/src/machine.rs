@@ -57,6 +57,7 @@ pub struct Replay {
     /// The orderly end is complete.
     has_ended: bool,
     end: SharedEnd,
+    other_plan: Option<String>,
 }
 
 /// How a repeated run compares with the recorded one.
@@ -119,6 +120,7 @@ impl Replay {
             goes_on: false,
             has_ended: false,
             end: SharedEnd::default(),
+            other_plan: None,
         })
     }
 
@@ -128,8 +130,14 @@ impl Replay {
         Recorded::open(path)?.replay()
     }
 
-    pub(super) fn ending(self, end: SharedEnd) -> Replay {
-        Replay { end, ..self }
+    pub(super) fn of_file(self, end: SharedEnd, other_plan: Option<String>) -> Replay {
+        Replay { end, other_plan, ..self }
+    }
+
+    /// The first value in which the plan differs from that of the recorded run, if it does: a default of another
+    /// program, as a rule. It explains what differs from there on.
+    pub fn other_plan(&self) -> Option<&str> {
+        self.other_plan.as_deref()
     }
 
     /// How the log of the file ends, as far as it was read.

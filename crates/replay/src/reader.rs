@@ -11,7 +11,7 @@ use super::machine::{Replay, TaskOf};
 use fieldbeat_config as config;
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::task::Axes;
-use fieldbeat_core::cycle::{Plan, PlanErrors};
+use fieldbeat_core::cycle::{Plan, PlanErrors, REVISION};
 use fieldbeat_record::log::layout::{BEGIN, Begin, CUT_AT, END, LAYOUT, TOPIC, words};
 use fieldbeat_record::log::records::Records;
 use fieldbeat_telemetry::log::MachineOf;
@@ -36,16 +36,19 @@ pub enum ReplayError {
         /// Why not.
         why: String,
     },
-    /// Another version has written it.
+    /// A program with another loop has written it.
     #[error(
-        "{path} was recorded by version {version} (layout {layout}): repeat it with that one, this is {}",
+        "{path} was recorded by version {version}, whose loop has revision {revision} (layout {layout}): repeat it \
+         with that one, this is version {} with revision {REVISION} (layout {LAYOUT})",
         env!("CARGO_PKG_VERSION")
     )]
-    Version {
+    Revision {
         /// The file.
         path: String,
         /// The version that wrote it.
         version: String,
+        /// The revision of its loop.
+        revision: u32,
         /// The layout of its log.
         layout: String,
     },
@@ -152,17 +155,22 @@ impl Recorded {
         &self.begin.version
     }
 
-    /// Refuses a record of another version, whose loop may do something else.
-    pub fn require_version(self) -> Result<Recorded, ReplayError> {
-        match self.begin.version == env!("CARGO_PKG_VERSION") {
+    /// The revision of the loop that recorded it.
+    pub fn revision(&self) -> u32 {
+        self.begin.revision
+    }
+
+    /// Refuses a record of another revision of the loop, which does something else.
+    pub fn require_revision(self) -> Result<Recorded, ReplayError> {
+        match self.begin.revision == REVISION {
             true => Ok(self),
-            false => Err(self.of_another_version()),
+            false => Err(self.of_another_revision()),
         }
     }
 
-    fn of_another_version(self) -> ReplayError {
-        let Begin { version, layout, .. } = self.begin;
-        ReplayError::Version { path: self.path, version, layout }
+    fn of_another_revision(self) -> ReplayError {
+        let Begin { version, revision, layout, .. } = self.begin;
+        ReplayError::Revision { path: self.path, version, revision, layout }
     }
 
     /// The plan of the machine, in place of its configuration: for a machine that was built in code.
@@ -180,7 +188,7 @@ impl Recorded {
     /// The machine that repeats it.
     pub fn replay(self) -> Result<Replay, ReplayError> {
         if self.begin.layout != LAYOUT {
-            return Err(self.of_another_version());
+            return Err(self.of_another_revision());
         }
         let Recorded { path, mut log, begin, plan, task, end } = self;
         let plan = match (plan, begin.machine) {
@@ -204,6 +212,7 @@ impl Recorded {
             }
         };
         plan.check()?;
+        let other_plan = begin.plan.and_then(|recorded| other(&recorded, &plan.resolved()));
         let task = match (task, begin.has_task) {
             (Some(task), _) => TaskOf::Code(task),
             (None, true) => TaskOf::Log,
@@ -224,7 +233,42 @@ impl Recorded {
                 }
             }
         });
-        Ok(Replay::over(plan, source, task)?.ending(end))
+        Ok(Replay::over(plan, source, task)?.of_file(end, other_plan))
+    }
+}
+
+/// The first value in which two resolved plans differ, with what it is inside of and the one that is recorded.
+fn other(recorded: &str, here: &str) -> Option<String> {
+    let (mut old, mut new) = (recorded.lines(), here.lines());
+    // Each with its indentation, and named as soon as that is known.
+    let mut inside: Vec<(usize, String)> = Vec::new();
+    loop {
+        let (old, new) = match (old.next(), new.next()) {
+            (None, None) => return None,
+            (old, new) => (old.unwrap_or("nothing more"), new.unwrap_or("nothing more")),
+        };
+        let indent = old.len() - old.trim_start().len();
+        inside.retain(|(outer, _)| *outer < indent);
+        let value = old.trim().trim_end_matches(',');
+        if old != new {
+            let [old, new] =
+                [value, new.trim().trim_end_matches(',')].map(|value| value.escape_debug().to_string());
+            let names = inside.iter().map(|(_, name)| name.as_str()).filter(|name| !name.is_empty());
+            let place = names.collect::<Vec<_>>().join(", ");
+            return Some(
+                format!("{place}: recorded `{old}`, here `{new}`").trim_start_matches(": ").to_owned(),
+            );
+        }
+        if let Some(name) = value.strip_prefix("name: ") {
+            // A drive has the name of its axis.
+            inside.iter_mut().rev().filter(|(_, of)| !of.is_empty()).take(2).for_each(|(_, of)| {
+                if !of.contains('"') {
+                    *of = format!("{of} {name}");
+                }
+            });
+        }
+        inside
+            .push((indent, value.trim_end_matches(['{', '[', '(']).trim_end_matches([' ', ':']).to_owned()));
     }
 }
 
@@ -284,5 +328,43 @@ impl Log {
             },
             _ => Ok(None),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::other;
+
+    /// As `Debug` writes one.
+    const PLAN: &str = r#"Cycle {
+    priority: 80,
+}
+[
+    Bus {
+        name: "b",
+        drives: [
+            Drive {
+                axis: Axis {
+                    name: "x",
+                    divisor: 1,
+                },
+                tag: 7,
+            },
+        ],
+    },
+]
+"#;
+
+    #[test]
+    fn the_first_value_that_differs_is_named_with_its_place() {
+        assert_eq!(other(PLAN, PLAN), None);
+        let differs = |from: &str, to: &str| other(PLAN, &PLAN.replace(from, to)).unwrap();
+        assert_eq!(differs("80", "81"), "Cycle: recorded `priority: 80`, here `priority: 81`");
+        let of_axis = differs("divisor: 1", "divisor: 2");
+        assert!(of_axis.starts_with("Bus \"b\", drives"), "{of_axis}");
+        assert!(of_axis.ends_with("axis: Axis \"x\": recorded `divisor: 1`, here `divisor: 2`"), "{of_axis}");
+        let of_drive = differs("tag: 7", "tag: 8");
+        assert!(of_drive.ends_with("Drive \"x\": recorded `tag: 7`, here `tag: 8`"), "{of_drive}");
+        assert_eq!(other("a\n", "a\nb\n").unwrap(), "recorded `nothing more`, here `b`");
     }
 }

@@ -33,6 +33,8 @@ pub struct LogBegin {
     pub reader: LogReader,
     /// Where the plan comes from.
     pub machine: MachineOf,
+    /// The plan, resolved.
+    pub plan: String,
     /// There is an in-loop task.
     pub has_task: bool,
 }

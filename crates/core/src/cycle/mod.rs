@@ -17,6 +17,11 @@
 //! The loop knows the [`Bus`](crate::bus::Bus) contract and the drive machine ([`drive`](crate::drive)); no protocol,
 //! and no motion.
 
+/// The revision of the loop: another number where it sends something else for the same inputs, or looks for others.
+/// A recording with the wire holds it. Whoever raises it makes the records of the repository anew, in a commit of its
+/// own, after both programs were compared on the same inputs.
+pub const REVISION: u32 = 1;
+
 pub mod bound;
 pub mod engine;
 mod grid;

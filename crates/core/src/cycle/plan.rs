@@ -50,6 +50,16 @@ const EVERY_DRIVE: &str = "all";
 const MOST_BLACK_BOX: usize = 150_000_000;
 
 impl Plan {
+    /// All of it in words, a line for each value, those by default among them; without the file that it is from. Two
+    /// plans are the same if this is.
+    #[doc(hidden)]
+    pub fn resolved(&self) -> String {
+        let Plan { source: _, cycle, buses, groups } = self;
+        // What a recording has besides changes nothing of the run.
+        let cycle = CyclePlan { record_native: Vec::new(), ..cycle.clone() };
+        format!("{cycle:#?}\n{buses:#?}\n{groups:#?}\n")
+    }
+
     /// All axes in slot order: bus after bus, drive after drive.
     pub fn axes(&self) -> Vec<&AxisPlan> {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()

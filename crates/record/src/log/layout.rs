@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use fieldbeat_core::cycle::REVISION;
+
 use fieldbeat_telemetry::log::MachineOf;
 
 /// The version of the log's layout, and of the looks that the loop makes.
@@ -25,8 +27,12 @@ pub(crate) const LONGEST_RECORD: usize = 128 << 20;
 pub struct Begin {
     /// The version of the log's layout.
     pub layout: String,
-    /// The program that wrote it.
+    /// The program that wrote it: its version, with the commit that it was built from where that is known.
     pub version: String,
+    /// The revision of its loop.
+    pub revision: u32,
+    /// The plan, resolved; `None`: a record of before it was kept.
+    pub plan: Option<String>,
     /// Where the plan comes from.
     pub machine: MachineOf,
     /// There is an in-loop task.
@@ -34,10 +40,10 @@ pub struct Begin {
 }
 
 impl Begin {
-    /// That of a machine, by this program.
-    pub fn new(machine: MachineOf, has_task: bool) -> Begin {
-        let version = env!("CARGO_PKG_VERSION").to_owned();
-        Begin { layout: LAYOUT.to_owned(), version, machine, has_task }
+    /// That of a log, by a program of this version.
+    pub fn new(version: &str, machine: MachineOf, plan: String, has_task: bool) -> Begin {
+        let (layout, version) = (LAYOUT.to_owned(), version.to_owned());
+        Begin { layout, version, revision: REVISION, plan: Some(plan), machine, has_task }
     }
 
     /// As metadata.
@@ -46,6 +52,10 @@ impl Begin {
         let mut put = |key: &str, value: String| map.insert(key.to_owned(), value);
         put("layout", self.layout.clone());
         put("version", self.version.clone());
+        put("revision", self.revision.to_string());
+        if let Some(plan) = &self.plan {
+            put("plan", plan.clone());
+        }
         put("task", self.has_task.to_string());
         match &self.machine {
             MachineOf::Code => put("machine", "code".into()),
@@ -81,6 +91,9 @@ impl Begin {
         Some(Begin {
             layout: name("layout")?,
             version: name("version")?,
+            // Before it was kept, it was the first one.
+            revision: map.get("revision").map_or(Some(1), |revision| revision.parse().ok())?,
+            plan: text("plan"),
             machine,
             has_task: map.get("task")? == "true",
         })
@@ -144,13 +157,22 @@ mod tests {
         let configuration = MachineOf::Configuration { file: "m.toml".into(), text: "[cycle]\n".into() };
         let demo = MachineOf::Demo { drives: 8, period_ns: 1_000_000, place: 2 };
         for machine in [MachineOf::Code, configuration, demo] {
-            let begin = Begin::new(machine, true);
+            let begin = Begin::new("1.2.3 (abc)", machine, "a plan".into(), true);
             assert_eq!(Begin::of_map(&begin.to_map()), Some(begin.clone()));
             for key in begin.to_map().keys() {
                 let mut map = begin.to_map();
                 map.remove(key);
-                assert_eq!(Begin::of_map(&map), None, "without {key}");
+                let without = Begin::of_map(&map);
+                match &**key {
+                    // Records of before have neither of them.
+                    "revision" => assert_eq!(without.unwrap().revision, 1),
+                    "plan" => assert_eq!(without.unwrap().plan, None),
+                    _ => assert_eq!(without, None, "without {key}"),
+                }
             }
+            let mut broken = begin.to_map();
+            broken.insert("revision".into(), "one".into());
+            assert_eq!(Begin::of_map(&broken), None);
         }
     }
 }

@@ -13,6 +13,9 @@ pub const MACHINE: &str = "fieldbeat";
 /// The metadata record at the end: whether anything is missing.
 pub const END: &str = "fieldbeat end";
 
+/// The key of the version of the program.
+pub const PROGRAM: &str = "program";
+
 /// The version of what the messages mean. Fields may be added without a new one.
 pub const FORMAT: &str = "1";
 
@@ -70,11 +73,11 @@ impl Faults {
 }
 
 impl Machine {
-    /// The machine of a plan, with the text of its configuration if that can be read.
-    pub fn of(plan: &Plan) -> Machine {
+    /// The machine of a plan, recorded by a program of this version, with the text of its configuration if that can be
+    /// read.
+    pub fn of(plan: &Plan, version: &str) -> Machine {
         let cycle = &plan.cycle;
-        let mut about =
-            of_cycle(env!("CARGO_PKG_VERSION"), cycle.period_ns, cycle.deadline_ns(), cycle.late_ns());
+        let mut about = of_cycle(version, cycle.period_ns, cycle.deadline_ns(), cycle.late_ns());
         let host = [("kernel", host::kernel()), ("preemption", host::preemption()), ("cpu", host::cpu())];
         let source = plan.source.as_ref();
         let more = host.into_iter().chain([
@@ -106,7 +109,7 @@ impl Machine {
 pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -> BTreeMap<String, String> {
     [
         ("format", FORMAT.to_owned()),
-        ("program", program.to_owned()),
+        (PROGRAM, program.to_owned()),
         ("period_ns", period_ns.to_string()),
         ("deadline_ns", deadline_ns.to_string()),
         ("late_ns", late_ns.to_string()),

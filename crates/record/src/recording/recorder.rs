@@ -18,6 +18,9 @@ use fieldbeat_core::time::nanos;
 use fieldbeat_telemetry::log::LogBegin;
 use fieldbeat_telemetry::sink::Sink;
 
+/// The version of this library.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
 /// A recording of a machine: `Setup::with_recorder`.
 #[derive(Debug)]
 pub struct Recorder {
@@ -29,6 +32,8 @@ pub struct Recorder {
     wire: bool,
     /// The drives whose native process data it has.
     native: Vec<String>,
+    /// The version of the program.
+    version: String,
 }
 
 /// Why nothing can be recorded there. The message ends with the remedy.
@@ -72,7 +77,14 @@ impl Recorder {
         let file = OpenOptions::new().write(true).create_new(true).open(&path);
         let file = file.and_then(|file| Ok(NamedTempFile::from_parts(file, TempPath::try_from_path(&path)?)));
         let file = file.map_err(|why| RecordError::new(&path, why))?;
-        Ok(Recorder { path, file: Some(file), window: None, wire: false, native: Vec::new() })
+        Ok(Recorder {
+            path,
+            file: Some(file),
+            window: None,
+            wire: false,
+            native: Vec::new(),
+            version: VERSION.to_owned(),
+        })
     }
 
     /// A recording of what is newest, in memory: as long as `window` before the end of the run, before a failure
@@ -84,7 +96,14 @@ impl Recorder {
         // What fails at the end would be lost: this is tried now.
         let made = OpenOptions::new().write(true).create_new(true).open(&path);
         made.and_then(|_| std::fs::remove_file(&path)).map_err(|why| RecordError::new(&path, why))?;
-        Ok(Recorder { path, file: None, window: Some(window), wire: false, native: Vec::new() })
+        Ok(Recorder {
+            path,
+            file: None,
+            window: Some(window),
+            wire: false,
+            native: Vec::new(),
+            version: VERSION.to_owned(),
+        })
     }
 
     /// Records the wire, too: all that the loop takes from outside and all that it sends, so that
@@ -102,6 +121,12 @@ impl Recorder {
     /// `"all"` stands for each drive. A name that is none of a drive is an error of the start.
     pub fn with_native(mut self, drives: impl IntoIterator<Item = impl Into<String>>) -> Recorder {
         self.native.extend(drives.into_iter().map(Into::into));
+        self
+    }
+
+    /// The version of the program that records, as the recording names it; without it, that of this library.
+    pub fn with_version(mut self, version: impl Into<String>) -> Recorder {
+        self.version = version.into();
         self
     }
 
@@ -126,7 +151,7 @@ impl Recorder {
     /// What records the machine of `plan`, and its log as it comes from `log`.
     #[doc(hidden)]
     pub fn sink(self, plan: &Plan, log: Option<Receiver<LogBegin>>) -> Box<dyn Sink> {
-        let machine = Machine::of(plan);
+        let machine = Machine::of(plan, &self.version);
         match (self.file, self.window) {
             (Some(file), _) => Box::new(Whole::new(file, self.path, machine, log)),
             (None, window) => {

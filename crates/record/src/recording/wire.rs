@@ -26,10 +26,14 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// Begins it in a file that has no message yet.
-    pub fn begin<W: Write>(out: &mut mcap::Writer<NoSeek<W>>, log: LogBegin) -> Result<Wire, McapError> {
-        let LogBegin { reader, machine, has_task } = log;
-        let metadata = Begin::new(machine, has_task).to_map();
+    /// Begins it in a file that has no message yet, by a program of this version.
+    pub fn begin<W: Write>(
+        out: &mut mcap::Writer<NoSeek<W>>,
+        log: LogBegin,
+        version: &str,
+    ) -> Result<Wire, McapError> {
+        let LogBegin { reader, machine, plan, has_task } = log;
+        let metadata = Begin::new(version, machine, plan, has_task).to_map();
         out.write_metadata(&Metadata { name: BEGIN.to_owned(), metadata })?;
         let table = Table::new("Wire", vec![("words".into(), Get::Bytes(|bytes: &Vec<u8>| bytes))]);
         let topic = Topics(out).add(TOPIC, &BTreeMap::new(), table)?;

@@ -10,7 +10,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{McapError, WriteOptions};
 
-use super::machine::{END, MACHINE, Machine};
+use super::machine::{END, MACHINE, Machine, PROGRAM};
 use super::messages::{self, At, AxisRecord, CommandText, EventText, LateText, NativeValues};
 use super::native::Parts;
 use super::schema::Table;
@@ -133,7 +133,8 @@ impl<W: Write> Writer<W> {
             .library(concat!("fieldbeat ", env!("CARGO_PKG_VERSION")))
             .create(NoSeek::new(out))?;
         out.write_metadata(&Metadata { name: MACHINE.to_owned(), metadata: machine.about.clone() })?;
-        let wire = log.map(|log| Wire::begin(&mut out, log)).transpose()?;
+        let version = machine.about.get(PROGRAM).map_or("", String::as_str);
+        let wire = log.map(|log| Wire::begin(&mut out, log, version)).transpose()?;
         let mut topics = Topics(&mut out);
         let none = BTreeMap::new();
         let (mut axes, mut monitors, mut natives) = (Vec::new(), Vec::new(), Vec::new());

@@ -19,7 +19,7 @@ use fieldbeat_telemetry::sink::{Sink, WireSummary};
 fn with_log(path: &Path, file: File) -> (Whole, Recording) {
     let (recording, reader) = log(16, &mut Regions::default());
     let (sender, receiver) = crossbeam_channel::bounded(1);
-    sender.send(LogBegin { reader, machine: MachineOf::Code, has_task: false }).unwrap();
+    sender.send(LogBegin { reader, machine: MachineOf::Code, plan: String::new(), has_task: false }).unwrap();
     let file = NamedTempFile::from_parts(file, TempPath::try_from_path(path).unwrap());
     (Whole::new(file, path.to_owned(), machine(), Some(receiver)), recording)
 }
