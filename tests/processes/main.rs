@@ -45,7 +45,6 @@ mod ethernet_ip;
 mod fuse;
 mod hosts;
 mod init;
-#[cfg(feature = "jog")]
 mod jog;
 mod kollmorgen;
 mod lenze;

@@ -1,7 +1,6 @@
 //! What the tests of several packages share. Nothing here is part of a program.
 
 mod pty;
-#[cfg(feature = "runs")]
 pub mod runs;
 
 use std::time::{Duration, Instant};
