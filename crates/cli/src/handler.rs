@@ -120,8 +120,8 @@ impl Handler {
             while axis.event().is_some() {}
         }
         if self.control.as_ref().is_some_and(Server::has_failed) {
-            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please \
-                        report it";
+            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; \
+                 please report it";
             master.monitor().failed(what, false);
         }
         if self.station.as_ref().is_some_and(Station::has_failed) {

@@ -47,8 +47,8 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 const VERSION: &str = env!("FIELDBEAT_VERSION");
 
 /// What it is, in the help and in the manual page.
-const ABOUT: &str = "Hard-real-time cyclic master for servo drives: one pinned SCHED_FIFO loop, many drives, measured \
-    latency";
+const ABOUT: &str = "Hard-real-time cyclic master for servo drives: one pinned SCHED_FIFO loop, many drives, \
+     measured latency";
 
 /// A hard-real-time cyclic master for servo drives.
 ///
@@ -158,7 +158,8 @@ fn left_out(error: &clap::Error) -> Option<String> {
     let ContextValue::String(wanted) = wanted.filter_map(|kind| error.get(kind)).next()? else { return None };
     let feature = OUTSIDE.into_iter().find(|feature| wanted.trim_start_matches("--") == *feature)?;
     Some(format!(
-        "this program was built without `{wanted}`: `cargo build --release --features {feature}` builds one that has it"
+        "this program was built without `{wanted}`: `cargo build --release --features {feature}` builds one \
+         that has it"
     ))
 }
 

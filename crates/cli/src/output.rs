@@ -137,8 +137,8 @@ impl Running {
                 written.unwrap_or_else(|| {
                     let seconds = PATIENCE.as_secs();
                     Err(Stop::failed(format!(
-                        "report {directory} is not written: its disk does not answer for {seconds} s; look at that \
-                         disk"
+                        "report {directory} is not written: its disk does not answer for {seconds} s; look \
+                         at that disk"
                     )))
                 })
             }

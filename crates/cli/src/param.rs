@@ -106,8 +106,8 @@ impl Set {
             // There is no axis here to disable.
             ParameterError::Failed { why: CallError::Commands, .. } if reach.is_alone() => {
                 Stop::failed(format!(
-                    "drive {}: write {} = {}: it may command the drive, which another master, or its own panel or \
-                     terminals, has switched on: disable it there first",
+                    "drive {}: write {} = {}: it may command the drive, which another master, or its own \
+                     panel or terminals, has switched on: disable it there first",
                     reach.drive(),
                     self.address,
                     self.value

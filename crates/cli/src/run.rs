@@ -137,8 +137,8 @@ pub fn not_whole(summary: &Summary) -> Stop {
         of_host(
             "stopped by an overrun",
             chosen(&|drive| drive.was_overrun()),
-            "this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its \
-             rights and a core of its own",
+            "this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop \
+             its rights and a core of its own",
         ),
     ]
     .into_iter()

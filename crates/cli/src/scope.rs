@@ -116,8 +116,8 @@ fn announce(endpoint: &Endpoint, say: impl Fn(&str) -> Result<(), Stop>) -> Resu
     if !endpoint.address().ip().is_loopback() {
         complain(match endpoint.has_control() {
             true => {
-                "whoever has this address, with its token, can MOVE the machine: enable, home and step its axes; \
-                 nothing is encrypted"
+                "whoever has this address, with its token, can MOVE the machine: enable, home and step its \
+                 axes; nothing is encrypted"
             }
             false => "whoever has this address, with its token, can watch the machine; nothing is encrypted",
         });

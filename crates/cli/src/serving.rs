@@ -71,7 +71,8 @@ impl Served {
             complain(&format!("metrics at http://{address}/metrics"));
             if !address.ip().is_loopback() {
                 complain(
-                    "anyone on that network can read the metrics; --metrics with a port alone keeps them here",
+                    "anyone on that network can read the metrics; --metrics with a port alone keeps them \
+                     here",
                 );
             }
             endpoint.serve(master.monitor()).map_err(Stop::failed)

@@ -48,8 +48,8 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
     lines.push(
-        "one master each: another one of this host that has one of these interfaces or drives is named, and the start \
-        refused"
+        "one master each: another one of this host that has one of these interfaces or drives is named, and \
+         the start refused"
             .into(),
     );
     lines.push(black_box(plan));
@@ -110,7 +110,8 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
             format!("skips slots and keeps the grid, more than {max_skip} in a row stop all axes")
         }
         Overrun::Skip { max_skip } => format!(
-            "skips slots and keeps the grid, more than {max_skip} in a row or {:.0} of the last 100 stop all axes",
+            "skips slots and keeps the grid, more than {max_skip} in a row or {:.0} of the last 100 stop all \
+             axes",
             100.0 * cycle.max_skip_rate
         ),
         Overrun::Stop => "stops all axes".to_owned(),
@@ -132,7 +133,8 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     }
     lines.push(match cycle.watch_after_ns() {
         Some(after) => format!(
-            "  a loop that gives no sign of life for {} is stuck: its watch takes the wires, and the run has failed",
+            "  a loop that gives no sign of life for {} is stuck: its watch takes the wires, and the run has \
+             failed",
             Ns(after)
         ),
         None => "  nobody watches whether its cycle ends (watch_after = \"off\")".to_owned(),
@@ -157,8 +159,8 @@ fn black_box(plan: &Plan) -> String {
     match plan.black_box_records() {
         0 => "no black box".to_owned(),
         records => format!(
-            "the black box holds the last {} in {:.1} MB, written to a file at a fault, a lost drive, another \
-             stop, and SIGUSR1",
+            "the black box holds the last {} in {:.1} MB, written to a file at a fault, a lost drive, \
+             another stop, and SIGUSR1",
             Ns(plan.cycle.black_box_ns),
             (records * size_of::<Record>()) as f64 / 1e6
         ),
@@ -190,11 +192,14 @@ fn axis(drive: &Paced<'_>, can: &Capabilities, all: &[Paced<'_>], cycle: &CycleP
 fn in_position(axis: &AxisPlan, period_ns: u64) -> String {
     let InPosition { window, reports, timeout } = axis.in_position;
     let Some(window) = window else {
-        return "a move is done at the end of its demand, wherever the axis is (in_position.window = \"off\")".into();
+        return "a move is done at the end of its demand, wherever the axis is (in_position.window = \
+             \"off\")"
+            .into();
     };
     let exchange_ns = period_ns.saturating_mul(axis.divisor.into());
     format!(
-        "a move is done within {window} {} of its target for {} ({}); it has failed {} after the end of its demand",
+        "a move is done within {window} {} of its target for {} ({}); it has failed {} after the end of its \
+         demand",
         axis.units.unit,
         count(reports.into(), "exchange"),
         Ns(exchange_ns.saturating_mul(reports.into())),
@@ -281,8 +286,8 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
     let taken = if let Pace::Connection(_) = drive.pace { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
-         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the \
-         latest{together}",
+         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at \
+         the latest{together}",
         health.gate,
         health.bucket,
         Ns(cycles.saturating_mul(cycle.period_ns)),

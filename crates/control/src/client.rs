@@ -33,7 +33,8 @@ pub enum AskError {
     NotOurs(PathBuf),
     /// Somebody listens there whose place it is not.
     #[error(
-        "{path} is served by user {user}, who does not own the directory; remove it, and start the master again"
+        "{path} is served by user {user}, who does not own the directory; remove it, and start the master \
+         again"
     )]
     OtherOwner {
         /// The socket.

@@ -17,8 +17,8 @@ macro_rules! debug_as_display {
 pub fn no_descriptor(error: &std::io::Error) -> Option<&'static str> {
     match error.raw_os_error()? {
         libc::EMFILE => Some(
-            "this process has too many files and sockets open: raise its limit (ulimit -n, or LimitNOFILE= of the \
-             service)",
+            "this process has too many files and sockets open: raise its limit (ulimit -n, or LimitNOFILE= \
+             of the service)",
         ),
         libc::ENFILE => Some("this computer has too many files and sockets open: raise fs.file-max (sysctl)"),
         _ => None,

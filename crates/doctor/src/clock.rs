@@ -42,8 +42,8 @@ fn source(root: &Root) -> Finding {
         Area::Clock,
         "clocksource",
         "the processor's own counter (tsc, arch_sys_counter, kvm-clock ...)",
-        "the loop reads the clock several times a cycle; other sources cost microseconds a read or are too coarse; the \
-         kernel falls back to them when it does not trust the counter",
+        "the loop reads the clock several times a cycle; other sources cost microseconds a read or are too \
+         coarse; the kernel falls back to them when it does not trust the counter",
     );
     let path = format!("{CLOCKSOURCE}/current_clocksource");
     let Some(current) = finding.read(root, &path) else { return finding };
@@ -84,7 +84,8 @@ const TIMER_MIGRATION: Sysctl = Sysctl {
     path: "kernel/timer_migration",
     wanted: 0,
     or_more: false,
-    why: "at 1 the kernel may move a timer to another core; the loop is then woken by an inter-processor interrupt",
+    why: "at 1 the kernel may move a timer to another core; the loop is then woken by an inter-processor \
+         interrupt",
 };
 
 fn hypervisor(root: &Root) -> Finding {
@@ -119,7 +120,8 @@ fn steal(root: &Root, subject: &Subject) -> Finding {
         Area::Clock,
         "stolen time",
         "none",
-        "time in which this core was ready to run and the host of the virtual machine ran something else, in ticks",
+        "time in which this core was ready to run and the host of the virtual machine ran something else, in \
+         ticks",
     );
     let path = "proc/stat";
     let Some(stat) = finding.read(root, path) else { return finding };

@@ -32,7 +32,8 @@ fn presence(root: &Root, tried: &Result<(), RealtimeError>, subject: &Subject) -
         Area::Core,
         "core",
         "one that is online and that this process may use",
-        "the loop stays on one core: a thread that migrates starts with cold caches, and may migrate within a cycle",
+        "the loop stays on one core: a thread that migrates starts with cold caches, and may migrate within \
+         a cycle",
     );
     if let Err(error) = tried {
         let allowed = match error {
@@ -92,7 +93,8 @@ fn ticks(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "nohz_full",
         "not this core, unless wait = \"spin\"",
-        "it slows each system call, and a loop that sleeps in every cycle gains nothing: an idle core has no tick",
+        "it slows each system call, and a loop that sleeps in every cycle gains nothing: an idle core has no \
+         tick",
     );
     let path = format!("{CPU}/nohz_full");
     // The file is there on every kernel with CONFIG_NO_HZ_FULL.
@@ -117,7 +119,8 @@ fn callbacks(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "rcu_nocbs",
         format!("core {core} in it"),
-        "otherwise RCU callbacks of the whole system also run on this core; with it they run in threads on other cores",
+        "otherwise RCU callbacks of the whole system also run on this core; with it they run in threads on \
+         other cores",
     );
     let path = "proc/cmdline";
     let Some(words) = finding.read(root, path) else { return finding };

@@ -322,8 +322,8 @@ pub(super) mod testing {
         ) -> Host {
             let flags = if kernel { 0x0020_8040 } else { 0x0040_0000 };
             let stat = format!(
-                "{tid} ({name}) S 2 0 0 0 -1 {flags} 0 0 0 0 0 0 0 0 -51 0 1 0 80 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 1 \
-                 {priority} {policy} 0 0 0"
+                "{tid} ({name}) S 2 0 0 0 -1 {flags} 0 0 0 0 0 0 0 0 -51 0 1 0 80 0 0 0 0 0 0 0 0 0 0 0 0 0 \
+                 0 0 0 1 {priority} {policy} 0 0 0"
             );
             let task = format!("proc/{tid}/task/{tid}");
             let status = format!("Name:\t{name}\nCpus_allowed:\t3\nCpus_allowed_list:\t{cores}\n");

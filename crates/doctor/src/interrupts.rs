@@ -77,8 +77,8 @@ impl Served<'_> {
             bus,
             "interrupt threads",
             &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
-            "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they \
-             never run",
+            "a reply is delivered only after they ran; on the core of a spinning loop of higher priority \
+             they never run",
         );
         if interrupts.is_empty() {
             return finding.good(format!("none: {none}"));

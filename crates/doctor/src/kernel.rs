@@ -65,8 +65,8 @@ fn throttling(root: &Root, subject: &Subject) -> Finding {
         Area::Kernel,
         "RT throttling",
         "a budget that this plan never uses up",
-        "real-time threads that use up their budget lose the core until the period ends; the rest of the period keeps \
-         a shell usable when a loop never sleeps",
+        "real-time threads that use up their budget lose the core until the period ends; the rest of the \
+         period keeps a shell usable when a loop never sleeps",
     );
     let file = |name: &str| root.text(&format!("proc/sys/kernel/{name}"));
     let (runtime, period) = match (file("sched_rt_runtime_us"), file("sched_rt_period_us")) {

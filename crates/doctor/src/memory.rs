@@ -21,7 +21,8 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "vm/compact_unevictable_allowed",
         wanted: 0,
         or_more: false,
-        why: "at 1 the kernel may move locked pages to free large blocks, and the loop takes a page fault on them",
+        why: "at 1 the kernel may move locked pages to free large blocks, and the loop takes a page fault on \
+             them",
     },
     Sysctl {
         area: Area::Memory,
@@ -54,8 +55,8 @@ fn huge_pages(root: &Root) -> Finding {
         Area::Memory,
         "huge pages",
         "madvise or never",
-        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for itself where \
-         it locks the whole process, but not for other programs",
+        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for \
+         itself where it locks the whole process, but not for other programs",
     );
     let path = "sys/kernel/mm/transparent_hugepage/enabled";
     if !root.has(path) && root.has("sys/kernel/mm") {
@@ -77,7 +78,8 @@ fn swap(root: &Root) -> Finding {
         Area::Memory,
         "swap",
         format!("none, or vm.swappiness {SWAPPINESS} at most"),
-        "locked memory is never swapped; other memory of the application is, and its threads then feed the loop late",
+        "locked memory is never swapped; other memory of the application is, and its threads then feed the \
+         loop late",
     );
     let path = "proc/swaps";
     let Some(text) = finding.read(root, path) else { return finding };

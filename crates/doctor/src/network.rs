@@ -136,8 +136,8 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
         &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
-        "other entries expire: the kernel then resolves the drive's hardware address again during the run, and \
-         requests to an absent drive wait in the socket's buffer",
+        "other entries expire: the kernel then resolves the drive's hardware address again during the run, \
+         and requests to an absent drive wait in the socket's buffer",
     );
     let path = "proc/net/arp";
     let Some(table) = finding.read(root, path) else { return finding };
@@ -179,7 +179,8 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, wanted: usize) -> F
         &wire.bus,
         name,
         &format!("{wanted} bytes or more (net.core.{limit})"),
-        "it holds datagrams while the loop is delayed or a drive is absent; the kernel silently cuts it to this limit",
+        "it holds datagrams while the loop is delayed or a drive is absent; the kernel silently cuts it to \
+         this limit",
     );
     let path = format!("proc/sys/net/core/{limit}");
     let Some(text) = finding.read(root, &path) else { return finding };
@@ -196,8 +197,8 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
-        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped when \
-         the table is full",
+        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped \
+         when the table is full",
     );
     if !root.has("proc/sys/net/netfilter/nf_conntrack_max") {
         return finding.good("not loaded");
@@ -360,7 +361,8 @@ pub(super) mod tests {
         let check = |files: &[(&str, &str)]| tracking(&Host::new(files).0.root, &wire());
         assert_eq!(check(&[]).found, "not loaded");
         assert_eq!(check(&[loaded]).verdict, Unknown);
-        let entry = "ipv4 2 udp 17 29 src=192.168.1.1 dst=192.168.1.11 sport=41136 dport=49360 src=192.168.1.11 ...\n";
+        let entry = "ipv4 2 udp 17 29 src=192.168.1.1 dst=192.168.1.11 sport=41136 dport=49360 \
+             src=192.168.1.11 ...\n";
         let table = ("proc/net/nf_conntrack", entry);
         let tracked = check(&[loaded, table]);
         assert_eq!((tracked.verdict, tracked.found.as_str()), (Poor, "1 of 2 drives are in its table"));

@@ -140,7 +140,8 @@ fn served<'a>(root: &Root, port: &'a Port, name: &str) -> Served<'a> {
     Served {
         bus: &port.bus,
         interrupts,
-        why: "otherwise received bytes interrupt the loop's core, or wait for it where threads handle interrupts",
+        why: "otherwise received bytes interrupt the loop's core, or wait for it where threads handle \
+             interrupts",
         none: "no real port",
     }
 }
@@ -188,7 +189,8 @@ fn direction(port: &Port, tried: Option<&Outcome>) -> Finding {
         &port.bus,
         "RS-485 direction",
         if by_driver { "switched by the driver" } else { "switched by the adapter" },
-        "a transceiver that goes on sending cuts off the answer, and one that never sends leaves the wire silent",
+        "a transceiver that goes on sending cuts off the answer, and one that never sends leaves the wire \
+         silent",
     );
     match tried {
         _ if !by_driver => finding.good("by the adapter, as configured"),
@@ -208,8 +210,8 @@ fn latency_timer(root: &Root, port: &Port, name: &str) -> Option<Finding> {
         &port.bus,
         "latency timer",
         "1 ms",
-        "the adapter hands over the end of a telegram only after this time; the master requests 1 ms when it opens \
-         the port, which not every driver grants",
+        "the adapter hands over the end of a telegram only after this time; the master requests 1 ms when it \
+         opens the port, which not every driver grants",
     );
     Some(match before == "1" {
         true => finding.good("1 ms"),
@@ -229,7 +231,8 @@ fn trigger(root: &Root, port: &Port, name: &str) -> Option<Finding> {
         &port.bus,
         "receive trigger",
         "1 byte, where bytes take 20 us or longer",
-        "below its trigger the UART waits for the time of 4 more bytes before it reports the end of a telegram",
+        "below its trigger the UART waits for the time of 4 more bytes before it reports the end of a \
+         telegram",
     );
     Some(match before == "1" || port.line.span_ns(1) < LONG_BYTE_NS {
         true => finding.good(format!("{before} bytes; the end of a telegram waits for {wait} at most")),
@@ -248,8 +251,8 @@ fn worker(root: &Root, port: &Port, subject: &Subject) -> Finding {
         &port.bus,
         "workers",
         &format!("on other cores than {core}"),
-        "one of them hands received bytes to the loop: a normal thread, which never runs under a loop that spins on \
-         its core",
+        "one of them hands received bytes to the loop: a normal thread, which never runs under a loop that \
+         spins on its core",
     );
     let Some(mask) = finding.read(root, WORKERS) else { return finding };
     let Some(cores) = cores_of_mask(&mask) else { return finding.unknown(format!("/{WORKERS} says {mask}")) };
@@ -303,8 +306,8 @@ fn blocked_port(root: &Root, port: &Port, subject: &Subject) -> Option<String> {
     let servants: Vec<String> = servants.into_iter().flatten().collect();
     (!servants.is_empty()).then(|| {
         format!(
-            "{}: {} is served on core {core} ({}), where the loop spins in its receive window and lets no byte \
-             through; use wait = \"poll\", or move them to other cores: fieldbeat doctor says how",
+            "{}: {} is served on core {core} ({}), where the loop spins in its receive window and lets no \
+             byte through; use wait = \"poll\", or move them to other cores: fieldbeat doctor says how",
             port.bus,
             port.path,
             servants.join(", "),

@@ -48,8 +48,8 @@ fn idle(root: &Root, subject: &Subject) -> Finding {
         Area::Power,
         "idle states",
         format!("none that takes longer than {most_us} us to leave"),
-        "the core sleeps when the loop's timer fires, and leaving the idle state adds to every wake-up; a tenth of the \
-         late limit is allowed for it",
+        "the core sleeps when the loop's timer fires, and leaving the idle state adds to every wake-up; a \
+         tenth of the late limit is allowed for it",
     );
     let directory = format!("sys/devices/system/cpu/cpu{core}/cpuidle");
     let state = |number: String| {

@@ -182,7 +182,8 @@ fn measured(f: &mut fmt::Formatter<'_>, measured: &Measured) -> fmt::Result {
     let period = Ns(measured.period_ns);
     writeln!(
         f,
-        "\neffect of each setting here: wake-up latency every {period}, in turns; ratios with their 95 % intervals"
+        "\neffect of each setting here: wake-up latency every {period}, in turns; ratios with their 95 % \
+         intervals"
     )?;
     writeln!(f, "  {:26}{:>17}{:>14}   with / without", "", "without", "with")?;
     for Factor { name, without, with, p50_ratio, p99_ratio, fix } in &measured.factors {

@@ -144,7 +144,8 @@ pub enum ScanError {
     Loop,
     /// A slave was there, and no longer is.
     #[error(
-        "the slave at place {place} of {count} has stopped answering; look at its power and the cable in front of it"
+        "the slave at place {place} of {count} has stopped answering; look at its power and the cable in \
+         front of it"
     )]
     Lost {
         /// Its position.

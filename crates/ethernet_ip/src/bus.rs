@@ -187,7 +187,8 @@ impl EthernetIpBus {
 fn remedy(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::AddrInUse => {
-            "another scanner holds this port: end it (ss -ulpn shows which), or give this bus another bind address"
+            "another scanner holds this port: end it (ss -ulpn shows which), or give this bus another bind \
+             address"
         }
         std::io::ErrorKind::AddrNotAvailable => {
             "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"

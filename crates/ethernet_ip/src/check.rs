@@ -11,6 +11,9 @@ use super::wire::cip::Configuration;
 use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
 use fieldbeat_core::time::{Ns, S, US};
 
+const NOTHING_STOPS: &str =
+    "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")";
+
 /// The most bytes of the configuration assembly that are sent.
 pub(super) const CONFIGURATION_MAX: usize = Configuration::MAX;
 /// The highest number of an input that a drive can have.
@@ -169,8 +172,8 @@ impl MoonsDrive {
         if within.is_none() && self.takes_commands() && !self.watchdog.accept_none {
             wrong(
                 "no_drive_watchdog",
-                "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or set ZS of \
-                 the drive, and watchdog to that"
+                "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or \
+                 set ZS of the drive, and watchdog to that"
                     .to_owned(),
             );
         }
@@ -271,8 +274,8 @@ impl MoonsDrive {
             let unit = axis.units.unit;
             let (least, most) = (inside(least, f64::ceil), inside(most, f64::floor));
             let why = format!(
-                "{value} is outside the range of the drive, {least} ... {most} {unit}/{per}; change it or check scale \
-                 and steps_per_rev"
+                "{value} is outside the range of the drive, {least} ... {most} {unit}/{per}; change it or \
+                 check scale and steps_per_rev"
             );
             faults.push(PlanFault::new(key, why));
             reported = Some((value, per));
@@ -385,8 +388,9 @@ impl MoonsDrive {
     fn describe_commands(&self, period_ns: u64) -> String {
         let rpi = self.rpi_ns(period_ns);
         format!(
-            "a command is held for {} and until its effect is seen, within {}, then idle for as long: two commands, \
-             and two velocities, are {} apart at least; a stop replaces one under way, and waits {} at most for that",
+            "a command is held for {} and until its effect is seen, within {}, then idle for as long: two \
+             commands, and two velocities, are {} apart at least; a stop replaces one under way, and waits \
+             {} at most for that",
             packets(self.hold),
             Ns(self.effect_within_ns),
             Ns(self.command_every_ns(period_ns)),
@@ -407,8 +411,7 @@ impl MoonsDrive {
             return "nothing of this master moves the drive".to_owned();
         }
         let Some(within_ns) = self.watchdog.within_ns else {
-            return "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")"
-                .to_owned();
+            return NOTHING_STOPS.to_owned();
         };
         let held = match self.axis.load {
             Load::Vertical(HeldBy::Drive) => {
@@ -417,8 +420,8 @@ impl MoonsDrive {
             _ => "",
         };
         format!(
-            "the drive begins to stop within {} by its own watchdog (ZS, ZA), taken on trust: no message of the manual \
-             reads them{held}",
+            "the drive begins to stop within {} by its own watchdog (ZS, ZA), taken on trust: no message of \
+             the manual reads them{held}",
             Ns(within_ns)
         )
     }

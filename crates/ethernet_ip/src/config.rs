@@ -38,8 +38,8 @@ pub const REGISTERED: Protocol = Protocol {
 };
 
 /// With each table that may be missing.
-pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\nhoming = {}\n\
-     enable_input = {}\n";
+pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \
+     \"127.0.0.2\"\nhoming = {}\nenable_input = {}\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -58,8 +58,8 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
 
 fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
     table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
-    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; never 0.0.0.0, \
-        since drives compare it";
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; never \
+         0.0.0.0, since drives compare it";
     let own = |ip: &Ipv4Addr| !ip.is_unspecified() && !ip.is_multicast() && !ip.is_broadcast();
     let bind =
         table.text("bind", ENDPOINT, hint, |text| station(text, IO_PORT).filter(|bind| own(bind.ip())))?;

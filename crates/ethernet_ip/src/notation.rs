@@ -37,10 +37,10 @@ use fieldbeat_core::axis::acyclic::{
 
 use self::names::Scale;
 
-const FORM: &str = "AC (a parameter), AC.flash, R:3 (a register), SCL:VE (a command for the buffer), encoder, \
-    absolute, alarm-history, output:1, stop, kill, alarm-reset, load-program, save-segment, or 0x01/1/7 (class, \
-    instance and \
-    attribute), with .u16 behind it for a type (u8, i8, u16, i16, u32, i32, u64, i64, text, octets)";
+const FORM: &str = "AC (a parameter), AC.flash, R:3 (a register), SCL:VE (a command for the buffer), \
+     encoder, absolute, alarm-history, output:1, stop, kill, alarm-reset, load-program, save-segment, or \
+     0x01/1/7 (class, instance and attribute), with .u16 behind it for a type (u8, i8, u16, i16, u32, i32, \
+     u64, i64, text, octets)";
 const ONLY_WRITTEN: &str = "an address that can be read: commands and outputs are only written";
 const READ_ONLY: &str = "another one: the drive only reports this";
 

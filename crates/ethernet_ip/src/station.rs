@@ -411,11 +411,11 @@ impl Station {
         let demand_steps = demand as f64;
         let actual = encoder.map_or(demand_steps, |steps| steps + self.track.shift);
         let Slot { status: report, notices, evidence, .. } = slot;
+        // By the drive's clock: its packets count its intervals, however they travel. What no motor makes is another
+        // origin: the position was set.
         if let Some(last) = self.track.last
-            // By the drive's clock: its packets count its intervals, however they travel.
             && let intervals = packet.sequence.wrapping_sub(last.sequence)
             && let moved = (demand - last.demand) as f64
-            // What no motor makes is another origin: the position was set.
             && moved.abs() <= self.agreed.most_steps * (f64::from(intervals) + 1.0)
         {
             let rate = match intervals {

@@ -208,7 +208,8 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
             table.fault(
                 "limits.position",
                 format!(
-                    "exceeds the range of the drive's 32-bit counts, {} ... {} {}; narrow it or check scale and offset",
+                    "exceeds the range of the drive's 32-bit counts, {} ... {} {}; narrow it or check scale \
+                     and offset",
                     reach.0, reach.1, units.unit
                 ),
             );

@@ -165,7 +165,8 @@ impl Senders {
 fn remedy(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::AddrInUse => {
-            "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind address"
+            "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind \
+             address"
         }
         std::io::ErrorKind::AddrNotAvailable => {
             "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"

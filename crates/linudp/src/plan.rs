@@ -241,7 +241,8 @@ impl LinUdpDrive {
         };
         let (low, high) = command.period_range_ns();
         let why = format!(
-            "needs a setpoint every {} ... {}, and this drive gets one every {} (period x divisor {}); {remedy}",
+            "needs a setpoint every {} ... {}, and this drive gets one every {} (period x divisor {}); \
+             {remedy}",
             Ns(low),
             Ns(high),
             Ns(period_ns),

@@ -149,8 +149,8 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
         lacks: Lacks {
             rows: drive.stream.is_none().then_some("no streaming command fits its cycle (stream = \"off\")"),
             velocities: drive.leash.is_none().then_some(
-                "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a \
-                leash",
+                "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \
+                 \"accept\" and a leash",
             ),
             torques: Some("it takes positions and velocities, no torques"),
             ..Lacks::default()
@@ -371,7 +371,8 @@ impl Profile {
         if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
             // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
             // is what it has stored.
-            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
+            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter \
+                 channel";
             self.refused = Some(Refused::Because(why));
             return;
         }

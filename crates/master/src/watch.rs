@@ -19,10 +19,10 @@ const LATEST_NS: u64 = 250 * MS;
 const RETURN_NS: u64 = S;
 
 /// What [`finish`](super::Master::finish) says of such a loop.
-pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch took the \
-                                wires and sent the stop to the LinMot drives, any other drive acts by its own \
-                                watchdog if that is on; look at the drives and at what holds the loop's thread up (the \
-                                in-loop task, a driver of the host)";
+pub(super) const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; the watch \
+     took the wires and sent the stop to the LinMot drives, any other drive acts by its own watchdog if that \
+     is on; look at the drives and at what holds the loop's thread up (the in-loop task, a driver of the \
+     host)";
 
 /// The watch of a running machine.
 #[derive(Debug)]

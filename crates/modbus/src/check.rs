@@ -121,8 +121,8 @@ impl UnidriveDrive {
             wrong(
                 "watchdog.keypad",
                 format!(
-                    "trips the drive when its control word is not written for {}, but {} may pass between two \
-                     writes; exchange more often, or use the timeout",
+                    "trips the drive when its control word is not written for {}, but {} may pass between \
+                     two writes; exchange more often, or use the timeout",
                     Ns(KEYPAD_WATCHDOG_NS),
                     Ns(written_ns)
                 ),
@@ -151,8 +151,8 @@ impl UnidriveDrive {
         lines.push(
             match self.functions {
                 Functions::Auto => {
-                    "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in turns \
-                     (no_fc23 counts that)"
+                    "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in \
+                     turns (no_fc23 counts that)"
                 }
                 Functions::ReadWrite => "by FC23 and no other function",
                 Functions::Apart => "writing (FC16) and reading (FC03) take turns",
@@ -194,7 +194,8 @@ impl UnidriveDrive {
             ),
             (Via::Direct, 1) => format!("one request every {every} {all}"),
             (Via::Direct, turns) => format!(
-                "one request every {every} writes what changed and reads a part: {}, all parameters within {}",
+                "one request every {every} writes what changed and reads a part: {}, all parameters within \
+                 {}",
                 match mapping.hot() {
                     1 => "status and speed in two of three".to_owned(),
                     hot => format!("status and speed within {}", count(hot + 1, "request")),
@@ -210,9 +211,9 @@ impl UnidriveDrive {
         let within_ns = self.reply_within_ns;
         if within_ns >= REPEATED_BY_NS {
             return format!(
-                "one lost frame delays an exchange by {repeated}, since TCP repeats it no sooner, and the link \
-                 stays up: a stop request that waits for it leaves {} later at most; a frame lost twice costs \
-                 the link",
+                "one lost frame delays an exchange by {repeated}, since TCP repeats it no sooner, and the \
+                 link stays up: a stop request that waits for it leaves {} later at most; a frame lost twice \
+                 costs the link",
                 Ns(REPEATED_BY_NS + every_ns)
             );
         }

@@ -49,8 +49,8 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
 }
 
 fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
-    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", without a port; leave it out for whichever leads \
-        to the drives";
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", without a port; leave it out for \
+         whichever leads to the drives";
     // The port is the kernel's choice.
     let own = |text: &str| text.parse().ok().filter(|ip: &Ipv4Addr| !ip.is_unspecified());
     table.text("bind", HOST, hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))

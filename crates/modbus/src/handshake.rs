@@ -313,7 +313,8 @@ impl UnidriveHandshake {
     fn end(&mut self) -> HandshakeState {
         if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
             return HandshakeState::Failed(format!(
-                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \"direct\"",
+                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \
+                 \"direct\"",
                 setting.parameter, setting.value
             ));
         }

@@ -119,8 +119,8 @@ fn named(text: &str) -> Option<Parameter> {
     catalogue::named(name, true).map(|known| known.parameter.in_slot(digit - b'0'))
 }
 
-const FORM: &str = "06.042, with three digits behind the point, slot.06.042 or a name; .word or .long behind it for \
-                    access with 16 or 32 bits";
+const FORM: &str = "06.042, with three digits behind the point, slot.06.042 or a name; .word or .long behind \
+     it for access with 16 or 32 bits";
 
 /// Addresses and values of Unidrives.
 #[derive(Clone, Copy, Debug, Default)]

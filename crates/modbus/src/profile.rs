@@ -27,11 +27,11 @@ const STANDS_NS: u64 = 10 * MS;
 const NO_POSITION: &str = "it takes speeds, not positions: jog, or give it velocities";
 const NO_TORQUE: &str = "it takes speeds, not torques: jog, or give it velocities";
 /// Why a drive that does not follow the control word cannot be commanded.
-const NOT_OBEYING: &str = "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, \
-    or let the master (set_up)";
+const NOT_OBEYING: &str = "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; \
+     set them, or let the master (set_up)";
 /// Why a drive that nothing would stop is not enabled.
-const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and \
-    watchdog, or no_drive_watchdog = \"accept\"";
+const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the master dies: look at Pr \
+     S.15.009 and watchdog, or no_drive_watchdog = \"accept\"";
 
 /// The drive's last report, and the values that it has acknowledged.
 #[derive(Clone, Copy, Debug, Default)]

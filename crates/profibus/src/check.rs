@@ -55,8 +55,8 @@ impl ProfibusPlan {
             wrong(
                 "bits.slot",
                 format!(
-                    "must be {} ... {BITS_MAX}: above bits.max_tsdr + {SLOT_MARGIN_BITS}, and at least {least} at this \
-                     rate",
+                    "must be {} ... {BITS_MAX}: above bits.max_tsdr + {SLOT_MARGIN_BITS}, and at least \
+                     {least} at this rate",
                     least.max(answered.saturating_add(1))
                 ),
             );
@@ -169,8 +169,9 @@ impl LenzeDrive {
             wrong(
                 "configuration",
                 format!(
-                    "gives {outputs} bytes of outputs and {inputs} of inputs; {with}control word and set point, status \
-                     word and actual value need {made} each: 0xF3, 0xF1 are a channel and two words"
+                    "gives {outputs} bytes of outputs and {inputs} of inputs; {with}control word and set \
+                     point, status word and actual value need {made} each: 0xF3, 0xF1 are a channel and two \
+                     words"
                 ),
             );
             return faults;
@@ -220,7 +221,8 @@ impl LenzeDrive {
     fn parameter_fault(&self) -> Option<PlanFault> {
         let why = match self.parameters {
             path if path.is_channel() && !self.channel => {
-                "needs channel = true, and a configuration with a parameter channel; or \"msac1\", or \"none\""
+                "needs channel = true, and a configuration with a parameter channel; or \"msac1\", or \
+                 \"none\""
             }
             ParameterPath::Msac1 { .. } if !self.has_dpv1() => {
                 "\"msac1\" needs DP-V1: bit 7 (DPV1_Enable) of the first byte of user_prm, 0x80"
@@ -253,8 +255,8 @@ impl LenzeDrive {
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
             wrong(
                 "held_by",
-                "a drive whose outputs fail, by its watchdog too, may coast, and the load drops; name a brake: held_by \
-                 = \"brake\"",
+                "a drive whose outputs fail, by its watchdog too, may coast, and the load drops; name a \
+                 brake: held_by = \"brake\"",
             );
         }
         faults
@@ -285,8 +287,8 @@ impl LenzeDrive {
                 wrong(
                     key,
                     format!(
-                        "{value} {unit}/s are more than a set point of 16 bits holds, {most:.4} {unit}/s; change it, \
-                         or check scale, full_count and full_rpm"
+                        "{value} {unit}/s are more than a set point of 16 bits holds, {most:.4} {unit}/s; \
+                         change it, or check scale, full_count and full_rpm"
                     ),
                 );
             }

@@ -288,8 +288,8 @@ fn shown_form() -> Form {
 }
 
 fn shown(value: &DeValue<'_>) -> Result<ShownWord, String> {
-    const FORMS: &str = "must be words like { name = \"torque\", word = 2, per_count = 0.0061, signed = true, unit = \
-        \"%\" }";
+    const FORMS: &str =
+        "must be words like { name = \"torque\", word = 2, per_count = 0.0061, signed = true, unit = \"%\" }";
     let parts = value.as_table().ok_or(FORMS)?;
     let mut word = ShownWord { name: String::new(), word: 0, per_count: 1.0, signed: false, unit: "" };
     for (key, value) in parts {

@@ -4,6 +4,9 @@ use super::plan::{CHANNEL, DriveProfile, LenzeDrive, ParameterPath, ProfibusPlan
 use fieldbeat_core::bus::Grid;
 use fieldbeat_core::time::{Ns, S};
 
+const WEARS: &str =
+    "a parameter that is written again and again wears the drive's EEPROM, unless saving is off: C0003 = 0";
+
 impl ProfibusPlan {
     /// Drive `index` beyond its axis; the first line is its address.
     pub(super) fn describe_drive(&self, index: usize) -> String {
@@ -17,10 +20,7 @@ impl ProfibusPlan {
         ));
         lines.push(drive.describe_parameters().to_owned());
         if drive.parameters != ParameterPath::None {
-            lines.push(
-                "a parameter that is written again and again wears the drive's EEPROM, unless saving is off: C0003 = 0"
-                    .to_owned(),
-            );
+            lines.push(WEARS.to_owned());
         }
         let shown: Vec<String> = drive.shown().into_iter().flatten().map(|channel| channel.name).collect();
         if !shown.is_empty() {
@@ -39,8 +39,8 @@ impl ProfibusPlan {
         };
         let echo = if self.echo { ", the own echo is skipped" } else { "" };
         format!(
-            "  wire: {} bit/s, 8E1, this master at address {}: a telegram at a time, {direction} switches its \
-             direction{echo}; slot time {} ({} bits), MaxTsdr {} bits, {} at most",
+            "  wire: {} bit/s, 8E1, this master at address {}: a telegram at a time, {direction} switches \
+             its direction{echo}; slot time {} ({} bits), MaxTsdr {} bits, {} at most",
             self.rate,
             self.address,
             Ns(self.slot_ns()),
@@ -59,8 +59,8 @@ impl ProfibusPlan {
         let planned: f64 = self.drives.iter().map(|drive| S as f64 / every_ns(drive)).sum();
         let [usual, worst] = self.loads(grid);
         format!(
-            "  turns: {planned:.0} exchanges/s, where {} would begin inside the windows; bus load {usual:.1} %, \
-             {worst:.1} % in a round with a slot time, a repetition and an acyclic telegram",
+            "  turns: {planned:.0} exchanges/s, where {} would begin inside the windows; bus load {usual:.1} \
+             %, {worst:.1} % in a round with a slot time, a repetition and an acyclic telegram",
             self.exchanges_within(S, grid),
         )
     }
@@ -71,8 +71,8 @@ impl ProfibusPlan {
         let with =
             if drive.channel { format!(", {CHANNEL} of them the parameter channel") } else { String::new() };
         Some(format!(
-            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire, {} at most; all \
-             drives in turn {}",
+            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire, {} at most; \
+             all drives in turn {}",
             Ns(self.usual_turn_ns(index)),
             Ns(self.longest_turn_ns(index)),
             Ns(all),
@@ -85,9 +85,9 @@ impl ProfibusPlan {
             DriveProfile::Profidrive => "PROFIdrive",
         };
         format!(
-            "start-up takes it over: Set_Prm ({} bytes of User_Prm) for ident number {:#06X} locks it to this master, \
-             and its outputs are 0 until Data_Exchange: a motor that turned by another master coasts; one that another \
-             master has locked is left alone, and named; {state} words",
+            "start-up takes it over: Set_Prm ({} bytes of User_Prm) for ident number {:#06X} locks it to \
+             this master, and its outputs are 0 until Data_Exchange: a motor that turned by another master \
+             coasts; one that another master has locked is left alone, and named; {state} words",
             drive.user_prm.len(),
             drive.ident,
         )
@@ -109,8 +109,8 @@ impl LenzeDrive {
     fn describe_death(&self) -> String {
         match self.watchdog_ns() {
             Some(within) => format!(
-                "stops within {} by its own watchdog, which Set_Prm sets and its diagnosis has to show as on before it \
-                 is enabled; what it does then is the drive's setting",
+                "stops within {} by its own watchdog, which Set_Prm sets and its diagnosis has to show as on \
+                 before it is enabled; what it does then is the drive's setting",
                 Ns(within)
             ),
             None if self.watchdog.accept_none => {

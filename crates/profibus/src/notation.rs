@@ -29,8 +29,8 @@ use fieldbeat_core::axis::acyclic::{
     within,
 };
 
-const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, i32, \
-    text), or 1/3 (slot and index of a record)";
+const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, \
+     i32, text), or 1/3 (slot and index of a record)";
 const READ_ONLY: &str = "another one: the drive only reports this";
 
 /// Addresses and values of these drives.

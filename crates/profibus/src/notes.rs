@@ -110,13 +110,14 @@ impl bus::Notes for WireNotes {
             Note::Locked(master) => {
                 let own = if master == self.shared.own { " as this one" } else { "" };
                 return Some(format!(
-                    "another master, address {master}{own}, sends on {device}: end it, or look where the cable leads"
+                    "another master, address {master}{own}, sends on {device}: end it, or look where the \
+                     cable leads"
                 ));
             }
             Note::Noisy => {
                 return Some(format!(
-                    "the wire at {device} is not silent, and what is received on it is no telegram: look at the \
-                     rate, at termination and shield"
+                    "the wire at {device} is not silent, and what is received on it is no telegram: look at \
+                     the rate, at termination and shield"
                 ));
             }
             _ => {}
@@ -125,12 +126,12 @@ impl bus::Notes for WireNotes {
         Some(match place.load() {
             Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(
-                "nobody answers at address {address} on {device}: look at its power, its cable and terminators, its \
-                 address and the rate"
+                "nobody answers at address {address} on {device}: look at its power, its cable and \
+                 terminators, its address and the rate"
             ),
             Note::Ident(found) => format!(
-                "the slave at address {address} has ident number {found:#06x}, not {ident:#06x}: look whether it is \
-                 the drive that is meant, and set ident"
+                "the slave at address {address} has ident number {found:#06x}, not {ident:#06x}: look \
+                 whether it is the drive that is meant, and set ident"
             ),
             Note::Locked(master) => format!(
                 "it is locked by another master, address {master}: end that one, or let it unlock the drive"
@@ -141,8 +142,8 @@ impl bus::Notes for WireNotes {
                     .into()
             }
             Note::Configuration => format!(
-                "it refuses its configuration {configuration:02X?} (Cfg_Fault): look at configuration, and at the \
-                 process data that the drive is set to"
+                "it refuses its configuration {configuration:02X?} (Cfg_Fault): look at configuration, and \
+                 at the process data that the drive is set to"
             ),
             Note::Refused { sap, function } => format!(
                 "it refuses service access point {sap} ({}): look whether it is a DP slave, and restart it",

@@ -30,8 +30,9 @@ const NO_TORQUE: &str = "it takes speeds, not torques: jog, or give it velocitie
 const NO_WATCHDOG: &str = "it has no watchdog, nothing stops it if the master dies: set watchdog, or \
     no_drive_watchdog = \"accept\"";
 /// Why a drive that nothing would stop is not enabled.
-const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, nothing would stop it if the master dies: \
-    look at the watchdog of the module, or set watchdog = \"off\" and no_drive_watchdog = \"accept\"";
+const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, nothing would stop it if the \
+     master dies: look at the watchdog of the module, or set watchdog = \"off\" and no_drive_watchdog = \
+     \"accept\"";
 
 /// What the inputs show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

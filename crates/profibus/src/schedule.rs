@@ -206,8 +206,9 @@ impl ProfibusPlan {
         };
         let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
         let why = format!(
-            "asks for an exchange every {}, which is over {} after its slot: a turn of the wire takes {} at {} bit/s, \
-             and each round has room for a slot time, a repetition and an acyclic telegram; {remedy}",
+            "asks for an exchange every {}, which is over {} after its slot: a turn of the wire takes {} at \
+             {} bit/s, and each round has room for a slot time, a repetition and an acyclic telegram; \
+             {remedy}",
             Ns(every_ns),
             Ns(after_ns),
             Ns(self.usual_turn_ns(index)),
@@ -222,7 +223,8 @@ impl ProfibusPlan {
             let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
             let silent_ns = every_ns.saturating_add(self.turn_within(index, grid));
             let why = format!(
-                "must be above {}: so long may pass until the drive is addressed again, while others do not answer",
+                "must be above {}: so long may pass until the drive is addressed again, while others do not \
+                 answer",
                 Ns(silent_ns)
             );
             let is_short = drive.watchdog_ns().is_some_and(|watchdog| watchdog <= silent_ns);

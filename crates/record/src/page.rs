@@ -70,8 +70,8 @@ impl Page<'_> {
         let name = run.machine.as_deref().unwrap_or("a machine built in code");
         let mut html = format!(
             "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" \
-             content=\"width=device-width,initial-scale=1\"/><title>{0}: fieldbeat</title><style>{1}</style></head>\
-             <body>\n<header><h1>{0}</h1>\n",
+             content=\"width=device-width,initial-scale=1\"/><title>{0}: \
+             fieldbeat</title><style>{1}</style></head><body>\n<header><h1>{0}</h1>\n",
             escape(name),
             include_str!("page.css")
         );
@@ -84,9 +84,9 @@ impl Page<'_> {
             let _ = writeln!(html, "<p class=\"warning\">{}</p>", escape(&warning));
         }
         html += &self.tiles();
-        html += "<nav><a href=\"#latency\">Latency</a><a href=\"#round-trips\">Round trips</a>\
-                 <a href=\"#course\">Course</a><a href=\"#motion\">Motion</a><a href=\"#numbers\">Numbers</a></nav>\
-                 </header>\n";
+        html += "<nav><a href=\"#latency\">Latency</a><a href=\"#round-trips\">Round trips</a><a \
+             href=\"#course\">Course</a><a href=\"#motion\">Motion</a><a \
+             href=\"#numbers\">Numbers</a></nav></header>\n";
         self.tables.iter().for_each(|table| html += &section(table));
         for (name, earlier) in self.earlier {
             html += &section(&comparison(name, run, earlier));
@@ -163,9 +163,9 @@ impl Page<'_> {
 
     fn motion(&self) -> String {
         let mut html = String::from(
-            "<h2 id=\"motion\">Motion</h2>\n<p class=\"about\">Each curve is the smallest and the largest value of \
-             every step of time. Vertical lines are changes of state; faults, stops and lost links stand out. Point at \
-             one to read it.</p>\n",
+            "<h2 id=\"motion\">Motion</h2>\n<p class=\"about\">Each curve is the smallest and the largest \
+             value of every step of time. Vertical lines are changes of state; faults, stops and lost links \
+             stand out. Point at one to read it.</p>\n",
         );
         for (place, drive) in self.run.drives.iter().enumerate() {
             let (name, open) = (escape(&drive.name), if place < OPEN { " open=\"open\"" } else { "" });
@@ -247,8 +247,8 @@ fn comparison(name: &str, run: &Archive, earlier: &Archive) -> Table {
     let about = match &*compared {
         [] => String::from("One of the two is too short to be compared: it has too few parts."),
         compared => format!(
-            "Of {}: {} worse, {} better, {} not different. Intervals of 95 % over the parts of each run; two runs \
-             differ where their intervals are apart.",
+            "Of {}: {} worse, {} better, {} not different. Intervals of 95 % over the parts of each run; two \
+             runs differ where their intervals are apart.",
             plural(compared.len() as u64, "quantity").replace("quantitys", "quantities"),
             count(Verdict::Worse),
             count(Verdict::Better),

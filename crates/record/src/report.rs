@@ -71,7 +71,8 @@ pub enum ReportError {
     },
     /// A file could not be written. Those before it are whole.
     #[error(
-        "report file {file} and those after it are not written: {error}; make room there, or name another directory"
+        "report file {file} and those after it are not written: {error}; make room there, or name another \
+         directory"
     )]
     File {
         /// The file.

@@ -38,8 +38,8 @@ pub enum ReplayError {
     },
     /// A program with another loop has written it.
     #[error(
-        "{path} was recorded by version {version}, whose loop has revision {revision} (layout {layout}): repeat it \
-         with that one, this is version {} with revision {REVISION} (layout {LAYOUT})",
+        "{path} was recorded by version {version}, whose loop has revision {revision} (layout {layout}): \
+         repeat it with that one, this is version {} with revision {REVISION} (layout {LAYOUT})",
         env!("CARGO_PKG_VERSION")
     )]
     Revision {

@@ -71,7 +71,8 @@ pub enum ScopeError {
     },
     /// No thread, or no runtime.
     #[error(
-        "cannot start a thread for the scope: {0}; raise the limits of processes and memory (ulimit -u, ulimit -v)"
+        "cannot start a thread for the scope: {0}; raise the limits of processes and memory (ulimit -u, \
+         ulimit -v)"
     )]
     Thread(io::Error),
 }

@@ -68,8 +68,8 @@ pub enum DirectoryError {
     },
     /// It was made with another configuration.
     #[error(
-        "{} was begun with another configuration (line {line} differs): resume it with that one, or begin a new test \
-         in another directory",
+        "{} was begun with another configuration (line {line} differs): resume it with that one, or begin a \
+         new test in another directory",
         .directory.display()
     )]
     Configuration {

@@ -180,8 +180,8 @@ impl Recorded {
     /// What failed, in one line; `None` if nothing did. How many records are missing is not in it: the line stays the
     /// same while there are more of them.
     pub fn failure(&self) -> Option<String> {
-        let missing = "records are missing, since its disk or this host was too slow; record to another disk, or with \
-                       a longer period";
+        let missing = "records are missing, since its disk or this host was too slow; record to another \
+             disk, or with a longer period";
         let error = self.error.as_deref().or((self.lost > 0).then_some(missing))?;
         Some(format!("recording {} is not complete: {error}", self.path.display()))
     }

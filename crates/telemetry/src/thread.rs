@@ -144,8 +144,8 @@ impl Measured {
         }
         if drive.stopped == Some(StopCause::LinkThread) {
             self.failed(
-                "internal error: the thread that opens connections has ended; the axes of its buses were stopped; \
-                 restart the program",
+                "internal error: the thread that opens connections has ended; the axes of its buses were \
+                 stopped; restart the program",
                 true,
             );
         }
@@ -341,68 +341,70 @@ impl TelemetryThread {
             prepare();
             let gathered = Arc::clone(&shared);
             let work = move || {
-            let mut late_at = None;
-            let mut look = || {
-                let Some(sample) = watch.as_mut().and_then(|watch| watch.sample(COUNT_EVERY_NS)) else {
-                    return EMPTY_EVERY;
+                let mut late_at = None;
+                let mut look = || {
+                    let Some(sample) = watch.as_mut().and_then(|watch| watch.sample(COUNT_EVERY_NS)) else {
+                        return EMPTY_EVERY;
+                    };
+                    let causes = &mut shared.read().causes;
+                    if causes.is_late() {
+                        late_at = Some(sample.at);
+                    }
+                    causes.sample(sample);
+                    let closely = late_at.is_some_and(|at| sample.at.since(at) < CLOSELY_NS);
+                    if closely { EMPTY_CLOSELY_EVERY } else { EMPTY_EVERY }
                 };
-                let causes = &mut shared.read().causes;
-                if causes.is_late() {
-                    late_at = Some(sample.at);
-                }
-                causes.sample(sample);
-                let closely = late_at.is_some_and(|at| sample.at.since(at) < CLOSELY_NS);
-                if closely { EMPTY_CLOSELY_EVERY } else { EMPTY_EVERY }
-            };
-            look();
-            let hand_late = || shared.taps.hand_late(&shared.read().causes);
-            hand_late();
-            loop {
-                // Looked at before the ring is emptied, so that the last records are taken too.
-                let last = shared.end.load(Ordering::Acquire);
-                let mut batch = (!shared.taps.is_empty()).then(Vec::new);
-                {
-                    let mut measured = shared.read();
-                    while let Ok(record) = ring.pop() {
-                        measured.enter(&record);
-                        if let Some(black_box) = &mut black_box {
-                            black_box.enter(&record);
-                        }
-                        if let Some(batch) = &mut batch {
-                            batch.push(record);
-                        }
-                    }
-                }
-                shared.taps.hand(batch.unwrap_or_default());
-                let wait = look();
+                look();
+                let hand_late = || shared.taps.hand_late(&shared.read().causes);
                 hand_late();
-                if let Some(black_box) = &mut black_box {
-                    if shared.black_box.take() {
-                        black_box.request();
-                    }
-                    if let Some(why) = shared.conclusion.lock().unwrap_or_else(PoisonError::into_inner).take() {
-                        black_box.conclude(&why);
-                    }
-                    for written in black_box.write(last) {
-                        if written.fails_run {
-                            shared.failed(&written.to_string(), true);
+                loop {
+                    // Looked at before the ring is emptied, so that the last records are taken too.
+                    let last = shared.end.load(Ordering::Acquire);
+                    let mut batch = (!shared.taps.is_empty()).then(Vec::new);
+                    {
+                        let mut measured = shared.read();
+                        while let Ok(record) = ring.pop() {
+                            measured.enter(&record);
+                            if let Some(black_box) = &mut black_box {
+                                black_box.enter(&record);
+                            }
+                            if let Some(batch) = &mut batch {
+                                batch.push(record);
+                            }
                         }
-                        shared.read().wrote(written);
                     }
+                    shared.taps.hand(batch.unwrap_or_default());
+                    let wait = look();
+                    hand_late();
+                    if let Some(black_box) = &mut black_box {
+                        if shared.black_box.take() {
+                            black_box.request();
+                        }
+                        if let Some(why) =
+                            shared.conclusion.lock().unwrap_or_else(PoisonError::into_inner).take()
+                        {
+                            black_box.conclude(&why);
+                        }
+                        for written in black_box.write(last) {
+                            if written.fails_run {
+                                shared.failed(&written.to_string(), true);
+                            }
+                            shared.read().wrote(written);
+                        }
+                    }
+                    if last {
+                        break;
+                    }
+                    // Until then, or until the end is requested.
+                    std::thread::park_timeout(wait);
                 }
-                if last {
-                    break;
-                }
-                // Until then, or until the end is requested.
-                std::thread::park_timeout(wait);
-            }
             };
             let ended = catch_unwind(AssertUnwindSafe(work));
             if ended.is_err() {
                 gathered.taps.end();
                 gathered.failed(
-                    "internal error: the telemetry panicked; histograms, causes of late cycles, black box and \
-                     recording end there; please report it",
+                    "internal error: the telemetry panicked; histograms, causes of late cycles, black box \
+                     and recording end there; please report it",
                     true,
                 );
             }

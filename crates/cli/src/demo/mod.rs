@@ -62,8 +62,8 @@ impl Demo {
         if plan.cycle.reference.is_none() {
             let period = Ns(period_ns);
             complain(&format!(
-                "without the Kollmorgens and the terminals: they take a --period of whole multiples of 250us below \
-                 3ms, of 1ms above, not {period}"
+                "without the Kollmorgens and the terminals: they take a --period of whole multiples of 250us \
+                 below 3ms, of 1ms above, not {period}"
             ));
         }
         let master = start(output.setup(plan, machine), &interrupt)?;
@@ -127,8 +127,8 @@ fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
     let period_ns = nanos(period);
     if period_ns < carried {
         complain(&format!(
-            "--period {}: expect about {} of the cycles to be late, with drives that miss them; this host {}, and \
-             carries {}",
+            "--period {}: expect about {} of the cycles to be late, with drives that miss them; this host \
+             {}, and carries {}",
             Ns(period_ns),
             percent(seen.disturbed(period_ns)),
             holds_up(&seen),
@@ -179,8 +179,8 @@ fn chosen(seen: &Glance, period_ns: u64) -> String {
     };
     let streams = if period_ns > DEMO_STREAMS_UP_TO_NS { "; LinMots take no streams so slowly" } else { "" };
     format!(
-        "cycle of {}: at {} this host, which {}, would disturb {} of the cycles{streams}; `fieldbeat doctor` says \
-         more",
+        "cycle of {}: at {} this host, which {}, would disturb {} of the cycles{streams}; `fieldbeat doctor` \
+         says more",
         Ns(period_ns),
         Ns(*shorter),
         holds_up(seen),

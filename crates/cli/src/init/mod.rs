@@ -178,9 +178,9 @@ struct Interview<'a> {
 impl<'a> Interview<'a> {
     fn new(answers: &'a Answers, protocol: &'static Protocol) -> Interview<'a> {
         let head = format!(
-            "A first configuration of {}, by `fieldbeat init`. units/s are those of the drive's own `units` per \
-             second. All other keys are in the reference of Fieldbeat. Fieldbeat is not a safety function: the \
-             machine needs its own STO / emergency stop.",
+            "A first configuration of {}, by `fieldbeat init`. units/s are those of the drive's own `units` \
+             per second. All other keys are in the reference of Fieldbeat. Fieldbeat is not a safety \
+             function: the machine needs its own STO / emergency stop.",
             protocol.drives
         );
         let mut draft = Draft::new(protocol.name, head);

@@ -31,7 +31,8 @@ pub fn draw(frame: &mut Frame<'_>, panel: &Panel) {
     let area = frame.area();
     if !fits(area) {
         let needs = format!(
-            "This terminal has {}x{} cells, the panel needs {WIDTH}x{HEIGHT}: make it larger. Any key stops, q quits.",
+            "This terminal has {}x{} cells, the panel needs {WIDTH}x{HEIGHT}: make it larger. Any key stops, \
+             q quits.",
             area.width, area.height
         );
         frame.render_widget(Paragraph::new(needs).wrap(Wrap { trim: true }), area);

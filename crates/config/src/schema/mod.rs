@@ -25,7 +25,8 @@ const SURROUNDINGS: [(&str, &str); 2] = [
     ("[cycle]\nperiod = \"1ms\"\n", ""),
     (
         "[cycle]\nperiod = \"2ms\"\n",
-        "[bus.defaults]\nscale = 3.0\ninvert = true\noffset = 1.0\nlimits.position = [-7.0, 9.0]\ndivisor = 3\n",
+        "[bus.defaults]\nscale = 3.0\ninvert = true\noffset = 1.0\nlimits.position = [-7.0, 9.0]\ndivisor = \
+         3\n",
     ),
 ];
 

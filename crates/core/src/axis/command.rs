@@ -243,13 +243,15 @@ pub enum Failure {
     NotTaken,
     /// The drive has ended the motion at another position.
     #[error(
-        "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
+        "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else \
+         moves it"
     )]
     NotArrived,
     /// The demand has arrived, and the actual position has not.
     #[error(
-        "the axis did not come to rest at its target, it is {distance} away and in_position.window is {window}: look \
-         at what holds it and at its controller, or widen the window (\"off\": a move ends with its demand)"
+        "the axis did not come to rest at its target, it is {distance} away and in_position.window is \
+         {window}: look at what holds it and at its controller, or widen the window (\"off\": a move ends \
+         with its demand)"
     )]
     OutOfPosition {
         /// From the target to the actual position, user units.
@@ -259,7 +261,8 @@ pub enum Failure {
     },
     /// The motor turns although the setpoint is zero.
     #[error(
-        "the drive moves at a setpoint of zero: look at its own references (presets, hard or jog speed, inputs)"
+        "the drive moves at a setpoint of zero: look at its own references (presets, hard or jog speed, \
+         inputs)"
     )]
     StillMoves,
     /// The axis is latched as stopped.
@@ -270,7 +273,8 @@ pub enum Failure {
     NotOnline,
     /// A value outside the configured limits.
     #[error(
-        "{what} {value} is outside its limit ({low} ... {high}): change the command or limits in the configuration"
+        "{what} {value} is outside its limit ({low} ... {high}): change the command or limits in the \
+         configuration"
     )]
     Limit {
         /// The limited quantity.

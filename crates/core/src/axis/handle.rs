@@ -189,8 +189,8 @@ crate::debug_as_display!(AxisError);
 pub const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were \
                                 taken from it";
 /// What to do about it.
-pub const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, a \
-                                       driver of the host), and start the program again";
+pub const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, \
+     a driver of the host), and start the program again";
 
 impl AxisError {
     /// It ended so only because another axis of its group did.

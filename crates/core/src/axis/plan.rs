@@ -271,8 +271,8 @@ impl AxisPlan {
             wrong("stop.how", "would let a vertical load drop; use \"ramp\" or \"quick\"");
         }
         if held_by == HeldBy::Drive {
-            let remedy = "would drop a load that only the drive holds; use \"hold\", or name a brake: held_by \
-                = \"brake\"";
+            let remedy = "would drop a load that only the drive holds; use \"hold\", or name a brake: \
+                 held_by = \"brake\"";
             if self.stop.then == StopThen::Disable {
                 wrong("stop.then", remedy);
             }

@@ -58,7 +58,8 @@ pub enum OpenError {
     },
     /// Another master already exchanges frames on the segment.
     #[error(
-        "bus {bus}: another master ({mac}) already has frames on {interface}: end it, or look where the cable leads"
+        "bus {bus}: another master ({mac}) already has frames on {interface}: end it, or look where the \
+         cable leads"
     )]
     OtherMaster {
         /// The bus.
@@ -70,8 +71,8 @@ pub enum OpenError {
     },
     /// The segment is in use, and a master for one drive only would disturb it.
     #[error(
-        "bus {bus}: {what}, and nothing may disturb it: go through the master that runs it; if that has died, start \
-        it again with `fieldbeat run`, or switch the slave off and on"
+        "bus {bus}: {what}, and nothing may disturb it: go through the master that runs it; if that has \
+         died, start it again with `fieldbeat run`, or switch the slave off and on"
     )]
     Running {
         /// The bus.

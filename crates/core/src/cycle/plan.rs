@@ -106,8 +106,8 @@ impl Plan {
         if let Some(name) = chosen.iter().find(|name| !has(name)) {
             let known: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
             return Err(format!(
-                "there is no drive {name:?} whose native process data could be recorded; name {EVERY_DRIVE}, or some \
-                 of: {}",
+                "there is no drive {name:?} whose native process data could be recorded; name {EVERY_DRIVE}, \
+                 or some of: {}",
                 known.join(", ")
             ));
         }
@@ -505,9 +505,9 @@ pub fn starvation(cycle: &CyclePlan, host: &Throttling) -> Option<String> {
     let busy_ns = guard_ns.saturating_add(receive_ns);
     (busy_ns > cycle.period_ns / 2).then(|| {
         format!(
-            "cycle: guard ({}) and spinning receive ({}) would hold the core for {} of every {}, and this kernel takes \
-             it away from real-time threads after {} of every {}; use wait = \"poll\" or a shorter guard, or on a core \
-             of its own: sysctl kernel.sched_rt_runtime_us=-1",
+            "cycle: guard ({}) and spinning receive ({}) would hold the core for {} of every {}, and this \
+             kernel takes it away from real-time threads after {} of every {}; use wait = \"poll\" or a \
+             shorter guard, or on a core of its own: sysctl kernel.sched_rt_runtime_us=-1",
             Ns(guard_ns),
             Ns(receive_ns),
             Ns(busy_ns),

@@ -283,8 +283,8 @@ mod tests {
             AtEnd::of(known, feedback).and_then(|end| end.line(feedback, Unit::Millimetre))
         };
         let feedback = seen(Link::Online, State::OperationEnabled, 20.0);
-        let expected = "still moves at the end (OperationEnabled at 20.000 mm/s); this master has only read it; stop \
-                        it by what commands it, or by its hardware enable (STO)";
+        let expected = "still moves at the end (OperationEnabled at 20.000 mm/s); this master has only read \
+             it; stop it by what commands it, or by its hardware enable (STO)";
         assert_eq!(line(requested, &feedback).as_deref(), Some(expected));
         for (command, tried) in [
             (Command::Disable, "; power off was requested and had no effect; "),

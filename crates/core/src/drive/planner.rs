@@ -287,8 +287,8 @@ mod tests {
             for ms in 1..2_000 {
                 at = Trajectory::go_to(at, target, velocity, up, down).at(MS);
                 let should = whole.at(ms * MS);
-                prop_assert!((at.position - should.position).abs() < 1e-3, "{at:?} instead of {should:?} after {ms} \
-                    ms");
+                prop_assert!((at.position - should.position).abs() < 1e-3, "{at:?} instead of {should:?} \
+                     after {ms} ms");
             }
         }
 

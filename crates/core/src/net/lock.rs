@@ -65,8 +65,8 @@ pub enum Refused {
     },
     /// A process has locked it that this one cannot see.
     #[error(
-        "is in use by another master, whose process is not visible from here: end that one first (`ss -xlp` lists \
-        its @fieldbeat- socket)"
+        "is in use by another master, whose process is not visible from here: end that one first (`ss -xlp` \
+         lists its @fieldbeat- socket)"
     )]
     Unseen,
     /// The operating system refused.

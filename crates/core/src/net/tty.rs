@@ -274,11 +274,12 @@ fn done(result: libc::c_int) -> io::Result<()> {
 fn refused(path: &str, line: &SerialLine, error: io::Error) -> io::Error {
     let message = match error.raw_os_error() {
         Some(libc::ENOENT | libc::ENODEV | libc::ENXIO | libc::EIO) => format!(
-            "there is no serial port {path}: plug in its adapter, or look at the path (ls -l /dev/serial/by-id)"
+            "there is no serial port {path}: plug in its adapter, or look at the path (ls -l \
+             /dev/serial/by-id)"
         ),
         Some(libc::EACCES | libc::EPERM) => format!(
-            "no right to use {path}: add this user to its group, which is dialout on most systems (sudo usermod -aG \
-             dialout USER), and log in again"
+            "no right to use {path}: add this user to its group, which is dialout on most systems (sudo \
+             usermod -aG dialout USER), and log in again"
         ),
         Some(libc::EBUSY | libc::EWOULDBLOCK) => {
             format!("{path} is in use by another program: end it (fuser -v {path} shows which)")

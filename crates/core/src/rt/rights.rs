@@ -38,9 +38,9 @@ pub enum Denied {
     },
     /// The kernel refuses SCHED_FIFO to a privileged thread: it checks more than capabilities.
     #[error(
-        "SCHED_FIFO {priority} is refused although CAP_SYS_NICE is held: a control group without real-time budget or a \
-         container's system call filter forbids it; start from the root control group (or set its cpu.rt_runtime_us), \
-         outside the container"
+        "SCHED_FIFO {priority} is refused although CAP_SYS_NICE is held: a control group without real-time \
+         budget or a container's system call filter forbids it; start from the root control group (or set \
+         its cpu.rt_runtime_us), outside the container"
     )]
     FifoGroup {
         /// The requested priority.
@@ -48,8 +48,9 @@ pub enum Denied {
     },
     /// The user may not lock so much memory.
     #[error(
-        "no right to lock {need_kib} KiB of memory (RLIMIT_MEMLOCK is {limit_kib} KiB): run `{}`, or put `@realtime - \
-         memlock unlimited` into /etc/security/limits.d/ and log in anew as a member of the group realtime",
+        "no right to lock {need_kib} KiB of memory (RLIMIT_MEMLOCK is {limit_kib} KiB): run `{}`, or put \
+         `@realtime - memlock unlimited` into /etc/security/limits.d/ and log in anew as a member of the \
+         group realtime",
         setcap()
     )]
     Memlock {

@@ -62,8 +62,8 @@ pub struct Granted {
 pub enum RealtimeError {
     /// The core does not exist or is not available to this process.
     #[error(
-        "core {core} is not one that this process may run on: set `core` to one of {allowed}, or leave it out for the \
-         last one"
+        "core {core} is not one that this process may run on: set `core` to one of {allowed}, or leave it \
+         out for the last one"
     )]
     Core {
         /// The requested core.

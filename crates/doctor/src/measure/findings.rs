@@ -22,8 +22,8 @@ impl Measured {
             format!("no gap of {} or more", Ns(late_ns)),
             match self.fifo {
                 true => {
-                    "interrupts, firmware and the host of a virtual machine take the core from a thread that never \
-                     sleeps, whatever its priority"
+                    "interrupts, firmware and the host of a virtual machine take the core from a thread that \
+                     never sleeps, whatever its priority"
                 }
                 false => "without SCHED_FIFO, other programs take the core too",
             },
@@ -70,14 +70,17 @@ impl Measured {
         match () {
             () if share > miss_rate => {
                 let fix = match self.shortest_period_ns {
-                    Some(shortest) if shortest > period_ns => format!("period = \"{}\" in [cycle]\nor ", key(shortest)),
+                    Some(shortest) if shortest > period_ns => {
+                        format!("period = \"{}\" in [cycle]\nor ", key(shortest))
+                    }
                     _ => String::new(),
                 };
                 let fix = fix + "fix what is poor, use what helps below, and measure again";
                 finding.bad(found).advise(fix)
             }
             () if at_most > miss_rate => finding.unknown(format!(
-                "{found}; certain only after {enough} cycles without a late one (--for), or with a larger --miss-rate"
+                "{found}; certain only after {enough} cycles without a late one (--for), or with a larger \
+                 --miss-rate"
             )),
             () => finding.good(found),
         }
@@ -90,7 +93,8 @@ impl Measured {
             "shortest period",
             format!("{} or shorter", Ns(period_ns)),
             format!(
-                "the shortest period tried at which, as at all longer ones, {} of the cycles at most were late",
+                "the shortest period tried at which, as at all longer ones, {} of the cycles at most were \
+                 late",
                 percent(self.miss_rate)
             ),
         );

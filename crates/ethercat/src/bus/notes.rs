@@ -69,8 +69,8 @@ impl SlaveNotes {
             }
             DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
             NOTHING_BACK => Some(format!(
-                "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the \
-                master"
+                "no frame comes back on {interface}: look at its cable, and at the power of the slave next \
+                 to the master"
             )),
             // While it is there no slave is brought up; those that are in operation stay so.
             OTHER_MASTER => self.notes.get(slave).text(place).map(|_| {

@@ -93,7 +93,8 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
 fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
     table.require(
         "interface",
-        "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this computer",
+        "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this \
+         computer",
     );
     let interface =
         table.text("interface", SOMETHING, "the name of a network interface, like \"eth1\"", |text| {

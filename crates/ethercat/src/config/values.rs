@@ -96,8 +96,8 @@ pub(super) fn start(table: &mut Table<'_>, key: &'static str) -> Option<u16> {
     })
 }
 
-const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is not \
-    known here: \"0x3612:0.i32\"";
+const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is \
+     not known here: \"0x3612:0.i32\"";
 
 /// An object and its type.
 fn object(value: &DeValue<'_>) -> Result<Entry, String> {
@@ -171,7 +171,8 @@ fn known(value: &DeValue<'_>, family: Family) -> Result<Layout, String> {
     fixed.iter().find(|layout| layout.pdo == index).cloned().ok_or_else(|| {
         let list: Vec<String> = fixed.iter().map(|layout| format!("{:#06X}", layout.pdo)).collect();
         format!(
-            "is not a known PDO of this type ({}); list its objects: {{ pdo = \"{index:#06X}\", objects = [...] }}",
+            "is not a known PDO of this type ({}); list its objects: {{ pdo = \"{index:#06X}\", objects = \
+             [...] }}",
             list.join(", ")
         )
     })

@@ -10,9 +10,8 @@ use fieldbeat_core::axis::acyclic::{
     Wanted, Watcher, bits, go_on, within,
 };
 
-const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a \
-    type (i8, u8, i16, \
-     u16, i32, u32, text, octets)";
+const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it \
+     for a type (i8, u8, i16, u16, i32, u32, text, octets)";
 
 /// Addresses and values of drives with objects.
 #[derive(Clone, Copy, Debug, Default)]

@@ -80,7 +80,8 @@ impl EthercatPlan {
         let ahead = Ns(self.ahead_ns(period_ns));
         match self.slaves().into_iter().find(|(_, slave)| slave.sync) {
             Some((owner, slave)) => format!(
-                "  the clock of {} (place {}) is the clock of the segment; SYNC0 comes {ahead} after the frame",
+                "  the clock of {} (place {}) is the clock of the segment; SYNC0 comes {ahead} after the \
+                 frame",
                 self.name_of(owner),
                 slave.place
             ),
@@ -195,8 +196,8 @@ impl KollmorgenDrive {
         let what = match self.slave.ending() {
             Ending::After(ns) => {
                 return format!(
-                    "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches its \
-                     power off{held}",
+                    "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches \
+                     its power off{held}",
                     Ns(ns)
                 );
             }

@@ -358,16 +358,16 @@ impl KollmorgenDrive {
         let mode = self.mode().map_or(0, |mode| mode.0 as u8);
         match why {
             Unowned::Followed => format!(
-                "has {object}, which mode {mode:#04X} may follow besides the setpoint, and the master drives one of \
-                 them; leave one out"
+                "has {object}, which mode {mode:#04X} may follow besides the setpoint, and the master drives \
+                 one of them; leave one out"
             ),
             Unowned::Blind => format!(
-                "has {object}, which mode {mode:#04X} does not follow, so that it has to be the actual position \
-                 (32 bits); map 0x6064:0 into pdo.inputs, or leave {object} out"
+                "has {object}, which mode {mode:#04X} does not follow, so that it has to be the actual \
+                 position (32 bits); map 0x6064:0 into pdo.inputs, or leave {object} out"
             ),
             Unowned::Unexplained => format!(
-                "has {object}, a setpoint of the manufacturer that the master does not drive; leave it out, or give \
-                 its value in start_up"
+                "has {object}, a setpoint of the manufacturer that the master does not drive; leave it out, \
+                 or give its value in start_up"
             ),
         }
     }
@@ -390,8 +390,9 @@ impl KollmorgenDrive {
             _ if self.native || self.setpoint().is_some() => return None,
             Mode::PROFILE_POSITION => {
                 return wrong(format!(
-                    "profile position takes a target only by a handshake, which the master does not make: nothing \
-                     would move; use {position}, or setpoints = \"native\" if the application makes it"
+                    "profile position takes a target only by a handshake, which the master does not make: \
+                     nothing would move; use {position}, or setpoints = \"native\" if the application makes \
+                     it"
                 ));
             }
             Mode::HOMING => {
@@ -474,8 +475,8 @@ impl KollmorgenDrive {
             && !(1.0..=most).contains(&(rpm / per_count))
         {
             return Some(format!(
-                "{rpm} rpm of the motor are outside the range of the 32-bit setpoint, {per_count} ... {} rpm; \
-                 change it, or check scale and velocity_rpm_per_count",
+                "{rpm} rpm of the motor are outside the range of the 32-bit setpoint, {per_count} ... {} \
+                 rpm; change it, or check scale and velocity_rpm_per_count",
                 per_count * most
             ));
         }

@@ -12,8 +12,8 @@ const NO_POSITION: &str = "its setpoint is no position: take outputs with one (P
 const NO_VELOCITY: &str =
     "its setpoint is neither a position nor a velocity: take outputs with one (PDO 1702h)";
 const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1703h)";
-const NOT_WATCHED: &str = "its SyncManager watchdog is not set, nothing may stop it if the master dies: set watchdog, \
-    or no_drive_watchdog = \"accept\"";
+const NOT_WATCHED: &str = "its SyncManager watchdog is not set, nothing may stop it if the master dies: set \
+     watchdog, or no_drive_watchdog = \"accept\"";
 
 /// The setpoint of a frame is reached at the end of the exchange that begins with it; the position in the frame was
 /// taken before that, at the last synchronisation.

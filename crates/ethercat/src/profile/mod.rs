@@ -44,8 +44,8 @@ const DARK_NS: u64 = S;
 /// stands for a moment.
 const SETTLED: u8 = 3;
 
-const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, \
-    so that it can be set up again";
+const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it \
+     first, so that it can be set up again";
 const MODE_REFUSED: &str =
     "the drive refuses the homing mode or its method: look at 6060h and 6098h, and at home_method";
 const COLD_START: &str =

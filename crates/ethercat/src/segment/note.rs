@@ -261,41 +261,51 @@ impl Note {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
             Note::Unreachable(counted) => format!(
-                "no slave answers there, although the segment has {counted}: switch it off and on, and look at the \
-                connectors in front of it"
+                "no slave answers there, although the segment has {counted}: switch it off and on, and look \
+                 at the connectors in front of it"
             ),
             Note::Sii(fault) => match fault {
                 Fault::Owned => {
-                    "its EEPROM (SII) belongs to its processor, which does not give it up: switch it off and on, or \
-                    take \"any\" for vendor, product and revision, and check_sii = false"
+                    "its EEPROM (SII) belongs to its processor, which does not give it up: switch it off and \
+                     on, or take \"any\" for vendor, product and revision, and check_sii = false"
                 }
                 Fault::Busy => "its EEPROM (SII) stays busy: switch it off and on",
                 Fault::Refused => "its EEPROM (SII) refuses to be read: look whether another master holds it",
                 Fault::Unloaded => "it has not loaded its EEPROM (SII): it has to be written anew",
                 Fault::Checksum => "its EEPROM (SII) has a wrong checksum: it has to be written anew",
-                Fault::Address => "its EEPROM (SII) returns another address than the requested one: replace it",
+                Fault::Address => {
+                    "its EEPROM (SII) returns another address than the requested one: replace it"
+                }
                 Fault::Blank => "its EEPROM (SII) was never written: it needs that of its manufacturer",
             }
             .into(),
-            Note::Vendor(found) => format!("its vendor is {found:#010x}: correct vendor, or the order of the segment"),
+            Note::Vendor(found) => {
+                format!("its vendor is {found:#010x}: correct vendor, or the order of the segment")
+            }
             Note::Product(found) => {
                 format!("its product is {found:#010x}: correct product, or the order of the segment")
             }
-            Note::Revision(found) => format!("its revision is {found:#010x}: correct revision, or leave it out"),
+            Note::Revision(found) => {
+                format!("its revision is {found:#010x}: correct revision, or leave it out")
+            }
             Note::WrongPlace(other) => {
                 format!("the slave there is the one of place {other}: look at the order of the cables")
             }
             Note::Start { usage, own, named: 0, .. } => {
                 let what = part(usage);
-                format!("its SII has no {what} at {own:#06x}: correct the configuration, or the order of the segment")
+                format!(
+                    "its SII has no {what} at {own:#06x}: correct the configuration, or the order of the \
+                     segment"
+                )
             }
             Note::Start { usage, own: 0, named, length } => format!(
-                "its SII has {} at {named:#06x}, {length} bytes, which the configuration leaves out: add them",
+                "its SII has {} at {named:#06x}, {length} bytes, which the configuration leaves out: add \
+                 them",
                 part(usage)
             ),
             Note::Start { usage, own, named, length } => format!(
-                "its SII has {} at {named:#06x}, {length} bytes, and the configuration at {own:#06x}: correct the \
-                configuration",
+                "its SII has {} at {named:#06x}, {length} bytes, and the configuration at {own:#06x}: \
+                 correct the configuration",
                 part(usage)
             ),
             Note::Length { usage, start, own, named } => format!(
@@ -308,23 +318,31 @@ impl Note {
             }
             Note::NoClock => "it has no distributed clock: take sync = false".into(),
             Note::NoLrw => "it does not know LRW: take lrw = false for its bus".into(),
-            Note::NoCoe => "its SII names no CoE: leave out mailbox, or check the order of the segment".into(),
+            Note::NoCoe => {
+                "its SII names no CoE: leave out mailbox, or check the order of the segment".into()
+            }
             Note::State { to, code } => {
-                format!("it refuses {to}: AL status code {:#06x} ({})", code.0, code.name().unwrap_or("not known"))
+                format!(
+                    "it refuses {to}: AL status code {:#06x} ({})",
+                    code.0,
+                    code.name().unwrap_or("not known")
+                )
             }
             Note::Control { to, code, set, own } => {
                 let why = code.name().unwrap_or("not known");
                 format!(
-                    "it refuses {to}: AL status code {:#06x} ({why}); probably for watchdog, which makes the control \
-                    byte of its outputs {set:#04x} where its SII has {own:#04x}: leave watchdog out",
+                    "it refuses {to}: AL status code {:#06x} ({why}); probably for watchdog, which makes the \
+                     control byte of its outputs {set:#04x} where its SII has {own:#04x}: leave watchdog out",
                     code.0
                 )
             }
             Note::Slow { to, within_ms } => format!(
-                "it does not enter {to} within {within_ms} ms, and gives no error code: raise state_timeout if its \
-                description allows more"
+                "it does not enter {to} within {within_ms} ms, and gives no error code: raise state_timeout \
+                 if its description allows more"
             ),
-            Note::StartUp { object: Object { index, sub }, abort: AbortCode(status) } if status < OWN_STATUSES => {
+            Note::StartUp { object: Object { index, sub }, abort: AbortCode(status) }
+                if status < OWN_STATUSES =>
+            {
                 format!("at {index:#06x}:{sub}: {}", Objects.reason(status))
             }
             Note::StartUp { object, abort } => format!(
@@ -335,8 +353,8 @@ impl Note {
                 abort.name().unwrap_or("not known")
             ),
             Note::OwnValue { object: Object { index, sub }, abort } => format!(
-                "{index:#06x}:{sub} is in its outputs, and its own value of it cannot be read: abort code {:#010x} \
-                ({}); give the value in start_up",
+                "{index:#06x}:{sub} is in its outputs, and its own value of it cannot be read: abort code \
+                 {:#010x} ({}); give the value in start_up",
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),
@@ -345,17 +363,19 @@ impl Note {
                 format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
             }
             Note::Unarmed => {
-                "its SII arms no watchdog: if the master dies, only the slave itself ends its outputs; give watchdog a \
-                time, or \"off\" if it shall have none"
+                "its SII arms no watchdog: if the master dies, only the slave itself ends its outputs; give \
+                 watchdog a time, or \"off\" if it shall have none"
                     .into()
             }
             Note::NoManagers => {
-                "its SII has no SyncManagers, and so arms no watchdog: if the master dies, only the slave itself ends \
-                its outputs; give watchdog a time, or \"off\" if it shall have none"
+                "its SII has no SyncManagers, and so arms no watchdog: if the master dies, only the slave \
+                 itself ends its outputs; give watchdog a time, or \"off\" if it shall have none"
                     .into()
             }
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
-            Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
+            Note::WaitsForLock(None) => {
+                "it waits for the grid to meet its SYNC0, and for its clock to be seen".into()
+            }
             Note::WaitsForLock(Some(error)) => {
                 // Rounded to ten microseconds: a reader that reports each new text shall not report each cycle.
                 let far = (error.unsigned_abs() + 5_000) / 10_000 * 10;
@@ -363,36 +383,41 @@ impl Note {
                 format!("it waits for the grid to meet its SYNC0: a slot is about {far} us {side}")
             }
             Note::FoundRunning => {
-                "it was found in OP with other process data: stop it by its own master, or take on_found_running = \
-                \"stop\""
+                "it was found in OP with other process data: stop it by its own master, or take \
+                 on_found_running = \"stop\""
                     .into()
             }
             Note::Starting => "it is being brought up".into(),
             Note::Differs { object: Object { index: 0x608F, sub: 1 }, found } => format!(
-                "its increments per turn (0x608f:1) are {found}, not 2 to the power of prbase: correct prbase, or \
-                use check_prbase = false"
+                "its increments per turn (0x608f:1) are {found}, not 2 to the power of prbase: correct \
+                 prbase, or use check_prbase = false"
             ),
             Note::Differs { object: Object { index, sub }, found } => {
-                format!("its {index:#06x}:{sub} is {found} ({found:#x}), not as configured: correct one of them")
+                format!(
+                    "its {index:#06x}:{sub} is {found} ({found:#x}), not as configured: correct one of them"
+                )
             }
-            Note::Unsettled => "its clock does not synchronise with that of the segment: check its distributed \
-                clock".into(),
+            Note::Unsettled => {
+                "its clock does not synchronise with that of the segment: check its distributed clock".into()
+            }
             Note::AddressTwice => "another slave has its station address: switch that one off and on".into(),
             Note::Unanswered { object: Object { index, sub }, writes, within_ms } => format!(
-                "it does not answer within {within_ms} ms, {ATTEMPTS} times in a row, when {index:#06x}:{sub} is {}: \
-                raise sdo_timeout, or check that it has this object",
+                "it does not answer within {within_ms} ms, {ATTEMPTS} times in a row, when \
+                 {index:#06x}:{sub} is {}: raise sdo_timeout, or check that it has this object",
                 if writes { "written" } else { "read" }
             ),
             Note::Intruded => {
-                "another master, or a tool, has changed its state or its settings: end that; it is set up again".into()
+                "another master, or a tool, has changed its state or its settings: end that; it is set up \
+                 again"
+                    .into()
             }
             Note::NotDone(Missing { register, is_write }) => {
                 let what = if is_write { "take what is written to" } else { "return what is read from" };
                 format!("it is there, and does not {what} register {register:#06x}: switch it off and on")
             }
             Note::OtherTime(other) => format!(
-                "the slave at place {other} runs on a clock that another master has set, and would lose it: stop \
-                that slave, or switch it off"
+                "the slave at place {other} runs on a clock that another master has set, and would lose it: \
+                 stop that slave, or switch it off"
             ),
         };
         Some(format!("place {place}: {what}"))

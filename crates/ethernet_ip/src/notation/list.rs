@@ -20,7 +20,8 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
         Some("commands") => commands().chain(others()).collect(),
         Some(part) => {
             return Err(ListError::Wanted(format!(
-                "{part}: drive {drive} has parameters, registers and commands; name one of them, or none for all"
+                "{part}: drive {drive} has parameters, registers and commands; name one of them, or none for \
+                 all"
             )));
         }
     };

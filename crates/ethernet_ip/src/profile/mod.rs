@@ -34,8 +34,8 @@ use fieldbeat_core::axis::command::NativeOwner;
 use fieldbeat_core::bus::desired::{Desired, Homing as HomingIs, Intent, Motion, Power, Refused};
 use fieldbeat_core::time::Time;
 
-const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, or own the \
-    control word";
+const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, \
+     or own the control word";
 const BUSY_NOW: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
 
 /// Its setpoint generator runs.

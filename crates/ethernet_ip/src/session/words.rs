@@ -8,12 +8,13 @@ use fieldbeat_core::time::Ns;
 fn remedy(status: &Status) -> &'static str {
     match status.failure() {
         Some(Status::OWNED) => {
-            "another controller controls the drive, or this one did before with another `originator`: end that one, or \
-             wait until the drive has released it; connection = \"input-only\" needs no ownership"
+            "another controller controls the drive, or this one did before with another `originator`: end \
+             that one, or wait until the drive has released it; connection = \"input-only\" needs no \
+             ownership"
         }
         Some(Status::IN_USE) => {
-            "a connection of before may still run: it ends by its time-out; or another controller uses the same \
-             `originator`"
+            "a connection of before may still run: it ends by its time-out; or another controller uses the \
+             same `originator`"
         }
         Some(Status::NOBODY_TO_LISTEN_TO) => {
             "listen-only needs another controller that is connected: use connection = \"input-only\""
@@ -52,8 +53,8 @@ pub(super) fn unusable(why: &ConnectionError, pause_ns: u64) -> String {
 /// The drive's own packets would come too rarely.
 pub(super) fn too_slow(api_ns: u64, counts_ns: u64, pause_ns: u64) -> String {
     format!(
-        "the drive opens the connection, but sends every {} only, and a packet counts for {}: raise `fresh_within`, or \
-         `divisor` or `input_rpi` to what it can do; tried again after {}",
+        "the drive opens the connection, but sends every {} only, and a packet counts for {}: raise \
+         `fresh_within`, or `divisor` or `input_rpi` to what it can do; tried again after {}",
         Ns(api_ns),
         Ns(counts_ns),
         Ns(pause_ns)
@@ -82,7 +83,7 @@ pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
 /// It has no profile code.
 pub(super) fn no_profile(device: &str, why: &str) -> String {
     format!(
-        "{device} does not say which assemblies it has ({why}): if it is a MOONS' -IP drive, set `version` to \"v1\" \
-         or \"v2\""
+        "{device} does not say which assemblies it has ({why}): if it is a MOONS' -IP drive, set `version` \
+         to \"v1\" or \"v2\""
     )
 }

@@ -303,8 +303,8 @@ fn check_grid(page: &Page<'_>, length: &Place, (name, decimals): Column, x_lengt
         Some((gap, row)) => {
             let (gap, usual) = (show(gap), show(usual));
             let message = format!(
-                "is {gap} after the row before, the others are {usual} apart: a row is missing, doubled or shifted; \
-                 setpoints are equidistant"
+                "is {gap} after the row before, the others are {usual} apart: a row is missing, doubled or \
+                 shifted; setpoints are equidistant"
             );
             page.report(Place::in_row(row.line, name, row.text), message);
         }

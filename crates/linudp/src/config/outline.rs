@@ -27,15 +27,16 @@ pub(super) const OUTLINE: Outline = Outline {
         RANGE,
         Line::ask(
             "no_drive_watchdog",
-            "Jogs and velocities, although nothing stops this drive at once if the master dies (refuse or accept)",
+            "Jogs and velocities, although nothing stops this drive at once if the master dies (refuse or \
+             accept)",
             Usual::Is("refuse"),
         ),
         Line::ask("leash", "How far it may run on then, in units", Usual::Needed)
             .only_if("no_drive_watchdog", "accept"),
     ],
     search: Search {
-        question: "Probe addresses one by one? Each is sent one request without a command. A drive that accepts a \
-            single master takes this computer for it until it is restarted",
+        question: "Probe addresses one by one? Each is sent one request without a command. A drive that \
+             accepts a single master takes this computer for it until it is restarted",
         usual: false,
         probes: true,
         run: probe,

@@ -299,8 +299,8 @@ fn put_curve(program: &dyn Program, services: &Services<'_>, curve: &Curve, put:
     if services.plan_curve(curve)? == CurvePut::Rebuild {
         program.complain(&format!(
             "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
-             read first and written again afterwards. If this computer fails meanwhile, restart the drive: it \
-             loads the curves in its flash, and curves that were not saved are lost",
+             read first and written again afterwards. If this computer fails meanwhile, restart the drive: \
+             it loads the curves in its flash, and curves that were not saved are lost",
             services.drive(),
             curve.id
         ));
@@ -331,7 +331,8 @@ fn save_to_flash<'a>(
 ) -> Result<(), Stop> {
     services.require_off("saving to flash")?;
     program.complain(&format!(
-        "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be interrupted",
+        "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be \
+         interrupted",
         services.drive()
     ));
     let then = match save(services)? {

@@ -65,7 +65,8 @@ macro_rules! kinds {
                 self.0
             }
 
-            $(#[doc = concat!("From ", $unit, ": rounded to nearest, and refused where the wire cannot carry it.")]
+            $(#[doc = concat!("From ", $unit, ": rounded to nearest, and refused where the wire cannot carry \
+                 it.")]
             pub fn $from(value: f64) -> Result<$name, RangeError> {
                 Kind::$name.wire(value).map(|wire| $name(wire as $int))
             }

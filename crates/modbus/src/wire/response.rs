@@ -133,7 +133,8 @@ pub enum ResponseError {
     },
     /// The content of the PDU contradicts its length.
     #[error(
-        "function {function}: the lengths in it contradict each other: not a Modbus server, or bytes were lost"
+        "function {function}: the lengths in it contradict each other: not a Modbus server, or bytes were \
+         lost"
     )]
     Length {
         /// The header of the message.

@@ -28,7 +28,8 @@ pub(super) const OUTLINE: Outline = Outline {
         Line::ask("watchdog", "The drive stops after so long without its master", Usual::Is("100ms")),
     ],
     search: Search {
-        question: "Look for the stations? The wire is listened to first; with another master on it nothing is sent",
+        question: "Look for the stations? The wire is listened to first; with another master on it nothing \
+             is sent",
         usual: true,
         probes: false,
         run: search,

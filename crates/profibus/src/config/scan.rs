@@ -58,19 +58,20 @@ pub enum ScanError {
     Broken,
     /// Somebody else uses the wire.
     #[error(
-        "another master, address {0}, uses this wire, and a scan would disturb it: end that one first, or ask it \
-        (fieldbeat status)"
+        "another master, address {0}, uses this wire, and a scan would disturb it: end that one first, or \
+         ask it (fieldbeat status)"
     )]
     OtherMaster(u8),
     /// Something is received all the time, and it is no telegram.
     #[error(
-        "the wire is not silent, and what is received on it is no telegram: name its rate (--rate), and look at its \
-        termination and shield"
+        "the wire is not silent, and what is received on it is no telegram: name its rate (--rate), and look \
+         at its termination and shield"
     )]
     Noise,
     /// Nobody is there.
     #[error(
-        "no station answers; check power, cable, termination, which of its wires is which, and the rate (--rate)"
+        "no station answers; check power, cable, termination, which of its wires is which, and the rate \
+         (--rate)"
     )]
     Silent,
 }

@@ -8,8 +8,8 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
     let drive = wanted.drive;
     if wanted.modified || wanted.from.is_some() || wanted.part.is_some() {
         return Err(ListError::Wanted(format!(
-            "drive {drive} does not list its codes: those known here are listed, with --values or without; leave a \
-             part, --modified and --from out"
+            "drive {drive} does not list its codes: those known here are listed, with --values or without; \
+             leave a part, --modified and --from out"
         )));
     }
     let rows: Vec<Listed> = CODES.iter().flat_map(rows).collect();

@@ -56,7 +56,8 @@ pub enum MetricsError {
     },
     /// No thread.
     #[error(
-        "cannot start a thread for the metrics: {0}; raise the limits of processes and memory (ulimit -u, ulimit -v)"
+        "cannot start a thread for the metrics: {0}; raise the limits of processes and memory (ulimit -u, \
+         ulimit -v)"
     )]
     Thread(io::Error),
 }
@@ -215,8 +216,8 @@ fn answer(request: &Requested, page: &dyn Fn() -> String) -> Vec<u8> {
 const FORBIDDEN: &str = "403 Forbidden";
 
 /// What helps against it.
-const REMEDY: &str = "the Host of the request is no name of this endpoint: use its address, localhost or the name of \
-                      this computer, or start with --metrics NAME:PORT";
+const REMEDY: &str = "the Host of the request is no name of this endpoint: use its address, localhost or the \
+     name of this computer, or start with --metrics NAME:PORT";
 
 /// What is requested.
 #[derive(Debug, PartialEq)]

@@ -206,10 +206,11 @@ impl Chart {
         let head = if title.is_empty() { String::new() } else { format!("<figcaption>{title}</figcaption>") };
         let legend = if legend.is_empty() { legend } else { format!("<ul class=\"legend\">{legend}</ul>") };
         format!(
-            "<figure id=\"{id}\">{head}<div class=\"unit\">{}</div><div class=\"plot\" style=\"height:{height}px\">\
-             <svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" preserveAspectRatio=\"none\" \
-             role=\"img\" aria-label=\"{title}\">{drawing}</svg>{labels}</div><div class=\"under\">{}</div>{legend}\
-             </figure>\n",
+            "<figure id=\"{id}\">{head}<div class=\"unit\">{}</div><div class=\"plot\" \
+             style=\"height:{height}px\"><svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} \
+             {HEIGHT}\" preserveAspectRatio=\"none\" role=\"img\" \
+             aria-label=\"{title}\">{drawing}</svg>{labels}</div><div \
+             class=\"under\">{}</div>{legend}</figure>\n",
             escape(&y.title),
             escape(&x.title)
         )

@@ -126,8 +126,8 @@ impl Whole {
         {
             wire.cut_at = cut_at;
             self.is_incomplete(format!(
-                "a replay ends before cycle {cycle}, since its disk or this host was too slow for the wire; record to \
-                 another disk, or with a longer period"
+                "a replay ends before cycle {cycle}, since its disk or this host was too slow for the wire; \
+                 record to another disk, or with a longer period"
             ));
         }
     }

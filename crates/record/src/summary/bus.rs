@@ -93,10 +93,11 @@ mod tests {
         let clock =
             BusClock { error_ns: Some(-1_250), locked: true, error_max_ns: 4_000, window_ns: 320_000 };
         let line_of = |clock| ClockNumbers::of(clock, false).to_string();
-        let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives tolerate 320 us";
+        let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives \
+             tolerate 320 us";
         assert_eq!(line_of(clock), line);
-        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate \
-                    320 us";
+        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives \
+             tolerate 320 us";
         assert_eq!(line_of(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 }

@@ -105,8 +105,8 @@ mod tests {
         reference = ReferenceNumbers { locked: false, losses: 1, silent: 10, ..reference };
         assert_eq!(
             reference.to_string(),
-            "grid synchronised to bus line: NOT LOCKED, largest step 10 us; its clock was not seen in 10 of 1000 \
-             cycles; lock lost 1 time"
+            "grid synchronised to bus line: NOT LOCKED, largest step 10 us; its clock was not seen in 10 of \
+             1000 cycles; lock lost 1 time"
         );
     }
 }

@@ -16,6 +16,9 @@ use fieldbeat_keys::form::Form;
 use fieldbeat_keys::table::{Table, number};
 use fieldbeat_keys::value::SOMETHING;
 
+/// What `home_turns` must be.
+const HOME: &str = "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\"";
+
 /// Reads the simulated segment of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &EthercatPlan, period_ns: u64) -> EthercatSegment {
     let mut drives = bus::drive_tables_if_any(table, &["name", "position"]);
@@ -110,13 +113,11 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
         position: start.unwrap_or(default.position),
         home_turns: table
             .read("home", Form::number(-1_000.0..=1_000.0).or(Form::word("none")), |value| {
+                let turns = || number(value).filter(|turns| turns.abs() <= 1_000.0);
                 match value.as_str() {
-                Some("none") => Ok(None),
-                _ => number(value).filter(|turns| turns.abs() <= 1_000.0).map(Some).ok_or(
-                    "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\""
-                        .into(),
-                ),
-            }
+                    Some("none") => Ok(None),
+                    _ => turns().map(Some).ok_or_else(|| HOME.into()),
+                }
             })
             .unwrap_or(default.home_turns),
         interrupts_to_sync: table

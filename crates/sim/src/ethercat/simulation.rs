@@ -103,8 +103,8 @@ impl EthercatSegment {
             .filter(|(_, place, behind)| !topology.put((*place).into(), *behind))
             .map(|(owner, place, behind)| {
                 let why = format!(
-                    "port {} of position {} does not lead to position {place}: a frame leaves by ports 3, 1 and 2, and \
-                     comes back before it leaves by the next",
+                    "port {} of position {} does not lead to position {place}: a frame leaves by ports 3, 1 \
+                     and 2, and comes back before it leaves by the next",
                     behind.port, behind.place
                 );
                 (Some(self.plan.name_of(owner).to_owned()), PlanFault::new("simulate.behind", why))
@@ -143,8 +143,8 @@ impl Coupler {
         wrong.map(|(key, there, bytes)| {
             let Terminals { digital, analogue } = there;
             let why = format!(
-                "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {bytes}; make them \
-                 equal",
+                "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {bytes}; \
+                 make them equal",
                 there.bytes(),
             );
             (Some(device.name.clone()), PlanFault::new(key, why))

@@ -141,10 +141,10 @@ pub(super) fn by_index(index: u8) -> Option<Name> {
 }
 
 /// Host commands of the STF, and of step-servo drives.
-const STEPPER: &str = "AI AM AO BD BE BO CC CI CM DC DL EG EH HA HG HL HO HP HV LP LM MO PC PI PM RL SA SF SI SO SP \
-                       VC ZA ZS";
-const STEP_SERVO: &str = "AD AF AG AI AM AN AO AP AS AT AV AZ BD BE BO CC CM CP DC EF EG EH FX GC HA HC HL HO HS HV \
-                          LP LM MO PC PD PE PF PM PP RL SA SI SO SP VC";
+const STEPPER: &str =
+    "AI AM AO BD BE BO CC CI CM DC DL EG EH HA HG HL HO HP HV LP LM MO PC PI PM RL SA SF SI SO SP VC ZA ZS";
+const STEP_SERVO: &str = "AD AF AG AI AM AN AO AP AS AT AV AZ BD BE BO CC CM CP DC EF EG EH FX GC HA HC HL \
+     HO HS HV LP LM MO PC PD PE PF PM PP RL SA SI SO SP VC";
 
 /// Whether a drive has this host command. ZS and ZA are listed for the STF only; every drive with this interface has
 /// them, since its watchdog does.

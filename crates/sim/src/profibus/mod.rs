@@ -98,8 +98,8 @@ impl SimBus for ProfibusSegment {
             let sizes = prm::sizes(&drive.configuration);
             if !sizes.is_some_and(|sizes| fits(sizes.0, outputs) && fits(sizes.1, inputs)) {
                 let message = format!(
-                    "the configuration of the drive at address {} is not that of {outputs} bytes of outputs and \
-                     {inputs} of inputs: correct one of them",
+                    "the configuration of the drive at address {} is not that of {outputs} bytes of outputs \
+                     and {inputs} of inputs: correct one of them",
                     drive.address
                 );
                 faults.push((None, PlanFault::new("simulate", message)));

@@ -88,8 +88,8 @@ fn carrier(segment: &dyn SimSegment) -> io::Result<Box<dyn Frames>> {
     let Some(name) = local::name(interface) else {
         let Some(own) = segment.own_interface() else {
             let message = format!(
-                "cannot simulate the segment on {interface}: name the interface at the other end of its cable, \
-                 or use one like {}line",
+                "cannot simulate the segment on {interface}: name the interface at the other end of its \
+                 cable, or use one like {}line",
                 local::PREFIX
             );
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));

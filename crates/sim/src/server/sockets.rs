@@ -256,13 +256,16 @@ fn listen(address: SocketAddrV4) -> io::Result<TcpListener> {
 pub(super) fn unbound(address: SocketAddrV4, carrier: Carrier, error: io::Error) -> io::Error {
     let remedy = match (error.kind(), carrier) {
         (io::ErrorKind::AddrInUse, Carrier::Datagrams) => {
-            "another simulation serves this drive: end it (ss -ulpn shows which), or give the drive another address"
+            "another simulation serves this drive: end it (ss -ulpn shows which), or give the drive another \
+             address"
         }
         (io::ErrorKind::AddrInUse, Carrier::Stream) => {
-            "another simulation serves this drive: end it (ss -tlpn shows which), or give the drive another address"
+            "another simulation serves this drive: end it (ss -tlpn shows which), or give the drive another \
+             address"
         }
         (io::ErrorKind::AddrNotAvailable, _) => {
-            "a simulated drive runs on this computer: give it an address like 127.0.0.11, and its bus one to bind to"
+            "a simulated drive runs on this computer: give it an address like 127.0.0.11, and its bus one to \
+             bind to"
         }
         (io::ErrorKind::PermissionDenied, _) if address.port() < 1024 => {
             "ports below 1024 need rights: run as root or give the drive a port like 1502"

@@ -43,8 +43,8 @@ impl Wire {
             }
             (None, None) => {
                 let message = format!(
-                    "cannot simulate the wire at {}: name the port at the other end of its cable, simulate.port, or \
-                     use one like {}wire",
+                    "cannot simulate the wire at {}: name the port at the other end of its cable, \
+                     simulate.port, or use one like {}wire",
                     wire.port,
                     local::PREFIX
                 );

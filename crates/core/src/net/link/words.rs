@@ -22,7 +22,8 @@ pub(super) fn no_answer(peer: SocketAddrV4, waited_ns: u64) -> String {
 
 pub(super) fn no_handshake(peer: SocketAddrV4, waited_ns: u64) -> String {
     format!(
-        "{peer} accepts connections, but does not answer within {}: is it the right port of the right device?",
+        "{peer} accepts connections, but does not answer within {}: is it the right port of the right \
+         device?",
         Ns(waited_ns)
     )
 }
@@ -36,11 +37,13 @@ pub(super) fn broken(target: &StreamPeer, why: Broken, when: During) -> String {
             format!("{peer} has ended the connection")
         }
         Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE) | Broken::Absent => format!(
-            "{peer} ends the connection at once: its connections may all be in use, or it may not accept this computer"
+            "{peer} ends the connection at once: its connections may all be in use, or it may not accept \
+             this computer"
         ),
         Broken::Failed(libc::ECONNREFUSED) => {
             format!(
-                "refused: nobody listens at {peer}; look at the address, the port, and whether the service is enabled"
+                "refused: nobody listens at {peer}; look at the address, the port, and whether the service \
+                 is enabled"
             )
         }
         Broken::Failed(libc::ETIMEDOUT) if when == During::Handshake => {
@@ -57,20 +60,21 @@ pub(super) fn broken(target: &StreamPeer, why: Broken, when: During) -> String {
         }
         Broken::Failed(libc::ENETUNREACH) => {
             format!(
-                "no network leads to {peer}: look at the address and at this computer's interfaces (ip address)"
+                "no network leads to {peer}: look at the address and at this computer's interfaces (ip \
+                 address)"
             )
         }
         Broken::Failed(errno) => {
             let error = std::io::Error::from_raw_os_error(errno);
             match target.bind {
                 Some(bind) if errno == libc::EADDRNOTAVAIL => format!(
-                    "no connection to {peer} from {bind}: this host has no such address; `ip -4 addr` lists those it \
-                     has, put one of them into bind"
+                    "no connection to {peer} from {bind}: this host has no such address; `ip -4 addr` lists \
+                     those it has, put one of them into bind"
                 ),
                 // Of a loopback address, or of another network.
                 Some(bind) if errno == libc::EINVAL => format!(
-                    "no connection to {peer} from {bind}: they are not on one network; put the address of the \
-                     drive's network into bind"
+                    "no connection to {peer} from {bind}: they are not on one network; put the address of \
+                     the drive's network into bind"
                 ),
                 _ => format!("no connection to {peer}: {error}"),
             }
