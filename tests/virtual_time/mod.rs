@@ -6,6 +6,7 @@ mod acyclic;
 mod arrivals;
 mod background;
 mod bring_up;
+mod campaign;
 mod carrier;
 mod commanding;
 mod commands;

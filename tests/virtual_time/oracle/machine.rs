@@ -109,6 +109,9 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// One protocol each.
+    pub const ALL: [Kind; 5] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons, Kind::Lenze];
+
     /// That of an axis.
     pub fn of(self, index: usize) -> Kind {
         match self {

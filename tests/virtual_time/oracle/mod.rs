@@ -16,11 +16,9 @@
 //!
 //! | variable | what |
 //! |---|---|
-//! | `ORACLE_SEED` | only this seed |
-//! | `ORACLE_FROM`, `ORACLE_SEQUENCES` | the first seed, and how many sequences the long run has |
+//! | those of [`campaign`] | which seeds |
 //! | `ORACLE_KIND` | only machines of this protocol, by the names of [`Kind`] |
 //! | `ORACLE_WITHOUT` | what is left out, by the names of [`Without`] |
-//! | `ORACLE_FAILURES` | after so many failures the long run ends; by default after the first one |
 
 mod judge;
 pub mod machine;
@@ -29,15 +27,13 @@ pub mod run;
 pub mod steps;
 
 use std::env;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 use fastrand::Rng;
 
 use self::machine::{AXES, Kind, Machine, Shape};
 use self::run::{Found, Run, Tally};
 use self::steps::{Op, Round, Step, Without};
+use super::campaign::{self, Judged};
 
 /// Rounds of one seed.
 const ROUNDS: usize = 12;
@@ -48,10 +44,9 @@ const TRIES: usize = 600;
 
 /// The machine of a seed, and its rounds.
 pub fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
-    let kinds = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen, Kind::Moons, Kind::Lenze];
-    let only = variable::<String>("ORACLE_KIND");
-    let named = only.and_then(|name| kinds.into_iter().find(|kind| format!("{kind:?}") == name));
-    let kind = named.unwrap_or(kinds[(seed % 5) as usize]);
+    let only = env::var("ORACLE_KIND").ok();
+    let named = only.and_then(|name| Kind::ALL.into_iter().find(|kind| format!("{kind:?}") == name));
+    let kind = named.unwrap_or(Kind::ALL[(seed % 5) as usize]);
     let bits = seed / 5;
     let (hold, other) = (bits & 1 != 0, bits & 2 != 0);
     // Drives in turn exchange in different cycles, and are no group.
@@ -163,9 +158,6 @@ fn size(rounds: &[Round]) -> usize {
 pub fn holds(shape: Shape, all: &[&[(u16, u8, Op)]]) {
     let step = |(at, axis, op): &(u16, u8, Op)| Step { at: *at, axis: *axis, op: op.clone() };
     let all: Vec<Round> = all.iter().map(|round| round.iter().map(step).collect()).collect();
-    if std::env::var("ORACLE_STORY").is_ok() {
-        println!("{}", run_of(shape, &all, true).2.unwrap_or_default());
-    }
     if let (Err(Found { rule, round, turn, axis, text }), _, story) = run_of(shape, &all, true) {
         let story = story.unwrap_or_default();
         panic!("{shape:?}: rule {rule:?}, axis {axis}, turn {turn} of round {round}: {text}\n{story}");
@@ -173,7 +165,7 @@ pub fn holds(shape: Shape, all: &[&[(u16, u8, Op)]]) {
 }
 
 /// A failure as a person reads it.
-fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
+fn report(shape: Shape, all: &[Round], found: &Found) -> String {
     let (short, found) = shortened(shape, all, found);
     let (again, _, story) = run_of(shape, &short, true);
     let found = again.err().unwrap_or(found);
@@ -182,77 +174,42 @@ fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
         lines[lines.len().saturating_sub(600)..].join("\n")
     };
     format!(
-        "ORACLE_SEED={seed} {shape:?}: rule {:?} is broken by axis {} in turn {} of round {}:\n{}\n\
-         the shortest sequence:\n{}\nwhat happened in it:\n{}",
+        "{shape:?}: rule {:?} is broken by axis {} in turn {} of round {}:\n{}\n\
+         as a fixed test, for oracle_found.rs:\n{}\nwhat happened in it:\n{}",
         found.rule,
         found.axis,
         found.turn,
         found.round,
         found.text,
-        shown(&short),
+        shown(shape, &short),
         story.map(tail).unwrap_or_default(),
     )
 }
 
-/// Sequences as they are written in a test.
-fn shown(rounds: &[Round]) -> String {
-    let step = |step: &Step| format!("    {step:?}\n");
-    rounds.iter().map(|round| format!("[\n{}]\n", round.iter().map(step).collect::<String>())).collect()
+/// Sequences as a test has them.
+fn shown(shape: Shape, rounds: &[Round]) -> String {
+    let step = |Step { at, axis, op }: &Step| format!("        ({at}, {axis}, {op:?}),\n");
+    let round = |round: &Round| format!("    &[\n{}    ],\n", round.iter().map(step).collect::<String>());
+    let rounds: String = rounds.iter().map(round).collect();
+    let text = format!("holds({shape:?}, &[\n{rounds}]);");
+    let as_written = [("kind: ", "kind: Kind::"), ("([", "(vec!["), ("Native(", "Native(NativeOwner::")];
+    as_written.into_iter().fold(text, |text, (shown, written)| text.replace(shown, written))
 }
 
-pub fn variable<T: std::str::FromStr>(name: &str) -> Option<T> {
-    env::var(name).ok()?.parse().ok()
-}
-
-/// At least so many sequences from the first seed on, on so many threads; panics with the first failure.
-fn campaign(sequences: u64, threads: usize) -> Tally {
-    let begun = Instant::now();
+/// What the machine of a seed does, judged.
+fn judged(seed: u64) -> Judged<Tally> {
     let without = Without::parse(&env::var("ORACLE_WITHOUT").unwrap_or_default());
-    let only: Option<u64> = variable("ORACLE_SEED");
-    let first = only.or(variable("ORACLE_FROM")).unwrap_or(0);
-    let seeds = only.map_or(sequences.div_ceil((ROUNDS * AXES) as u64), |_| 1);
-    let next = AtomicU64::new(first);
-    let failed: Mutex<Option<String>> = Mutex::new(None);
-    let most: u64 = variable("ORACLE_FAILURES").unwrap_or(1);
-    let failures = AtomicU64::new(0);
-    let work = || {
-        let mut tally = Tally::default();
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed >= first + seeds || failures.load(Ordering::Relaxed) >= most {
-                return tally;
-            }
-            let (shape, all) = drawn(seed, without);
-            let (judged, own) = rounds(shape, &all);
-            tally.add(own);
-            if let Err(found) = judged {
-                failures.fetch_add(1, Ordering::Relaxed);
-                let text = report(seed, shape, &all, &found);
-                eprintln!("{text}");
-                failed.lock().unwrap().get_or_insert(text);
-            }
-        }
-    };
-    let tally = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().fold(Tally::default(), |mut sum, worker| {
-            sum.add(worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-            sum
-        })
-    });
-    println!("seeds {first} ... {}, {:.1?}: {tally:?}", first + seeds - 1, begun.elapsed());
-    if let Some(text) = failed.into_inner().unwrap() {
-        panic!("{text}");
-    }
-    tally
+    let (shape, all) = drawn(seed, without);
+    let (judged, tally) = rounds(shape, &all);
+    (tally, judged.map_err(|found| report(shape, &all, &found)))
 }
 
 #[test]
 fn nothing_moves_that_must_not_in_ten_thousand_sequences() {
-    let tally = campaign(10_000, 1);
+    let tally = campaign::fixed("sequences", 10_000_u64.div_ceil((ROUNDS * AXES) as u64), judged);
     // Each kind of end came about.
     let Tally { sequences, accepted, done, failed, aborted, stops, effects, .. } = tally;
-    if env::var("ORACLE_SEED").is_err() && env::var("ORACLE_KIND").is_err() {
+    if campaign::only().is_none() && env::var("ORACLE_KIND").is_err() {
         let least = sequences / 2;
         assert!([accepted, done, failed, aborted, stops].iter().all(|count| *count > least), "{tally:?}");
         // And each thing that may happen to a machine.
@@ -261,8 +218,7 @@ fn nothing_moves_that_must_not_in_ten_thousand_sequences() {
 }
 
 #[test]
-#[ignore = "a million sequences: an hour of processor time, in a release build"]
-fn nothing_moves_that_must_not_in_a_million_sequences() {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    campaign(variable("ORACLE_SEQUENCES").unwrap_or(1_000_000), threads);
+#[ignore = "new seeds: minutes, in a release build"]
+fn nothing_moves_that_must_not_in_sequences_of_new_seeds() {
+    campaign::long("sequences", judged);
 }

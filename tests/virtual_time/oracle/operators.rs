@@ -128,17 +128,17 @@ impl Run {
             match judged {
                 Ok(true) => {}
                 Ok(false) => {
-                    tally.add(run.tally);
+                    tally += run.tally;
                     let before = run.story.take();
                     run = Run { story: before, ..Run::new(shape) };
                 }
                 Err(found) => {
-                    tally.add(run.tally);
+                    tally += run.tally;
                     return (Err(found), tally, run.story);
                 }
             }
         }
-        tally.add(run.tally);
+        tally += run.tally;
         (Ok(()), tally, run.story)
     }
 

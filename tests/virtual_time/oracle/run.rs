@@ -145,8 +145,8 @@ impl std::fmt::Debug for Effects {
     }
 }
 
-impl Tally {
-    pub fn add(&mut self, other: Tally) {
+impl std::ops::AddAssign for Tally {
+    fn add_assign(&mut self, other: Tally) {
         self.sequences += other.sequences;
         self.turns += other.turns;
         self.machines += other.machines;
@@ -282,13 +282,13 @@ impl Run {
             run.tally.sequences += AXES as u64;
             match judged {
                 Err(found) => {
-                    tally.add(run.tally);
+                    tally += run.tally;
                     return (Err(found), tally, run.story);
                 }
                 Ok(true) => {}
                 // It cannot be made ready again: what was written, or a fault, stays.
                 Ok(false) => {
-                    tally.add(run.tally);
+                    tally += run.tally;
                     let before = run.story.take();
                     match Run::new(shape, false, None) {
                         Ok(fresh) => run = Run { story: before, ..fresh },
@@ -297,7 +297,7 @@ impl Run {
                 }
             }
         }
-        tally.add(run.tally);
+        tally += run.tally;
         (Ok(()), tally, run.story)
     }
 

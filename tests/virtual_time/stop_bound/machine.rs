@@ -172,7 +172,7 @@ impl Machine {
             max_skip,
             quiet: true,
             all: true,
-            table: Table::new(),
+            table: Table::default(),
             tap: b.sim.tap(16),
             b,
         }
@@ -526,7 +526,7 @@ impl Machine {
         };
         let may = matches!(fault, Dropping | Late | PowerCut) && reported.iter().any(told_first);
         let fault = if may { DriveError } else { fault };
-        let tally = self.table.entry(fault).or_default();
+        let tally = self.table.0.entry(fault).or_default();
         tally.faults += 1;
         for (axis, stopped, told_at) in reported {
             let own = faulty.is_none_or(|faulty| faulty == axis);
@@ -566,7 +566,7 @@ impl Machine {
                 cycles <= bound,
                 "found running: axis {axis} was told after {cycles} cycles, not {bound}"
             );
-            let tally = self.table.entry(FoundRunning).or_default();
+            let tally = self.table.0.entry(FoundRunning).or_default();
             tally.faults += 1;
             tally.note(cycles, bound);
         }
@@ -607,7 +607,7 @@ impl Machine {
     pub fn run(&mut self, faults: u64) {
         self.bring_up();
         (self.quiet, self.all) = (false, false);
-        let faulty = |m: &Machine| m.table.values().map(|tally| tally.faults).sum::<u64>();
+        let faulty = |m: &Machine| m.table.0.values().map(|tally| tally.faults).sum::<u64>();
         while faulty(self) < faults {
             match self.random.u8(..40) {
                 0 => {

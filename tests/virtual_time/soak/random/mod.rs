@@ -10,28 +10,18 @@
 //! | `steps` | what may happen, and how it is drawn |
 //! | `run` | a test under way |
 //! | `guard` | the rules of an axis |
-//!
-//! | variable | what |
-//! |---|---|
-//! | `SOAK_SEED` | only this seed |
-//! | `SOAK_FROM`, `SOAK_SEQUENCES` | the first seed, and how many the long run has |
 
 mod guard;
 mod run;
 mod steps;
-
-use std::env;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 use fieldbeat::time::MS;
 use fieldbeat_config::soak::Pattern;
 
 use self::run::{Found, Judged, Run, Tally};
 use self::steps::{Op, Sequence, Step, drawn};
+use crate::virtual_time::campaign;
 use crate::virtual_time::oracle::machine::{AXES, Kind, Shape};
-use crate::virtual_time::oracle::variable;
 
 /// Runs that the shortening of a failure may take.
 const TRIES: usize = 200;
@@ -43,7 +33,7 @@ fn judged(sequence: &Sequence, steps: &[Step]) -> (Judged, Tally, Vec<String>) {
 }
 
 /// A failure as a person reads it: with the fewest steps that break the same rule.
-fn report(seed: u64, sequence: &Sequence, found: Found) -> String {
+fn report(sequence: &Sequence, found: Found) -> String {
     let (mut steps, mut best) = (sequence.steps.clone(), found);
     let mut tries = 0;
     let mut index = 0;
@@ -60,7 +50,7 @@ fn report(seed: u64, sequence: &Sequence, found: Found) -> String {
     let shown: String = steps.iter().map(|step| format!("    {step:?}\n")).collect();
     let Sequence { shape, patterns, before, .. } = sequence;
     format!(
-        "SOAK_SEED={seed}: rule {:?} is broken: {}\n{shape:?}, before: {before:?}\n{patterns:?}\n\
+        "rule {:?} is broken: {}\n{shape:?}, before: {before:?}\n{patterns:?}\n\
          the shortest sequence:\n{shown}what happened in it:\n{}",
         best.rule,
         best.text,
@@ -68,40 +58,10 @@ fn report(seed: u64, sequence: &Sequence, found: Found) -> String {
     )
 }
 
-/// So many seeds, on so many threads; panics with the first failure.
-fn campaign(sequences: u64, threads: usize) -> Tally {
-    let begun = Instant::now();
-    let only: Option<u64> = variable("SOAK_SEED");
-    let first = only.or(variable("SOAK_FROM")).unwrap_or(0);
-    let end = first + only.map_or(sequences, |_| 1);
-    let (next, failed) = (AtomicU64::new(first), Mutex::new(Vec::new()));
-    let most: usize = variable("SOAK_FAILURES").unwrap_or(1);
-    let sum = Mutex::new(Tally::default());
-    let work = || {
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed >= end || failed.lock().unwrap().len() >= most {
-                return;
-            }
-            let sequence = drawn(seed);
-            let (judged, tally, _) = judged(&sequence, &sequence.steps);
-            *sum.lock().unwrap() += tally;
-            if let Err(found) = judged {
-                let text = report(seed, &sequence, found);
-                eprintln!("{text}\n");
-                failed.lock().unwrap().push(text);
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        (0..threads).for_each(|_| drop(scope.spawn(work)));
-    });
-    let tally = sum.into_inner().unwrap();
-    println!("seeds {first} ... {}, {:.1?}: {tally:?}", end - 1, begun.elapsed());
-    if let Some(text) = failed.into_inner().unwrap().first() {
-        panic!("{text}");
-    }
-    tally
+fn of_seed(seed: u64) -> campaign::Judged<Tally> {
+    let sequence = drawn(seed);
+    let (judged, tally, _) = judged(&sequence, &sequence.steps);
+    (tally, judged.map_err(|found| report(&sequence, found)))
 }
 
 /// The STO opens at a drive that is found running: all others of its group were stopped already, for the tolerated
@@ -138,8 +98,8 @@ fn a_fault_of_a_pause_that_comes_again_is_not_reset_again() {
 
 #[test]
 fn nothing_moves_that_must_not_in_random_soak_tests() {
-    let tally = campaign(24, 1);
-    if env::var("SOAK_SEED").is_err() {
+    let tally = campaign::fixed("soak", 24, of_seed);
+    if campaign::only().is_none() {
         // Each kind of event came about.
         let Tally { stops, given_up, stayed, resets, later, .. } = tally;
         assert!([stops, given_up, stayed, resets, later].iter().all(|count| *count > 1), "{tally:?}");
@@ -147,8 +107,7 @@ fn nothing_moves_that_must_not_in_random_soak_tests() {
 }
 
 #[test]
-#[ignore = "many random soak tests: minutes in a release build"]
-fn nothing_moves_that_must_not_in_many_random_soak_tests() {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    campaign(variable("SOAK_SEQUENCES").unwrap_or(20_000), threads);
+#[ignore = "new seeds: minutes, in a release build"]
+fn nothing_moves_that_must_not_in_soak_tests_of_new_seeds() {
+    campaign::long("soak", of_seed);
 }
