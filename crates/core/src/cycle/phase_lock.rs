@@ -60,6 +60,9 @@ mod tests {
         phase_ns: u64,
     }
 
+    /// A grid that follows it.
+    struct Grid(PhaseLock, i64);
+
     impl Drifting {
         /// The error of a slot at `grid`, between half a period early and half a period late.
         fn error(self, grid: i64) -> i64 {
@@ -69,20 +72,24 @@ mod tests {
             if late > period / 2 { late - period } else { late }
         }
 
-        /// Error and step of each slot; `None` of those that have no sample.
-        fn run(self, slots: u64, lost: impl Fn(u64) -> bool) -> Vec<Option<(i64, i64)>> {
-            let mut lock = PhaseLock::new(self.period_ns);
-            let mut grid = 0;
-            (0..slots)
-                .map(|slot| {
-                    let sample = (!lost(slot)).then(|| {
-                        let error = self.error(grid);
-                        (error, lock.step(error))
-                    });
-                    grid += self.period_ns as i64 + sample.map_or(0, |(_, step)| step);
-                    sample
-                })
-                .collect()
+        /// Error and step of each slot that has a sample: what is seen of its error, `None` for nothing.
+        fn lead(
+            self,
+            grid: &mut Grid,
+            slots: u64,
+            sample: impl Fn(u64, i64) -> Option<i64>,
+        ) -> Vec<Option<(i64, i64)>> {
+            let mut slot = |slot| {
+                let error = self.error(grid.1);
+                let led = sample(slot, error).map(|seen| (error, grid.0.step(seen)));
+                grid.1 += self.period_ns as i64 + led.map_or(0, |(_, step)| step);
+                led
+            };
+            (0..slots).map(&mut slot).collect()
+        }
+
+        fn run(self, slots: u64, sample: impl Fn(u64, i64) -> Option<i64>) -> Vec<Option<(i64, i64)>> {
+            self.lead(&mut Grid(PhaseLock::new(self.period_ns), 0), slots, sample)
         }
     }
 
@@ -97,11 +104,19 @@ mod tests {
                 for part in 0..20 {
                     let drifting = Drifting { period_ns, ppm, phase_ns: part * period_ns / 20 };
                     let locked = 2 * S / period_ns;
-                    let run = drifting.run(2 * locked, |_| false);
+                    let run = drifting.run(2 * locked, |_, error| Some(error));
                     assert!(run.iter().flatten().all(|(_, step)| step.unsigned_abs() <= period_ns / 100));
                     let off = worst(&run[locked as usize..]);
                     assert!(off < 1_000, "{period_ns} ns, {ppm} ppm, {part}/20: {off} ns");
                 }
+            }
+            // Slots without a sample steer nothing, and the rest still locks.
+            for every in [2, 3, 17] {
+                let drifting = Drifting { period_ns, ppm: 100.0, phase_ns: period_ns / 3 };
+                let locked = 4 * S / period_ns;
+                let run = drifting.run(2 * locked, |slot, error| (slot % every != 0).then_some(error));
+                let off = worst(&run[locked as usize..]);
+                assert!(off < 1_000, "{period_ns} ns, one of {every} lost: {off} ns");
             }
         }
     }
@@ -110,7 +125,7 @@ mod tests {
     fn a_drift_of_less_than_a_nanosecond_a_slot_is_followed_without_an_error() {
         // 0.3 ppm of 250 us are 0.075 ns.
         for (period_ns, ppm) in [(250 * US, 0.3), (MS, 0.1), (MS, -0.77)] {
-            let run = Drifting { period_ns, ppm, phase_ns: 0 }.run(40_000, |_| false);
+            let run = Drifting { period_ns, ppm, phase_ns: 0 }.run(40_000, |_, error| Some(error));
             assert!(worst(&run) <= 40, "{}", worst(&run));
             let tail = &run[20_000..];
             assert!(worst(tail) <= 2, "{}", worst(tail));
@@ -121,53 +136,23 @@ mod tests {
     }
 
     #[test]
-    fn slots_without_a_sample_steer_nothing_and_the_rest_still_locks() {
-        for period_ns in PERIODS {
-            for every in [2, 3, 17] {
-                let drifting = Drifting { period_ns, ppm: 100.0, phase_ns: period_ns / 3 };
-                let locked = 4 * S / period_ns;
-                let run = drifting.run(2 * locked, |slot| slot % every == 0);
-                let off = worst(&run[locked as usize..]);
-                assert!(off < 1_000, "{period_ns} ns, one of {every} lost: {off} ns");
-            }
-        }
-    }
-
-    #[test]
     fn what_was_out_of_reach_for_long_leaves_nothing_behind() {
         // Far beyond what steps of a hundredth of the period can follow: the error wraps around again and again.
         // That is right.
-        let mut lock = PhaseLock::new(MS);
+        let mut grid = Grid(PhaseLock::new(MS), 0);
         let wild = Drifting { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
-        let mut grid = 0;
-        for _ in 0..20_000 {
-            grid += MS as i64 + lock.step(wild.error(grid));
-        }
-        let tame = Drifting { ppm: 100.0, ..wild };
-        let mut errors = Vec::new();
-        for _ in 0..4_000 {
-            let error = tame.error(grid);
-            grid += MS as i64 + lock.step(error);
-            errors.push(error.unsigned_abs());
-        }
-        assert!(errors[2_000..].iter().all(|error| *error < 1_000));
+        wild.lead(&mut grid, 20_000, |_, error| Some(error));
+        let run = Drifting { ppm: 100.0, ..wild }.lead(&mut grid, 4_000, |_, error| Some(error));
+        assert!(worst(&run[2_000..]) < 1_000);
     }
 
     #[test]
     fn a_single_wrong_sample_moves_the_grid_by_no_more_than_one_step() {
         let drifting = Drifting { period_ns: MS, ppm: 20.0, phase_ns: 0 };
         for wrong in [500_000, -499_999, i64::MAX, i64::MIN] {
-            let mut lock = PhaseLock::new(MS);
-            let (mut grid, mut worst) = (0, 0);
-            for slot in 0..6_000 {
-                let error = drifting.error(grid);
-                if slot > 2_000 {
-                    worst = worst.max(error.unsigned_abs());
-                }
-                grid += MS as i64 + lock.step(if slot == 3_000 { wrong } else { error });
-            }
-            assert!(worst <= 10_100, "{wrong}: {worst} ns");
-            assert!(drifting.error(grid).abs() < 100);
+            let run = drifting.run(6_000, |slot, error| Some(if slot == 3_000 { wrong } else { error }));
+            assert!(worst(&run[2_001..]) <= 10_100, "{wrong}: {} ns", worst(&run[2_001..]));
+            assert!(worst(&run[5_999..]) < 100);
         }
     }
 }

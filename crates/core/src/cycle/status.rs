@@ -367,16 +367,12 @@ mod tests {
     }
 
     #[test]
-    fn an_extent_has_the_newest_value_and_both_ends() {
+    fn an_extent_has_the_newest_value_and_both_ends_and_a_peak_is_the_first_of_the_largest() {
         let mut extent = None;
         for (value, min, max) in [(2.0, 2.0, 2.0), (-3.0, -3.0, 2.0), (7.0, -3.0, 7.0), (0.0, -3.0, 7.0)] {
             Extent::see(&mut extent, value);
             assert_eq!(extent, Some(Extent { value, min, max }));
         }
-    }
-
-    #[test]
-    fn a_peak_is_the_first_of_the_largest() {
         let mut peak = Peak::default();
         for (index, ns) in [(3, 10), (4, 12), (5, 12), (6, 1)] {
             peak.see(ns, index);

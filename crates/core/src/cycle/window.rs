@@ -355,9 +355,14 @@ mod tests {
         }
     }
 
-    /// The first of its replies is there, and it wants to be polled again and again.
+    /// The first of its replies is there, or comes as one byte on its socket if it has one. It may want to be polled
+    /// again and again.
+    #[derive(Default)]
     struct Turns {
         poll_at: Option<Time>,
+        socket: Option<UnixDatagram>,
+        /// How often it was read.
+        reads: Arc<AtomicU64>,
     }
 
     impl Bus for Turns {
@@ -368,13 +373,16 @@ mod tests {
         fn memory(&self, _: &mut Regions) {}
 
         fn fd(&self) -> Option<RawFd> {
-            None
+            self.socket.as_ref().map(UnixDatagram::as_raw_fd)
         }
 
         fn send(&mut self, _: &Cycle, _: &mut [Slot]) {}
 
         fn receive(&mut self, _: &Cycle, slots: &mut [Slot]) {
-            slots[0].exchange = Exchange::Idle;
+            self.reads.fetch_add(1, Ordering::Relaxed);
+            if self.socket.as_ref().is_none_or(|socket| socket.recv(&mut [0]).is_ok()) {
+                slots[0].exchange = Exchange::Idle;
+            }
         }
 
         fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
@@ -398,14 +406,14 @@ mod tests {
     }
 
     /// An open bus of these slots.
-    fn open_bus(bus: Box<dyn Bus>, slots: Range<usize>, is_polled: bool) -> OpenBus {
+    fn open_bus(bus: Turns, slots: Range<usize>) -> OpenBus {
         OpenBus {
-            bus,
+            is_polled: bus.poll_at.is_some(),
+            bus: Box::new(bus),
             info: BusInfo { name: String::new(), devices: Vec::new(), own_counters: &[], notes: None },
             first: slots.start,
             end: slots.end,
             is_at_work: false,
-            is_polled,
             is_one_frame: false,
             gate: Gate::default(),
             unmatched: cell(Unmatched::default()).0,
@@ -423,12 +431,12 @@ mod tests {
     /// The clock of that window after it.
     fn window(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Steps {
         let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
-        let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
+        let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)), ..Turns::default() };
         let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
         let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
         let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US), turns: 0 };
         slots.resize(owed.max(1), Slot::default());
-        let mut buses = [open_bus(Box::new(bus), 0..slots.len(), poll_at_us.is_some())];
+        let mut buses = [open_bus(bus, 0..slots.len())];
         let begin = clock.now();
         Window::new(wait, &buses).run(&mut clock, &cycle, begin, &mut buses, &mut slots);
         clock
@@ -436,22 +444,25 @@ mod tests {
 
     #[test]
     fn a_window_wakes_when_a_bus_wants_to_be_polled_and_is_open_for_that_until_its_deadline() {
-        assert_eq!(steps(Wait::Poll, 0, 0, None), [], "nothing to wait for");
-        assert_eq!(steps(Wait::Poll, 1, 0, None), [("wait", 500)], "until the deadline");
-        assert_eq!(steps(Wait::Poll, 1, 50, None), [("wait", 50)], "or until a reply");
-        assert_eq!(steps(Wait::Poll, 1, 50, Some(100)), [("wait", 50), ("wait", 100), ("wait", 300)]);
-        // Without any reply that is owed.
-        assert_eq!(steps(Wait::Poll, 0, 0, Some(100)), [("wait", 100), ("wait", 300)]);
-        assert_eq!(steps(Wait::Poll, 0, 0, Some(0)), [("wait", 200), ("wait", 400)]);
-        assert_eq!(steps(Wait::Poll, 0, 0, Some(500)), [], "that is for the next window");
-        // A short time is spun, a shorter one also while a reply is missing.
-        assert_eq!(
-            steps(Wait::Poll, 0, 0, Some(20)),
-            [("spin", 10), ("spin", 20), ("wait", 220), ("wait", 420)]
-        );
+        for (what, owed, arrives_us, poll_at_us, expected) in [
+            ("nothing to wait for", 0, 0, None, &[][..]),
+            ("until the deadline", 1, 0, None, &[("wait", 500)]),
+            ("or until a reply", 1, 50, None, &[("wait", 50)]),
+            ("to be polled", 1, 50, Some(100), &[("wait", 50), ("wait", 100), ("wait", 300)]),
+            ("without any reply that is owed", 0, 0, Some(100), &[("wait", 100), ("wait", 300)]),
+            ("at once", 0, 0, Some(0), &[("wait", 200), ("wait", 400)]),
+            ("that is for the next window", 0, 0, Some(500), &[]),
+            ("a short time", 0, 0, Some(20), &[("spin", 10), ("spin", 20), ("wait", 220), ("wait", 420)]),
+        ] {
+            assert_eq!(steps(Wait::Poll, owed, arrives_us, poll_at_us), expected, "{what}");
+        }
+        // A shorter one is spun also while a reply is missing.
         assert_eq!(steps(Wait::Poll, 1, 0, Some(20))[0], ("wait", 20));
         assert_eq!(steps(Wait::Poll, 1, 0, Some(5))[0], ("spin", 10));
         assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+        // No nap holds up a bus that wants to be polled.
+        let naps = |poll_at| steps(Wait::Poll, 3, 50, poll_at).iter().any(|(what, _)| *what == "nap");
+        assert!(naps(None) && !naps(Some(100)));
     }
 
     #[test]
@@ -461,7 +472,7 @@ mod tests {
             let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
             let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
             let mut slots = [Slot { exchange, ..Slot::default() }];
-            let open = open_bus(Box::new(Turns { poll_at }), 0..owed, poll_at.is_some());
+            let open = open_bus(Turns { poll_at, ..Turns::default() }, 0..owed);
             assert!(open.gate.wires().take());
             let mut clock = Steps { steps: Vec::new(), arrives: Time(50 * US), turns: 0 };
             let mut buses = [open];
@@ -477,43 +488,6 @@ mod tests {
         // first one and that after the poll at 100 us; so does each poll.
         let clock = window(Wait::Spin, 0, 0, Some(100));
         assert_eq!((clock.steps.len(), clock.turns), (30, 30));
-    }
-
-    /// A reply of one byte comes on its socket, if it misses one. How often it was read.
-    struct OnSocket {
-        socket: UnixDatagram,
-        reads: Arc<AtomicU64>,
-    }
-
-    impl Bus for OnSocket {
-        fn name(&self) -> &str {
-            "on a socket"
-        }
-
-        fn memory(&self, _: &mut Regions) {}
-
-        fn fd(&self) -> Option<RawFd> {
-            Some(self.socket.as_raw_fd())
-        }
-
-        fn send(&mut self, _: &Cycle, _: &mut [Slot]) {}
-
-        fn receive(&mut self, _: &Cycle, slots: &mut [Slot]) {
-            self.reads.fetch_add(1, Ordering::Relaxed);
-            if self.socket.recv(&mut [0]).is_ok() {
-                slots[0].exchange = Exchange::Idle;
-            }
-        }
-
-        fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
-
-        fn shut_down(&mut self, _: &Cycle, _: &mut [Slot]) -> bool {
-            true
-        }
-
-        fn unmatched(&self) -> Unmatched {
-            Unmatched::default()
-        }
     }
 
     #[test]
@@ -534,18 +508,13 @@ mod tests {
                 far_end.send(&[7]).unwrap();
             }
             far_ends.push(far_end);
-            open_bus(Box::new(OnSocket { socket, reads: Arc::clone(&reads[place]) }), place..place + 1, false)
+            let bus = Turns { poll_at: None, socket: Some(socket), reads: Arc::clone(&reads[place]) };
+            open_bus(bus, place..place + 1)
         };
         let mut buses = [open(0), open(1), open(2)];
         Window::new(Wait::Poll, &buses).run(&mut MonotonicClock, &cycle, cycle.grid, &mut buses, &mut slots);
         assert_eq!(slots[0].exchange, Exchange::Idle);
         assert_eq!(reads.map(|reads| reads.load(Ordering::Relaxed)), [1, 0, 1]);
-    }
-
-    #[test]
-    fn no_nap_holds_up_a_bus_that_wants_to_be_polled() {
-        let naps = |poll_at| steps(Wait::Poll, 3, 50, poll_at).iter().any(|(what, _)| *what == "nap");
-        assert!(naps(None) && !naps(Some(100)));
     }
 
     #[test]

@@ -205,141 +205,169 @@ mod tests {
         plan
     }
 
-    /// Demands at 1 kHz of a drive that reports no speed; returns the report in which the watch trips.
-    fn strikes(plan: &AxisPlan, braking: bool, homed: bool, demands: &[f64]) -> Option<usize> {
-        let demands: Vec<_> = demands.iter().map(|demand| (*demand, f64::NAN)).collect();
-        broken_by(plan, braking, homed, &demands)
+    fn unranged() -> AxisPlan {
+        let mut plan = plan();
+        plan.limits.position = None;
+        plan
     }
 
-    /// Demands and velocities at 1 kHz.
-    fn broken_by(plan: &AxisPlan, braking: bool, homed: bool, reported: &[(f64, f64)]) -> Option<usize> {
-        broken_at_report(plan, true, braking, homed, reported)
-    }
+    const RANGE: Watched = Watched { homing: false, braking: false };
+    const BRAKING: Watched = Watched { homing: false, braking: true };
+    const HOMING: Watched = Watched { homing: true, braking: true };
+    const SAMPLE: Sample = Sample {
+        sent_at: Time(0),
+        at: Time(0),
+        homed: true,
+        led: true,
+        position: 0.0,
+        velocity: 0.0,
+        behind: 0.0,
+    };
+    const UNHOMED: Sample = Sample { homed: false, ..SAMPLE };
+    const TORQUE: Sample = Sample { led: false, ..SAMPLE };
+    const NONE: f64 = f64::NAN;
 
-    /// Positions, of the demand if it is `led`, and velocities at 1 kHz.
-    fn broken_at_report(
+    /// Positions and velocities at 1 kHz, all else as in `sample`; returns the report in which the watch trips.
+    fn broken_by(
         plan: &AxisPlan,
-        led: bool,
-        braking: bool,
-        homed: bool,
+        watched: Watched,
+        sample: Sample,
         reported: &[(f64, f64)],
     ) -> Option<usize> {
         let mut bounds = Bounds::new(plan, 0);
-        reported.iter().enumerate().position(|(index, (demand, velocity))| {
+        reported.iter().enumerate().position(|(index, &(position, velocity))| {
             let at = Time(MS * index as u64);
-            let (position, velocity) = (*demand, *velocity);
-            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity, behind: 0.0 });
-            bounds.are_broken(Watched { homing: false, braking }, 0.001)
+            bounds.take(Sample { sent_at: at, at, position, velocity, ..sample });
+            bounds.are_broken(watched, 0.001)
         })
+    }
+
+    /// The same of the demands of a drive that reports no speed.
+    fn strikes(plan: &AxisPlan, watched: Watched, sample: Sample, demands: &[f64]) -> Option<usize> {
+        let demands: Vec<_> = demands.iter().map(|demand| (*demand, NONE)).collect();
+        broken_by(plan, watched, sample, &demands)
     }
 
     #[test]
     fn under_torque_the_speed_and_the_place_of_the_motor_count_and_not_how_its_positions_change() {
-        let mut free = plan();
-        free.limits.position = None;
+        let free = |reported: &[(f64, f64)]| broken_by(&unranged(), BRAKING, TORQUE, reported);
         // 500 mm/s, with the margin of a measured speed; its position need not change for that.
-        let at = |velocity: f64| broken_at_report(&free, false, true, true, &[(50.0, velocity); 20]);
-        assert_eq!((at(590.0), at(610.0), at(-610.0)), (None, Some(2), Some(2)));
-        let noise = [(10.0, 0.0), (20.0, 0.0), (30.0, 0.0), (40.0, 0.0)];
-        assert_eq!(broken_at_report(&free, false, true, true, &noise), None, "noise is no speed");
-        let broken = |reported: &[(f64, f64)]| broken_at_report(&plan(), false, true, true, reported);
+        assert_eq!([590.0, 610.0, -610.0].map(|v| free(&[(50.0, v); 20])), [None, Some(2), Some(2)]);
+        assert_eq!(free(&[10.0, 20.0, 30.0, 40.0].map(|at| (at, 0.0))), None, "noise is no speed");
+        let broken = |reported: &[(f64, f64)]| broken_by(&plan(), BRAKING, TORQUE, reported);
         // 400 mm/s needs 80 mm at 1000 mm/s²: it trips while there is room.
         let reported: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
         let (place, velocity) = reported[broken(&reported).unwrap()];
         let end = place + velocity * 0.002 + velocity * velocity / 2_000.0;
         assert!((98.0..=100.001).contains(&end), "{end}");
         // From the outside in is allowed.
-        assert_eq!(broken(&[(105.0, -10.0); 9]), None);
-        assert_eq!(broken(&[(105.0, 1.0); 9]), Some(2));
+        assert_eq!([-10.0, 1.0].map(|v| broken(&[(105.0, v); 9])), [None, Some(2)]);
     }
 
     #[test]
-    fn neither_the_begin_nor_the_end_of_a_torque_makes_a_speed() {
-        let mut bounds = Bounds::new(&plan(), 0);
-        // The demand that is reported meanwhile stays where it was, or follows something unknown.
-        for index in 0..40_u32 {
-            let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
-            let at = Time(MS * u64::from(index));
-            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0, behind: 0.0 });
-            assert!(!bounds.are_broken(Watched { homing: false, braking: true }, 0.001), "{index}");
-            assert_eq!(bounds.velocity, 0.0, "{index}");
+    fn no_speed_is_made_by_what_is_no_motion_or_was_held_up() {
+        // Sent and taken in at these times in tenths of a ms, all at a true speed of `most`.
+        let sample = |sent: u64, at: u64, position: f64| Sample {
+            sent_at: Time(sent * MS / 10),
+            at: Time(at * MS / 10),
+            position,
+            ..SAMPLE
+        };
+        // The demand that is reported under torque stays where it was, or follows something unknown.
+        let torques = (0..40_u64).map(|n| match n / 4 % 2 {
+            0 => sample(10 * n, 10 * n, 20.0),
+            _ => Sample { led: false, ..sample(10 * n, 10 * n, 70.0) },
+        });
+        let again = [NONE, 90.0, 90.1, NONE, 10.0, 10.1].into_iter().zip((0..).step_by(10));
+        let late = [(0, 0, 0.0), (10, 40, 0.4), (20, 40, 0.8), (90, 90, 3.6), (100, 100, 4.0)];
+        for (what, most, samples) in [
+            ("neither the begin nor the end of a torque", 0.0, torques.collect::<Vec<_>>()),
+            (
+                "a position that is told again",
+                100.0,
+                again.map(|(at, ms)| Sample { homed: false, ..sample(ms, ms, at) }).collect(),
+            ),
+            ("held up", 400.0, late.map(|(sent, at, position)| sample(sent, at, position)).into()),
+            // Requests at 1 kHz; the network holds replies up, and delivers them 0.3 ms apart.
+            (
+                "replies close together",
+                400.0,
+                (0..20).map(|n| sample(10 * n, 100 + 3 * n, 0.4 * n as f64)).collect(),
+            ),
+            (
+                "requests close together",
+                400.0,
+                (0..20).map(|n| sample(3 * n, 100 + 10 * n, 0.4 * n as f64)).collect(),
+            ),
+        ] {
+            let mut bounds = Bounds::new(&plan(), 0);
+            for (n, sample) in samples.into_iter().enumerate() {
+                bounds.take(sample);
+                assert!(bounds.speed() <= most * 1.000_001, "{what}, {n}: {}", bounds.speed());
+                assert!(!bounds.are_broken(BRAKING, 0.001), "{what}, {n}");
+            }
         }
     }
 
     #[test]
     fn a_drive_without_a_position_is_watched_by_its_speed_in_both_directions() {
-        let mut plan = plan();
-        plan.limits.position = None;
         let at = |velocities: &[f64]| {
-            let reported: Vec<_> = velocities.iter().map(|velocity| (f64::NAN, *velocity)).collect();
-            broken_by(&plan, true, false, &reported)
+            let reported: Vec<_> = velocities.iter().map(|velocity| (NONE, *velocity)).collect();
+            broken_by(&unranged(), BRAKING, UNHOMED, &reported)
         };
         assert_eq!(at(&[500.0, -500.0, 590.0, 590.0, -590.0, 590.0]), None);
         assert_eq!(at(&[500.0, 610.0, 610.0, 610.0]), Some(3));
         assert_eq!(at(&[500.0, -610.0, -610.0, -610.0]), Some(3));
-        assert_eq!(
-            at(&[700.0, 700.0, 500.0, 700.0, -700.0, 700.0, -700.0]),
-            None,
-            "a disturbance is no speed"
-        );
+        let disturbed = [700.0, 700.0, 500.0, 700.0, -700.0, 700.0, -700.0];
+        assert_eq!(at(&disturbed), None, "a disturbance is no speed");
     }
 
     #[test]
     fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
-        let (mut plan, none) = (plan(), f64::NAN);
-        // Homed, as it reports, but where?
-        assert_eq!(broken_by(&plan, true, true, &[(none, 100.0); 4]), Some(2));
-        assert_eq!(broken_by(&plan, true, true, &[(none, 0.0); 4]), None, "it stands");
-        assert_eq!(
-            broken_by(&plan, true, false, &[(none, 100.0); 4]),
-            None,
-            "not homed: nothing may move it"
-        );
-        plan.limits.position = None;
-        assert_eq!(broken_by(&plan, true, false, &[(none, none); 4]), Some(2));
-        plan.limits.velocity = None;
-        assert_eq!(
-            broken_by(&plan, true, false, &[(none, none); 4]),
-            None,
-            "without limits there is nothing to watch"
-        );
-    }
-
-    #[test]
-    fn a_position_that_is_told_again_makes_no_speed_at_first() {
-        let reported = [(f64::NAN, 0.0), (90.0, 0.0), (90.1, 0.0), (f64::NAN, 0.0), (10.0, 0.0), (10.1, 0.0)];
-        assert_eq!(broken_by(&plan(), false, false, &reported), None);
+        let mut without = unranged();
+        without.limits.velocity = None;
+        for (what, plan, sample, velocity, broken) in [
+            ("homed, as it reports, but where?", &plan(), SAMPLE, 100.0, Some(2)),
+            ("it stands", &plan(), SAMPLE, 0.0, None),
+            ("not homed: nothing may move it", &plan(), UNHOMED, 100.0, None),
+            ("no speed", &unranged(), UNHOMED, NONE, Some(2)),
+            ("without limits there is nothing to watch", &without, UNHOMED, NONE, None),
+        ] {
+            assert_eq!(broken_by(plan, BRAKING, sample, &[(NONE, velocity); 4]), broken, "{what}");
+        }
     }
 
     #[test]
     fn a_speed_over_its_limit_is_found_in_the_third_report_homed_or_not() {
-        let fast: Vec<f64> = (0..9).map(|index| f64::from(index) * 0.6).collect();
-        assert_eq!(strikes(&plan(), false, true, &fast), Some(3));
-        assert_eq!(strikes(&plan(), false, false, &fast), Some(3));
-        let just: Vec<f64> = (0..9).map(|index| f64::from(index) * 0.5).collect();
-        assert_eq!(strikes(&plan(), false, true, &just), None);
-        assert_eq!(
-            strikes(&plan(), false, true, &[10.0, 20.0, 10.0, 20.0, 10.0]),
-            None,
-            "jumps are no speed"
-        );
+        let line = |step: f64| (0..9).map(|index| f64::from(index) * step).collect::<Vec<f64>>();
+        let (fast, just) = (line(0.6), line(0.5));
+        assert_eq!([SAMPLE, UNHOMED].map(|sample| strikes(&plan(), RANGE, sample, &fast)), [Some(3); 2]);
+        assert_eq!(strikes(&plan(), RANGE, SAMPLE, &just), None);
+        assert_eq!(strikes(&plan(), RANGE, SAMPLE, &[10.0, 20.0, 10.0, 20.0, 10.0]), None, "no speed: jumps");
+        // A turn over the end of a rotary axis is a short way.
+        let mut rotary = unranged();
+        (rotary.units.modulo, rotary.units.unit) = (Some(1.0), Unit::Revolution);
+        assert_eq!(strikes(&rotary, BRAKING, SAMPLE, &[0.8, 0.2, 0.6, 0.0]), None);
     }
 
     #[test]
     fn the_range_holds_outward_only_and_only_when_homed() {
-        let out = [99.9, 100.1, 100.2, 100.3];
-        assert_eq!(strikes(&plan(), false, true, &out), Some(3));
-        assert_eq!(strikes(&plan(), false, false, &out), None);
-        assert_eq!(strikes(&plan(), false, true, &[103.0, 102.8, 102.6, 102.4]), None);
-        assert_eq!(strikes(&plan(), false, true, &[0.0, -0.2, -0.4, -0.6]), Some(3));
         let mut below = plan();
         below.limits.position = Some((-50.0, 100.0));
-        assert_eq!(strikes(&below, false, true, &[-0.2, -0.4, -0.6, -0.8, -1.0]), None);
-        assert_eq!(strikes(&below, false, true, &[-49.9, -50.1, -50.3, -50.5]), Some(3));
+        let out = [99.9, 100.1, 100.2, 100.3];
+        for (plan, sample, demands, broken) in [
+            (&plan(), SAMPLE, &out[..], Some(3)),
+            (&plan(), UNHOMED, &out, None),
+            (&plan(), SAMPLE, &[103.0, 102.8, 102.6, 102.4], None),
+            (&plan(), SAMPLE, &[0.0, -0.2, -0.4, -0.6], Some(3)),
+            (&below, SAMPLE, &[-0.2, -0.4, -0.6, -0.8, -1.0], None),
+            (&below, SAMPLE, &[-49.9, -50.1, -50.3, -50.5], Some(3)),
+        ] {
+            assert_eq!(strikes(plan, RANGE, sample, demands), broken, "{demands:?}");
+        }
         // Two counts may be due to rounding.
         for (end, broken) in [(100.0002, None), (100.0003, Some(2)), (-50.0002, None), (-50.0003, Some(2))] {
-            let slowly = [(end, f64::signum(end)); 9];
-            assert_eq!(broken_at_report(&below, false, false, true, &slowly), broken, "{end}");
+            assert_eq!(broken_by(&below, RANGE, TORQUE, &[(end, f64::signum(end)); 9]), broken, "{end}");
         }
     }
 
@@ -347,27 +375,25 @@ mod tests {
     fn with_braking_it_strikes_while_there_is_still_room() {
         // 400 mm/s needs 80 mm at 1000 mm/s².
         let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
-        let broken = strikes(&plan(), true, true, &demands).unwrap();
+        let broken = strikes(&plan(), BRAKING, SAMPLE, &demands).unwrap();
         // Of the reports from 18.4 mm on the third one; 80 mm to brake, and 5 reports until a stop reaches it.
         assert_eq!(broken, 48);
         let end = demands[broken] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
         assert!((98.0..=100.0).contains(&end), "{end}");
-        assert_eq!(strikes(&plan(), false, true, &demands), None);
+        assert_eq!(strikes(&plan(), RANGE, SAMPLE, &demands), None);
     }
 
     /// Reports at 1 kHz of an axis at a constant velocity, by what its actual position is behind; whether the report
     /// was clean. Returns the one in which it strays.
     fn strays_at(plan: &AxisPlan, velocity: f64, reports: &[(f64, bool)]) -> Option<usize> {
         let mut bounds = Bounds::new(plan, 2 * MS);
-        reports.iter().enumerate().position(|(index, (behind, clean))| {
+        reports.iter().enumerate().position(|(index, &(behind, clean))| {
             let (at, position) = (Time(MS * index as u64), velocity * 1e-3 * index as f64);
-            let sample =
-                Sample { sent_at: at, at, homed: true, led: true, position, velocity, behind: *behind };
-            if *clean {
-                bounds.take(sample);
+            if clean {
+                bounds.take(Sample { sent_at: at, at, position, velocity, behind, ..SAMPLE });
             }
             let strays = bounds.strays(&plan.units);
-            bounds.are_broken(Watched { homing: false, braking: false }, 0.001);
+            bounds.are_broken(RANGE, 0.001);
             strays
         })
     }
@@ -377,7 +403,6 @@ mod tests {
         let mut plan = plan();
         plan.limits.following_error = FollowingError::Most(1.0);
         // 200 mm/s for 2 ms are no error.
-        let follows = |velocity: f64, behind: f64| strays_at(&plan, velocity, &[(behind, true); 9]);
         for (velocity, behind, found) in [
             (0.0, 0.999, None),
             (0.0, 1.001, Some(2)),
@@ -389,116 +414,57 @@ mod tests {
             (-200.0, -1.4 + 0.005, None),
             (-200.0, -1.41, Some(2)),
             (200.0, -0.62, Some(3)),
+            // No position is known.
+            (0.0, NONE, None),
         ] {
-            assert_eq!(follows(velocity, behind), found, "{velocity} {behind}");
+            assert_eq!(strays_at(&plan, velocity, &[(behind, true); 9]), found, "{velocity} {behind}");
         }
-        let (far, near) = ((5.0, true), (0.0, true));
+        let (far, near, unclean) = ((5.0, true), (0.0, true), (0.0, false));
         assert_eq!(strays_at(&plan, 0.0, &[far, far, near, far, far, near, far, far]), None, "it comes back");
-        assert_eq!(
-            strays_at(&plan, 0.0, &[far, (0.0, false), (0.0, false), (0.0, false)]),
-            None,
-            "not clean"
-        );
-        assert_eq!(strays_at(&plan, 0.0, &[far, (0.0, false), far, far]), Some(3));
-        assert_eq!(strays_at(&plan, 0.0, &[(f64::NAN, true); 9]), None, "no position is known");
+        assert_eq!(strays_at(&plan, 0.0, &[far, unclean, unclean, unclean]), None);
+        assert_eq!(strays_at(&plan, 0.0, &[far, unclean, far, far]), Some(3));
         plan.units.modulo = Some(10.0);
+        // A count that was unwrapped elsewhere is no error, and a whole turn is one.
         let around = 4_294_967_296.0 / 10_000.0;
-        assert_eq!(strays_at(&plan, 0.0, &[(around, true); 9]), None, "a count that was unwrapped elsewhere");
-        assert_eq!(strays_at(&plan, 0.0, &[(around + 1.1, true); 9]), Some(2));
-        assert_eq!(strays_at(&plan, 0.0, &[(10.0, true); 9]), Some(2), "a whole turn");
+        for (behind, found) in [(around, None), (around + 1.1, Some(2)), (10.0, Some(2))] {
+            assert_eq!(strays_at(&plan, 0.0, &[(behind, true); 9]), found, "{behind}");
+        }
     }
 
     #[test]
     fn the_largest_following_error_follows_from_the_velocity_limit_and_the_age_of_the_position() {
-        let mut plan = plan();
-        plan.in_position.window = Some(0.5);
-        let is_about = |plan: &AxisPlan, behind_ns, wanted: f64| {
-            let most = plan.most_following_error(behind_ns).unwrap();
-            assert!((most - wanted).abs() < 1e-9, "{most}");
-        };
+        let (derived, most) = (FollowingError::Derived, FollowingError::Most(3.0));
         // 500 mm/s for 2 and 50 ms.
-        is_about(&plan, 2 * MS, 26.5);
-        plan.in_position.window = None;
-        is_about(&plan, 0, 25.0 + 4e-4);
-        plan.limits.velocity = None;
-        assert_eq!(plan.most_following_error(0), None);
-        assert_eq!(strays_at(&plan, 0.0, &[(1e9, true); 9]), None, "without a limit there is none");
-        plan.limits.following_error = FollowingError::Most(3.0);
-        assert_eq!(plan.most_following_error(2 * MS), Some(3.0));
-        (plan.limits.velocity, plan.limits.following_error) = (Some(500.0), FollowingError::Off);
-        assert_eq!(plan.most_following_error(0), None);
+        for (window, velocity, following_error, behind_ns, wanted) in [
+            (Some(0.5), Some(500.0), derived, 2 * MS, Some(26.5)),
+            (None, Some(500.0), derived, 0, Some(25.0 + 4e-4)),
+            (None, None, derived, 0, None),
+            (None, None, most, 2 * MS, Some(3.0)),
+            (None, Some(500.0), FollowingError::Off, 0, None),
+        ] {
+            let mut plan = plan();
+            plan.in_position.window = window;
+            (plan.limits.velocity, plan.limits.following_error) = (velocity, following_error);
+            let found = plan.most_following_error(behind_ns);
+            let is_near = found.zip(wanted).is_none_or(|(found, wanted)| (found - wanted).abs() < 1e-9);
+            assert!(found.is_some() == wanted.is_some() && is_near, "{found:?} instead of {wanted:?}");
+            let strays = strays_at(&plan, 0.0, &[(1e9, true); 9]).is_some();
+            assert_eq!(strays, wanted.is_some(), "without a limit there is none");
+        }
     }
 
     #[test]
     fn homing_has_a_speed_limit_of_its_own_and_no_range() {
-        let (mut plan, homing) = (plan(), Watched { homing: true, braking: true });
-        let mut trips = |limit: Option<f64>, speed: f64| {
+        for (limit, speed, trips) in [
+            (None, 490.0, None),
+            (None, 600.0, Some(3)),
+            (Some(50.0), 49.0, None),
+            (Some(50.0), 60.0, Some(3)),
+        ] {
+            let mut plan = plan();
             (plan.limits.homing, plan.limits.position) = (limit, Some((0.0, 1.0)));
-            let mut bounds = Bounds::new(&plan, 0);
-            (0..20_u32).position(|index| {
-                let (at, position) = (Time(MS * u64::from(index)), f64::from(index) * speed * 1e-3);
-                let sample = Sample {
-                    sent_at: at,
-                    at,
-                    homed: true,
-                    led: true,
-                    position,
-                    velocity: speed,
-                    behind: 0.0,
-                };
-                bounds.take(sample);
-                bounds.are_broken(homing, 0.001)
-            })
-        };
-        assert_eq!(
-            [(None, 490.0), (None, 600.0), (Some(50.0), 49.0), (Some(50.0), 60.0)]
-                .map(|(limit, speed)| trips(limit, speed)),
-            [None, Some(3), None, Some(3)]
-        );
-    }
-
-    #[test]
-    fn a_report_that_was_held_up_makes_no_speed() {
-        let mut bounds = Bounds::new(&plan(), 0);
-        for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
-            let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
-            let sample =
-                Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0, behind: 0.0 };
-            bounds.take(sample);
-            assert!(
-                !bounds.are_broken(Watched { homing: false, braking: false }, 0.001),
-                "sent after {sent_ms} ms"
-            );
+            let reported: Vec<_> = (0..20).map(|n| (f64::from(n) * speed * 1e-3, speed)).collect();
+            assert_eq!(broken_by(&plan, HOMING, SAMPLE, &reported), trips, "{limit:?} {speed}");
         }
-    }
-
-    #[test]
-    fn reports_that_come_closer_together_than_their_requests_make_no_speed() {
-        // 400 mm/s, requests at 1 kHz; the network holds replies up, and delivers them 0.3 ms apart.
-        let mut bounds = Bounds::new(&plan(), 0);
-        for n in 0..20_u64 {
-            let (sent_at, at) = (Time(n * MS), Time(10 * MS + n * 3 * MS / 10));
-            let position = 0.4 * n as f64;
-            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
-            assert!(bounds.speed() <= 400.001, "{n}: {}", bounds.speed());
-            assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
-        }
-        // Nor do requests that left closer together than their replies came in.
-        let mut bounds = Bounds::new(&plan(), 0);
-        for n in 0..20_u64 {
-            let (sent_at, at) = (Time(n * 3 * MS / 10), Time(10 * MS + n * MS));
-            let position = 0.4 * n as f64;
-            bounds.take(Sample { sent_at, at, homed: true, led: true, position, velocity: 0.0, behind: 0.0 });
-            assert!(!bounds.are_broken(Watched { homing: false, braking: false }, 0.001), "{n}");
-        }
-    }
-
-    #[test]
-    fn a_turn_over_the_end_of_a_rotary_axis_is_a_short_way() {
-        let mut rotary = plan();
-        rotary.units.modulo = Some(1.0);
-        rotary.units.unit = Unit::Revolution;
-        rotary.limits = Limits { velocity: Some(500.0), ..Limits::default() };
-        assert_eq!(strikes(&rotary, true, true, &[0.8, 0.2, 0.6, 0.0]), None);
     }
 }

@@ -184,9 +184,9 @@ mod tests {
     use crate::axis::doorbell::Bells;
     use crate::axis::newest::NewestIn;
     use crate::axis::{
-        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, State, StopCause,
+        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, Row, State, StopCause,
+        StreamRow,
     };
-    use crate::axis::{Row, StreamRow};
     use crate::bus::Slot;
     use crate::drive::controller::tests::{Alone, cycle, ended, plan};
     use crate::drive::controller::{take_commands, take_rows};
@@ -210,16 +210,8 @@ mod tests {
     }
 
     impl Machine {
-        fn new(axes: usize) -> Machine {
-            Machine::in_groups(axes, None)
-        }
-
-        /// So many that stop together.
-        fn together(axes: usize) -> Machine {
-            Machine::in_groups(axes, Some(3))
-        }
-
-        fn in_groups(axes: usize, group: Option<u16>) -> Machine {
+        /// So many, in this stop group.
+        fn new(axes: usize, group: Option<u16>) -> Machine {
             let mut plan = plan();
             plan.stop.group = group;
             let (controllers, (slots, ends)) = (0..axes)
@@ -248,13 +240,8 @@ mod tests {
                 .map(|&(axis, command)| {
                     let call = (parts.len() > 1).then_some(call);
                     self.ids[axis] += 1;
-                    QueuedCommand {
-                        id: CommandId(self.ids[axis] - 1),
-                        member: axis as u32,
-                        command,
-                        stream: 1,
-                        call,
-                    }
+                    let id = CommandId(self.ids[axis] - 1);
+                    QueuedCommand { id, member: axis as u32, command, stream: 1, call }
                 })
                 .collect();
             self.ends[parts[0].0].commands.push_entire_slice(&entry).unwrap();
@@ -264,12 +251,9 @@ mod tests {
         /// Gives setpoint `number` of each of these axes, each for a command, as one set.
         fn give(&mut self, number: u64, set: &[(usize, u64, f64)]) {
             let parts: Vec<Setpoint> = (set.iter())
-                .map(|&(axis, of, value)| Setpoint {
-                    member: axis as u32,
-                    parts: set.len() as u32,
-                    number,
-                    of: CommandId(of),
-                    value,
+                .map(|&(axis, of, value)| {
+                    let (member, parts, of) = (axis as u32, set.len() as u32, CommandId(of));
+                    Setpoint { member, parts, number, of, value }
                 })
                 .collect();
             self.ends[set[0].0].setpoints.write(&parts);
@@ -282,6 +266,12 @@ mod tests {
 
         fn stopped(&self) -> Vec<Option<StopCause>> {
             self.controllers.iter().map(|axis| axis.feedback().stopped).collect()
+        }
+
+        /// Posts them, and a cycle passes.
+        fn begin(&mut self, parts: &[(usize, Command)]) {
+            self.post(parts);
+            self.turn();
         }
 
         /// One cycle of the commands.
@@ -326,10 +316,9 @@ mod tests {
     #[test]
     fn a_command_that_ended_at_a_member_before_it_began_is_refused_to_the_others() {
         for (stopped, other) in [(0, 1), (1, 0)] {
-            let mut m = Machine::new(2);
+            let mut m = Machine::new(2, None);
             m.post(&[(other, Command::Home)]);
-            m.post(&[(0, RESET), (1, RESET)]);
-            m.turn();
+            m.begin(&[(0, RESET), (1, RESET)]);
             assert_eq!([m.ended(0), m.ended(1)], [[], []], "one of them homes");
             m.controllers[stopped].stop(&cycle(51), cycle(51).grid, StopCause::Overrun);
             let aborted = Outcome::Aborted(Abort::Stopped(StopCause::Overrun));
@@ -337,31 +326,24 @@ mod tests {
             m.done(other);
             assert_eq!(m.ended(other), [(2, DONE), (3, Outcome::Failed(Failure::GroupRefused))]);
             // The next call finds no leftovers.
-            m.post(&[(0, RESET), (1, RESET)]);
-            m.turn();
+            m.begin(&[(0, RESET), (1, RESET)]);
             assert_eq!(m.ended(other), [(4, DONE)]);
         }
     }
 
     #[test]
-    fn a_stop_waits_for_no_other_member_and_none_for_a_stop() {
-        let mut m = Machine::new(3);
+    fn a_stop_waits_for_no_other_member_and_none_for_a_stop_and_a_complete_call_starts_no_other_group() {
+        let mut m = Machine::new(3, None);
         m.post(&[(1, Command::Home)]);
-        m.post(&[(0, Command::QuickStop), (1, RESET), (2, RESET)]);
-        m.turn();
+        m.begin(&[(0, Command::QuickStop), (1, RESET), (2, RESET)]);
         assert_eq!(m.runs(Command::QuickStop), [true, false, false]);
         assert_eq!((m.ended(1), m.ended(2)), (vec![], vec![]));
         m.done(1);
         assert_eq!((m.ended(1), m.ended(2)), (vec![(2, DONE), (3, DONE)], vec![(2, DONE)]));
-    }
-
-    #[test]
-    fn a_complete_call_starts_no_other_group() {
-        let mut m = Machine::new(4);
+        let mut m = Machine::new(4, None);
         m.post(&[(2, Command::Enable)]);
         m.post(&[(0, Command::Home), (1, Command::Home)]);
-        m.post(&[(3, Command::Home), (2, Command::Home)]);
-        m.turn();
+        m.begin(&[(3, Command::Home), (2, Command::Home)]);
         assert_eq!(m.runs(Command::Home), [true, true, false, false]);
         m.done(2);
         assert_eq!(m.runs(Command::Home), [true; 4]);
@@ -370,7 +352,7 @@ mod tests {
     #[test]
     fn the_commands_of_an_axis_keep_their_sequence_whatever_groups_it_was_in() {
         // Alone, in three groups, and alone again; each queue holds what another one has to wait for.
-        let mut m = Machine::new(3);
+        let mut m = Machine::new(3, None);
         m.post(&[(2, Command::Home)]);
         for members in [&[2, 1][..], &[1, 0], &[0, 2], &[2], &[0]] {
             m.post(&members.iter().map(|axis| (*axis, RESET)).collect::<Vec<_>>());
@@ -387,7 +369,7 @@ mod tests {
     /// Two axes of three follow stream 1 together; the first one's queue holds these rows, each with its parts by
     /// axis and stream. Returns which axes have a row for the next send, and how many parts are left.
     fn handed(due: bool, rows: &[&[(u32, u32)]]) -> ([bool; 3], usize) {
-        let mut m = Machine::new(3);
+        let mut m = Machine::new(3, None);
         m.post(&[(0, Command::Follow), (1, Command::Follow)]);
         for parts in rows {
             for &(member, stream) in *parts {
@@ -411,13 +393,8 @@ mod tests {
         let row: &[(u32, u32)] = &[(0, 1), (1, 1)];
         assert_eq!(handed(true, &[]), (none, 0));
         assert_eq!(handed(true, &[row, row]), (both, 2), "one a send");
-        for other in [
-            &[(0, 1)][..],
-            &[(0, 1), (2, 1)],
-            &[(0, 1), (1, 1), (2, 1)],
-            &[(0, 0), (1, 1)],
-            &[(0, 1), (1, 0)],
-        ] {
+        let three = &[(0, 1), (1, 1), (2, 1)];
+        for other in [&[(0, 1)][..], &[(0, 1), (2, 1)], three, &[(0, 0), (1, 1)], &[(0, 1), (1, 0)]] {
             assert_eq!(handed(true, &[other]), (none, 0), "{other:?}");
             assert_eq!(handed(true, &[other, row]), (both, 0), "{other:?}");
         }
@@ -429,7 +406,7 @@ mod tests {
 
     #[test]
     fn setpoints_of_a_group_count_for_all_its_members_in_one_cycle_or_for_none() {
-        let mut m = Machine::together(3);
+        let mut m = Machine::new(3, Some(3));
         m.post(&[(1, TURN), (0, TURN), (2, TURN)]);
         // For the commands that begin in this cycle, and for those that run.
         for (number, value) in [(1, 5.0), (2, 6.0), (4, 7.0)] {
@@ -443,21 +420,21 @@ mod tests {
             m.turn();
             assert_eq!(m.levels(), [17.0, 7.0, 27.0], "setpoint {number} of command {of}");
         }
-        // One of them alone, and all of them again.
-        m.give(5, &[(0, 2, 8.0)]);
-        m.turn();
-        assert_eq!(m.levels(), [8.0, 7.0, 27.0]);
-        m.give(5, &[(1, 2, 1.0), (0, 2, 1.0), (2, 2, 1.0)]);
-        m.turn();
-        assert_eq!(m.levels(), [8.0, 7.0, 27.0], "one of them has a later one");
-        m.give(6, &[(1, 2, 1.0), (0, 2, 2.0), (2, 2, 3.0)]);
-        m.turn();
-        assert_eq!((m.levels(), m.stopped()), (vec![2.0, 1.0, 3.0], vec![None; 3]));
+        // One of them alone, and all of them again, of which one has a later one.
+        for (number, set, levels) in [
+            (5, &[(0, 2, 8.0)][..], [8.0, 7.0, 27.0]),
+            (5, &[(1, 2, 1.0), (0, 2, 1.0), (2, 2, 1.0)], [8.0, 7.0, 27.0]),
+            (6, &[(1, 2, 1.0), (0, 2, 2.0), (2, 2, 3.0)], [2.0, 1.0, 3.0]),
+        ] {
+            m.give(number, set);
+            m.turn();
+            assert_eq!((m.levels(), m.stopped()), (levels.to_vec(), vec![None; 3]), "{number} {set:?}");
+        }
     }
 
     #[test]
     fn setpoints_for_commands_to_come_begin_with_them_and_never_at_one_member_alone() {
-        let mut m = Machine::together(2);
+        let mut m = Machine::new(2, Some(3));
         m.post(&[(1, Command::Home)]);
         m.post(&[(0, TURN), (1, TURN)]);
         m.give(1, &[(0, 2, 5.0), (1, 3, 6.0)]);
@@ -475,10 +452,9 @@ mod tests {
 
     #[test]
     fn setpoints_that_a_member_cannot_take_renew_no_other() {
-        let mut m = Machine::together(2);
+        let mut m = Machine::new(2, Some(3));
         let age = u64::from(m.controllers[0].plan().setpoint_age);
-        m.post(&[(0, TURN), (1, TURN)]);
-        m.turn();
+        m.begin(&[(0, TURN), (1, TURN)]);
         for number in 1..=age {
             m.give(number, &[(0, 2, 5.0), (1, 1, 5.0)]);
             m.turn();
@@ -495,46 +471,44 @@ mod tests {
             expected[axis] = Some(StopCause::GroupFailed);
             assert_eq!(m.stopped(), expected);
         };
+        let running = |command| {
+            let mut m = Machine::new(3, Some(3));
+            m.begin(&[0, 1, 2].map(|axis| (axis, command)));
+            m
+        };
+        let quick = Command::QuickStop;
         for command in [Command::Enable, Command::Home, TURN] {
             // It fails at one, while the others do it or have done it.
-            for others_done in [false, true] {
-                for failure in [Failure::DriveFault(7), Failure::TimedOut(State::SwitchedOn)] {
-                    let mut m = Machine::together(3);
-                    m.post(&[(0, command), (1, command), (2, command)]);
-                    m.turn();
-                    if others_done {
-                        m.done(0);
-                        m.done(2);
-                        assert_eq!(m.stopped(), [None; 3], "{command:?}");
-                    }
-                    // An axis that is enabled already stops by its fault.
-                    m.controllers[1].disarm();
-                    m.controllers[1].end_with(Err(failure));
-                    m.turn();
-                    failed(&m, 1);
+            for (done, failure) in [
+                (false, Failure::DriveFault(7)),
+                (false, Failure::TimedOut(State::SwitchedOn)),
+                (true, Failure::DriveFault(7)),
+                (true, Failure::TimedOut(State::SwitchedOn)),
+            ] {
+                let mut m = running(command);
+                if done {
+                    m.done(0);
+                    m.done(2);
+                    assert_eq!(m.stopped(), [None; 3], "{command:?}");
                 }
+                // An axis that is enabled already stops by its fault.
+                m.controllers[1].disarm();
+                m.controllers[1].end_with(Err(failure));
+                m.turn();
+                failed(&m, 1);
             }
             // A stop of the application for one of them, at which the others go on.
-            let mut m = Machine::together(3);
-            m.post(&[(0, command), (1, command), (2, command)]);
-            m.turn();
-            m.post(&[(0, RESET), (1, Command::QuickStop), (2, RESET)]);
-            m.turn();
+            let mut m = running(command);
+            m.begin(&[(0, RESET), (1, quick), (2, RESET)]);
             failed(&m, 1);
             // For all of them, or with a motion for the others, it stops nobody else.
-            let mut m = Machine::together(2);
-            m.post(&[(0, command), (1, command)]);
-            m.turn();
-            m.post(&[(0, Command::QuickStop), (1, Command::QuickStop)]);
-            m.turn();
-            assert_eq!(m.stopped(), [None; 2], "{command:?}");
+            let mut m = running(command);
+            m.begin(&[(0, quick), (1, quick), (2, quick)]);
+            assert_eq!(m.stopped(), [None; 3], "{command:?}");
         }
-        let mut m = Machine::together(2);
-        m.post(&[(0, TURN), (1, TURN)]);
-        m.turn();
-        m.post(&[(0, Command::QuickStop), (1, TURN)]);
-        m.turn();
-        assert_eq!((m.stopped(), m.runs(TURN)), (vec![None; 2], vec![false, true]));
+        let mut m = running(TURN);
+        m.begin(&[(0, quick), (1, TURN), (2, TURN)]);
+        assert_eq!((m.stopped(), m.runs(TURN)), (vec![None; 3], vec![false, true, true]));
     }
 
     #[test]

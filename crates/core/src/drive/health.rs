@@ -185,27 +185,51 @@ impl LinkHealth {
 
 #[cfg(test)]
 mod tests {
+    use std::ops::Range;
+
     use super::*;
     use crate::time::MS;
 
+    /// At 1 kHz, not seen yet: one slot of `divisor`, at `phase`.
+    fn unseen(divisor: u32, phase: u32, first_probe: u64, probes: Probes) -> LinkHealth {
+        LinkHealth::new(Health::default(), divisor, phase, MS, first_probe, 20 * u64::from(divisor), probes)
+    }
+
     fn online() -> LinkHealth {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20, Probes::Spaced);
-        for _ in 0..10 {
-            health.answered(0);
-        }
+        let mut health = unseen(1, 0, 0, Probes::Spaced);
+        health.good(10, 0);
         assert_eq!(health.link(), Link::Online);
         health
     }
 
+    impl LinkHealth {
+        /// So many answers in a slot, or misses.
+        fn good(&mut self, count: u32, index: u64) {
+            (0..count).for_each(|_| self.answered(index));
+        }
+
+        fn bad(&mut self, count: u32, index: u64) {
+            (0..count).for_each(|_| self.missed(index, true));
+        }
+
+        /// The slots in which an exchange is due; each of them leaves, or none does.
+        fn due(&mut self, slots: Range<u64>, sent: bool) -> Vec<u64> {
+            let mut all = Vec::new();
+            for index in slots {
+                if self.is_due(index) {
+                    all.push(index);
+                    self.requested(index, sent);
+                }
+            }
+            all
+        }
+    }
+
     #[test]
     fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20, Probes::Spaced);
-        assert!(!health.is_due(2) && health.is_due(3));
-        health.requested(3, true);
-        assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
-        for _ in 0..9 {
-            health.answered(0);
-        }
+        let mut health = unseen(1, 0, 3, Probes::Spaced);
+        assert_eq!(health.due(0..110, true), [3, 103]);
+        health.good(9, 0);
         assert_eq!(health.link(), Link::Qualifying);
         health.missed(120, false);
         assert_eq!(health.link(), Link::Unseen);
@@ -215,18 +239,26 @@ mod tests {
     #[test]
     fn the_bucket_fills_by_misses_and_leaks_by_good_exchanges() {
         let mut health = online();
-        for index in 0..4 {
-            health.missed(index, true);
-        }
+        health.bad(4, 3);
         assert_eq!(health.link(), Link::Online);
-        (0..20).for_each(|_| health.answered(0));
-        health.missed(30, true);
+        health.good(20, 0);
+        health.bad(1, 30);
         assert_eq!(health.link(), Link::Online, "one miss has leaked away");
-        health.missed(31, true);
+        health.bad(1, 31);
         assert_eq!(health.link(), Link::Lost);
-        assert!(health.is_due(32), "the stop request leaves with the next slot");
-        health.requested(32, true);
-        assert!(!health.is_due(33) && health.is_due(132));
+        assert_eq!(health.due(32..140, true), [32, 132], "the stop request leaves with the next slot");
+        // One that comes back has an empty bucket.
+        health.good(10, 0);
+        health.bad(4, 0);
+        assert_eq!(health.link(), Link::Online);
+        // Only good exchanges in a row take a miss out.
+        let mut health = online();
+        for misses in 1..=5 {
+            // One too few to be forgotten.
+            health.good(Health::default().leak - 1, 0);
+            health.bad(1, 0);
+            assert_eq!(health.link() == Link::Lost, misses == 5, "{misses}");
+        }
     }
 
     #[test]
@@ -241,117 +273,57 @@ mod tests {
         health.watch_silence(121);
         assert_eq!(health.link(), Link::Lost);
         assert!(health.is_due(122), "the stop request leaves with the next slot");
-    }
-
-    #[test]
-    fn a_drive_that_can_be_asked_again_is_asked_at_once() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, Probes::Spaced);
-        health.requested(0, true);
-        assert!(!health.is_due(10));
-        health.reachable(10);
-        assert!(health.is_due(10));
-        health.requested(10, true);
-        assert!(!health.is_due(11) && health.is_due(110));
-    }
-
-    #[test]
-    fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 1, 40, Probes::AtOwnRate);
-        let mut due = |slots: std::ops::Range<u64>, sent: bool| {
-            let mut all = Vec::new();
-            for index in slots {
-                if health.is_due(index) {
-                    all.push(index);
-                    health.requested(index, sent);
-                }
-            }
-            all
-        };
-        // The first at once, and none of them is a probe.
-        assert_eq!(due(0..20, true), [1, 3, 7, 11, 15, 19]);
-        // Without a connection nothing leaves: then one attempt an interval.
-        assert_eq!(due(20..230, false), [23, 123, 223]);
-        health.reachable(230);
-        (0..10).for_each(|_| health.answered(230));
-        assert_eq!(health.link(), Link::Online);
-        (0..5).for_each(|_| health.missed(232, true));
-        assert_eq!(health.link(), Link::Lost);
-        // The stop goes at the agreed rate, too.
-        let due: Vec<u64> = (233..244).filter(|index| health.is_due(*index)).collect();
-        assert_eq!(
-            due,
-            (235..244).collect::<Vec<_>>(),
-            "in its own slot, or the first one behind it that is executed"
-        );
-        health.requested(235, true);
-        assert!(!health.is_due(238) && health.is_due(239));
-    }
-
-    #[test]
-    fn a_drive_whose_frame_leaves_anyway_takes_part_in_all_its_slots_whatever_its_link() {
-        let mut health = LinkHealth::new(Health::default(), 2, 1, MS, 0, 40, Probes::Carried);
-        let due = |health: &mut LinkHealth, slots: std::ops::Range<u64>| {
-            let mut all = Vec::new();
-            for index in slots {
-                if health.is_due(index) {
-                    all.push(index);
-                    health.requested(index, true);
-                }
-            }
-            all
-        };
-        assert_eq!(due(&mut health, 0..8), [0, 1, 3, 5, 7], "never seen");
-        (0..10).for_each(|_| health.answered(8));
-        (0..5).for_each(|_| health.missed(9, true));
-        assert_eq!(health.link(), Link::Lost);
-        assert_eq!(due(&mut health, 10..16), [10, 11, 13, 15], "the stop leaves with the very next slot");
-        health.answered(15);
-        health.missed(17, true);
-        assert_eq!((health.link(), due(&mut health, 18..24)), (Link::Lost, vec![19, 21, 23]), "lost again");
-        // What does not leave is tried once an interval.
-        health.requested(23, false);
-        assert_eq!(due(&mut health, 24..126), [123, 125]);
-    }
-
-    #[test]
-    fn divisor_and_phase_choose_the_slots() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, Probes::Spaced);
-        (0..10).for_each(|_| health.answered(0));
-        let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
-        assert_eq!(due, [3, 7, 11]);
-    }
-
-    #[test]
-    fn a_link_that_comes_back_has_an_empty_bucket() {
+        // It passes its gate again.
         let mut health = online();
-        (0..5).for_each(|_| health.missed(0, true));
-        assert_eq!(health.link(), Link::Lost);
-        (0..10).for_each(|_| health.answered(0));
-        (0..4).for_each(|_| health.missed(0, true));
-        assert_eq!(health.link(), Link::Online);
-    }
-
-    #[test]
-    fn a_link_that_was_lost_by_silence_passes_its_gate_again() {
-        let mut health = online();
-        (0..15).for_each(|_| health.answered(100));
+        health.good(15, 100);
         health.watch_silence(121);
-        assert_eq!(health.link(), Link::Lost);
-        (0..9).for_each(|_| health.answered(130));
+        health.good(9, 130);
         assert_eq!(health.link(), Link::Qualifying);
         health.answered(130);
         assert_eq!(health.link(), Link::Online);
     }
 
     #[test]
-    fn only_good_exchanges_in_a_row_take_a_miss_out_of_the_bucket() {
-        let mut health = online();
-        let leak = Health::default().leak;
-        for misses in 1..=5 {
-            // One too few to be forgotten.
-            (1..leak).for_each(|_| health.answered(0));
-            health.missed(0, true);
-            assert_eq!(health.link() == Link::Lost, misses == 5, "{misses}");
-        }
+    fn a_drive_that_can_be_asked_again_is_asked_at_once_and_divisor_and_phase_choose_its_slots() {
+        let mut health = unseen(4, 3, 0, Probes::Spaced);
+        assert_eq!(health.due(0..11, true), [0]);
+        health.reachable(10);
+        assert_eq!(health.due(10..111, true), [10, 110]);
+        health.good(10, 0);
+        assert_eq!(health.due(0..12, true), [3, 7, 11]);
+    }
+
+    #[test]
+    fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
+        let mut health = unseen(4, 3, 1, Probes::AtOwnRate);
+        // The first at once, and none of them is a probe.
+        assert_eq!(health.due(0..20, true), [1, 3, 7, 11, 15, 19]);
+        // Without a connection nothing leaves: then one attempt an interval.
+        assert_eq!(health.due(20..230, false), [23, 123, 223]);
+        health.reachable(230);
+        health.good(10, 230);
+        assert_eq!(health.link(), Link::Online);
+        health.bad(5, 232);
+        assert_eq!(health.link(), Link::Lost);
+        // The stop goes at the agreed rate, too: in its own slot, or the first one behind it that is executed.
+        let due: Vec<u64> = (233..244).filter(|index| health.is_due(*index)).collect();
+        assert_eq!(due, (235..244).collect::<Vec<_>>());
+        assert_eq!(health.due(235..240, true), [235, 239]);
+    }
+
+    #[test]
+    fn a_drive_whose_frame_leaves_anyway_takes_part_in_all_its_slots_whatever_its_link() {
+        let mut health = unseen(2, 1, 0, Probes::Carried);
+        assert_eq!(health.due(0..8, true), [0, 1, 3, 5, 7], "never seen");
+        health.good(10, 8);
+        health.bad(5, 9);
+        assert_eq!(health.link(), Link::Lost);
+        assert_eq!(health.due(10..16, true), [10, 11, 13, 15], "the stop leaves with the very next slot");
+        health.answered(15);
+        health.missed(17, true);
+        assert_eq!((health.link(), health.due(18..24, true)), (Link::Lost, vec![19, 21, 23]), "lost again");
+        // What does not leave is tried once an interval.
+        health.requested(23, false);
+        assert_eq!(health.due(24..126, true), [123, 125]);
     }
 }

@@ -202,6 +202,8 @@ impl Reach {
 
 #[cfg(test)]
 mod tests {
+    use Weight::{Counts, Held, Jumped};
+
     use super::*;
     use crate::axis::Units;
 
@@ -222,10 +224,10 @@ mod tests {
     }
 
     impl Line {
-        fn new(plan: &AxisPlan) -> Line {
+        /// It was there in the ms before.
+        fn new(plan: &AxisPlan, position: f64) -> Line {
             let mut reach = Reach::new(plan, MS);
-            // It was at 0 in the ms before.
-            reach.rebase(Time(1_000 * MS), &Evidence::default());
+            reach.rebase(Time(1_000 * MS), &Evidence { position, ..Evidence::default() });
             Line { reach, ms: 1_000, evidence: Evidence::default(), velocity: 0.0, bound: Bound::Plan }
         }
 
@@ -234,11 +236,11 @@ mod tests {
             let at = Time(self.ms * MS);
             (self.evidence.position, self.evidence.demand) = (position, position);
             if !self.reach.holds() && self.reach.takes(at, at, &self.evidence) {
-                return Weight::Counts;
+                return Counts;
             }
             let (evidence, velocity) = (&mut self.evidence, &mut self.velocity);
             let weight = self.reach.weigh(at, at, self.bound, evidence, velocity);
-            if weight == Weight::Held {
+            if weight == Held {
                 self.reach.restore(evidence);
             }
             weight
@@ -247,83 +249,75 @@ mod tests {
 
     #[test]
     fn a_place_out_of_reach_counts_for_nothing_until_the_next_report_agrees_with_it() {
-        let mut line = Line::new(&plan());
-        line.reach.last.position = 50.0;
-        assert_eq!([50.0, 50.1, 47.2].map(|at| line.at(at)), [Weight::Counts; 3], "3 mm in 3 ms");
-        assert_eq!(line.at(50.3), Weight::Held);
-        assert_eq!(line.evidence.position, 47.2, "what counted last");
-        assert_eq!(line.at(47.3), Weight::Counts);
-        assert_eq!([line.at(60.0), line.at(60.1)], [Weight::Held, Weight::Jumped(60.1 - 47.3)]);
-        assert_eq!([line.at(60.2), line.at(60.3)], [Weight::Counts; 2]);
-    }
-
-    #[test]
-    fn after_a_gap_the_axis_may_be_farther_and_after_a_held_report_as_well() {
-        let mut line = Line::new(&plan());
-        line.at(0.0);
-        line.ms += 10;
-        assert_eq!(line.at(12.9), Weight::Counts, "13 ms at 1 m/s");
-        line.ms += 10;
-        assert_eq!(
-            [line.at(26.0), line.at(26.5)],
-            [Weight::Held, Weight::Counts],
-            "13.1, then 13.6 mm in 14 ms"
-        );
-    }
-
-    #[test]
-    fn reports_that_agree_with_nothing_make_no_axis_blind() {
-        let mut line = Line::new(&plan());
-        line.at(0.0);
-        let reports = [100.0, 200.0, 300.0, 400.0].map(|at| line.at(at));
-        assert_eq!(reports, [Weight::Held, Weight::Held, Weight::Held, Weight::Jumped(400.0)]);
-        assert_eq!(line.at(400.1), Weight::Counts);
+        let end = WRAPS / 20_000.0;
+        // The first is where it was; each comes so many ms later than usual.
+        for (what, reports) in [
+            ("3 mm in 3 ms", &[(0, 50.0, Counts), (0, 50.1, Counts), (0, 47.2, Counts)][..]),
+            ("an old one", &[(0, 47.2, Counts), (0, 50.3, Held), (0, 47.3, Counts)]),
+            (
+                "two that agree",
+                &[(0, 47.3, Counts), (0, 60.0, Held), (0, 60.1, Jumped(60.1 - 47.3)), (0, 60.2, Counts)],
+            ),
+            ("13 ms at 1 m/s", &[(0, 0.0, Counts), (10, 12.9, Counts)]),
+            // 13.1, then 13.6 mm in 14 ms.
+            ("after a held one as well", &[(0, 12.9, Counts), (10, 26.0, Held), (0, 26.5, Counts)]),
+            (
+                "those that agree with nothing make no axis blind",
+                &[
+                    (0, 0.0, Counts),
+                    (0, 100.0, Held),
+                    (0, 200.0, Held),
+                    (0, 300.0, Held),
+                    (0, 400.0, Jumped(400.0)),
+                    (0, 400.1, Counts),
+                ],
+            ),
+            ("a count wraps around", &[(0, end, Counts), (0, -end, Counts), (0, 0.1 - end, Counts)]),
+        ] {
+            let mut line = Line::new(&plan(), reports[0].1);
+            for (late_ms, position, weight) in reports {
+                line.ms += late_ms;
+                let counted = line.evidence.position;
+                assert_eq!(line.at(*position), *weight, "{what}: {position}");
+                assert!(
+                    *weight != Held || line.evidence.position == counted,
+                    "what counted last stays: {what}"
+                );
+            }
+        }
     }
 
     #[test]
     fn the_speed_between_a_held_report_and_the_next_one_is_none() {
-        let mut line = Line::new(&plan());
-        line.reach.last.position = 10.0;
+        let mut line = Line::new(&plan(), 10.0);
         line.at(10.05);
         line.at(349.0);
         // As a station makes it of the two positions.
         (line.velocity, line.evidence.demand_velocity) = (-338_900.0, -338_900.0);
-        assert_eq!(line.at(10.1), Weight::Counts);
+        assert_eq!(line.at(10.1), Counts);
         assert!((line.velocity - 25.0).abs() < 1e-6 && (line.evidence.demand_velocity - 25.0).abs() < 1e-6);
         line.at(349.0);
         line.velocity = 338_900.0;
-        assert_eq!(line.at(349.1), Weight::Jumped(349.1 - 10.1));
+        assert_eq!(line.at(349.1), Jumped(349.1 - 10.1));
         assert!((line.velocity - 100.0).abs() < 1e-6, "{}", line.velocity);
     }
 
     #[test]
     fn only_what_no_axis_reaches_is_out_of_reach_without_a_limit_or_without_power() {
-        for (limit, bound) in [(None, Bound::Plan), (Some(100.0), Bound::Fastest)] {
+        for (unit, limit, bound, places) in [
+            (Unit::Millimetre, None, Bound::Plan, [0.0, 59.9, 120.0]),
+            (Unit::Millimetre, Some(100.0), Bound::Fastest, [0.0, 59.9, 120.0]),
+            (Unit::Revolution, None, Bound::Plan, [0.0, 1.49, 3.1]),
+        ] {
             let mut plan = plan();
-            plan.limits.velocity = limit;
-            let mut line = Line { bound, ..Line::new(&plan) };
-            assert_eq!(
-                [0.0, 59.9, 120.0].map(|at| line.at(at)),
-                [Weight::Counts, Weight::Counts, Weight::Held]
-            );
+            (plan.units.unit, plan.limits.velocity) = (unit, limit);
+            let mut line = Line { bound, ..Line::new(&plan, 0.0) };
+            assert_eq!(places.map(|at| line.at(at)), [Counts, Counts, Held], "{unit:?} {bound:?}");
         }
-        let mut turns = plan();
-        (turns.units.unit, turns.limits.velocity) = (Unit::Revolution, None);
-        let mut line = Line::new(&turns);
-        assert_eq!([0.0, 1.49, 3.1].map(|at| line.at(at)), [Weight::Counts, Weight::Counts, Weight::Held]);
-    }
-
-    #[test]
-    fn an_origin_that_changes_and_a_count_that_wraps_around_are_no_jump() {
-        let mut line = Line::new(&plan());
-        line.at(0.0);
-        line.bound = Bound::None;
-        assert_eq!(line.at(90.0), Weight::Counts);
+        // Its origin changes.
+        let mut line = Line { bound: Bound::None, ..Line::new(&plan(), 0.0) };
+        assert_eq!(line.at(90.0), Counts);
         line.bound = Bound::Plan;
-        assert_eq!(line.at(90.1), Weight::Counts);
-        let end = WRAPS / 20_000.0;
-        let mut line = Line::new(&plan());
-        line.reach.last.position = end;
-        assert_eq!([end - 0.1, -end, 0.1 - end].map(|at| line.at(at)), [Weight::Counts; 3]);
+        assert_eq!(line.at(90.1), Counts);
     }
 }

@@ -125,66 +125,77 @@ mod tests {
     use super::*;
     use crate::axis::{AxisPlan, Units};
 
-    /// The report, counted from 0, at which the watch trips after a command that is done or has failed; 1 kHz,
-    /// standstill below 5 mm/s.
-    fn trips(failed: bool, reports: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
-        let stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+    /// Standstill below 5 mm/s.
+    fn stop() -> StopPlan {
+        AxisPlan::new("x", Units::millimetres(1_000.0)).stop
+    }
+
+    /// The report, counted from 0, at which the watch trips; so many ms apart.
+    fn trips_at(
+        begin: fn(&mut Rest),
+        stop: &StopPlan,
+        ms: u64,
+        reports: impl IntoIterator<Item = (bool, f64)>,
+    ) -> Option<usize> {
         let mut rest = Rest::default();
-        if failed {
-            rest.fail();
-        }
+        begin(&mut rest);
         reports.into_iter().enumerate().position(|(index, (moving, velocity))| {
-            rest.moves(Time(MS * index as u64), Motion { moving, velocity }, &stop, 0.001)
+            rest.moves(Time(ms * MS * index as u64), Motion { moving, velocity }, stop, ms as f64 * 1e-3)
         })
+    }
+
+    /// After a command that is done, at 1 kHz.
+    fn trips(reports: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
+        trips_at(|_| (), &stop(), 1, reports)
     }
 
     #[test]
     fn three_reports_of_a_motion_in_one_direction_trip_it() {
-        let standing = [(false, 0.0); 60];
-        let then = |reports: &[(bool, f64)]| trips(false, [&standing[..], reports].concat());
-        assert_eq!(then(&[(false, 6.0); 5]), Some(62));
-        assert_eq!(then(&[(false, -6.0); 5]), Some(62));
-        assert_eq!(then(&[(true, 1.0); 5]), Some(62), "the generator runs, however slowly");
-        assert_eq!(then(&[(true, f64::NAN); 5]), Some(62));
-        assert_eq!(then(&[(false, 4.9); 500]), None, "noise below the window");
-        assert_eq!(then(&[(false, f64::NAN); 500]), None, "no speed is known, and the generator stands");
-        let shaken: Vec<_> =
-            (0..500).map(|index| (false, if index % 4 < 2 { 50.0 } else { -50.0 })).collect();
-        assert_eq!(then(&shaken), None, "a disturbance leads there and back again");
+        for (what, moving, velocity, tripped) in [
+            ("forward", false, 6.0, Some(62)),
+            ("backward", false, -6.0, Some(62)),
+            ("the generator runs, however slowly", true, 1.0, Some(62)),
+            ("the generator runs", true, f64::NAN, Some(62)),
+            ("noise below the window", false, 4.9, None),
+            ("no speed is known, and the generator stands", false, f64::NAN, None),
+        ] {
+            let reports = [[(false, 0.0); 60].as_slice(), &[(moving, velocity); 500]].concat();
+            assert_eq!(trips(reports), tripped, "{what}");
+        }
+        let shaken = (0..560).map(|n| {
+            (
+                false,
+                if n < 60 {
+                    0.0
+                } else if n % 4 < 2 {
+                    50.0
+                } else {
+                    -50.0
+                },
+            )
+        });
+        assert_eq!(trips(shaken), None, "a disturbance leads there and back again");
+        // What comes with power that nobody switched on: at once.
+        assert_eq!(trips_at(Rest::power_off, &stop(), 1, [(true, 1.0); 9]), Some(2));
     }
 
     #[test]
-    fn an_axis_settles_in_its_time_and_no_longer() {
+    fn an_axis_settles_in_its_time_or_in_as_many_exchanges_as_prove_its_standstill_and_no_longer() {
         let ringing =
             (0..2_000).map(|n| (false, 300.0 * (f64::from(n) * 0.2).sin() * (-0.1 * f64::from(n)).exp()));
-        assert_eq!(trips(false, ringing), None);
-        assert_eq!(trips(false, [(true, 40.0); 100]), Some(53), "done, and it goes on");
-    }
-
-    #[test]
-    fn an_axis_of_few_exchanges_settles_in_as_many_as_prove_its_standstill() {
-        let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
-        for (standstill_for, trips) in [(20, 23), (3, 8)] {
-            stop.standstill_for = standstill_for;
-            let mut rest = Rest::default();
-            let motion = Motion { moving: false, velocity: 40.0 };
-            let tripped = (0..99).find(|n| rest.moves(Time(10 * MS * n), motion, &stop, 0.010));
-            assert_eq!(tripped, Some(trips), "{standstill_for} exchanges of 10 ms");
+        assert_eq!(trips(ringing), None);
+        assert_eq!(trips([(true, 40.0); 100]), Some(53), "done, and it goes on");
+        for (standstill_for, tripped) in [(20, 23), (3, 8)] {
+            let stop = StopPlan { standstill_for, ..stop() };
+            let found = trips_at(|_| (), &stop, 10, [(false, 40.0); 99]);
+            assert_eq!(found, Some(tripped), "{standstill_for} exchanges of 10 ms");
         }
     }
 
     #[test]
     fn after_its_stop_an_axis_overshoots_no_more_than_its_stop_brakes_in_ten_milliseconds() {
-        let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
-        (stop.deceleration, stop.standstill) = (4_000.0, 5.0);
-        let trips = |reports: &[f64]| {
-            let mut rest = Rest::default();
-            rest.stop();
-            reports.iter().enumerate().position(|(index, velocity)| {
-                let motion = Motion { moving: false, velocity: *velocity };
-                rest.moves(Time(MS * index as u64), motion, &stop, 0.001)
-            })
-        };
+        let stop = StopPlan { deceleration: 4_000.0, standstill: 5.0, ..stop() };
+        let trips = |reports: &[f64]| trips_at(Rest::stop, &stop, 1, reports.iter().map(|v| (false, *v)));
         assert_eq!(trips(&[[0.0, 44.0].as_slice(), &[45.0; 30], &[0.0; 50]].concat()), None);
         assert_eq!(trips(&[[0.0].as_slice(), &[46.0; 30]].concat()), Some(3));
         // An old request starts it again, 4 m/s².
@@ -194,30 +205,19 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_with_power_that_nobody_switched_on_trips_it_at_once() {
-        let stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
-        let mut rest = Rest::default();
-        rest.power_off();
-        let motion = Motion { moving: true, velocity: 1.0 };
-        let tripped = (0..9).find(|n| rest.moves(Time(MS * n), motion, &stop, 0.001));
-        assert_eq!(tripped, Some(2));
-    }
-
-    #[test]
     fn an_axis_whose_command_failed_brakes_and_does_not_speed_up() {
         let braking = |slope: f64| {
-            (0..4_000)
-                .map(move |n| (true, 400.0 - slope * f64::from(n)))
-                .map(|(moving, v)| (moving && v > 0.0, v.max(0.0)))
+            let velocity = move |n: i32| (400.0 - slope * f64::from(n)).max(0.0);
+            (0..4_000).map(move |n| (velocity(n) > 0.0, velocity(n)))
         };
-        assert_eq!(trips(true, braking(0.2)), None, "2 s");
-        assert_eq!(trips(true, braking(0.1)), Some(3_001), "longer than the stop's time-out");
-        assert_eq!(
-            trips(true, (0..100).map(|n| (true, 100.0 + f64::from(n)))),
-            Some(8),
-            "faster three times"
-        );
         let away = braking(2.0).take(300).chain([(true, 20.0); 100]);
-        assert_eq!(trips(true, away), Some(302), "it stood, settled, and goes on");
+        for (what, reports, tripped) in [
+            ("2 s", braking(0.2).collect::<Vec<_>>(), None),
+            ("longer than the stop's time-out", braking(0.1).collect(), Some(3_001)),
+            ("faster three times", (0..100).map(|n| (true, 100.0 + f64::from(n))).collect(), Some(8)),
+            ("it stood, settled, and goes on", away.collect(), Some(302)),
+        ] {
+            assert_eq!(trips_at(Rest::fail, &stop(), 1, reports), tripped, "{what}");
+        }
     }
 }

@@ -288,6 +288,9 @@ impl StopSequence {
 
 #[cfg(test)]
 mod tests {
+    use StopHow::{Coast, Quick, Ramp};
+    use StopThen::{Disable, Hold};
+
     use super::*;
 
     fn plan(how: StopHow, then: StopThen) -> StopPlan {
@@ -307,78 +310,83 @@ mod tests {
         Sight { fresh: true, answers: true, failed: false, powered: true, moving: true, velocity: 50.0 };
     const STANDING: Sight = Sight { moving: false, velocity: 0.5, ..MOVING };
     const OFF: Sight = Sight { powered: false, moving: false, velocity: 0.0, ..MOVING };
+    const LOST: Sight = Sight { fresh: false, answers: false, ..MOVING };
+    const POWER_OFF: Option<Command> = Some(Command::Disable);
+    const QUICK: Option<Command> = Some(Command::QuickStop);
+
+    /// What was reported before: held values prove nothing.
+    fn held(sight: Sight) -> Sight {
+        Sight { fresh: false, ..sight }
+    }
+
+    fn start(plan: StopPlan, velocity: f64) -> StopSequence {
+        StopSequence::start(plan, Load::Level, Time(0), velocity).0
+    }
+
+    impl StopSequence {
+        /// Steps at these times: what is seen, what is requested then, and whether it is down.
+        #[track_caller]
+        fn steps(&mut self, steps: &[(u64, Sight, Option<Command>, bool)]) {
+            for (at, sight, command, down) in steps {
+                let step = (self.step(Time(*at), *sight), self.is_down());
+                assert_eq!(step, (*command, *down), "at {at}: {sight:?}");
+            }
+        }
+
+        /// It stands for long enough, and is held.
+        #[track_caller]
+        fn stands(mut self) -> StopSequence {
+            self.steps(&[(1, STANDING, None, false), (1, STANDING, None, false), (1, STANDING, None, true)]);
+            self
+        }
+    }
 
     #[test]
-    fn power_goes_off_only_after_standstill() {
-        let (mut sequence, command) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        assert_eq!(command, Command::Stop { deceleration: Some(100.0) });
-        assert_eq!(sequence.step(Time(1), MOVING), None);
-        assert_eq!(sequence.step(Time(2), STANDING), None);
-        assert_eq!(sequence.step(Time(3), STANDING), None);
-        assert_eq!(
-            sequence.step(Time(4), Sight { fresh: false, ..STANDING }),
-            None,
-            "held values prove nothing"
-        );
-        assert_eq!(sequence.step(Time(5), STANDING), Some(Command::Disable));
-        assert!(!sequence.is_down());
-        assert_eq!(sequence.step(Time(6), OFF), None);
-        assert!(sequence.is_down());
+    fn power_goes_off_only_after_so_many_reports_of_standstill_in_a_row() {
+        let [moves, still] = [MOVING, STANDING].map(|sight| (1, sight, None, false));
+        let (none, off) = ((1, held(STANDING), None, false), (1, STANDING, POWER_OFF, false));
+        for (how, seen) in [
+            (Ramp, &[moves, still, still, none, off][..]),
+            (Quick, &[still, still, moves, still, still, off]),
+        ] {
+            let mut sequence = start(plan(how, Disable), 0.0);
+            sequence.steps(seen);
+            sequence.steps(&[(2, OFF, None, true)]);
+        }
     }
 
     #[test]
     fn the_end_of_the_master_waits_for_an_axis_that_coasts_but_no_longer_than_its_time_out() {
         let coasting = Sight { velocity: 50.0, ..OFF };
         for ending in [false, true] {
-            let (mut sequence, _) =
-                StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+            let mut sequence = start(plan(Coast, Disable), 50.0);
             if ending {
                 sequence.shut_down(Time(0), true);
             }
-            sequence.step(Time(1), MOVING);
-            assert!(!sequence.is_down() && !sequence.is_seen_off());
-            sequence.step(Time(2), coasting);
-            assert_eq!(sequence.is_down(), !ending);
-            sequence.step(Time(3), OFF);
-            assert!(sequence.is_down() && sequence.is_seen_off());
+            sequence.steps(&[(1, MOVING, None, false), (2, coasting, None, !ending)]);
+            assert_eq!(sequence.is_seen_off(), !ending);
+            sequence.steps(&[(3, OFF, None, true)]);
+            assert!(sequence.is_seen_off());
         }
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 50.0);
+        let mut sequence = start(plan(Coast, Disable), 50.0);
         sequence.shut_down(Time(0), true);
-        sequence.step(Time(999), coasting);
-        assert!(!sequence.is_down());
-        sequence.step(Time(1_000), coasting);
-        assert!(sequence.is_down() && sequence.is_seen_off());
+        sequence.steps(&[(999, coasting, None, false), (1_000, coasting, None, true)]);
+        assert!(sequence.is_seen_off());
         // It moves again: what was seen before is no proof.
         for moved in 1..4 {
             sequence.again(Time(1_000 + moved), 50.0);
         }
-        sequence.step(Time(3_000), Sight { fresh: false, ..OFF });
-        assert!(sequence.is_down() && !sequence.is_seen_off());
-    }
-
-    #[test]
-    fn a_movement_in_between_starts_the_count_again() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0), 0.0);
-        for sight in [STANDING, STANDING, MOVING, STANDING, STANDING] {
-            assert_eq!(sequence.step(Time(1), sight), None);
-        }
-        assert_eq!(sequence.step(Time(1), STANDING), Some(Command::Disable));
+        sequence.steps(&[(3_000, held(OFF), None, true)]);
+        assert!(!sequence.is_seen_off());
     }
 
     #[test]
     fn hold_stays_powered_but_a_shutdown_does_not() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
-        assert!(sequence.is_down());
+        let mut sequence = start(plan(Ramp, Hold), 0.0).stands();
         sequence.shut_down(Time(2), true);
-        assert!(!sequence.is_down());
-        assert_eq!(sequence.step(Time(3), STANDING), None, "power goes off only after standstill here, too");
-        assert_eq!(sequence.step(Time(3), STANDING), None);
-        assert_eq!(sequence.step(Time(3), STANDING), Some(Command::Disable));
+        // Power goes off only after standstill here, too.
+        let still = (3, STANDING, None, false);
+        sequence.steps(&[still, still, (3, STANDING, POWER_OFF, false)]);
     }
 
     #[test]
@@ -386,127 +394,83 @@ mod tests {
         // Its own time-out may be shorter still.
         for (timeout, left) in [(Duration::from_secs(20), 250_000_000), (Duration::from_nanos(1_000), 1_000)]
         {
-            let plan = StopPlan { timeout, ..plan(StopHow::Ramp, StopThen::Disable) };
-            let (mut sequence, _) = StopSequence::start(plan, Load::Level, Time(0), 0.0);
-            assert_eq!(sequence.hurry(Time(500)), Some(Command::QuickStop));
-            assert_eq!(sequence.step(Time(499 + left), MOVING), None);
-            assert_eq!(sequence.step(Time(500 + left), MOVING), Some(Command::Disable));
+            let plan = StopPlan { timeout, ..plan(Ramp, Disable) };
+            let mut sequence = start(plan, 0.0);
+            assert_eq!(sequence.hurry(Time(500)), QUICK);
+            sequence.steps(&[(499 + left, MOVING, None, false), (500 + left, MOVING, POWER_OFF, false)]);
             // The same while the power goes off.
-            let coast = StopPlan { how: StopHow::Coast, ..plan };
-            let (mut sequence, _) = StopSequence::start(coast, Load::Level, Time(0), 0.0);
+            let mut sequence = start(StopPlan { how: Coast, ..plan }, 0.0);
             assert_eq!(sequence.hurry(Time(0)), None);
-            sequence.step(Time(left - 1), MOVING);
-            assert!(!sequence.is_down());
-            sequence.step(Time(left), MOVING);
-            assert!(sequence.is_down());
+            sequence.steps(&[(left - 1, MOVING, None, false), (left, MOVING, None, true)]);
         }
     }
 
     #[test]
-    fn nothing_is_switched_off_blindly() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
-        let lost = Sight { fresh: false, answers: false, ..MOVING };
-        assert_eq!(sequence.step(Time(5_000), lost), None, "its time does not run");
-        assert_eq!(
-            sequence.step(Time(5_001), Sight { powered: false, ..lost }),
-            None,
-            "held values prove nothing"
-        );
-        let again = sequence.step(Time(6_000), MOVING);
-        assert!(matches!(again, Some(Command::Stop { .. })), "requested again when it is received again");
-        assert_eq!(sequence.step(Time(6_500), MOVING), None);
-        assert_eq!(
-            sequence.step(Time(7_000), MOVING),
-            Some(Command::QuickStop),
-            "and from then on its time runs"
-        );
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        sequence.step(Time(500), lost);
-        sequence.shut_down(Time(500), true);
-        assert_eq!(
-            sequence.step(Time(1_600), lost),
-            Some(Command::Disable),
-            "a shutdown does not wait for ever"
-        );
-    }
-
-    #[test]
-    fn a_quick_stop_of_the_application_is_what_is_repeated_to_a_drive_that_comes_back() {
+    fn nothing_is_switched_off_blindly_and_a_drive_that_comes_back_is_requested_again_what_was_last() {
         for quickened in [false, true] {
-            let (mut sequence, ramp) =
-                StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 10.0);
+            let plan = plan(Ramp, Disable);
+            let mut sequence = start(plan, 100.0);
             if quickened {
                 sequence.quicken();
             }
-            assert_eq!(sequence.step(Time(100), Sight { fresh: false, answers: false, ..MOVING }), None);
-            let again = sequence.step(Time(200), Sight { velocity: 10.0, ..MOVING });
-            assert_eq!(again, Some(if quickened { Command::QuickStop } else { ramp }));
+            let ramp = Command::Stop { deceleration: Some(deceleration_of(&plan, 100.0, 50.0)) };
+            let (again, then) = if quickened { (QUICK, POWER_OFF) } else { (Some(ramp), QUICK) };
+            // While it is silent its time does not run; from its return on it does.
+            sequence.steps(&[
+                (5_000, LOST, None, false),
+                (5_001, Sight { powered: false, ..LOST }, None, false),
+                (6_000, MOVING, again, false),
+                (6_500, MOVING, None, false),
+                (7_000, MOVING, then, false),
+            ]);
         }
+        // A shutdown does not wait for ever.
+        let mut sequence = start(plan(Ramp, Disable), 0.0);
+        sequence.step(Time(500), LOST);
+        sequence.shut_down(Time(500), true);
+        sequence.steps(&[(1_600, LOST, POWER_OFF, false)]);
     }
 
     #[test]
     fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let mut sequence = start(plan(Ramp, Disable), 100.0);
         sequence.shut_down(Time(0), true);
-        let lost = Sight { fresh: false, answers: false, ..MOVING };
         let off = (1..).find(|n| {
-            let sight = if n % 2 == 0 { MOVING } else { lost };
-            sequence.step(Time(300 * n), sight) == Some(Command::Disable)
+            let sight = if n % 2 == 0 { MOVING } else { LOST };
+            sequence.step(Time(300 * n), sight) == POWER_OFF
         });
         assert_eq!(off, Some(7), "its time runs once more from its first return");
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let mut sequence = start(plan(Ramp, Disable), 100.0);
         let off = (1..99).find(|n| {
-            let sight = if n % 3 == 0 { lost } else { MOVING };
-            sequence.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == Some(Command::Disable)
+            let sight = if n % 3 == 0 { LOST } else { MOVING };
+            sequence.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == POWER_OFF
         });
         assert_eq!(off, None, "without a shutdown it waits for the drive");
     }
 
     #[test]
     fn a_drive_that_is_off_already_is_told_so_all_the_same() {
-        let (mut sequence, command) =
-            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
-        assert_eq!((command, sequence.step(Time(5), OFF)), (Command::Disable, None));
-        assert!(!sequence.is_down(), "its reply is older than the command");
-        assert_eq!(sequence.step(Time(6), Sight { fresh: false, ..OFF }), None);
-        assert!(!sequence.is_down(), "and a held one says nothing");
-        assert_eq!(sequence.step(Time(6), OFF), None);
-        assert!(sequence.is_down());
+        let (mut sequence, command) = StopSequence::start(plan(Coast, Disable), Load::Level, Time(5), 0.0);
+        assert_eq!(command, Command::Disable);
+        // A reply that is older than the command says nothing, nor does a held one.
+        sequence.steps(&[(5, OFF, None, false), (6, held(OFF), None, false), (6, OFF, None, true)]);
         // Held until now, then it dropped out by itself.
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        let mut sequence = start(plan(Quick, Hold), 0.0).stands();
         sequence.shut_down(Time(2), true);
-        assert_eq!(sequence.step(Time(3), OFF), Some(Command::Disable));
-    }
-
-    #[test]
-    fn a_ramp_that_the_drive_does_not_take_becomes_its_quick_stop() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        let failed = Sight { failed: true, ..MOVING };
-        assert_eq!(sequence.step(Time(1), failed), Some(Command::QuickStop));
-        assert_eq!(sequence.step(Time(2), failed), None, "once");
+        sequence.steps(&[(3, OFF, POWER_OFF, false)]);
     }
 
     #[test]
     fn a_time_out_ends_by_its_policy() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 100.0);
-        assert_eq!(sequence.step(Time(999), MOVING), None);
-        assert_eq!(sequence.step(Time(1_000), MOVING), Some(Command::QuickStop), "the ramp had its time");
-        assert_eq!(sequence.step(Time(1_999), MOVING), None);
-        assert_eq!(sequence.step(Time(2_000), MOVING), Some(Command::Disable));
-        let mut hold = plan(StopHow::Ramp, StopThen::Disable);
-        hold.on_timeout = StopTimeout::Hold;
-        let (mut sequence, _) = StopSequence::start(hold, Load::Level, Time(0), 100.0);
-        assert_eq!(sequence.step(Time(1_000), MOVING), Some(Command::QuickStop));
-        assert_eq!(sequence.step(Time(2_000), MOVING), None);
-        assert!(sequence.is_down());
+        // The ramp has its time, and the quick stop.
+        let ramp = [(999, MOVING, None, false), (1_000, MOVING, QUICK, false), (1_999, MOVING, None, false)];
+        let mut sequence = start(plan(Ramp, Hold), 100.0);
+        sequence.steps(&ramp);
+        sequence.steps(&[(2_000, MOVING, POWER_OFF, false)]);
+        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(Ramp, Disable) };
+        let mut sequence = start(hold, 100.0);
+        sequence.steps(&ramp);
+        sequence.steps(&[(2_000, MOVING, None, true)]);
         // A shutdown gives it the time once more, and only once.
         sequence.shut_down(Time(2_100), true);
         assert!(!sequence.is_down());
@@ -517,7 +481,7 @@ mod tests {
 
     #[test]
     fn a_stop_is_as_steep_as_its_time_requires() {
-        let plan = StopPlan { timeout: Duration::from_secs(2), ..plan(StopHow::Ramp, StopThen::Hold) };
+        let plan = StopPlan { timeout: Duration::from_secs(2), ..plan(Ramp, Hold) };
         // 100 from the plan; 1000 in 80 % of 2 s.
         for (velocity, deceleration) in [(0.0, 100.0), (160.0, 100.0), (1_000.0, 625.0), (f64::NAN, 100.0)] {
             let (_, command) = StopSequence::start(plan, Load::Level, Time(0), velocity);
@@ -528,96 +492,71 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_that_does_not_slow_the_axis_down_becomes_its_quick_stop() {
+    fn a_ramp_that_is_not_taken_or_does_not_slow_the_axis_down_becomes_its_quick_stop_once() {
         let sight = |velocity| Sight { velocity, ..MOVING };
-        let start = |velocity| {
-            let plan = plan(StopHow::Ramp, StopThen::Disable);
-            StopSequence::start(plan, Load::Level, Time(0), velocity).0
-        };
-        // A quarter of its time is left to it.
-        for (velocity, at, escalates) in [
-            (96.0, 250, false),
-            (96.0, 251, true),
-            (-96.0, 251, true),
-            (95.0, 251, false),
-            (94.0, 251, false),
-            (94.0, 999, false),
+        let failed = Sight { failed: true, ..MOVING };
+        for (what, from, at, seen, command) in [
+            ("not taken", 0.0, 1, failed, QUICK),
+            ("a quarter of its time is left to it", 100.0, 250, sight(96.0), None),
+            ("no slower", 100.0, 251, sight(96.0), QUICK),
+            ("no slower, the other way", 100.0, 251, sight(-96.0), QUICK),
+            ("just slower", 100.0, 251, sight(95.0), None),
+            ("slower", 100.0, 251, sight(94.0), None),
+            ("slower, late", 100.0, 999, sight(94.0), None),
+            ("held values prove nothing", 100.0, 999, held(sight(100.0)), None),
+            ("nor does a speed that was not known", f64::NAN, 999, sight(100.0), None),
+            ("at standstill nothing is slower", 0.4, 251, STANDING, None),
         ] {
-            let command = start(100.0).step(Time(at), sight(velocity));
-            assert_eq!(command, escalates.then_some(Command::QuickStop), "{velocity} after {at} ns");
+            assert_eq!(start(plan(Ramp, Disable), from).step(Time(at), seen), command, "{what}");
         }
-        let held = Sight { fresh: false, ..sight(100.0) };
-        assert_eq!(start(100.0).step(Time(999), held), None, "held values prove nothing");
-        assert_eq!(
-            start(f64::NAN).step(Time(999), sight(100.0)),
-            None,
-            "nor does a speed that was not known"
-        );
-        assert_eq!(start(0.4).step(Time(251), STANDING), None, "and at standstill nothing is slower");
-        let mut sequence = start(100.0);
-        assert_eq!(sequence.step(Time(300), sight(100.0)), Some(Command::QuickStop));
-        assert_eq!(sequence.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
-        assert_eq!(sequence.step(Time(1_300), sight(100.0)), Some(Command::Disable));
+        let mut sequence = start(plan(Ramp, Disable), 100.0);
+        sequence.steps(&[
+            (300, failed, QUICK, false),
+            // Once, and it has as much time.
+            (1_299, Sight { velocity: 100.0, ..failed }, None, false),
+            (1_300, sight(100.0), POWER_OFF, false),
+        ]);
     }
 
     #[test]
-    fn an_axis_that_moves_a_third_time_loses_its_power_if_a_time_out_may_take_it() {
-        for (on_timeout, third) in
-            [(StopTimeout::Disable, Command::Disable), (StopTimeout::Hold, Command::QuickStop)]
-        {
-            let plan = StopPlan { on_timeout, ..plan(StopHow::Ramp, StopThen::Hold) };
-            let (mut sequence, _) = StopSequence::start(plan, Load::Level, Time(0), 0.0);
-            for command in [Command::QuickStop, Command::QuickStop, third, third] {
-                for _ in 0..3 {
-                    sequence.step(Time(1), STANDING);
-                }
+    fn an_axis_that_moves_again_is_stopped_by_the_quick_stop_and_the_third_time_loses_its_power_if_it_may() {
+        for (how, on_timeout, first, third) in [
+            (Ramp, StopTimeout::Disable, Command::QuickStop, Command::Disable),
+            (Ramp, StopTimeout::Hold, Command::QuickStop, Command::QuickStop),
+            // This axis is never braked.
+            (Coast, StopTimeout::Hold, Command::Disable, Command::Disable),
+        ] {
+            let mut sequence = start(StopPlan { on_timeout, ..plan(how, Hold) }, 0.0);
+            for command in [first, first, third, third] {
+                (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
                 sequence.step(Time(2), OFF);
-                assert!(sequence.is_down(), "{on_timeout:?}");
-                assert_eq!(sequence.again(Time(1), 50.0), command, "{on_timeout:?}");
-                assert!(!sequence.is_down(), "{on_timeout:?}");
+                assert!(sequence.is_down(), "{how:?} {on_timeout:?}");
+                assert_eq!(sequence.again(Time(1), 50.0), command, "{how:?} {on_timeout:?}");
+                assert!(!sequence.is_down(), "{how:?} {on_timeout:?}");
             }
         }
     }
 
     #[test]
-    fn an_axis_that_moves_again_is_stopped_again_by_the_quick_stop() {
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
-        assert!(sequence.is_down());
-        assert_eq!(sequence.again(Time(5), 50.0), Command::QuickStop);
-        assert!(!sequence.is_down());
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(6), STANDING), None));
-        assert!(sequence.is_down());
-        let (mut sequence, _) =
-            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 0.0);
-        sequence.step(Time(1), OFF);
-        assert_eq!(sequence.again(Time(5), 50.0), Command::Disable, "this axis is never braked");
-    }
-
-    #[test]
     fn a_load_that_only_the_drive_holds_keeps_its_power_to_the_very_end() {
-        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(StopHow::Ramp, StopThen::Hold) };
-        let load = Load::Vertical(HeldBy::Drive);
-        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
+        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(Ramp, Hold) };
+        let start = || StopSequence::start(hold, Load::Vertical(HeldBy::Drive), Time(0), 0.0).0;
+        let mut sequence = start();
         sequence.shut_down(Time(1), true);
-        assert_eq!(sequence.hurry(Time(1)), Some(Command::QuickStop));
-        assert_eq!(sequence.step(Time(400_000_000), MOVING), None, "not by its time-out, however short");
-        assert!(sequence.is_down());
-        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        assert_eq!(sequence.hurry(Time(1)), QUICK);
+        // Not by its time-out, however short.
+        sequence.steps(&[(400_000_000, MOVING, None, true)]);
+        let mut sequence = start().stands();
         sequence.shut_down(Time(2), true);
         assert!(sequence.is_down());
         // Its power goes while the shutdown waits for others.
         sequence.shut_down(Time(3), false);
-        assert_eq!(sequence.step(Time(4), OFF), Some(Command::Disable));
-        assert_eq!(sequence.step(Time(5), OFF), None);
+        sequence.steps(&[(4, OFF, POWER_OFF, false), (5, OFF, None, true)]);
         sequence.shut_down(Time(6), false);
         assert!(sequence.is_down());
         // Off already when the shutdown comes: its control word has to say so.
-        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        let mut sequence = start().stands();
         sequence.shut_down(Time(3), false);
-        assert_eq!(sequence.step(Time(4), OFF), Some(Command::Disable));
+        sequence.steps(&[(4, OFF, POWER_OFF, false)]);
     }
 }

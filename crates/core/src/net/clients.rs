@@ -206,6 +206,8 @@ fn is_beyond_reserve(stream: &impl AsFd) -> bool {
 mod tests {
     use std::os::unix::net::{UnixListener, UnixStream};
 
+    use fieldbeat_testing::until;
+
     use super::*;
 
     const LONG: Duration = Duration::from_secs(60);
@@ -231,12 +233,14 @@ mod tests {
             UnixStream::connect(&self.path).unwrap()
         }
 
-        fn turn(&mut self) -> Vec<String> {
+        fn whole(&mut self, wait: Duration) -> Vec<Client<UnixStream>> {
             let accept = || self.listener.accept().map(|(stream, _)| stream);
-            let whole = self
-                .clients
-                .turn(self.listener.as_fd(), Duration::ZERO, accept, |said| said.ends_with(b"\n"));
-            whole.into_iter().map(|client| String::from_utf8(client.said).unwrap()).collect()
+            self.clients.turn(self.listener.as_fd(), wait, accept, |said| said.ends_with(b"\n"))
+        }
+
+        fn turn(&mut self) -> Vec<String> {
+            let whole = self.whole(Duration::ZERO).into_iter();
+            whole.map(|client| String::from_utf8(client.said).unwrap()).collect()
         }
     }
 
@@ -260,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_in_pieces_without_end_or_cut_off_comes_back_once() {
+    fn a_request_in_pieces_without_end_or_cut_off_comes_back_once_and_patience_ends() {
         let mut rig = Rig::new(LONG);
         let mut pieces = rig.connect();
         for (piece, whole) in [(&b"sta"[..], &[][..]), (b"tus", &[]), (b"\n", &["status\n"])] {
@@ -272,10 +276,6 @@ mod tests {
         rig.connect().write_all(b"half").unwrap();
         assert_eq!(rig.turn(), ["half"]);
         assert!(rig.clients.clients.is_empty());
-    }
-
-    #[test]
-    fn patience_ends() {
         let mut rig = Rig::new(Duration::ZERO);
         let mut slow = rig.connect();
         assert!(rig.turn().is_empty() && rig.turn().is_empty());
@@ -288,21 +288,16 @@ mod tests {
         let mut rig = Rig::new(LONG);
         let mut client = rig.connect();
         client.write_all(b"\n").unwrap();
-        let accept = || rig.listener.accept().map(|(stream, _)| stream);
-        let mut whole = rig.clients.turn(rig.listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
+        let asked = rig.whole(LONG).remove(0);
         let answer: Vec<u8> = (0..4_000_000_u32).map(|index| (index % 251) as u8).collect();
-        rig.clients.answer(whole.remove(0), answer.clone());
+        rig.clients.answer(asked, answer.clone());
         assert_eq!(rig.clients.clients.len(), 1, "all of it at once");
         let reader = std::thread::spawn(move || {
             let mut taken = Vec::new();
             client.read_to_end(&mut taken).unwrap();
             taken
         });
-        let begun = Instant::now();
-        while !rig.clients.clients.is_empty() {
-            assert!(begun.elapsed() < LONG);
-            rig.turn();
-        }
+        until("all of it is there", || rig.turn().is_empty() && rig.clients.clients.is_empty());
         assert!(reader.join().unwrap() == answer);
     }
 }

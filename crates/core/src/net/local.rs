@@ -140,6 +140,12 @@ mod tests {
         assert!(since_2000.abs_diff(carrier.today_ns().unwrap()) < 10 * crate::time::S);
     }
 
+    /// A line, and a master that is open on it.
+    fn both(what: &str) -> (Local, Local) {
+        let name = own(what);
+        (Local::serve(&name).unwrap(), Local::open(&name).unwrap())
+    }
+
     fn receive(end: &mut Local) -> Option<Vec<u8>> {
         let mut room = [0; 32];
         end.receive(&mut room).map(|(_, length)| room[..length.min(32)].to_vec())
@@ -165,10 +171,8 @@ mod tests {
     }
 
     #[test]
-    fn the_line_has_the_time_of_the_wire_however_late_it_looks() {
-        let name = own("stamps");
-        let mut line = Local::serve(&name).unwrap();
-        let mut master = Local::open(&name).unwrap();
+    fn the_line_has_the_time_of_the_wire_however_late_it_looks_and_is_told_of_a_frame_longer_than_its_room() {
+        let (mut line, mut master) = both("stamps");
         master.send(&[1]).unwrap();
         let sent_by = master.now();
         std::thread::sleep(std::time::Duration::from_millis(100));
@@ -176,13 +180,6 @@ mod tests {
         let (at, _) = line.receive(&mut [0; 8]).unwrap();
         let looked_at = line.now();
         assert!(at.since(sent_by) < looked_at.since(at), "{sent_by:?} {at:?} {looked_at:?}");
-    }
-
-    #[test]
-    fn a_frame_that_is_longer_than_the_room_is_told() {
-        let name = own("long");
-        let mut line = Local::serve(&name).unwrap();
-        let mut master = Local::open(&name).unwrap();
         master.send(&[9; 1514]).unwrap();
         let mut room = [0; 32];
         assert_eq!(line.receive(&mut room).map(|(_, length)| length), Some(1514));
@@ -212,9 +209,7 @@ mod tests {
 
     #[test]
     fn a_line_that_does_not_read_fills_up_and_nobody_waits() {
-        let name = own("full");
-        let mut line = Local::serve(&name).unwrap();
-        let mut master = Local::open(&name).unwrap();
+        let (mut line, mut master) = both("full");
         let end = (0..1_000_000).map(|_| master.send(&[1; 60])).find_map(Result::err);
         assert_eq!(end, Some(Unsent::Full));
         while receive(&mut line).is_some() {}

@@ -179,12 +179,8 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_counts_by_its_number() {
+    fn an_interface_counts_by_its_number_and_what_does_not_exist_needs_no_lock() {
         assert_eq!(Place::Interface("lo").key().unwrap(), "fieldbeat-interface/1");
-    }
-
-    #[test]
-    fn what_does_not_exist_needs_no_lock() {
         assert!(!Place::Interface("nosuch0").lock().unwrap().is_held());
     }
 

@@ -218,8 +218,9 @@ impl Frames for Packet {
 #[cfg(test)]
 mod tests {
     use std::process::Command;
-    use std::time::{Duration, Instant};
+    use std::time::Duration;
 
+    use fieldbeat_testing::until;
     use nix::sched::{CloneFlags, unshare};
 
     use super::*;
@@ -251,33 +252,24 @@ mod tests {
         frame
     }
 
-    /// The next frame; none within a minute is none at all.
+    /// The next frame.
     fn receive(socket: &mut Packet, room: &mut [u8]) -> Option<usize> {
         next(socket, room).map(|(_, length)| length)
     }
 
     /// The same, with its time.
     fn next(socket: &mut Packet, room: &mut [u8]) -> Option<(Time, usize)> {
-        let begin = Instant::now();
-        loop {
-            match socket.receive(room) {
-                Some(frame) => return Some(frame),
-                None if begin.elapsed() > LONG => return None,
-                None => std::thread::sleep(Duration::from_micros(100)),
-            }
-        }
+        let mut next = None;
+        until("received", || {
+            next = socket.receive(room);
+            next.is_some()
+        });
+        next
     }
-
-    /// Nothing takes this long, however busy the host.
-    const LONG: Duration = Duration::from_secs(60);
 
     /// Waits until the interface has followed its other end.
     fn until_sent(socket: &mut Packet, sent: impl Fn(Result<Time, Unsent>) -> bool) {
-        let begin = Instant::now();
-        while !sent(socket.send(&frame(TYPE, 60))) {
-            assert!(begin.elapsed() < LONG);
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        until("followed", || sent(socket.send(&frame(TYPE, 60))));
     }
 
     #[test]

@@ -307,7 +307,6 @@ mod tests {
 
     #[test]
     fn each_refusal_names_the_port_and_the_remedy() {
-        let text = |errno| refused("/dev/ttyUSB7", &LINE, io::Error::from_raw_os_error(errno)).to_string();
         for (errno, words) in [
             (libc::ENOENT, "plug in its adapter"),
             (libc::EIO, "plug in its adapter"),
@@ -319,7 +318,7 @@ mod tests {
             (libc::EMFILE, "ulimit -n"),
             (libc::ENOMEM, "Cannot allocate"),
         ] {
-            let text = text(errno);
+            let text = refused("/dev/ttyUSB7", &LINE, io::Error::from_raw_os_error(errno)).to_string();
             assert!(text.contains(words) && text.contains("/dev/ttyUSB7"), "{text}");
             assert!(!text.contains('\n'), "{text}");
         }
@@ -327,13 +326,16 @@ mod tests {
 
     #[test]
     fn what_is_no_serial_port_is_refused() {
-        let text = |path: &str| open(path, &LINE).unwrap_err().to_string();
-        assert!(text("/dev/no-such-port").contains("there is no serial port /dev/no-such-port"));
-        assert!(text("/dev/null").contains("/dev/null is no serial port"), "{}", text("/dev/null"));
-        assert!(text("/").contains("is no serial port"), "{}", text("/"));
         let file = tempfile::NamedTempFile::new().unwrap();
-        let path = file.path().to_str().unwrap();
-        assert!(text(path).contains("is no serial port"), "{}", text(path));
+        for (path, why) in [
+            ("/dev/no-such-port", "there is no serial port /dev/no-such-port"),
+            ("/dev/null", "/dev/null is no serial port"),
+            ("/", "is no serial port"),
+            (file.path().to_str().unwrap(), "is no serial port"),
+        ] {
+            let text = open(path, &LINE).unwrap_err().to_string();
+            assert!(text.contains(why), "{text}");
+        }
     }
 
     #[test]

@@ -154,40 +154,23 @@ mod tests {
     }
 
     #[test]
-    fn reads_the_model_of_the_processor() {
-        assert_eq!(
-            cpu_of("processor\t: 0\nmodel\t\t: 1\nmodel name\t: AMD EPYC\n").as_deref(),
-            Some("AMD EPYC")
-        );
+    fn reads_the_processor_its_cores_its_steal_and_its_throttling() {
+        let info = "processor\t: 0\nmodel\t\t: 1\nmodel name\t: AMD EPYC\n";
+        assert_eq!(cpu_of(info).as_deref(), Some("AMD EPYC"));
         assert_eq!(cpu_of("processor\t: 0\nBogoMIPS\t: 108.00\n"), None);
-    }
-
-    #[test]
-    fn reads_steal_of_one_core_and_of_all() {
         let stat =
             "cpu  10 0 20 300 4 0 5 60 0 0\ncpu0 5 0 10 150 2 0 2 20 0 0\ncpu1 5 0 10 150 2 0 3 40 0 0\n";
-        assert_eq!(steal_of(stat, None), Some(60));
-        assert_eq!(steal_of(stat, Some(1)), Some(40));
-        assert_eq!(steal_of(stat, Some(2)), None);
+        assert_eq!([None, Some(1), Some(2)].map(|core| steal_of(stat, core)), [Some(60), Some(40), None]);
         // Before Linux 2.6.11 there was no such column.
         assert_eq!(steal_of("cpu 1 2 3 4 5 6 7\n", None), None);
-    }
-
-    #[test]
-    fn reads_lists_of_cores() {
-        assert_eq!(cores_of("0-2,5"), Some(vec![0, 1, 2, 5]));
-        assert_eq!(cores_of("3"), Some(vec![3]));
-        assert_eq!(cores_of(""), Some(vec![]));
-        assert_eq!(cores_of("0-x"), None);
-    }
-
-    #[test]
-    fn minus_one_is_no_throttling() {
-        assert_eq!(
-            throttling_of("950000", "1000000"),
-            Some(Throttling { runtime_us: Some(950_000), period_us: 1_000_000 })
-        );
-        assert_eq!(throttling_of("-1", "1000000").map(|t| t.runtime_us), Some(None));
+        for (list, cores) in
+            [("0-2,5", Some(vec![0, 1, 2, 5])), ("3", Some(vec![3])), ("", Some(vec![])), ("0-x", None)]
+        {
+            assert_eq!(cores_of(list), cores, "{list}");
+        }
+        let throttled = |runtime_us| Some(Throttling { runtime_us, period_us: 1_000_000 });
+        assert_eq!(throttling_of("950000", "1000000"), throttled(Some(950_000)));
+        assert_eq!(throttling_of("-1", "1000000"), throttled(None), "minus one is none");
         assert_eq!(throttling_of("", "1000000"), None);
     }
 

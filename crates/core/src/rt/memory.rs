@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prefaulted_ring_does_not_fault() {
+    fn a_prefaulted_ring_does_not_fault_and_the_memory_of_a_queue_is_kept() {
         let mut regions = Regions::new();
         let (mut producer, mut consumer) = ring::<[u64; 8]>(1 << 16, &mut regions);
         assert!(regions.areas.iter().map(|(_, length)| length).sum::<usize>() >= 64 << 16);
@@ -321,11 +321,6 @@ mod tests {
         // 1024 pages: none faults, but the kernel may move one at any time, as nothing is locked here.
         let faults = Usage::of_thread().since(before).page_faults();
         assert!(faults < 32, "{faults}");
-    }
-
-    #[test]
-    fn the_memory_of_a_queue_is_added_and_kept() {
-        let mut regions = Regions::new();
         let mut queue = deque::<u64>(100, &mut regions);
         (0..100).for_each(|n| queue.push_back(n));
         assert!(regions.covers(queue.as_slices().0) && queue.as_slices().0.len() == 100);
@@ -348,10 +343,7 @@ mod tests {
         });
         let faults = faults.join().unwrap();
         assert!(faults < 10, "{faults} of 25 pages or more");
-    }
-
-    #[test]
-    fn a_short_stack_is_left_alone() {
+        // A short stack is left alone.
         std::thread::Builder::new().stack_size(128 << 10).spawn(prefault_stack).unwrap().join().unwrap();
     }
 
@@ -387,24 +379,16 @@ mod tests {
         in_own_process("rt::memory::tests::a_tight_limit_locks_nothing_and_names_what_it_takes", || {
             assert!(limit_memlock(64 << 10));
             become_ordinary();
+            let mut regions = Regions::new();
+            let _ring = ring::<u64>(1 << 12, &mut regions);
+            assert!(matches!(regions.lock(), Err(Denied::Memlock { limit_kib: 64, .. })));
+            assert_eq!(locked_kib(), 0);
             match lock_process() {
                 Err(Denied::Memlock { need_kib, limit_kib: 64 }) => assert!(need_kib > 64 << 10),
                 other => panic!("{other:?}"),
             }
             assert_eq!(locked_kib(), 0);
             std::thread::spawn(|| vec![1_u8; 16 << 20].len()).join().unwrap();
-        });
-    }
-
-    #[test]
-    fn own_memory_fits_the_limit_or_locks_nothing() {
-        in_own_process("rt::memory::tests::own_memory_fits_the_limit_or_locks_nothing", || {
-            assert!(limit_memlock(64 << 10));
-            become_ordinary();
-            let mut regions = Regions::new();
-            let _ring = ring::<u64>(1 << 12, &mut regions);
-            assert!(matches!(regions.lock(), Err(Denied::Memlock { limit_kib: 64, .. })));
-            assert_eq!(locked_kib(), 0);
         });
     }
 

@@ -319,29 +319,26 @@ mod tests {
     }
 
     #[test]
-    fn off_touches_nothing() {
+    fn off_touches_nothing_but_pins_to_a_core_that_was_named() {
         on_a_thread(|| {
             let before = cores();
             let granted = enter(&plan(Realtime::Off), &Regions::new()).unwrap();
             assert_eq!((granted.core, granted.memory_locked), (None, false));
             assert!(granted.missing.is_empty());
             assert_eq!(cores(), before);
+            let named = RealtimePlan { core: Some(before[0]), ..plan(Realtime::Off) };
+            assert_eq!(enter(&named, &Regions::new()).unwrap().core, Some(before[0]));
+            assert_eq!(cores(), before[..1]);
         });
     }
 
     #[test]
-    fn off_pins_to_a_core_that_was_named() {
-        on_a_thread(|| {
-            let first = cores()[0];
-            let granted =
-                enter(&RealtimePlan { core: Some(first), ..plan(Realtime::Off) }, &Regions::new()).unwrap();
-            assert_eq!(granted.core, Some(first));
-            assert_eq!(cores(), [first]);
-        });
-    }
-
-    #[test]
-    fn a_core_that_is_not_there_is_refused_by_every_mode() {
+    fn a_core_that_is_not_there_is_refused_by_every_mode_and_so_is_a_priority_that_is_none() {
+        for priority in [0, 100] {
+            let plan = RealtimePlan { priority, ..plan(Realtime::Prefer) };
+            let refused = enter(&plan, &Regions::new());
+            assert!(matches!(refused, Err(RealtimeError::Priority(p)) if p == priority));
+        }
         for realtime in [Realtime::Off, Realtime::Prefer, Realtime::Require] {
             // Within the set of the kernel's interface, and beyond it.
             for core in [CpuSet::count() - 1, 5_000] {
@@ -371,67 +368,39 @@ mod tests {
     }
 
     #[test]
-    fn a_priority_that_is_not_one_is_refused() {
-        for priority in [0, 100] {
-            let plan = RealtimePlan { priority, ..plan(Realtime::Prefer) };
-            assert!(
-                matches!(enter(&plan, &Regions::new()), Err(RealtimeError::Priority(p)) if p == priority)
-            );
-        }
-    }
-
-    #[test]
     fn a_helper_leaves_the_core_of_the_loop() {
         on_a_thread(|| {
             let all = cores();
             let of_loop = default_core().unwrap();
             helper_thread(Some(of_loop));
-            if all.len() > 1 {
-                assert_eq!(cores(), all[..all.len() - 1]);
-            } else {
-                assert_eq!(cores(), all);
-            }
+            assert_eq!(cores(), all[..(all.len() - 1).max(1)]);
             assert_eq!(scheduling(), ("SCHED_OTHER", 0));
         });
     }
 
     #[test]
-    fn an_ordinary_user_prefers_and_is_told_what_is_missing() {
-        in_own_process("rt::thread::tests::an_ordinary_user_prefers_and_is_told_what_is_missing", || {
-            assert!(limit_rtprio(0));
-            assert!(limit_memlock(64 << 10));
+    fn an_ordinary_user_who_requires_is_refused_and_who_prefers_is_told_what_is_missing() {
+        const NAME: &str = "rt::thread::tests::an_ordinary_user_who_requires_is_refused_and_who_prefers_is_told_what_is_missing";
+        in_own_process(NAME, || {
+            assert!(limit_rtprio(0) && limit_memlock(64 << 10));
             become_ordinary();
+            let refused = on_a_thread(|| enter(&plan(Realtime::Require), &Regions::new()));
+            let (text, program) = (refused.unwrap_err().to_string(), std::env::current_exe().unwrap());
+            let remedy = ["RLIMIT_RTPRIO is 0", "setcap cap_sys_nice,cap_ipc_lock+ep", "\"prefer\""];
+            for part in remedy.into_iter().chain([&*program.to_string_lossy()]) {
+                assert!(text.contains(part), "no {part}: {text}");
+            }
+            assert_eq!(locked_kib(), 0);
             let to_be = plan(Realtime::Prefer).core_to_be();
             let granted = enter(&plan(Realtime::Prefer), &Regions::new()).unwrap();
             assert_eq!((granted.policy, granted.priority, granted.memory_locked), ("SCHED_OTHER", 0, false));
             assert_eq!(cores(), [granted.core.unwrap()]);
             assert_eq!(granted.core, to_be);
-            assert!(
-                granted.missing[0].contains("SCHED_FIFO 80 (RLIMIT_RTPRIO is 0)"),
-                "{:?}",
-                granted.missing
-            );
-            assert!(granted.missing[1].contains("RLIMIT_MEMLOCK is 64 KiB"), "{:?}", granted.missing);
-            assert_eq!(granted.missing.len(), 2);
+            let [priority, memory] = &granted.missing[..] else { panic!("{:?}", granted.missing) };
+            assert!(priority.contains("SCHED_FIFO 80 (RLIMIT_RTPRIO is 0)"), "{priority}");
+            assert!(memory.contains("RLIMIT_MEMLOCK is 64 KiB"), "{memory}");
             // PR_GET_TIMERSLACK returns the slack as its result.
             assert_eq!(nix::sys::prctl::get_timerslack(), Ok(1));
-            granted.missing.iter().for_each(|line| println!("{line}"));
-        });
-    }
-
-    #[test]
-    fn an_ordinary_user_who_requires_is_refused_with_the_remedy() {
-        in_own_process("rt::thread::tests::an_ordinary_user_who_requires_is_refused_with_the_remedy", || {
-            assert!(limit_rtprio(0));
-            become_ordinary();
-            let text = enter(&plan(Realtime::Require), &Regions::new()).unwrap_err().to_string();
-            let program = std::env::current_exe().unwrap().display().to_string();
-            for part in ["RLIMIT_RTPRIO is 0", "setcap cap_sys_nice,cap_ipc_lock+ep", &program, "\"prefer\""]
-            {
-                assert!(text.contains(part), "no {part}: {text}");
-            }
-            assert_eq!(locked_kib(), 0);
-            println!("{text}");
         });
     }
 

@@ -166,6 +166,18 @@ impl Alone {
         (0..count).for_each(|_| self.turn());
     }
 
+    fn misses(&mut self, count: u32) {
+        (0..count).for_each(|_| self.miss());
+    }
+
+    fn stopped(&self) -> Option<StopCause> {
+        self.controller.feedback().stopped
+    }
+
+    fn link(&self) -> Link {
+        self.controller.feedback().link
+    }
+
     pub fn post(&mut self, command: Command) -> u64 {
         self.id += 1;
         self.commands
@@ -173,6 +185,13 @@ impl Alone {
             .unwrap();
         self.bells.bell(0).ring();
         self.id
+    }
+
+    /// Posts it, and a cycle passes.
+    fn begin(&mut self, command: Command) -> u64 {
+        let id = self.post(command);
+        self.turn();
+        id
     }
 
     /// The bus ends the order; the loop looks at it in the same cycle.
@@ -183,8 +202,7 @@ impl Alone {
 
     /// The command is done, and the drive reports this state from then on.
     pub fn done(&mut self, command: Command, state: State) {
-        let id = self.post(command);
-        self.turn();
+        let id = self.begin(command);
         self.slot.status.state = state;
         self.ends(Ok(()));
         assert_eq!(self.ended(), [(id, Outcome::Done)]);
@@ -228,8 +246,7 @@ impl Alone {
 fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it() {
     let mut x = Alone::new(plan()).online();
     assert!(!x.controller.is_guarded());
-    x.post(Command::Enable);
-    x.turn();
+    x.begin(Command::Enable);
     assert!(x.controller.is_guarded());
     x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
     // The report of the cycle in which it failed came while it ran.
@@ -248,27 +265,23 @@ fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it(
     x.turn();
     assert!(!x.controller.is_guarded());
     // Nor does the end of another command.
-    x.post(Command::Enable);
-    x.turn();
+    x.begin(Command::Enable);
     x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
     x.slot.status.suspect = true;
-    x.post(Command::ResetFault);
-    x.turn();
+    x.begin(Command::ResetFault);
     x.ends(Ok(()));
     assert!(x.controller.is_guarded());
     x.slot.status.suspect = false;
     // With a fault there was no power, and no other command brings it.
-    x.post(Command::Enable);
-    x.turn();
+    x.begin(Command::Enable);
     x.ends(Err(Failure::DriveFault(7)));
     assert!(!x.controller.is_guarded());
-    x.post(Command::ResetFault);
-    x.turn();
+    x.begin(Command::ResetFault);
     assert!(!x.controller.is_guarded());
 }
 
 #[test]
-fn the_age_of_a_suspect_report_counts_from_the_exchange_before() {
+fn a_report_has_an_age_while_the_link_is_up_and_a_suspect_one_that_from_the_exchange_before() {
     let mut x = Alone::new(plan()).online();
     x.miss();
     assert_eq!(x.controller.feedback().age, 1);
@@ -277,19 +290,18 @@ fn the_age_of_a_suspect_report_counts_from_the_exchange_before() {
     assert_eq!(x.controller.feedback().age, 1);
     x.miss();
     assert_eq!(x.controller.feedback().age, 2);
+    let mut x = Alone::new(plan()).online();
+    let oldest = |x: &Alone| x.controller.numbers(&x.slot).peaks.age.ns;
+    x.misses(5);
+    assert_eq!((x.link(), oldest(&x)), (Link::Lost, 4 * MS));
+    x.misses(50);
+    assert_eq!(oldest(&x), 4 * MS);
 }
 
 #[test]
 fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
-    for (restarted, refused, emergency) in [
-        (true, false, false),
-        (false, true, false),
-        (false, false, true),
-        (true, true, false),
-        (true, false, true),
-        (false, true, true),
-        (true, true, true),
-    ] {
+    for told in 1..8 {
+        let [restarted, refused, emergency] = [1, 2, 4].map(|bit| told & bit != 0);
         let mut x = Alone::new(plan()).online();
         x.reported();
         let notices = &mut x.slot.notices;
@@ -308,45 +320,45 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
 #[test]
 fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() {
     let vertical = AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() };
-    let mut x = Alone::new(vertical.clone()).enabled();
-    // Its first report after the order shows no motion yet.
-    x.post(Command::Home);
-    x.turn();
-    let off = x.post(Command::Disable);
-    x.turn();
-    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    let mut x = Alone::new(vertical).enabled();
-    let off = x.post(Command::Disable);
-    x.miss();
-    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    // A push is not yet a motion of its own.
-    x.slot.status.velocity = 50.0;
-    let off = x.post(Command::Disable);
-    x.turn();
-    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    (x.slot.status.velocity, x.slot.status.moving) = (0.0, true);
-    let off = x.post(Command::Disable);
-    x.turn();
-    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    x.slot.status.moving = false;
-    let off = x.post(Command::Disable);
-    x.turn();
-    x.ends(Ok(()));
-    assert_eq!(x.ended(), [(off, Outcome::Done)]);
+    let refused = Outcome::Failed(Failure::LoadInMotion);
+    for (what, is_new, prepare) in [
+        ("its first report after the order shows no motion yet", true, |x| {
+            x.begin(Command::Home);
+        }),
+        ("its report is old", false, |_| ()),
+        ("a push is not yet a motion of its own", true, |x| x.slot.status.velocity = 50.0),
+        ("its generator runs", true, |x| x.slot.status.moving = true),
+    ] as [(_, _, fn(&mut Alone)); 4]
+    {
+        let mut x = Alone::new(vertical.clone()).enabled();
+        prepare(&mut x);
+        let off = x.post(Command::Disable);
+        if is_new {
+            x.turn()
+        } else {
+            x.miss()
+        }
+        assert_eq!(x.ended(), [(off, refused)], "{what}");
+    }
+    Alone::new(vertical).enabled().done(Command::Disable, State::ReadyToSwitchOn);
+}
+
+/// It was found running, and is to be read only.
+fn found_running() -> Alone {
+    let mut x = Alone::new(AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() });
+    x.slot.status.state = State::OperationEnabled;
+    x.turns(10);
+    assert_eq!(x.stopped(), Some(StopCause::FoundRunning));
+    x
 }
 
 #[test]
 fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it_over() {
-    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     for reset in [false, true] {
-        let mut x = Alone::new(plan.clone());
-        x.slot.status.state = State::OperationEnabled;
-        x.turns(10);
-        assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+        let mut x = found_running();
         assert!(x.controller.is_guarded());
         if reset {
-            let id = x.post(Command::Reset);
-            x.turn();
+            let id = x.begin(Command::Reset);
             assert_eq!(x.ended(), [(id, Outcome::Done)]);
         }
         let left = x.controller.shut_down(&cycle(99), Time(99 * MS), false);
@@ -372,16 +384,14 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
 fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
     let mut x = Alone::new(plan()).enabled();
     x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
-    let ramp = x.post(Command::QuickStop);
-    x.turn();
+    let ramp = x.begin(Command::QuickStop);
     assert_eq!(x.controller.newest(), Some(Command::QuickStop));
     // At standstill; the drive reports its power later.
     let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
     assert_eq!(x.controller.newest(), Some(Command::Disable));
     assert_eq!(x.ended(), [(ramp, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
-    let late = x.post(Command::QuickStop);
-    x.turn();
+    let late = x.begin(Command::QuickStop);
     assert_eq!(x.ended(), [(late, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
     assert_eq!(x.controller.newest(), Some(Command::Disable));
 }
@@ -403,7 +413,7 @@ fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
         status.demand += step;
         status.position = status.demand;
         x.turn();
-        if let Some(cause) = x.controller.feedback().stopped {
+        if let Some(cause) = x.stopped() {
             return (x.controller.feedback().status.demand, cause);
         }
     }
@@ -413,50 +423,42 @@ fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
 #[test]
 fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limit() {
     // 400 mm/s takes 80 mm to standstill.
-    for owner in [NativeOwner::Master, NativeOwner::Application] {
+    for (command, places) in [
+        (Command::Native(NativeOwner::Master), 15.0..20.0),
+        (Command::Native(NativeOwner::Application), 15.0..20.0),
+        (Command::Torque { slope: 100.0 }, 15.0..20.0),
+        (Command::Follow, 100.0..102.0),
+    ] {
         let mut x = ranged();
-        x.post(Command::Native(owner));
-        x.turn();
+        x.begin(command);
         let (at, cause) = stopped_at(&mut x, 0.4);
-        assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "{owner:?} {at} {cause}");
+        assert!(places.contains(&at) && cause == StopCause::Limit, "{command:?} {at} {cause}");
     }
-    let mut x = ranged();
-    x.post(Command::Torque { slope: 100.0 });
-    x.turn();
-    let (at, cause) = stopped_at(&mut x, 0.4);
-    assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "torque {at} {cause}");
-    let mut x = ranged();
-    x.post(Command::Follow);
-    x.turn();
-    let (at, cause) = stopped_at(&mut x, 0.4);
-    assert!((100.0..102.0).contains(&at) && cause == StopCause::Limit, "{at} {cause}");
 }
 
 #[test]
 fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     let by_drive = |x: &Alone| x.controller.newest() == Some(Command::QuickStop);
-    // By itself.
-    let mut x = ranged();
-    x.turns(100);
-    assert_eq!(stopped_at(&mut x, 0.1).1, StopCause::Uncommanded);
-    assert!(by_drive(&x));
-    let mut x = ranged();
-    x.turns(100);
-    assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
-    assert!(by_drive(&x));
-    // Faster than its limit: under a motion, and under a stop.
-    for (command, expected) in [(Command::Follow, false), (Command::Stop { deceleration: None }, true)] {
+    for (command, step, cause, expected) in [
+        // By itself.
+        (None, 0.1, StopCause::Uncommanded, true),
+        (None, 0.6, StopCause::Limit, true),
+        // Faster than its limit: under a motion, and under a stop.
+        (Some(Command::Follow), 0.6, StopCause::Limit, false),
+        (Some(Command::Stop { deceleration: None }), 0.6, StopCause::Limit, true),
+    ] {
         let mut x = ranged();
-        x.post(command);
-        x.turn();
-        assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
-        assert_eq!(by_drive(&x), expected, "{command:?}");
+        match command {
+            Some(command) => _ = x.begin(command),
+            None => x.turns(100),
+        }
+        assert_eq!((stopped_at(&mut x, step).1, by_drive(&x)), (cause, expected), "{command:?} {step}");
     }
     // It has left operation.
     let mut x = ranged();
     x.slot.status.state = State::SwitchedOn;
     x.turn();
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+    assert_eq!(x.stopped(), Some(StopCause::DriveDropped));
     assert!(!by_drive(&x));
 }
 
@@ -486,15 +488,14 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
         x.slot.status.velocity = 0.0;
         x.turns(100);
         if settles {
-            x.post(Command::Home);
-            x.turn();
+            x.begin(Command::Home);
             x.slot.status.velocity = 100.0;
             x.turns(9);
             x.ends(Ok(()));
         }
         x.slot.status.velocity = 40.0;
         x.turns(9);
-        assert_eq!(x.controller.feedback().stopped.is_none(), settles);
+        assert_eq!(x.stopped().is_none(), settles);
     }
 }
 
@@ -505,8 +506,7 @@ fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
         (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
         x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
         let order = x.controller.machine.newest();
-        let id = x.post(command);
-        x.turn();
+        let id = x.begin(command);
         assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
         assert_eq!(x.controller.machine.newest(), order, "{command:?}");
     }
@@ -522,23 +522,19 @@ fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
     x.turns(standstill);
     let order = x.controller.machine.newest();
     assert!(matches!(order.0, Some(Command::Stop { .. })));
-    let id = x.post(Command::Reset);
-    x.turn();
+    let id = x.begin(Command::Reset);
     assert_eq!(x.ended(), [(id, Outcome::Done)]);
     assert_eq!(x.controller.machine.newest(), order);
 }
 
 #[test]
 fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
-    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
-    let mut x = Alone::new(plan);
-    x.slot.status.state = State::OperationEnabled;
-    x.turns(10);
+    let mut x = found_running();
     x.done(Command::Stop { deceleration: None }, State::OperationEnabled);
     x.turns(100);
     x.slot.status.velocity = 50.0;
     x.turns(3);
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.stopped(), Some(StopCause::FoundRunning));
     assert_eq!(x.controller.newest(), Some(Command::QuickStop));
 }
 
@@ -550,13 +546,13 @@ fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() 
         x.turns(10);
         x.slot.expected_silence = expected_silence;
         x.slot.notices.fresh = false;
-        (0..9).for_each(|_| x.miss());
-        assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
+        x.misses(9);
+        assert_eq!((x.link(), losses(&x)), (Link::Lost, expected), "{expected_silence}");
         // A first answer, and silence again.
         x.turn();
         x.slot.notices.fresh = false;
-        (0..9).for_each(|_| x.miss());
-        assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
+        x.misses(9);
+        assert_eq!((x.link(), losses(&x)), (Link::Lost, expected), "{expected_silence}");
     }
 }
 
@@ -572,14 +568,13 @@ fn an_expected_silence_spares_the_stop_group_only_while_the_axis_neither_is_in_o
         let mut x = Alone::new(plan());
         x = if enabled { x.enabled() } else { x.online() };
         if let Some(command) = command {
-            x.post(command);
-            x.turn();
+            x.begin(command);
         }
         assert_eq!(x.controller.take_along(), Along::Nobody);
         x.slot.expected_silence = true;
         x.slot.notices.fresh = false;
-        (0..9).for_each(|_| x.miss());
-        assert_eq!(x.controller.feedback().stopped, Some(StopCause::LinkLost));
+        x.misses(9);
+        assert_eq!(x.stopped(), Some(StopCause::LinkLost));
         assert_eq!(x.controller.take_along(), along, "{enabled} {command:?}");
     }
 }
@@ -598,6 +593,16 @@ fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
 }
 
 impl Alone {
+    /// A row of the in-loop task.
+    fn gives(&mut self, position: f64) {
+        self.controller.row_from_task(Row { position, ..Row::default() });
+    }
+
+    /// A row of the application.
+    fn push(&mut self) {
+        self.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
+    }
+
     /// The row of the next send.
     fn fed_unsent(&mut self) -> Option<Row> {
         self.controller.machine.input.row = None;
@@ -634,7 +639,7 @@ fn a_stream_that_runs_empty_goes_on_at_its_last_speed_for_so_many_rows() {
         assert_eq!((row.velocity, row.acceleration), (10.0, 0.0));
     }
     assert_eq!(x.fed(), None);
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Underrun));
+    assert_eq!(x.stopped(), Some(StopCause::Underrun));
 }
 
 #[test]
@@ -647,17 +652,23 @@ fn the_first_row_is_at_most_four_ways_of_a_row_away() {
 }
 
 #[test]
-fn a_row_that_the_task_gave_for_no_stream_begins_none_later() {
-    let mut x = following(plan(), &[]);
-    x.ends(Ok(()));
-    x.ended();
-    // The order of the stream that has ended stands until there is another one.
-    x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
-    assert_eq!(x.fed(), None);
-    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
-    x.post(Command::Follow);
-    x.turn();
-    assert_eq!(x.fed(), Some(Row::default()));
+fn a_row_that_the_task_gave_for_no_stream_or_for_the_one_before_begins_none_later() {
+    for before in [true, false] {
+        let mut x = following(plan(), &[]);
+        if before {
+            x.gives(0.01);
+        }
+        x.ends(Ok(()));
+        x.ended();
+        // The order of the stream that has ended stands until there is another one.
+        if !before {
+            x.gives(0.03);
+            assert_eq!(x.fed(), None);
+        }
+        x.push();
+        x.begin(Command::Follow);
+        assert_eq!(x.fed(), Some(Row::default()), "before its end: {before}");
+    }
 }
 
 #[test]
@@ -666,7 +677,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let mut x = following(plan(), &rows);
     x.slot.due = false;
     assert_eq!(x.fed(), None);
-    x.controller.row_from_task(Row { position: -0.01, ..Row::default() });
+    x.gives(-0.01);
     assert_eq!(x.fed(), None);
     x.slot.due = true;
     assert_eq!(x.fed().map(|row| row.position), Some(-0.01), "that of the task first, when one is due");
@@ -674,16 +685,14 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let number = x.controller.machine.input.row.unwrap().number;
     x.ends(Ok(()));
     x.ended();
-    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
-    x.post(Command::Home);
-    x.turn();
+    x.push();
+    x.begin(Command::Home);
     assert_eq!((x.fed(), x.controller.queues.rows.slots()), (None, 1), "no row is for another motion");
     x.ends(Ok(()));
     x.ended();
-    x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
+    x.gives(0.03);
     assert_eq!(x.fed(), None, "nothing is followed");
-    x.post(Command::Follow);
-    x.turn();
+    x.begin(Command::Follow);
     assert_eq!(x.fed(), Some(Row::default()), "not the one that the task gave for an earlier send");
     assert_eq!(x.controller.machine.input.row.unwrap().number, number + 1);
 }
@@ -692,14 +701,13 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
 fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
     for (end, trips) in [(Err(Failure::NotArrived), None), (Ok(()), Some(54))] {
         let mut x = Alone::new(plan()).enabled();
-        x.post(Command::Home);
-        x.turn();
+        x.begin(Command::Home);
         x.slot.status.velocity = 200.0;
         x.ends(end);
         let tripped = (1..180).find(|n| {
             x.slot.status.velocity = 200.0 - f64::from(*n);
             x.turn();
-            x.controller.feedback().stopped.is_some()
+            x.stopped().is_some()
         });
         assert_eq!(tripped, trips, "{end:?}");
     }
@@ -711,8 +719,7 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
     x.slot.status.inhibited = true;
     x.turn();
     let order = x.controller.machine.newest();
-    let id = x.post(Command::Enable);
-    x.turn();
+    let id = x.begin(Command::Enable);
     assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
     assert_eq!(x.controller.machine.newest(), order);
 }
@@ -728,12 +735,11 @@ fn motion_under_a_command_that_moves_nothing_is_uncommanded() {
     ] {
         let mut x = Alone::new(plan()).enabled();
         x.turns(100);
-        x.post(command);
-        x.turn();
+        x.begin(command);
         (x.slot.status.state, x.slot.status.velocity) = (state, 50.0);
         x.controller.duty.set_claim(Claim::Ours);
         x.turns(10);
-        assert_eq!(x.controller.feedback().stopped, stopped, "{command:?} {state}");
+        assert_eq!(x.stopped(), stopped, "{command:?} {state}");
     }
 }
 
@@ -745,7 +751,7 @@ fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     let id = x.post(Command::Reset);
     x.turns(3);
     assert_eq!(x.ended(), []);
-    (0..5).for_each(|_| x.miss());
+    x.misses(5);
     assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotOnline))]);
 }
 
@@ -755,10 +761,9 @@ fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
         [(Failure::DriveFault(7), Some(StopCause::DriveFault)), (Failure::NotArrived, None)]
     {
         let mut x = Alone::new(plan()).enabled();
-        x.post(Command::Home);
-        x.turn();
+        x.begin(Command::Home);
         x.ends(Err(failure));
-        assert_eq!(x.controller.feedback().stopped, stop, "{failure}");
+        assert_eq!(x.stopped(), stop, "{failure}");
     }
 }
 
@@ -766,24 +771,23 @@ fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
 fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence() {
     let native = || {
         let mut x = Alone::new(plan()).online();
-        x.post(Command::Native(NativeOwner::Application));
-        x.turn();
+        x.begin(Command::Native(NativeOwner::Application));
         x
     };
     let mut x = native();
     x.slot.status.state = State::SwitchOnDisabled;
     x.turns(9);
-    assert_eq!(x.controller.feedback().stopped, None, "the state is its own concern");
+    assert_eq!(x.stopped(), None, "the state is its own concern");
     x.slot.notices.restarted = true;
     x.turn();
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+    assert_eq!(x.stopped(), Some(StopCause::DriveDropped));
     let mut x = native();
     x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat);
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Heartbeat));
+    assert_eq!(x.stopped(), Some(StopCause::Heartbeat));
     // Without power and without a command there is nothing to stop.
     let mut x = Alone::new(plan()).online();
     x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat);
-    assert_eq!(x.controller.feedback().stopped, None);
+    assert_eq!(x.stopped(), None);
 }
 
 #[test]
@@ -794,9 +798,9 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
     x.slot.status.velocity = 50.0;
     x.post(Command::Stop { deceleration: None });
     x.turns(101);
-    assert_eq!(x.controller.feedback().stopped, None);
+    assert_eq!(x.stopped(), None);
     x.turn();
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::StopTimeout));
+    assert_eq!(x.stopped(), Some(StopCause::StopTimeout));
     assert_eq!(x.controller.newest(), Some(Command::QuickStop));
     x.slot.status.velocity = 0.0;
     let standstill = x.controller.plan().stop.standstill_for;
@@ -819,23 +823,18 @@ fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_cha
 #[test]
 fn a_link_that_never_came_back_stops_no_axis_once_more() {
     let mut x = Alone::new(plan()).online();
-    (0..5).for_each(|_| x.miss());
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::LinkLost));
+    x.misses(5);
+    assert_eq!(x.stopped(), Some(StopCause::LinkLost));
     x.done_at_once(Command::Reset);
     x.turn();
-    assert_eq!(x.controller.feedback().link, Link::Qualifying);
+    assert_eq!(x.link(), Link::Qualifying);
     x.miss();
-    assert_eq!((x.controller.feedback().link, x.controller.feedback().stopped), (Link::Lost, None));
+    assert_eq!((x.link(), x.stopped()), (Link::Lost, None));
 }
 
 #[test]
 fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link() {
-    for (expected_silence, ends, link) in [
-        (false, false, Link::Lost),
-        (true, false, Link::Lost),
-        (false, true, Link::Lost),
-        (true, true, Link::Online),
-    ] {
+    for (expected_silence, ends) in [(false, false), (true, false), (false, true), (true, true)] {
         let mut x = Alone::new(plan()).online();
         x.slot.expected_silence = expected_silence;
         if ends {
@@ -845,22 +844,9 @@ fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link()
             x.slot.exchange = Exchange::Unsent;
             x.controller.judge(&cycle(index), Time(index * MS), &mut x.slot);
         }
-        assert_eq!(
-            x.controller.feedback().link,
-            link,
-            "expected_silence {expected_silence}, at the end {ends}"
-        );
+        let link = if expected_silence && ends { Link::Online } else { Link::Lost };
+        assert_eq!(x.link(), link, "expected_silence {expected_silence}, at the end {ends}");
     }
-}
-
-#[test]
-fn a_report_has_an_age_while_the_link_is_up() {
-    let mut x = Alone::new(plan()).online();
-    let oldest = |x: &Alone| x.controller.numbers(&x.slot).peaks.age.ns;
-    (0..5).for_each(|_| x.miss());
-    assert_eq!((x.controller.feedback().link, oldest(&x)), (Link::Lost, 4 * MS));
-    (0..50).for_each(|_| x.miss());
-    assert_eq!(oldest(&x), 4 * MS);
 }
 
 #[test]
@@ -885,7 +871,7 @@ fn a_drive_that_is_found_running_is_stopped_by_its_ramp_however_long_its_link_ta
     let mut x = Alone::new(plan());
     running(&mut x);
     x.turns(2);
-    (0..80).for_each(|_| x.miss());
+    x.misses(80);
     x.turns(4);
     let feedback = *x.controller.feedback();
     assert_eq!((feedback.link, feedback.stopped), (Link::Qualifying, Some(StopCause::FoundRunning)));
@@ -894,33 +880,35 @@ fn a_drive_that_is_found_running_is_stopped_by_its_ramp_however_long_its_link_ta
     let mut x = Alone::new(plan()).online();
     running(&mut x);
     x.turns(80);
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.stopped(), Some(StopCause::FoundRunning));
     assert_eq!(x.controller.newest(), Some(Command::QuickStop));
 }
 
 #[test]
-fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_after_a_reset() {
-    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
-    let mut x = Alone::new(plan);
-    x.slot.status.state = State::OperationEnabled;
-    x.turns(10);
-    x.slot.status.state = State::ReadyToSwitchOn;
-    x.turn();
-    let order = x.controller.machine.newest();
-    x.done_at_once(Command::Reset);
-    assert_eq!(x.controller.machine.newest(), order);
+fn a_reset_takes_no_drive_over_that_went_off_by_itself_or_does_not_answer() {
+    for off in [true, false] {
+        let mut x = found_running();
+        if off {
+            x.slot.status.state = State::ReadyToSwitchOn;
+            x.turn();
+        } else {
+            x.misses(5);
+            assert_eq!(x.link(), Link::Lost);
+        }
+        let order = x.controller.machine.newest();
+        x.done_at_once(Command::Reset);
+        assert_eq!(x.controller.machine.newest(), order, "off: {off}");
+    }
 }
 
 #[test]
 fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.status.state = State::QuickStopActive;
-    let home = x.post(Command::Home);
-    x.turn();
+    let home = x.begin(Command::Home);
     let refused = Failure::WrongState(State::QuickStopActive);
     assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
-    x.post(Command::Native(NativeOwner::Master));
-    x.turn();
+    x.begin(Command::Native(NativeOwner::Master));
     assert_eq!((x.ended(), x.controller.newest()), (vec![], Some(Command::Native(NativeOwner::Master))));
 }
 
@@ -945,31 +933,21 @@ fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
 }
 
 #[test]
-fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
-    let mut x = following(plan(), &[]);
-    x.controller.row_from_task(Row { position: 0.01, ..Row::default() });
-    x.ends(Ok(()));
-    x.post(Command::Follow);
-    x.turn();
-    assert_eq!(x.fed(), None);
-}
-
-#[test]
 fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
     let mut x = Alone::new(plan()).enabled();
     x.done(Command::Disable, State::ReadyToSwitchOn);
     x.slot.status.velocity = 50.0;
     x.turns(9);
-    assert_eq!(x.controller.feedback().stopped, None, "pushed by hand");
+    assert_eq!(x.stopped(), None, "pushed by hand");
     x.slot.status.state = State::OperationEnabled;
     x.slot.status.suspect = true;
     x.turns(9);
-    assert_eq!(x.controller.feedback().stopped, None, "it may be an old report");
+    assert_eq!(x.stopped(), None, "it may be an old report");
     x.slot.status.suspect = false;
     x.turns(2);
-    assert_eq!(x.controller.feedback().stopped, None);
+    assert_eq!(x.stopped(), None);
     x.turn();
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Uncommanded));
+    assert_eq!(x.stopped(), Some(StopCause::Uncommanded));
 }
 
 #[test]
@@ -985,29 +963,7 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
         x.turn();
         x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), false);
         let target = Target::Relative(distance);
-        x.post(Command::Move(Move { target, profile: x.controller.plan().profile }));
-        x.turn();
-        assert_eq!(x.controller.feedback().stopped, stop, "{distance} mm");
+        x.begin(Command::Move(Move { target, profile: x.controller.plan().profile }));
+        assert_eq!(x.stopped(), stop, "{distance} mm");
     }
-}
-
-#[test]
-fn a_reset_takes_no_drive_over_that_does_not_answer() {
-    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
-    let mut x = Alone::new(plan);
-    x.slot.status.state = State::OperationEnabled;
-    x.turns(10);
-    (0..5).for_each(|_| x.miss());
-    assert_eq!(x.controller.feedback().link, Link::Lost);
-    let order = x.controller.machine.newest();
-    x.done_at_once(Command::Reset);
-    assert_eq!(x.controller.machine.newest(), order);
-}
-
-#[test]
-fn a_row_that_has_not_left_is_replaced_by_no_other() {
-    let mut x = following(plan(), &[(0, 0.01, 0.0), (0, 0.02, 0.0)]);
-    assert_eq!(x.fed_unsent().map(|row| row.position), Some(0.01));
-    assert_eq!(x.fed(), None);
-    assert_eq!(x.fed().map(|row| row.position), Some(0.02));
 }

@@ -2,7 +2,7 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream};
-use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,7 @@ use nix::unistd::Pid;
 use crate::net::{Broken, Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use crate::rt::testing::in_own_process;
 use crate::rt::thread::default_core;
+use crate::rt::{Clock, MonotonicClock, PollSet};
 use crate::time::{MS, S, Time};
 
 /// Longer than anything takes; only a test that fails waits for so long.
@@ -47,20 +48,6 @@ impl Handshake for Hello {
             part if b"welcome".starts_with(part) => HandshakeState::More,
             other => HandshakeState::Failed(format!("says {}", String::from_utf8_lossy(other))),
         }
-    }
-}
-
-/// A handshake with an error of ours.
-#[derive(Debug)]
-struct Panics;
-
-impl Handshake for Panics {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
-        panic!("a handshake that panics, on purpose");
-    }
-
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::More
     }
 }
 
@@ -140,6 +127,13 @@ pub fn receive(streams: &mut dyn Streams, index: usize, count: usize) -> Vec<u8>
         got.len() >= count
     });
     got
+}
+
+/// Whether the descriptor becomes readable within `ns`.
+pub(in crate::net) fn wakes(fd: Option<RawFd>, ns: u64) -> bool {
+    let mut set = PollSet::default();
+    set.fill([fd]);
+    MonotonicClock.wait(&mut set, MonotonicClock::read() + ns)
 }
 
 /// Looks until the connection `index` has something to tell, and it is that it broke.
@@ -247,22 +241,13 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
 }
 
 #[test]
-fn a_refused_connection_is_tried_again_until_somebody_listens() {
-    let mut streams = Os::default().streams(vec![patient(address(4, 10), Silent)]).unwrap();
+fn a_peer_that_refuses_or_resets_its_connections_is_asked_until_it_keeps_one() {
+    let mut streams = Os::default().streams(vec![patient(address(4, 10), Hello::default())]).unwrap();
     let notes = streams.notes();
     until("noted", || notes.get(0).is_some());
     assert!(notes.get(0).unwrap().starts_with("refused: nobody listens at 127.74.4.10:1502"));
     assert_eq!(streams.send(0, b"request"), Err(Broken::Absent));
     let listener = listener(address(4, 10));
-    let _drive = accept(&listener);
-    assert_eq!((opened(&mut *streams), notes.get(0)), (0, None));
-}
-
-#[test]
-fn a_peer_that_resets_its_connections_is_asked_until_it_keeps_one() {
-    let listener = listener(address(5, 10));
-    let mut streams = Os::default().streams(vec![patient(address(5, 10), Hello::default())]).unwrap();
-    let notes = streams.notes();
     for _ in 0..4 {
         reset(accept(&listener));
         until("noted", || notes.get(0).is_some_and(|note| note.contains("ends the connection at once")));
@@ -313,7 +298,7 @@ fn a_peer_may_speak_first_and_nobody_spins_meanwhile() {
 }
 
 #[test]
-fn a_connection_that_ends_comes_back_without_anything_of_the_old_one() {
+fn a_connection_that_ends_comes_back_without_anything_of_the_old_one_and_is_dropped_in_order() {
     let listener = listener(address(7, 10));
     let mut streams = Os::default().streams(vec![patient(address(7, 10), Silent)]).unwrap();
     for round in 0..3 {
@@ -335,14 +320,7 @@ fn a_connection_that_ends_comes_back_without_anything_of_the_old_one() {
         // A second time is nothing.
         streams.abandon(0, "it ended");
     }
-    accept(&listener);
-    opened(&mut *streams);
-}
-
-#[test]
-fn what_is_given_up_ends_in_a_reset_and_what_is_dropped_in_order() {
-    let listener = listener(address(8, 10));
-    let mut streams = Os::default().streams(vec![patient(address(8, 10), Silent)]).unwrap();
+    // What is given up ends in a reset, and what is dropped in order.
     let mut drive = accept(&listener);
     opened(&mut *streams);
     streams.abandon(0, "it is silent");
@@ -465,32 +443,6 @@ fn no_descriptor_is_left_behind() {
         }
         assert_eq!(descriptors(), before);
     });
-}
-
-/// The last carrier wakes the thread when it goes, and so does the end. Both may come in one look of the thread: it
-/// must not clear the second one together with the first and wait for ever.
-#[test]
-fn an_end_that_comes_together_with_another_wake_up_is_seen() {
-    for _ in 0..3_000 {
-        drop(Os::default().streams(Vec::new()).unwrap());
-    }
-}
-
-#[test]
-fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
-    let [good, bad] = [10, 11].map(|host| address(12, host));
-    let listeners = [good, bad].map(listener);
-    let os = Os::default();
-    let mut healthy = os.streams(vec![patient(good, Silent)]).unwrap();
-    let mut drive = accept(&listeners[0]);
-    opened(&mut *healthy);
-    assert!(!healthy.has_ended());
-    let other = os.streams(vec![patient(bad, Panics)]).unwrap();
-    let _peer = accept(&listeners[1]);
-    until("the end of the thread", || healthy.has_ended() && other.has_ended());
-    // A connection that the loop has is its own.
-    assert_eq!(healthy.send(0, b"stop").unwrap().1, 4);
-    expect(&mut drive, b"stop");
 }
 
 mod sessions;

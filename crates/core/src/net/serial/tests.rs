@@ -1,13 +1,12 @@
 //! A port against a pseudo-terminal: every byte as it comes, nothing waits, and what goes away comes back.
 
 use std::io::{Read, Write};
-use std::path::PathBuf;
 
 use super::*;
-use crate::net::link::tests::{breaks, descriptors, opened, receive};
+use crate::net::link::tests::{breaks, descriptors, opened, receive, wakes};
 use crate::net::{Carriers, Os};
+use crate::rt::MonotonicClock;
 use crate::rt::testing::in_own_process;
-use crate::rt::{Clock, MonotonicClock, PollSet};
 use fieldbeat_testing::{Pty, until};
 
 const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even, rs485: Rs485::Adapter };
@@ -45,12 +44,16 @@ fn every_byte_passes_as_it_is_and_wakes_the_waiting() {
     pty.expect(&all);
     assert_eq!(port.receive(0, &mut [0; 8]), Ok(None));
     pty.end.write_all(&all).unwrap();
-    let mut set = PollSet::default();
-    set.fill([port.fd()]);
-    assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
+    assert!(wakes(port.fd(), 60 * S));
     assert_eq!(receive(&mut *port, 0, 256), all);
     assert_eq!(port.receive(0, &mut []), Ok(None));
     until("all sent", || port.unsent() == Ok(0));
+    // What is discarded is never received.
+    pty.end.write_all(b"old").unwrap();
+    assert!(wakes(port.fd(), 60 * S));
+    port.discard().unwrap();
+    pty.end.write_all(b"new").unwrap();
+    assert_eq!(receive(&mut *port, 0, 3), b"new");
 }
 
 #[test]
@@ -66,7 +69,6 @@ fn a_port_has_the_settings_of_its_wire() {
     let fd = port.fd().unwrap();
     // SAFETY: plain numbers.
     let flags = unsafe { (libc::fcntl(fd, libc::F_GETFL), libc::fcntl(fd, libc::F_GETFD)) };
-    assert_ne!((flags.0 & libc::O_NONBLOCK, flags.1 & libc::FD_CLOEXEC), (0, 0));
     assert!(flags.0 & libc::O_NONBLOCK != 0 && flags.1 & libc::FD_CLOEXEC != 0);
     drop(port);
     // One that no standard has.
@@ -98,19 +100,6 @@ fn what_the_driver_does_not_take_is_counted_and_continued_in_order() {
 }
 
 #[test]
-fn what_is_discarded_is_never_received() {
-    let mut pty = Pty::new();
-    let mut port = open(&pty.path);
-    pty.end.write_all(b"old").unwrap();
-    let mut set = PollSet::default();
-    set.fill([port.fd()]);
-    assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S));
-    port.discard().unwrap();
-    pty.end.write_all(b"new").unwrap();
-    assert_eq!(receive(&mut *port, 0, 3), b"new");
-}
-
-#[test]
 fn a_port_in_use_is_said_to_be_and_is_opened_once_it_is_free() {
     let pty = Pty::new();
     let first = open(&pty.path);
@@ -121,13 +110,11 @@ fn a_port_in_use_is_said_to_be_and_is_opened_once_it_is_free() {
         notes.get(0).unwrap(),
         format!("{0} is in use by another program: end it (fuser -v {0} shows which)", pty.path)
     );
+    let absent = Broken::Absent;
+    assert_eq!((second.opened(), second.receive(0, &mut [0; 4])), (None, Err(absent)));
     assert_eq!(
-        (second.opened(), second.send(0, b"x"), second.unsent()),
-        (None, Err(Broken::Absent), Err(Broken::Absent))
-    );
-    assert_eq!(
-        (second.receive(0, &mut [0; 4]), second.discard()),
-        (Err(Broken::Absent), Err(Broken::Absent))
+        (second.send(0, b"x"), second.unsent(), second.discard()),
+        (Err(absent), Err(absent), Err(absent))
     );
     second.abandon(0, "it was never there");
     drop(first);
@@ -135,15 +122,10 @@ fn a_port_in_use_is_said_to_be_and_is_opened_once_it_is_free() {
     assert_eq!(notes.get(0), None);
 }
 
-fn link() -> (tempfile::TempDir, PathBuf) {
-    let directory = tempfile::tempdir().unwrap();
-    let link = directory.path().join("tty");
-    (directory, link)
-}
-
 #[test]
 fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_back() {
-    let (_directory, link) = link();
+    let directory = tempfile::tempdir().unwrap();
+    let link = directory.path().join("tty");
     let mut port = Os::default().serial(link.to_str().unwrap(), &LINE).unwrap();
     let notes = port.notes();
     until("noted", || notes.get(0).is_some());
@@ -160,9 +142,7 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
             assert_eq!(receive(&mut *port, 0, 3), b"old");
         }
         drop(pty);
-        let mut set = PollSet::default();
-        set.fill([port.fd()]);
-        assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * S), "a hang-up wakes");
+        assert!(wakes(port.fd(), 60 * S), "a hang-up wakes");
         let why = breaks(&mut *port, 0);
         assert!(matches!(why, Broken::Closed | Broken::Failed(libc::EIO)), "{why:?}");
         assert!(matches!(port.send(0, b"x"), Err(Broken::Failed(libc::EIO))));

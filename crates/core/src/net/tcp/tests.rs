@@ -6,9 +6,10 @@ use std::net::{SocketAddrV4, TcpListener, TcpStream};
 
 use nix::sys::socket::{getsockopt, sockopt};
 
-use crate::net::link::tests::{Silent, accept, breaks, expect, listener, opened, patient, receive, reset};
+use crate::net::link::tests::{
+    Silent, accept, breaks, expect, listener, opened, patient, receive, reset, wakes,
+};
 use crate::net::link::{REPEATED_US, TCP_RTO_MIN_US};
-use crate::rt::{Clock, PollSet};
 use crate::time::{MS, S};
 use fieldbeat_testing::until;
 
@@ -30,13 +31,6 @@ fn open(x: u8, count: u8) -> (Tcp, Vec<TcpStream>, Vec<TcpListener>) {
     (tcp, drives, listeners)
 }
 
-/// Whether the descriptor of the carrier becomes readable within `ns`.
-fn wakes(tcp: &Tcp, ns: u64) -> bool {
-    let mut set = PollSet::default();
-    set.fill([tcp.fd()]);
-    MonotonicClock.wait(&mut set, MonotonicClock::read() + ns)
-}
-
 #[test]
 fn a_socket_has_what_a_cyclic_exchange_needs() {
     let (tcp, _drives, _listeners) = open(1, 1);
@@ -55,6 +49,11 @@ fn a_socket_has_what_a_cyclic_exchange_needs() {
     assert_eq!(flags(socket.as_raw_fd()) & wanted, wanted);
     let (tcp, _drives, _listeners) = open(14, 2);
     assert_eq!(flags(tcp.epoll.as_ref().unwrap().0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
+    // Its memory is named.
+    let mut regions = Regions::new();
+    tcp.memory(&mut regions);
+    assert!(regions.covers(&tcp.sockets) && regions.covers(&tcp.events));
+    assert!(regions.covers(std::slice::from_ref(&tcp)));
 }
 
 /// An option of TCP that is a number; `None`: the kernel does not know it.
@@ -99,11 +98,7 @@ fn a_look_names_those_that_have_something_and_each_is_itself() {
         tcp.look();
         assert_eq!(tcp.ready(), None);
     }
-}
-
-#[test]
-fn one_look_names_all_of_them() {
-    let (mut tcp, mut drives, _listeners) = open(3, 40);
+    // One look names all of them.
     drives.iter_mut().for_each(|drive| drive.write_all(b"all").unwrap());
     until("40 at once", || {
         tcp.look();
@@ -121,17 +116,17 @@ fn the_descriptor_wakes_for_what_arrives_over_connections_that_come_and_go() {
         let only = (count == 1).then(|| tcp.sockets[0].as_ref().unwrap().as_raw_fd());
         assert_eq!(fd == only, count == 1, "an only connection is waited for itself");
         for _ in 0..3 {
-            assert!(!wakes(&tcp, MS));
+            assert!(!wakes(tcp.fd(), MS));
             drives[0].write_all(b"reply").unwrap();
-            assert!(wakes(&tcp, 20 * S));
+            assert!(wakes(tcp.fd(), 20 * S));
             assert_eq!(receive(&mut tcp, 0, 5), b"reply");
-            assert!(!wakes(&tcp, MS));
+            assert!(!wakes(tcp.fd(), MS));
             // The end of a connection wakes too, until it is given up.
             reset(drives.remove(0));
-            assert!(wakes(&tcp, 20 * S));
+            assert!(wakes(tcp.fd(), 20 * S));
             assert_eq!(breaks(&mut tcp, 0), Broken::Failed(libc::ECONNRESET));
             tcp.abandon(0, "it broke");
-            assert!(!wakes(&tcp, MS));
+            assert!(!wakes(tcp.fd(), MS));
             tcp.look();
             assert_eq!(tcp.ready(), None);
             let there = if count == 1 { None } else { fd };
@@ -166,37 +161,30 @@ fn a_wire_that_takes_no_more_says_how_much_it_took() {
 }
 
 #[test]
-fn what_does_not_fit_the_room_comes_next_and_a_room_of_nothing_is_no_end() {
+fn requests_and_replies_are_stamped_in_order_and_cut_where_the_room_ends() {
     let (mut tcp, mut drives, _listeners) = open(7, 1);
+    // A request is stamped before it leaves, and a reply when it was taken in.
+    let before = MonotonicClock::read();
+    let (sent, _) = tcp.send(0, b"request").unwrap();
+    let between = MonotonicClock::read();
+    expect(&mut drives[0], b"request");
+    drives[0].write_all(b"reply").unwrap();
+    assert!(wakes(tcp.fd(), 20 * S));
+    let (came, _) = tcp.receive(0, &mut [0; 8]).unwrap().unwrap();
+    assert!(before <= sent && sent <= between && between < came && came <= MonotonicClock::read());
+    // What does not fit the room comes next, and a room of nothing is no end.
     assert_eq!(tcp.receive(0, &mut [0; 8]), Ok(None));
     drives[0].write_all(b"abcdefgh").unwrap();
-    assert!(wakes(&tcp, 20 * S));
+    assert!(wakes(tcp.fd(), 20 * S));
     assert_eq!(tcp.receive(0, &mut []), Ok(None));
     let mut room = [0; 5];
     assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 5)))));
     assert_eq!(&room, b"abcde");
     assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 3)))));
     assert_eq!(&room[..3], b"fgh");
-}
-
-#[test]
-fn a_request_is_stamped_before_it_leaves_and_a_reply_when_it_was_taken_in() {
-    let (mut tcp, mut drives, _listeners) = open(8, 1);
-    let before = MonotonicClock::read();
-    let (sent, _) = tcp.send(0, b"request").unwrap();
-    let between = MonotonicClock::read();
-    expect(&mut drives[0], b"request");
-    drives[0].write_all(b"reply").unwrap();
-    assert!(wakes(&tcp, 20 * S));
-    let (came, _) = tcp.receive(0, &mut [0; 8]).unwrap().unwrap();
-    assert!(before <= sent && sent <= between && between < came && came <= MonotonicClock::read());
-}
-
-#[test]
-fn sending_to_a_peer_that_is_gone_is_an_error_and_no_signal() {
-    let (mut tcp, mut drives, _listeners) = open(9, 1);
+    // Sending to a peer that is gone is an error and no signal.
     reset(drives.remove(0));
-    assert!(wakes(&tcp, 20 * S));
+    assert!(wakes(tcp.fd(), 20 * S));
     assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::ECONNRESET)));
     assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::EPIPE)));
 }
@@ -269,13 +257,4 @@ fn a_peer_given_up_between_the_look_and_its_turn_is_absent_and_hurts_no_other() 
     results.sort_by_key(|(index, _)| *index);
     assert_eq!(results[0], (0, Err(Broken::Absent)));
     assert!(matches!(results[1], (1, Ok(Some((_, 1))))), "{results:?}");
-}
-
-#[test]
-fn its_memory_is_named() {
-    let (tcp, _drives, _listeners) = open(12, 3);
-    let mut regions = Regions::new();
-    tcp.memory(&mut regions);
-    assert!(regions.covers(&tcp.sockets) && regions.covers(&tcp.events));
-    assert!(regions.covers(std::slice::from_ref(&tcp)));
 }

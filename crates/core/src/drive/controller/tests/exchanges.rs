@@ -41,10 +41,9 @@ fn a_drive_with_its_own_clock_is_answered_while_its_newest_packet_counts() {
 fn a_packet_counts_for_the_limits_whether_an_exchange_was_due_or_not() {
     for due in [false, true] {
         let mut x = ranged();
-        x.post(Command::Follow);
-        x.turn();
+        x.begin(Command::Follow);
         let mut cycles = 0;
-        while x.controller.feedback().stopped.is_none() {
+        while x.stopped().is_none() {
             let status = &mut x.slot.status;
             (status.moving, status.velocity) = (true, 600.0);
             status.demand += 0.6;
@@ -56,7 +55,7 @@ fn a_packet_counts_for_the_limits_whether_an_exchange_was_due_or_not() {
             cycles += 1;
             assert!(cycles < 20, "faster than its limit");
         }
-        assert_eq!(x.controller.feedback().stopped, Some(StopCause::Limit));
+        assert_eq!(x.stopped(), Some(StopCause::Limit));
     }
 }
 

@@ -9,8 +9,7 @@ fn no_ramp_of_velocities_stops_an_axis_that_follows_torques() {
     for (command, quick) in [(Command::Torque { slope: 100.0 }, true), (Command::Follow, false)] {
         for cause in [StopCause::Overrun, StopCause::Task, StopCause::GroupLink] {
             let mut x = Alone::new(plan()).enabled();
-            x.post(command);
-            x.turn();
+            x.begin(command);
             x.slot.status.velocity = 50.0;
             x.turn();
             x.controller.stop(&cycle(50), Time(50 * MS), cause);
@@ -30,8 +29,7 @@ fn a_stop_of_the_application_is_as_steep_as_its_time_out_requires_and_never_weak
         let mut x = Alone::new(plan).enabled();
         x.slot.status.velocity = -80.0;
         x.turn();
-        x.post(Command::Stop { deceleration: Some(requested) });
-        x.turn();
+        x.begin(Command::Stop { deceleration: Some(requested) });
         let Some(Command::Stop { deceleration: Some(ordered) }) = x.controller.newest() else { panic!() };
         assert!((ordered / expected - 1.0).abs() < 1e-9, "{requested}: {ordered}");
     }
@@ -41,13 +39,12 @@ fn a_stop_of_the_application_is_as_steep_as_its_time_out_requires_and_never_weak
 fn a_ramp_of_the_application_that_the_drive_refuses_becomes_its_quick_stop() {
     for (command, quick) in [(Command::Stop { deceleration: None }, true), (Command::Home, false)] {
         let mut x = Alone::new(plan()).enabled();
-        let id = x.post(command);
-        x.turn();
+        let id = x.begin(command);
         x.slot.status.velocity = 50.0;
         x.ends(Err(Failure::NotTaken));
         assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotTaken))]);
         assert_eq!(x.controller.newest() == Some(Command::QuickStop), quick, "{:?}", x.controller.newest());
-        assert_eq!(x.controller.feedback().stopped, None);
+        assert_eq!(x.stopped(), None);
     }
 }
 
@@ -63,8 +60,8 @@ fn a_drive_that_answers_again_in_its_stop_gets_the_quick_stop_that_the_applicati
         }
         x.turn();
         let before = x.controller.machine.newest().1;
-        (0..5).for_each(|_| x.miss());
-        assert_eq!(x.controller.feedback().link, Link::Lost);
+        x.misses(5);
+        assert_eq!(x.link(), Link::Lost);
         x.turn();
         let (newest, serial) = x.controller.machine.newest();
         assert_ne!(serial, before, "what was sent meanwhile is requested again");
@@ -80,8 +77,7 @@ fn stopped_after(load: Load, command: Command, cycles: u32) -> Alone {
     (plan.stop.how, plan.stop.then) = (StopHow::Ramp, StopThen::Hold);
     (plan.stop.deceleration, plan.profile.deceleration) = (1_000.0, 5_000.0);
     let mut x = Alone::new(plan).enabled();
-    x.post(Command::Velocity { acceleration: 100.0 });
-    x.turn();
+    x.begin(Command::Velocity { acceleration: 100.0 });
     x.slot.status.velocity = 50.0;
     x.turn();
     x.post(command);

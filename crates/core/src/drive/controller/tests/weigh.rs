@@ -13,8 +13,7 @@ fn enabled(proof: u8) -> Alone {
 
 fn enabled_as(plan: AxisPlan, proof: u8) -> Alone {
     let mut x = Alone::of(plan, Capabilities { power_reports: proof, ..can() }).online();
-    let id = x.post(Command::Enable);
-    x.turn();
+    let id = x.begin(Command::Enable);
     x.slot.status.state = State::OperationEnabled;
     x.ends(Ok(()));
     assert_eq!(x.ended(), [(id, Outcome::Done)]);
@@ -73,7 +72,7 @@ fn one_report_of_a_loss_is_not_shown_and_stops_nothing_where_it_may_be_an_older_
             x.turn();
             assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, round));
         }
-        assert_eq!((x.controller.feedback().stopped, x.kinds()), (None, vec![]));
+        assert_eq!((x.stopped(), x.kinds()), (None, vec![]));
     }
 }
 
@@ -92,12 +91,12 @@ fn a_second_report_of_a_loss_proves_it_and_where_none_is_older_the_first_one_doe
             loss(&mut x.slot.status);
             let lost = x.slot.status;
             for report in 1..=proof {
-                assert_eq!(x.controller.feedback().stopped, None);
+                assert_eq!(x.stopped(), None);
                 x.slot.status = lost;
                 x.turn();
                 assert_eq!(x.slot.anew, report < proof, "what was taken back is written again");
             }
-            assert_eq!((x.controller.feedback().stopped, x.slot.counters.implausible), (Some(cause), 0));
+            assert_eq!((x.stopped(), x.slot.counters.implausible), (Some(cause), 0));
         }
     }
 }
@@ -115,14 +114,14 @@ fn two_reports_of_different_losses_prove_neither() {
             assert_eq!((DriveStatus { at: before.at, ..status }, age, stopped), (before, 2, None));
             x.turn();
             assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, 2));
-            assert_eq!((x.controller.feedback().stopped, x.kinds()), (None, vec![]));
+            assert_eq!((x.stopped(), x.kinds()), (None, vec![]));
         }
     }
     // A loss of power takes the reference along.
     let mut x = moving(2);
     x.reports(|status| status.state = State::SwitchedOn);
     x.reports(|status| (status.state, status.homed) = (State::SwitchedOn, false));
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+    assert_eq!(x.stopped(), Some(StopCause::DriveDropped));
 }
 
 #[test]
@@ -130,10 +129,10 @@ fn a_suspect_report_neither_proves_a_loss_nor_disproves_it() {
     let mut x = moving(2);
     for suspect in [true, true, false, true] {
         x.reports(|status| (status.state, status.suspect) = (State::Fault, suspect));
-        assert_eq!(x.controller.feedback().stopped, None, "{suspect}");
+        assert_eq!(x.stopped(), None, "{suspect}");
     }
     x.reports(|status| status.state = State::Fault);
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveFault));
+    assert_eq!(x.stopped(), Some(StopCause::DriveFault));
 }
 
 #[test]
@@ -163,7 +162,7 @@ fn a_place_out_of_reach_is_not_shown_and_bounds_nothing() {
             assert_eq!(status.position, 340.0, "as the report before");
             x.turn();
         }
-        assert_eq!(x.controller.feedback().stopped, None);
+        assert_eq!(x.stopped(), None);
     }
 }
 
@@ -174,7 +173,7 @@ fn two_reports_that_agree_become_the_place_and_the_axis_stops_without_its_refere
         x.at(1.0);
         x.slot.status.velocity = 20.0;
         x.at(340.0);
-        assert_eq!((x.controller.feedback().stopped, x.controller.feedback().age), (None, 1));
+        assert_eq!((x.stopped(), x.controller.feedback().age), (None, 1));
         x.slot.status.velocity = 339_000.0;
         x.at(340.1);
         let Feedback { status, stopped, .. } = *x.controller.feedback();
@@ -200,7 +199,7 @@ fn a_homing_or_a_restart_makes_the_word_of_the_drive_count_again_and_a_lost_link
         x.homed = Some(true);
         x.at(340.0);
         x.at(340.0);
-        assert_eq!(x.controller.feedback().stopped, Some(StopCause::PositionJump));
+        assert_eq!(x.stopped(), Some(StopCause::PositionJump));
         x
     };
     let is_homed = |x: &mut Alone| {
@@ -218,21 +217,20 @@ fn a_homing_or_a_restart_makes_the_word_of_the_drive_count_again_and_a_lost_link
     x.done(Command::Enable, State::OperationEnabled);
     assert!(!is_homed(&mut x), "a reset is no homing");
     x.ended();
-    let id = x.post(Command::Home);
-    x.turn();
+    let id = x.begin(Command::Home);
     x.at(0.0);
     x.ends(Ok(()));
     assert_eq!(x.ended(), [(id, Outcome::Done)]);
-    assert!(is_homed(&mut x) && x.controller.feedback().stopped.is_none());
+    assert!(is_homed(&mut x) && x.stopped().is_none());
     let mut x = jumped();
     x.slot.notices.restarted = true;
     x.turn();
     assert!(is_homed(&mut x));
     let mut x = jumped();
-    (0..40).for_each(|_| x.miss());
-    assert_eq!(x.controller.feedback().link, Link::Lost);
+    x.misses(40);
+    assert_eq!(x.link(), Link::Lost);
     assert!(!is_homed(&mut x), "the drive has not started again: it counts from the same wrong place");
-    assert_eq!(x.controller.feedback().link, Link::Online);
+    assert_eq!(x.link(), Link::Online);
 }
 
 #[test]
@@ -255,7 +253,7 @@ fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_d
     // On the ramp.
     let mut x = stopped(StopThen::Hold);
     assert_eq!(jump(&mut x), Some(Command::QuickStop));
-    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Overrun), "the first cause stays");
+    assert_eq!(x.stopped(), Some(StopCause::Overrun), "the first cause stays");
     // Held after it, and after its reset.
     for reset in [false, true] {
         let mut x = stopped(StopThen::Hold);
@@ -280,8 +278,7 @@ fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_d
 }
 
 fn begun(x: &mut Alone, command: Command) {
-    x.post(command);
-    x.turn();
+    x.begin(command);
 }
 
 #[test]
@@ -291,7 +288,7 @@ fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
         begin(&mut x);
         x.kinds();
         [340.0, 340.1, 100.0, 100.1].into_iter().for_each(|position| x.at(position));
-        (x.controller.feedback().stopped, x.slot.counters.implausible)
+        (x.stopped(), x.slot.counters.implausible)
     };
     let none = (None, 0);
     assert_eq!(free(|x| begun(x, Command::Home)), none);
@@ -314,7 +311,7 @@ fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
     x.at(340.0);
     x.at(340.0);
     assert_eq!((x.slot.counters.implausible, x.controller.feedback().status.homed), (1, false));
-    assert_eq!(x.controller.feedback().stopped, None, "without power there is nothing to stop");
+    assert_eq!(x.stopped(), None, "without power there is nothing to stop");
 }
 
 #[test]
@@ -334,7 +331,7 @@ fn a_restart_is_known_from_its_notice_and_leaves_no_speed_for_the_stop() {
             x.slot.status = lost;
             x.turn();
         }
-        assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
+        assert_eq!(x.stopped(), Some(StopCause::DriveDropped));
         x.controller.speed()
     };
     assert_eq!(stop(true), 0.0);

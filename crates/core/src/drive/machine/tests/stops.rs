@@ -59,7 +59,7 @@ fn a_quick_stop_is_released_at_standstill_and_not_before() {
 }
 
 #[test]
-fn a_stop_that_is_under_way_is_not_made_softer() {
+fn a_halt_is_neither_made_softer_nor_ended_by_what_replaces_it_or_is_refused() {
     for can in kinds() {
         let refused = refused(&can);
         for next in [Command::Stop { deceleration: Some(1.0) }, refused] {
@@ -68,24 +68,25 @@ fn a_stop_that_is_under_way_is_not_made_softer() {
             rig.moving();
             rig.start(Command::QuickStop);
             rig.turns(3);
+            assert!(rig.drive.is_moving() && rig.motion() == Motion::Halt, "{can:?}");
             rig.start(next);
+            // A command that is refused as it begins ends what runs, but not the halt.
             assert_eq!(rig.end().is_some(), next == refused);
-            rig.turns(20);
-            assert!(!rig.drive.is_moving(), "{next:?} {can:?}");
+            let from = rig.gone.len();
+            for _ in 0..20 {
+                let moved = rig.drive.is_moving();
+                rig.turn();
+                let motion = rig.gone.last().unwrap().motion.value;
+                assert!(!moved || motion == Motion::Halt, "{motion:?} {next:?} {can:?}");
+            }
+            assert!(!rig.drive.is_moving() && rig.gone.len() > from, "{next:?} {can:?}");
             assert_eq!(rig.finish().is_ok(), next != refused);
+            rig.until("its release", |rig| rig.motion() == Motion::Hold);
+            rig.turns(20);
+            assert!(!rig.drive.is_moving(), "{can:?}");
+            assert_eq!((rig.run(Command::Enable), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
         }
     }
-}
-
-#[test]
-fn a_drive_that_does_not_obey_the_halt_is_braked_by_a_ramp() {
-    let can = movers().next().unwrap();
-    let mut rig = Rig::enabled(can);
-    rig.drive.is_halted_by_halt = false;
-    rig.moving();
-    assert_eq!(rig.run(Command::QuickStop), Ok(()));
-    assert!(rig.gone.iter().any(|gone| matches!(gone.motion.value, Motion::Ramp { .. })));
-    assert!(!rig.drive.is_moving());
 }
 
 #[test]
@@ -103,23 +104,6 @@ fn a_halt_that_is_not_obeyed_becomes_a_ramp_once_its_reports_cannot_be_older_tha
         assert!((20..25).contains(&halts), "{halts} {can:?}");
         assert!(matches!(motions[halts], Motion::Ramp { .. }), "{:?}", motions[halts]);
         assert!(!rig.drive.is_moving(), "{can:?}");
-    }
-}
-
-#[test]
-fn what_ends_a_halted_motion_leaves_the_halt_as_it_is() {
-    for can in kinds() {
-        let mut rig = Rig::enabled(can);
-        rig.moving();
-        rig.start(Command::QuickStop);
-        rig.turns(3);
-        assert!(rig.drive.is_moving() && rig.motion() == Motion::Halt, "{can:?}");
-        // A command that is refused as it begins ends what runs.
-        rig.start(refused(&can));
-        let from = rig.gone.len();
-        rig.until("standstill", |rig| !rig.drive.is_moving());
-        let motions: Vec<_> = rig.gone[from..].iter().map(|gone| gone.motion.value).collect();
-        assert!(motions.iter().all(|motion| *motion == Motion::Halt), "{motions:?} {can:?}");
     }
 }
 
@@ -266,22 +250,6 @@ fn a_drive_found_in_another_mode_is_halted_in_it_before_it_changes() {
             }
         }
         assert_eq!((rig.end(), rig.drive.mode), (Some(Ok(())), ModeIs::Own), "{can:?}");
-    }
-}
-
-#[test]
-fn a_halt_goes_on_to_its_end_if_what_replaces_it_fails_as_it_begins() {
-    for can in kinds() {
-        let mut rig = Rig::enabled(can);
-        rig.moving();
-        rig.start(Command::QuickStop);
-        rig.turns(3);
-        assert_eq!(rig.slot.desired.motion.value, Motion::Halt, "{can:?}");
-        assert!(rig.run(refused(&can)).is_err());
-        rig.until("its release", |rig| rig.slot.desired.motion.value == Motion::Hold);
-        rig.turns(20);
-        assert!(!rig.drive.is_moving(), "{can:?}");
-        assert_eq!((rig.run(Command::Enable), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
     }
 }
 

@@ -43,6 +43,15 @@ fn connection(say: &'static [u8], expect: &'static [u8]) -> (Connection, LinkNot
     (Connection::new(START, peer, notes.clone(), 0), notes)
 }
 
+/// A peer with nothing to say.
+fn silent(host: u8) -> StreamPeer {
+    StreamPeer::new(address(host), Box::new(Hello { say: b"", expect: b"", got: Vec::new() }))
+}
+
+fn of(peer: StreamPeer) -> Connection {
+    Connection::new(START, peer, LinkNotes::new(1), 0)
+}
+
 /// Goes on to the end of the pause, and begins to connect.
 fn connect(connection: &mut Connection) -> Time {
     let now = connection.next_due().unwrap();
@@ -61,13 +70,6 @@ fn send(connection: &mut Connection, now: Time, piece: usize) -> (Vec<u8>, Actio
             action => return (said, action),
         }
     }
-}
-
-/// All the way to the loop.
-fn hand_over(connection: &mut Connection) -> Time {
-    let now = connect(connection);
-    assert_eq!(connection.connected(now), Action::HandOver);
-    now
 }
 
 /// The pause that a failure at `now` has led to.
@@ -156,31 +158,24 @@ fn each_failure_has_its_words() {
 }
 
 #[test]
-fn what_the_protocol_finds_is_told_with_the_address() {
+fn what_the_protocol_finds_or_what_nobody_requested_is_told_with_the_address_and_the_next_one_begins_anew() {
     let (mut connection, notes) = connection(b"hello", b"welcome");
-    let now = connect(&mut connection);
-    connection.connected(now);
-    assert_eq!(connection.received(now, b"weird"), Action::Close);
-    assert_eq!(notes.get(0).as_deref(), Some("192.168.1.20:502: speaks another language"));
+    for (replies, note) in [
+        (&[&b"weird"[..]][..], "192.168.1.20:502: speaks another language"),
+        (&[&b"welcome"[..], b"again"], "192.168.1.20:502 sends something that nobody requested"),
+    ] {
+        let now = connect(&mut connection);
+        assert_eq!(connection.connected(now), Action::Send);
+        assert_eq!(send(&mut connection, now, 99), (b"hello".to_vec(), Action::Wait));
+        let (last, before) = replies.split_last().unwrap();
+        before.iter().for_each(|reply| assert_eq!(connection.received(now, reply), Action::Send));
+        assert_eq!(connection.received(now, last), Action::Close);
+        assert!(notes.get(0).unwrap().contains(note), "{:?}", notes.get(0));
+    }
 }
 
 #[test]
-fn a_peer_that_goes_on_talking_after_the_handshake_is_not_handed_over() {
-    let (mut connection, notes) = connection(b"hello", b"welcome");
-    let now = connect(&mut connection);
-    connection.connected(now);
-    send(&mut connection, now, 99);
-    assert_eq!(connection.received(now, b"welcome"), Action::Send);
-    assert_eq!(connection.received(now, b"again"), Action::Close);
-    assert!(notes.get(0).unwrap().contains("nobody requested"));
-    // And the next one begins from the start.
-    let now = connect(&mut connection);
-    assert_eq!(connection.connected(now), Action::Send);
-    assert_eq!(connection.to_send(), b"hello");
-}
-
-#[test]
-fn pauses_double_up_to_the_most_and_no_further() {
+fn pauses_double_up_to_the_most_and_only_a_connection_in_use_long_enough_begins_with_the_least_one_again() {
     let (mut connection, _) = connection(b"hello", b"welcome");
     for nominal in [100, 200, 400, 800, 1_600, 2_000, 2_000, 2_000] {
         let now = connect(&mut connection);
@@ -191,34 +186,26 @@ fn pauses_double_up_to_the_most_and_no_further() {
         connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
         assert_about(pause(&connection, now), nominal * MS);
     }
-}
-
-#[test]
-fn only_a_connection_that_was_in_use_long_enough_begins_with_the_least_pause_again() {
-    let (mut connection, notes) = connection(b"", b"");
-    for nominal in [100, 200, 400] {
-        let now = hand_over(&mut connection) + (2 * S - 1);
-        assert_eq!(connection.given_back(now, "it was silent"), Action::Close);
-        assert_about(pause(&connection, now), nominal * MS);
+    let (mut connection, notes) = self::connection(b"", b"");
+    for (used_ns, nominal) in [(2 * S - 1, 100), (2 * S - 1, 200), (2 * S - 1, 400), (2 * S, 100)] {
+        let now = connect(&mut connection);
+        assert_eq!((connection.connected(now), notes.get(0)), (Action::HandOver, None));
+        assert_eq!(connection.given_back(now + used_ns, "it was silent"), Action::Close);
+        assert_about(pause(&connection, now + used_ns), nominal * MS);
         assert_eq!(notes.get(0).as_deref(), Some("connection to 192.168.1.20:502 given up: it was silent"));
     }
-    let now = hand_over(&mut connection) + 2 * S;
-    assert_eq!(notes.get(0), None);
-    assert_eq!(connection.given_back(now, "it was silent"), Action::Close);
-    assert_about(pause(&connection, now), 100 * MS);
+    // A pause of nothing is still one.
+    let mut connection = of(StreamPeer { least_pause_ns: 0, most_pause_ns: 0, ..silent(20) });
+    for _ in 0..3 {
+        let now = connect(&mut connection);
+        connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
+        assert_about(pause(&connection, now), SHORTEST_PAUSE_NS);
+    }
 }
 
 #[test]
 fn thirty_two_peers_in_a_row_never_knock_at_the_same_instant() {
-    let mut connections: Vec<_> = (0..32)
-        .map(|host| {
-            let peer = StreamPeer::new(
-                address(20 + host),
-                Box::new(Hello { say: b"", expect: b"", got: Vec::new() }),
-            );
-            Connection::new(START, peer, LinkNotes::new(1), 0)
-        })
-        .collect();
+    let mut connections: Vec<_> = (0..32).map(|host| of(silent(20 + host))).collect();
     for round in 0..8 {
         let mut dues: Vec<_> = connections.iter().map(|one| one.next_due().unwrap()).collect();
         dues.sort();
@@ -232,21 +219,6 @@ fn thirty_two_peers_in_a_row_never_knock_at_the_same_instant() {
             let now = connect(connection);
             connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
         }
-    }
-}
-
-#[test]
-fn pauses_of_nothing_are_still_pauses() {
-    let peer = StreamPeer {
-        least_pause_ns: 0,
-        most_pause_ns: 0,
-        ..StreamPeer::new(address(20), Box::new(Hello { say: b"", expect: b"", got: Vec::new() }))
-    };
-    let mut connection = Connection::new(START, peer, LinkNotes::new(1), 0);
-    for _ in 0..3 {
-        let now = connect(&mut connection);
-        connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
-        assert_about(pause(&connection, now), SHORTEST_PAUSE_NS);
     }
 }
 

@@ -1,10 +1,9 @@
 //! Multicast groups on loopback.
 
 use super::*;
-use crate::net::link::tests::descriptors;
+use crate::net::link::tests::{descriptors, wakes};
 use crate::net::set_option;
 use crate::rt::testing::in_own_process;
-use crate::rt::{Clock, PollSet};
 
 /// A group that no other test has.
 fn group(x: u8, number: u8) -> SocketAddrV4 {
@@ -37,9 +36,7 @@ fn what_is_sent_to_a_group_is_received_from_the_join_to_the_leave() {
     // The loop finds the socket and what has come there meanwhile.
     assert_eq!(receive(&mut udp, 1), [(from, vec![1], false)]);
     drive.send_to(&[2], first).unwrap();
-    let mut set = PollSet::default();
-    set.fill([udp.fd()]);
-    assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * crate::time::S));
+    assert!(wakes(udp.fd(), 60 * crate::time::S));
     drive.send_to(&[3], address(20, 1)).unwrap();
     drive.send_to(&[4], second).unwrap();
     let mut got = receive(&mut udp, 2);
