@@ -27,42 +27,47 @@ fn address(x: u8, host: u8) -> SocketAddrV4 {
     SocketAddrV4::new([127, 74, x, host].into(), 1502)
 }
 
-/// Says `hello`, wants to hear `welcome`, says `bye`.
-#[derive(Debug, Default)]
-struct Hello(Vec<u8>);
+/// Says something, wants to hear something, and then says `bye`; with nothing to hear it is complete at once.
+#[derive(Debug)]
+pub(in crate::net) struct Hello {
+    say: &'static [u8],
+    hear: &'static [u8],
+    got: Vec<u8>,
+}
+
+impl Hello {
+    pub(in crate::net) fn new(say: &'static [u8], hear: &'static [u8]) -> Hello {
+        Hello { say, hear, got: Vec::new() }
+    }
+
+    fn welcome() -> Hello {
+        Hello::new(b"hello", b"welcome")
+    }
+}
 
 impl Handshake for Hello {
     fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
-        self.0.clear();
-        out.extend_from_slice(b"hello");
-        HandshakeState::More
+        self.got.clear();
+        out.extend_from_slice(self.say);
+        if self.hear.is_empty() { HandshakeState::Done } else { HandshakeState::More }
     }
 
     fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
-        self.0.extend_from_slice(bytes);
-        match &self.0[..] {
-            b"welcome" => {
-                out.extend_from_slice(b"bye");
-                HandshakeState::Done
-            }
-            part if b"welcome".starts_with(part) => HandshakeState::More,
-            other => HandshakeState::Failed(format!("says {}", String::from_utf8_lossy(other))),
+        self.got.extend_from_slice(bytes);
+        if !self.hear.starts_with(&self.got) {
+            return HandshakeState::Failed("speaks another language".into());
         }
+        if self.got.len() < self.hear.len() {
+            return HandshakeState::More;
+        }
+        out.extend_from_slice(b"bye");
+        HandshakeState::Done
     }
 }
 
 /// Says nothing.
-#[derive(Debug)]
-pub(in crate::net) struct Silent;
-
-impl Handshake for Silent {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::Done
-    }
-
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::Done
-    }
+pub(in crate::net) fn silent() -> Hello {
+    Hello::new(b"", b"")
 }
 
 /// A peer that is given all the time, and asked often.
@@ -173,7 +178,7 @@ impl BlackHole {
 #[test]
 fn a_peer_that_dribbles_finishes_its_handshake_is_handed_over_and_talked_to() {
     let listener = listener(address(1, 10));
-    let mut streams = Os::default().streams(vec![patient(address(1, 10), Hello::default())]).unwrap();
+    let mut streams = Os::default().streams(vec![patient(address(1, 10), Hello::welcome())]).unwrap();
     let mut drive = accept(&listener);
     expect(&mut drive, b"hello");
     for byte in b"welcome" {
@@ -198,7 +203,7 @@ fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
     let mutes: Vec<_> = (16..32).map(|host| listener(address(2, 10 + host))).collect();
     let well = listener(address(2, 99));
     let hosts = (0..32).map(|host| 10 + host).chain([99]);
-    let peers = hosts.map(|host| patient(address(2, host), Hello::default())).collect();
+    let peers = hosts.map(|host| patient(address(2, host), Hello::welcome())).collect();
     let mut streams = Os::default().streams(peers).unwrap();
     let mute: Vec<_> = mutes.iter().map(accept).collect();
     for round in 0..3 {
@@ -223,7 +228,7 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
     let short = |host| StreamPeer {
         connect_ns: 30 * MS,
         handshake_ns: 30 * MS,
-        ..patient(address(3, host), Hello::default())
+        ..patient(address(3, host), Hello::welcome())
     };
     let streams = Os::default().streams(vec![short(10), short(11)]).unwrap();
     for _ in 0..3 {
@@ -242,7 +247,7 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
 
 #[test]
 fn a_peer_that_refuses_or_resets_its_connections_is_asked_until_it_keeps_one() {
-    let mut streams = Os::default().streams(vec![patient(address(4, 10), Hello::default())]).unwrap();
+    let mut streams = Os::default().streams(vec![patient(address(4, 10), Hello::welcome())]).unwrap();
     let notes = streams.notes();
     until("noted", || notes.get(0).is_some());
     assert!(notes.get(0).unwrap().starts_with("refused: nobody listens at 127.74.4.10:1502"));
@@ -261,25 +266,12 @@ fn a_peer_that_refuses_or_resets_its_connections_is_asked_until_it_keeps_one() {
     assert_eq!((opened(&mut *streams), notes.get(0)), (0, None));
 }
 
-/// Waits for a line of the peer.
-#[derive(Debug)]
-struct Listens;
-
-impl Handshake for Listens {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::More
-    }
-
-    fn take(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
-        if bytes.ends_with(b"\n") { HandshakeState::Done } else { HandshakeState::More }
-    }
-}
-
 #[test]
 fn a_peer_may_speak_first_and_nobody_spins_meanwhile() {
     in_own_process("net::link::tests::a_peer_may_speak_first_and_nobody_spins_meanwhile", || {
         let listener = listener(address(11, 10));
-        let mut streams = Os::default().streams(vec![patient(address(11, 10), Listens)]).unwrap();
+        let mut streams =
+            Os::default().streams(vec![patient(address(11, 10), Hello::new(b"", b"ready to go\n"))]).unwrap();
         let mut drive = accept(&listener);
         let thread = &thread_directories()[0];
         // What it has run in user and kernel mode, in ticks of 10 ms (proc_pid_stat(5), fields 14 and 15).
@@ -300,7 +292,7 @@ fn a_peer_may_speak_first_and_nobody_spins_meanwhile() {
 #[test]
 fn a_connection_that_ends_comes_back_without_anything_of_the_old_one_and_is_dropped_in_order() {
     let listener = listener(address(7, 10));
-    let mut streams = Os::default().streams(vec![patient(address(7, 10), Silent)]).unwrap();
+    let mut streams = Os::default().streams(vec![patient(address(7, 10), silent())]).unwrap();
     for round in 0..3 {
         let mut drive = accept(&listener);
         assert_eq!(opened(&mut *streams), 0);
@@ -382,7 +374,7 @@ fn one_thread_serves_all_carriers_and_ends_with_the_last() {
             let mut both: Vec<_> = (10..12)
                 .map(|host| {
                     let listener = listener(address(9, host));
-                    (os.streams(vec![patient(address(9, host), Silent)]).unwrap(), listener)
+                    (os.streams(vec![patient(address(9, host), silent())]).unwrap(), listener)
                 })
                 .collect();
             // A thread names itself when it runs.
@@ -417,11 +409,11 @@ fn no_descriptor_is_left_behind() {
                 (listener(address(10, 10)), listener(address(10, 11)), listener(address(10, 12)));
             let hole = BlackHole::new(address(10, 13));
             let peers = vec![
-                patient(address(10, 10), Silent),
-                patient(address(10, 11), Hello::default()),
-                patient(address(10, 12), Hello::default()),
-                patient(address(10, 13), Silent),
-                patient(address(10, 14), Silent),
+                patient(address(10, 10), silent()),
+                patient(address(10, 11), Hello::welcome()),
+                patient(address(10, 12), Hello::welcome()),
+                patient(address(10, 13), silent()),
+                patient(address(10, 14), silent()),
             ];
             let mut streams = Os::default().streams(peers).unwrap();
             for _ in 0..10 {

@@ -7,7 +7,7 @@ use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use nix::sys::socket::{getsockopt, sockopt};
 
 use crate::net::link::tests::{
-    Silent, accept, breaks, expect, listener, opened, patient, receive, reset, wakes,
+    accept, breaks, expect, listener, opened, patient, receive, reset, silent, wakes,
 };
 use crate::net::link::{REPEATED_US, TCP_RTO_MIN_US};
 use crate::time::{MS, S};
@@ -23,7 +23,7 @@ fn open(x: u8, count: u8) -> (Tcp, Vec<TcpStream>, Vec<TcpListener>) {
     let addresses = (0..count).map(|host| address(x, 10 + host));
     let listeners: Vec<_> = addresses.clone().map(listener).collect();
     let thread = LinkThread::start(None).unwrap();
-    let mut tcp = Tcp::open(&thread, addresses.map(|peer| patient(peer, Silent)).collect()).unwrap();
+    let mut tcp = Tcp::open(&thread, addresses.map(|peer| patient(peer, silent())).collect()).unwrap();
     let drives = listeners.iter().map(accept).collect();
     let mut indices: Vec<_> = (0..count).map(|_| opened(&mut tcp)).collect();
     indices.sort();
@@ -229,7 +229,7 @@ fn a_peer_that_vanishes_breaks_its_connection_alone_whether_it_is_talked_to_or_n
 #[test]
 fn what_is_not_open_is_absent() {
     let thread = LinkThread::start(None).unwrap();
-    let mut tcp = Tcp::open(&thread, vec![patient(address(10, 10), Silent)]).unwrap();
+    let mut tcp = Tcp::open(&thread, vec![patient(address(10, 10), silent())]).unwrap();
     for index in [0, 1, usize::MAX] {
         assert_eq!(tcp.send(index, b"request"), Err(Broken::Absent));
         assert_eq!(tcp.receive(index, &mut [0; 8]), Err(Broken::Absent));

@@ -4,20 +4,16 @@ use super::*;
 use crate::axis::{DriveStatus, StopHow};
 use crate::bus::desired::{Homing, Power};
 
-/// Enabled, 500 mm/s at most, with a drive whose reports may be older than the last one, or not.
-fn enabled(proof: u8) -> Alone {
+/// 500 mm/s at most.
+fn limited() -> AxisPlan {
     let mut plan = plan();
     plan.limits.velocity = Some(500.0);
-    enabled_as(plan, proof)
+    plan
 }
 
-fn enabled_as(plan: AxisPlan, proof: u8) -> Alone {
-    let mut x = Alone::of(plan, Capabilities { power_reports: proof, ..can() }).online();
-    let id = x.begin(Command::Enable);
-    x.slot.status.state = State::OperationEnabled;
-    x.ends(Ok(()));
-    assert_eq!(x.ended(), [(id, Outcome::Done)]);
-    x
+/// Enabled, with a drive whose reports may be older than the last one, or not.
+fn enabled(proof: u8) -> Alone {
+    Alone::of(limited(), Capabilities { power_reports: proof, ..can() }).enabled()
 }
 
 /// The same in motion.
@@ -25,15 +21,11 @@ fn moving(proof: u8) -> Alone {
     let mut x = enabled(proof);
     x.post(Command::Follow);
     x.turns(3);
-    x.kinds();
+    x.reported();
     x
 }
 
 impl Alone {
-    fn kinds(&mut self) -> Vec<EventKind> {
-        std::iter::from_fn(|| self.events.pop().ok()).map(|event| event.kind).collect()
-    }
-
     /// A report of this, and of nothing else than before.
     fn reports(&mut self, change: impl Fn(&mut DriveStatus)) {
         let before = self.slot.status;
@@ -72,7 +64,7 @@ fn one_report_of_a_loss_is_not_shown_and_stops_nothing_where_it_may_be_an_older_
             x.turn();
             assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, round));
         }
-        assert_eq!((x.stopped(), x.kinds()), (None, vec![]));
+        assert_eq!((x.stopped(), x.reported()), (None, vec![]));
     }
 }
 
@@ -114,7 +106,7 @@ fn two_reports_of_different_losses_prove_neither() {
             assert_eq!((DriveStatus { at: before.at, ..status }, age, stopped), (before, 2, None));
             x.turn();
             assert_eq!((x.controller.feedback().age, x.slot.counters.implausible), (0, 2));
-            assert_eq!((x.stopped(), x.kinds()), (None, vec![]));
+            assert_eq!((x.stopped(), x.reported()), (None, vec![]));
         }
     }
     // A loss of power takes the reference along.
@@ -179,7 +171,7 @@ fn two_reports_that_agree_become_the_place_and_the_axis_stops_without_its_refere
         let Feedback { status, stopped, .. } = *x.controller.feedback();
         assert_eq!((status.position, status.homed, stopped), (340.1, false, Some(StopCause::PositionJump)));
         assert!((status.velocity - 100.0).abs() < 1e-6, "{}", status.velocity);
-        let kinds = x.kinds();
+        let kinds = x.reported();
         let is_jump = |kind: &EventKind| *kind == EventKind::PositionJump(340.1 - 1.0);
         assert_eq!(kinds.iter().filter(|kind| is_jump(kind)).count(), 1, "{kinds:?}");
         assert_eq!(x.controller.newest(), Some(Command::QuickStop), "no setpoint leads it from there");
@@ -236,10 +228,9 @@ fn a_homing_or_a_restart_makes_the_word_of_the_drive_count_again_and_a_lost_link
 #[test]
 fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_drive() {
     let stopped = |then: StopThen| {
-        let mut plan = plan();
-        plan.limits.velocity = Some(500.0);
+        let mut plan = limited();
         (plan.stop.how, plan.stop.then) = (StopHow::Ramp, then);
-        let mut x = enabled_as(plan, 1);
+        let mut x = Alone::of(plan, Capabilities { power_reports: 1, ..can() }).enabled();
         x.at(1.0);
         x.slot.status.velocity = 20.0;
         x.controller.stop(&cycle(x.index), Time(x.index * MS), StopCause::Overrun);
@@ -262,9 +253,9 @@ fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_d
         if reset {
             x.done_at_once(Command::Reset);
         }
-        x.kinds();
+        x.reported();
         assert_eq!(jump(&mut x), Some(Command::QuickStop));
-        assert!(x.kinds().contains(&EventKind::Stopped(StopCause::PositionJump)));
+        assert!(x.reported().contains(&EventKind::Stopped(StopCause::PositionJump)));
     }
     // One without power is moved by anything.
     let mut x = stopped(StopThen::Disable);
@@ -277,33 +268,27 @@ fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_d
     assert_eq!(x.controller.newest(), Some(Command::Disable));
 }
 
-fn begun(x: &mut Alone, command: Command) {
-    x.begin(command);
-}
-
 #[test]
 fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
     let free = |begin: fn(&mut Alone)| {
         let mut x = enabled(1);
         begin(&mut x);
-        x.kinds();
+        x.reported();
         [340.0, 340.1, 100.0, 100.1].into_iter().for_each(|position| x.at(position));
         (x.stopped(), x.slot.counters.implausible)
     };
     let none = (None, 0);
-    assert_eq!(free(|x| begun(x, Command::Home)), none);
-    assert_eq!(free(|x| begun(x, Command::Native(NativeOwner::Master))), none);
+    assert_eq!(free(|x| _ = x.begin(Command::Home)), none);
+    assert_eq!(free(|x| _ = x.begin(Command::Native(NativeOwner::Master))), none);
     let homed = |x: &mut Alone| {
-        begun(x, Command::Home);
+        x.begin(Command::Home);
         x.ends(Ok(()));
     };
     assert_eq!(free(homed), none, "just after it");
     // The drive itself homes.
     assert_eq!(free(|x| x.slot.evidence.homing = Homing::Attained), none);
     // Found, and moved by hand: no limit of this master, but what no axis reaches is a jump all the same.
-    let mut plan = plan();
-    plan.limits.velocity = Some(500.0);
-    let mut x = Alone::new(plan).online();
+    let mut x = Alone::new(limited()).online();
     for position in [0.0, 50.0, 100.0] {
         x.at(position);
     }

@@ -1,35 +1,8 @@
 //! The life of a connection, in plain time.
 
 use super::*;
+use crate::net::link::tests::Hello;
 use crate::time::S;
-
-/// Sends `hello` and expects `welcome`; with nothing to send it is complete at once.
-#[derive(Debug)]
-struct Hello {
-    say: &'static [u8],
-    expect: &'static [u8],
-    got: Vec<u8>,
-}
-
-impl Handshake for Hello {
-    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
-        self.got.clear();
-        out.extend_from_slice(self.say);
-        if self.expect.is_empty() { HandshakeState::Done } else { HandshakeState::More }
-    }
-
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
-        self.got.extend_from_slice(bytes);
-        if !self.expect.starts_with(&self.got) {
-            return HandshakeState::Failed("speaks another language".into());
-        }
-        if self.got.len() < self.expect.len() {
-            return HandshakeState::More;
-        }
-        out.extend_from_slice(b"bye");
-        HandshakeState::Done
-    }
-}
 
 const START: Time = Time(1_000 * S);
 
@@ -39,13 +12,13 @@ fn address(host: u8) -> SocketAddrV4 {
 
 fn connection(say: &'static [u8], expect: &'static [u8]) -> (Connection, LinkNotes) {
     let notes = LinkNotes::new(1);
-    let peer = StreamPeer::new(address(20), Box::new(Hello { say, expect, got: Vec::new() }));
+    let peer = StreamPeer::new(address(20), Box::new(Hello::new(say, expect)));
     (Connection::new(START, peer, notes.clone(), 0), notes)
 }
 
 /// A peer with nothing to say.
 fn silent(host: u8) -> StreamPeer {
-    StreamPeer::new(address(host), Box::new(Hello { say: b"", expect: b"", got: Vec::new() }))
+    StreamPeer::new(address(host), Box::new(Hello::new(b"", b"")))
 }
 
 fn of(peer: StreamPeer) -> Connection {

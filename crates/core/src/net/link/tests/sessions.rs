@@ -212,7 +212,7 @@ fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
     let listener = listener(address(23, 12));
     let os = Os::default();
     let (healthy, acyclic, _) = session(&os, address(23, 10));
-    let mut open = os.streams(vec![patient(address(23, 12), Silent)]).unwrap();
+    let mut open = os.streams(vec![patient(address(23, 12), silent())]).unwrap();
     let mut drive = accept(&listener);
     opened(&mut *open);
     let sick = os.streams(vec![patient(address(23, 11), Panicking)]).unwrap();
@@ -229,13 +229,13 @@ fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
 fn a_connection_leaves_from_the_address_that_it_is_bound_to() {
     let listener = listener(address(25, 10));
     let own = |host| *address(25, host).ip();
-    let bound = |host| StreamPeer { bind: Some(own(host)), ..patient(address(25, 10), Silent) };
+    let bound = |host| StreamPeer { bind: Some(own(host)), ..patient(address(25, 10), silent()) };
     let mut streams = Os::default().streams(vec![bound(1), bound(2)]).unwrap();
     let mut from: Vec<_> = (0..2).map(|_| accept(&listener).peer_addr().unwrap().ip()).collect();
     from.sort();
     assert_eq!(from, [own(1), own(2)]);
     // TEST-NET-1 (RFC 5737): no host has it.
-    let nowhere = StreamPeer { bind: Some([192, 0, 2, 1].into()), ..patient(address(25, 10), Silent) };
+    let nowhere = StreamPeer { bind: Some([192, 0, 2, 1].into()), ..patient(address(25, 10), silent()) };
     let streams_of_none = Os::default().streams(vec![nowhere]).unwrap();
     let notes = streams_of_none.notes();
     until("noted", || notes.get(0).is_some());
