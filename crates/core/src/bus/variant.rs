@@ -102,19 +102,14 @@ mod tests {
             (axis.divisor, axis.phase) = (was, if was == 1 { 0 } else { 6 });
             axis.health.bucket = 1_000 / was;
             Variant { was_ns: MS, period_ns, drives: None, place: 0 }.schedule(&mut axis, least_ns);
-            assert_eq!(
-                (axis.divisor, axis.phase, axis.health.bucket),
-                (divisor, phase, bucket),
-                "{period_ns}"
-            );
+            let found = (axis.divisor, axis.phase, axis.health.bucket);
+            assert_eq!(found, (divisor, phase, bucket), "{period_ns}");
         }
     }
 
     #[test]
     fn names_go_on_behind_the_first() {
-        assert_eq!(
-            ["a1", "x", "axis-07", "9"].map(|first| name_behind(first, 2)),
-            ["a3", "x3", "axis-9", "11"]
-        );
+        let behind = ["a1", "x", "axis-07", "9"].map(|first| name_behind(first, 2));
+        assert_eq!(behind, ["a3", "x3", "axis-9", "11"]);
     }
 }

@@ -277,12 +277,9 @@ mod tests {
             let mut line = Line::new(&plan(), reports[0].1);
             for (late_ms, position, weight) in reports {
                 line.ms += late_ms;
-                let counted = line.evidence.position;
+                let before = line.evidence.position;
                 assert_eq!(line.at(*position), *weight, "{what}: {position}");
-                assert!(
-                    *weight != Held || line.evidence.position == counted,
-                    "what counted last stays: {what}"
-                );
+                assert!(*weight != Held || line.evidence.position == before, "what counted last: {what}");
             }
         }
     }

@@ -290,10 +290,8 @@ mod tests {
 
     #[test]
     fn pages_are_merged_and_counted_once() {
-        assert_eq!(
-            whole_pages(vec![(9000, 10), (100, 0), (4096, 1), (4100, 4096), (40_960, 8192)], 4096),
-            [(4096, 8192), (40_960, 8192)]
-        );
+        let areas = vec![(9000, 10), (100, 0), (4096, 1), (4100, 4096), (40_960, 8192)];
+        assert_eq!(whole_pages(areas, 4096), [(4096, 8192), (40_960, 8192)]);
     }
 
     #[test]

@@ -136,10 +136,8 @@ mod tests {
         let stat = "7 (a) b (c) S 1 7 7 0 -1 4194304 120 0 3 0 1 2 0 0 20 0 1 0 99";
         assert_eq!(faults(stat), Some(123));
         assert_eq!(faults("7 (x) S 1"), None);
-        assert_eq!(
-            switches("Name:\tx\nvoluntary_ctxt_switches:\t5\nnonvoluntary_ctxt_switches:\t7\n"),
-            Some(7)
-        );
+        let status = "Name:\tx\nvoluntary_ctxt_switches:\t5\nnonvoluntary_ctxt_switches:\t7\n";
+        assert_eq!(switches(status), Some(7));
         assert_eq!(switches("Name:\tx\n"), None);
     }
 

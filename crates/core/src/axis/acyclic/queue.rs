@@ -416,42 +416,6 @@ mod tests {
     }
 
     #[test]
-    fn tickets_of_many_threads_each_get_their_own_end() {
-        let (acyclic, mut port) = both(16);
-        let over = AtomicBool::new(false);
-        std::thread::scope(|scope| {
-            let (acyclic, over) = (&acyclic, &over);
-            let threads: Vec<_> = (1..=4_u64)
-                .map(|thread| {
-                    scope.spawn(move || {
-                        for value in 0..200 {
-                            let value = thread << 32 | value;
-                            let call = Call { value, ..Call::default() };
-                            let answers = acyclic.run(&[call, call], LIMIT).answers;
-                            assert_eq!(
-                                answers.iter().map(|answer| answer.value).collect::<Vec<_>>(),
-                                [value; 2]
-                            );
-                        }
-                    })
-                })
-                .collect();
-            scope.spawn(move || {
-                while !over.load(Ordering::Relaxed) {
-                    while let Some(posted) = port.take() {
-                        let answer = Answer { value: posted.call.value, ..Answer::default() };
-                        port.end(&posted, Ok(answer));
-                    }
-                    std::thread::yield_now();
-                }
-            });
-            let joined: Vec<_> = threads.into_iter().map(|thread| thread.join()).collect();
-            over.store(true, Ordering::Relaxed);
-            joined.into_iter().for_each(|thread| thread.unwrap());
-        });
-    }
-
-    #[test]
     fn a_call_without_room_was_never_sent_and_says_so() {
         let (acyclic, mut port) = both(2);
         let tickets = acyclic.post_series(&[Call::default(); 2], LIMIT).unwrap();

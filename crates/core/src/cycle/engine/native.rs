@@ -183,11 +183,8 @@ mod tests {
             (from..from + count).map(|first| Record::Skipped(SkippedRecord { first, ..Default::default() }))
         };
         assert_eq!(send(&mut ring, 4, of(0, 2)), 0, "fewer than there may be");
-        assert_eq!(
-            send(&mut ring, 4, of(2, 2)),
-            0,
-            "there is room for them, and not for as many as there may be"
-        );
+        // There is room for them, and not for as many as there may be.
+        assert_eq!(send(&mut ring, 4, of(2, 2)), 0);
         assert_eq!(send(&mut ring, 4, of(4, 4)), 3);
         let taken: Vec<u64> =
             std::iter::from_fn(|| records.pop().ok()).map(|record| record.index()).collect();

@@ -318,29 +318,45 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
 }
 
 #[test]
-fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() {
-    let vertical = AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() };
-    let refused = Outcome::Failed(Failure::LoadInMotion);
-    for (what, is_new, prepare) in [
-        ("its first report after the order shows no motion yet", true, |x| {
-            x.begin(Command::Home);
-        }),
-        ("its report is old", false, |_| ()),
-        ("a push is not yet a motion of its own", true, |x| x.slot.status.velocity = 50.0),
-        ("its generator runs", true, |x| x.slot.status.moving = true),
-    ] as [(_, _, fn(&mut Alone)); 4]
-    {
-        let mut x = Alone::new(vertical.clone()).enabled();
+fn a_command_that_is_refused_leaves_what_was_requested() {
+    // Of a vertical load in operation; an enable is for one that is not.
+    let vertical = |command| {
+        let x = Alone::new(AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() });
+        if command == Command::Enable { x.online() } else { x.enabled() }
+    };
+    let stopped = |x: &mut Alone| {
+        (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
+        x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
+    };
+    let (off, latched) = (Command::Disable, Failure::Latched(StopCause::Overrun));
+    const QUICK: State = State::QuickStopActive;
+    type Rows<const N: usize> = [(&'static str, fn(&mut Alone), Command, Failure); N];
+    let rows: Rows<9> = [
+        ("a stopped axis takes only a quick stop", stopped, off, latched),
+        ("no ramp", stopped, Command::Stop { deceleration: None }, latched),
+        ("no reset of the fault", stopped, Command::ResetFault, latched),
+        // Its first report after the order shows no motion yet.
+        ("homes", |x| _ = x.begin(Command::Home), off, Failure::LoadInMotion),
+        ("old report", |_| (), off, Failure::LoadInMotion),
+        ("a push is not yet a motion", |x| x.slot.status.velocity = 50.0, off, Failure::LoadInMotion),
+        ("generator", |x| x.slot.status.moving = true, off, Failure::LoadInMotion),
+        ("state", |x| x.slot.status.state = QUICK, Command::Home, Failure::WrongState(QUICK)),
+        ("no hardware enable", |x| x.slot.status.inhibited = true, Command::Enable, Failure::Inhibited),
+    ];
+    for (what, prepare, command, failure) in rows {
+        let mut x = vertical(command);
         prepare(&mut x);
-        let off = x.post(Command::Disable);
-        if is_new {
-            x.turn()
-        } else {
+        let order = x.controller.machine.newest();
+        let id = x.post(command);
+        if what == "old report" {
             x.miss()
+        } else {
+            x.turn()
         }
-        assert_eq!(x.ended(), [(off, refused)], "{what}");
+        assert_eq!(x.ended(), [(id, Outcome::Failed(failure))], "{what}");
+        assert_eq!(x.controller.machine.newest(), order, "{what}");
     }
-    Alone::new(vertical).enabled().done(Command::Disable, State::ReadyToSwitchOn);
+    vertical(off).done(off, State::ReadyToSwitchOn);
 }
 
 /// It was found running, and is to be read only.
@@ -496,19 +512,6 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
         x.slot.status.velocity = 40.0;
         x.turns(9);
         assert_eq!(x.stopped().is_none(), settles);
-    }
-}
-
-#[test]
-fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
-    for command in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
-        let mut x = Alone::new(plan()).enabled();
-        (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
-        x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
-        let order = x.controller.machine.newest();
-        let id = x.begin(command);
-        assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
-        assert_eq!(x.controller.machine.newest(), order, "{command:?}");
     }
 }
 
@@ -714,17 +717,6 @@ fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
 }
 
 #[test]
-fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
-    let mut x = Alone::new(plan()).online();
-    x.slot.status.inhibited = true;
-    x.turn();
-    let order = x.controller.machine.newest();
-    let id = x.begin(Command::Enable);
-    assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
-    assert_eq!(x.controller.machine.newest(), order);
-}
-
-#[test]
 fn motion_under_a_command_that_moves_nothing_is_uncommanded() {
     for (command, state, stopped) in [
         (Command::ResetFault, State::OperationEnabled, Some(StopCause::Uncommanded)),
@@ -902,12 +894,9 @@ fn a_reset_takes_no_drive_over_that_went_off_by_itself_or_does_not_answer() {
 }
 
 #[test]
-fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
+fn native_motion_data_may_lead_out_of_a_quick_stop() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.status.state = State::QuickStopActive;
-    let home = x.begin(Command::Home);
-    let refused = Failure::WrongState(State::QuickStopActive);
-    assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
     x.begin(Command::Native(NativeOwner::Master));
     assert_eq!((x.ended(), x.controller.newest()), (vec![], Some(Command::Native(NativeOwner::Master))));
 }

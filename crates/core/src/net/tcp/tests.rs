@@ -189,43 +189,6 @@ fn requests_and_replies_are_stamped_in_order_and_cut_where_the_room_ends() {
     assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::EPIPE)));
 }
 
-/// Makes the peer's host receive nothing any more, as if its cable were out: it does not even acknowledge.
-fn vanish(drive: &TcpStream) {
-    let mut nothing = libc::sock_filter { code: (libc::BPF_RET | libc::BPF_K) as u16, jt: 0, jf: 0, k: 0 };
-    let program = libc::sock_fprog { len: 1, filter: &raw mut nothing };
-    crate::net::set_option(drive, libc::SOL_SOCKET, libc::SO_ATTACH_FILTER, program).unwrap();
-}
-
-#[test]
-#[ignore = "needs root: a socket filter, which a kernel may refuse to others"]
-fn a_peer_that_vanishes_breaks_its_connection_alone_whether_it_is_talked_to_or_not() {
-    let (mut tcp, mut drives, _listeners) = open(13, 3);
-    drives[..2].iter().for_each(vanish);
-    // The first by TCP_USER_TIMEOUT, the second by keepalive.
-    assert_eq!(tcp.send(0, b"request").unwrap().1, 7);
-    let mut broken = [None; 3];
-    let mut replies = 0;
-    until("both broken", || {
-        assert_eq!(tcp.send(2, b"?").unwrap().1, 1);
-        expect(&mut drives[2], b"?");
-        drives[2].write_all(b"!").unwrap();
-        tcp.look();
-        while let Some(index) = tcp.ready() {
-            match tcp.receive(index, &mut [0; 1]) {
-                Ok(got) => replies += usize::from(index == 2 && got.is_some()),
-                Err(why) => {
-                    broken[index] = Some(why);
-                    tcp.abandon(index, "it vanished");
-                }
-            }
-        }
-        broken[0].is_some() && broken[1].is_some()
-    });
-    let timed_out = Some(Broken::Failed(libc::ETIMEDOUT));
-    assert_eq!(broken, [timed_out, timed_out, None]);
-    assert!(replies > 0);
-}
-
 #[test]
 fn what_is_not_open_is_absent() {
     let thread = LinkThread::start(None).unwrap();

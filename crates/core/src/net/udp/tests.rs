@@ -132,10 +132,8 @@ fn too_long_is_cut_and_marked_and_unknown_senders_are_named() {
     unknown.send_to(&[8; 65], address(7, 1)).unwrap();
     unknown.send_to(&[], address(7, 1)).unwrap();
     let from = address(7, 200);
-    assert_eq!(
-        receive(&mut udp, 3),
-        [(from, vec![7; 64], false), (from, vec![8; 64], true), (from, vec![], false)]
-    );
+    let expected = [(from, vec![7; 64], false), (from, vec![8; 64], true), (from, vec![], false)];
+    assert_eq!(receive(&mut udp, 3), expected);
 }
 
 #[test]

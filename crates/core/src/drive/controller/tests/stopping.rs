@@ -105,11 +105,8 @@ fn a_stop_of_the_loop_makes_nothing_softer_that_was_accepted_and_has_not_begun_o
             assert!(matches!(newest, Some(Command::Stop { .. })), "{newest:?}");
             x.slot.status.velocity = 0.0;
             x.turns(200);
-            assert_eq!(
-                x.controller.newest() == Some(Command::Disable),
-                off,
-                "after {cycles} cycles, {load:?}"
-            );
+            let is_off = x.controller.newest() == Some(Command::Disable);
+            assert_eq!(is_off, off, "after {cycles} cycles, {load:?}");
         }
     }
 }

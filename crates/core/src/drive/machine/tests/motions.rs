@@ -123,10 +123,8 @@ fn a_move_of_an_axis_that_does_not_follow_fails_in_its_time_with_the_distance() 
         let mut rig = Rig::enabled(can);
         rig.drive.blocked = Some(10.0);
         let far = rig.run(to(25.0));
-        assert!(
-            matches!(far, Err(Failure::OutOfPosition { distance, .. }) if (distance + 15.0).abs() < 1e-6),
-            "{far:?}"
-        );
+        let Err(Failure::OutOfPosition { distance, .. }) = far else { panic!("{far:?}") };
+        assert!((distance + 15.0).abs() < 1e-6, "{distance}");
         // The axis can be commanded on.
         rig.drive.blocked = None;
         assert_eq!(rig.run(to(20.0)), Ok(()), "{can:?}");
@@ -279,12 +277,8 @@ fn a_jog_ends_before_the_position_limit_ahead_and_leads_back_from_there() {
             rig.drive.homed = true;
             rig.turns(3);
             rig.start(jog(80.0 * direction));
-            rig.until("its end", |rig| rig.end().is_some());
-            assert!(
-                matches!(rig.end(), Some(Err(Failure::Limit { what: "position", .. }))),
-                "{:?}",
-                rig.end()
-            );
+            let end = rig.finish();
+            assert!(matches!(end, Err(Failure::Limit { what: "position", .. })), "{end:?}");
             let position = rig.drive.point.position;
             let room = if direction > 0.0 { 60.0 - position } else { position + 40.0 };
             assert!((-1e-6..2.0).contains(&room), "{can:?}: {position}");
@@ -362,10 +356,8 @@ fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
         assert!(!rig.drive.is_moving());
         if quantity(&can).is_none() {
             let end = rig.gone.iter().position(|gone| gone.motion.value == Motion::EndStream).unwrap();
-            let last = &rig.gone[end - 4..end];
-            assert!(
-                last.iter().all(|gone| gone.setpoint.velocity == 0.0 && gone.setpoint.position == position)
-            );
+            let rests = |Setpoint { velocity, position: at, .. }| velocity == 0.0 && at == position;
+            assert!(rig.gone[end - 4..end].iter().all(|gone| rests(gone.setpoint)));
         }
     }
 }
@@ -453,11 +445,8 @@ fn a_command_that_is_refused_brakes_a_stream_from_its_last_row() {
         for _ in 0..200 {
             rig.turn();
             let setpoint = rig.gone.last().unwrap().setpoint;
-            let step = setpoint.position - before.position;
-            assert!(
-                quantity(&can).is_none() || (-1e-9..0.06).contains(&step),
-                "{can:?}: {before:?} {setpoint:?}"
-            );
+            let fits = (-1e-9..0.06).contains(&(setpoint.position - before.position));
+            assert!(quantity(&can).is_none() || fits, "{can:?}: {before:?} {setpoint:?}");
             before = setpoint;
         }
         assert!(!rig.drive.is_moving(), "{can:?}");
@@ -479,11 +468,8 @@ fn a_row_that_is_no_number_or_does_not_fit_ends_the_stream_at_standstill() {
             rig.turns(3);
             rig.row(2, bad, false);
             rig.turns(100);
-            assert!(
-                matches!(rig.end(), Some(Err(Failure::Range(_) | Failure::NotFinite))),
-                "{:?}",
-                rig.end()
-            );
+            let end = rig.end();
+            assert!(matches!(end, Some(Err(Failure::Range(_) | Failure::NotFinite))), "{end:?}");
             assert!(!rig.drive.is_moving() && rig.drive.point.position.is_finite(), "{can:?} {bad}");
         }
     }
@@ -505,11 +491,7 @@ fn homing_is_done_in_its_mode_and_ends_in_the_own_one_with_the_reference_read() 
             assert_eq!(rig.run(Command::Home), Ok(()), "{can:?}");
             assert!(rig.drive.homed && rig.drive.point.position == 0.0 && rig.drive.mode == ModeIs::Own);
             rig.turns(100);
-            assert!(
-                (rig.drive.point.position, rig.drive.is_moving()) == (0.0, false),
-                "{:?}",
-                rig.drive.point
-            );
+            assert_eq!((rig.drive.point.position, rig.drive.is_moving()), (0.0, false), "{can:?}");
             assert_eq!(rig.state(), Cia402::OperationEnabled);
         }
     }
@@ -548,11 +530,7 @@ fn a_homing_is_stopped_in_each_of_its_steps() {
                 }
                 steps += 1;
                 assert_eq!(rig.run(command), Ok(()), "{after} {can:?}");
-                assert!(
-                    (rig.drive.mode, rig.drive.is_moving()) == (ModeIs::Own, false),
-                    "{after}: {:?}",
-                    rig.drive
-                );
+                assert_eq!((rig.drive.mode, rig.drive.is_moving()), (ModeIs::Own, false), "{after} {can:?}");
                 let position = rig.drive.point.position;
                 rig.turns(30);
                 assert!((rig.drive.point.position - position).abs() < 1e-6, "{after} {can:?}");
@@ -691,12 +669,8 @@ fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_s
         rig.moving();
         rig.drive.mode = ModeIs::Other;
         let from = rig.gone.len();
-        rig.until("its end", |rig| rig.end().is_some());
-        assert!(
-            matches!(rig.end(), Some(Err(Failure::Unsupported(why))) if why.contains("mode")),
-            "{:?}",
-            rig.end()
-        );
+        let end = rig.finish();
+        assert!(matches!(end, Err(Failure::Unsupported(why)) if why.contains("mode")), "{end:?}");
         // The report is one exchange old.
         assert!(rig.gone.len() - from <= 3, "{} exchanges", rig.gone.len() - from);
         rig.turns(200);

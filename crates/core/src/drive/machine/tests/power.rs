@@ -144,9 +144,8 @@ fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
         rig.drive.obstacle = Some("a setting");
         rig.turns(3);
         assert_eq!(rig.run(Command::Enable), Err(Failure::Unsupported("a setting")));
-        assert!(
-            rig.gone.iter().all(|gone| gone.power.value == Power::Untouched || gone.power.value.is_off())
-        );
+        let is_off = |power: Power| power == Power::Untouched || power.is_off();
+        assert!(rig.gone.iter().all(|gone| is_off(gone.power.value)));
 
         // It never answers.
         let mut rig = Rig::new(can);
@@ -290,11 +289,8 @@ fn a_command_waits_until_the_state_of_its_drive_is_known_whatever_leaves_meanwhi
         assert_eq!((machine.end(), slot.desired.power.value), (None, Power::Untouched), "{can:?}");
         slot.status.state = Cia402::OperationEnabled;
         machine.propose(Time(10 * T), &mut slot);
-        assert_eq!(
-            slot.desired.power.value,
-            Power::EnableOperation,
-            "it is taken over, and stopped: {can:?}"
-        );
+        // It is taken over, and stopped.
+        assert_eq!(slot.desired.power.value, Power::EnableOperation, "{can:?}");
     }
 }
 

@@ -240,9 +240,7 @@ fn a_connection_leaves_from_the_address_that_it_is_bound_to() {
     let notes = streams_of_none.notes();
     until("noted", || notes.get(0).is_some());
     let note = notes.get(0).unwrap();
-    assert!(
-        note.contains("from 192.0.2.1: this host has no such address") && note.contains("bind"),
-        "{note}"
-    );
+    let why = "from 192.0.2.1: this host has no such address";
+    assert!(note.contains(why) && note.contains("bind"), "{note}");
     opened(&mut *streams);
 }
