@@ -176,26 +176,6 @@ impl BlackHole {
 }
 
 #[test]
-fn a_peer_that_dribbles_finishes_its_handshake_is_handed_over_and_talked_to() {
-    let listener = listener(address(1, 10));
-    let mut streams = Os::default().streams(vec![patient(address(1, 10), Hello::welcome())]).unwrap();
-    let mut drive = accept(&listener);
-    expect(&mut drive, b"hello");
-    for byte in b"welcome" {
-        assert_eq!(streams.opened(), None);
-        drive.write_all(&[*byte]).unwrap();
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    expect(&mut drive, b"bye");
-    assert_eq!(opened(&mut *streams), 0);
-    assert_eq!(streams.notes().get(0), None);
-    assert_eq!(streams.send(0, b"request").unwrap().1, 7);
-    expect(&mut drive, b"request");
-    drive.write_all(b"reply").unwrap();
-    assert_eq!(receive(&mut *streams, 0, 5), b"reply");
-}
-
-#[test]
 fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
     // 16 do not answer at all, 16 take the connection and never answer the handshake. Each has 600 s, so that the last
     // peer is only served within the time of this test if nobody waits for them.

@@ -3,10 +3,9 @@
 use std::io::{Read, Write};
 
 use super::*;
-use crate::net::link::tests::{breaks, descriptors, opened, receive, wakes};
+use crate::net::link::tests::{breaks, opened, receive, wakes};
 use crate::net::{Carriers, Os};
 use crate::rt::MonotonicClock;
-use crate::rt::testing::in_own_process;
 use fieldbeat_testing::{Pty, until};
 
 const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even, rs485: Rs485::Adapter };
@@ -145,28 +144,4 @@ fn an_adapter_that_is_unplugged_breaks_its_port_and_is_opened_again_when_it_is_b
         port.abandon(0, "it is unplugged");
         assert_eq!((port.fd(), port.receive(0, &mut [0; 8])), (None, Err(Broken::Absent)));
     }
-}
-
-#[test]
-fn a_port_that_is_dropped_at_any_moment_leaves_nothing_behind() {
-    in_own_process("net::serial::tests::a_port_that_is_dropped_at_any_moment_leaves_nothing_behind", || {
-        let before = descriptors();
-        let pty = Pty::new();
-        for round in 0..600 {
-            let mut port = Os::default().serial(&pty.path, &LINE).unwrap();
-            match round % 3 {
-                0 => assert_eq!(opened(&mut *port), 0),
-                1 => {
-                    opened(&mut *port);
-                    port.abandon(0, "again");
-                }
-                _ => {}
-            }
-        }
-        for _ in 0..2_000 {
-            drop(Os::default().serial("/dev/no-such-port", &LINE).unwrap());
-        }
-        drop(pty);
-        assert_eq!(descriptors(), before);
-    });
 }

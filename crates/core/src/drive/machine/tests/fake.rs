@@ -7,7 +7,7 @@ use crate::axis::{Cannot, DriveStatus, Lacks, State};
 use crate::bus::cia402::{ControlCommand, ControlWord, Transition};
 use crate::bus::desired::{
     Accepted, Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Homing, Mode, ModeIs, Motion,
-    Power, Quantity, Reference, Refused, Resettable, Setpoint, Velocities,
+    Power, Quantity, Reference, Setpoint, Velocities,
 };
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::{MS, Time};
@@ -39,29 +39,23 @@ pub struct Drive {
     pub point: Point,
     /// What it makes by itself, if it does, and for how long.
     motion: Option<(Trajectory, u64)>,
-    pub accepted: Accepted,
+    /// What its reports show; its reference and its places are filled in.
+    pub shows: Evidence,
     before: ControlWord,
-    pub mode: ModeIs,
     mode_in: u32,
     /// Its motion is that of a homing.
     homes: bool,
-    pub homing: Homing,
     pub homed: bool,
     boots: u32,
     restarts: u32,
     // What a test makes of it.
     pub delay: usize,
-    pub outputs_count: bool,
     pub is_halted_by_halt: bool,
     pub inhibited: bool,
     pub home_fails: bool,
     /// The fault comes back after each reset.
     pub persists: bool,
-    pub fault: FaultIs,
     pub code: u32,
-    pub obstacle: Cannot,
-    pub refused: Option<Refused>,
-    pub follows: Follows,
     /// Its motor stays here, whatever the demand does.
     pub blocked: Option<f64>,
     /// What a count that was unwrapped on the other side adds to its actual position.
@@ -125,26 +119,19 @@ impl Drive {
             state: State::SwitchOnDisabled,
             point: Point { position: 10.0, velocity: 0.0 },
             motion: None,
-            accepted: Accepted::default(),
+            shows: Evidence { fault: FaultIs { named: true, ..FaultIs::default() }, ..Evidence::default() },
             before: ControlWord(0),
-            mode: ModeIs::Own,
             mode_in: 0,
             homes: false,
-            homing: Homing::Open,
             homed: false,
             boots: 0,
             restarts: 0,
             delay: 1,
-            outputs_count: true,
             is_halted_by_halt: true,
             inhibited: false,
             home_fails: false,
             persists: false,
-            fault: FaultIs { active: false, named: true, resettable: Resettable::Now },
             code: 0,
-            obstacle: None,
-            refused: None,
-            follows: Follows::Yes,
             blocked: None,
             wrapped: 0.0,
             own_reference: None,
@@ -166,16 +153,16 @@ impl Drive {
     }
 
     pub fn trip(&mut self, code: u32) {
-        (self.code, self.fault.active) = (code, true);
+        (self.code, self.shows.fault.active) = (code, true);
         self.leave_operation(State::Fault, COAST);
     }
 
     /// Everything that it was commanded is lost.
     pub fn restart(&mut self) {
         self.leave_operation(State::NotReadyToSwitchOn, COAST);
-        (self.boots, self.before, self.mode, self.homed) = (BOOTS, ControlWord(0), ModeIs::Own, false);
-        (self.code, self.fault.active, self.homing) = (0, false, Homing::Open);
-        (self.accepted, self.homes) = (Accepted::default(), false);
+        (self.boots, self.before, self.shows.mode, self.homed) = (BOOTS, ControlWord(0), ModeIs::Own, false);
+        (self.code, self.shows.fault.active, self.shows.homing) = (0, false, Homing::Open);
+        (self.shows.accepted, self.homes) = (Accepted::default(), false);
         self.restarts += 1;
     }
 
@@ -186,7 +173,9 @@ impl Drive {
             if self.boots == 0 {
                 self.state = State::SwitchOnDisabled;
             }
-        } else if let Some(desired) = desired.filter(|_| self.outputs_count && self.follows == Follows::Yes) {
+        } else if let Some(desired) =
+            desired.filter(|_| self.shows.outputs_count && self.shows.follows == Follows::Yes)
+        {
             self.take(desired);
         }
         self.advance();
@@ -200,12 +189,12 @@ impl Drive {
         }
         self.take_power(power.value);
         self.take_mode(mode.value);
-        let is_new = motion.serial != self.accepted.motion;
+        let is_new = motion.serial != self.shows.accepted.motion;
         let Setpoint { position, velocity, torque, row, .. } = *setpoint;
         assert!(position.is_finite() && velocity.is_finite() && torque.is_finite(), "{desired:?}");
-        let Accepted { power: before, motion: moved, row: last } = self.accepted;
+        let Accepted { power: before, motion: moved, row: last } = self.shows.accepted;
         assert!(power.serial >= before && motion.serial >= moved && row >= last, "it goes back: {desired:?}");
-        self.accepted = Accepted { power: power.serial, motion: motion.serial, row: setpoint.row };
+        self.shows.accepted = Accepted { power: power.serial, motion: motion.serial, row: setpoint.row };
         if self.state != State::OperationEnabled {
             return;
         }
@@ -222,7 +211,7 @@ impl Drive {
             (Motion::Halt, Generator::Drive { .. }) => {}
             (Motion::Halt, _) if self.is_halted_by_halt => {}
             (Motion::Home, _) if is_new => {
-                self.homing = Homing::Open;
+                self.shows.homing = Homing::Open;
                 self.motion = own(Trajectory::go_to(from, 0.0, 100.0, 1_000.0, 1_000.0));
             }
             (Motion::Home, _) => {}
@@ -245,7 +234,7 @@ impl Drive {
             }
             // What it has not reached by then, it never reaches.
             (Motion::EndStream, _) => self.rows.clear(),
-            (_, Generator::Master(quantity)) if self.mode == ModeIs::Own => {
+            (_, Generator::Master(quantity)) if self.shows.mode == ModeIs::Own => {
                 self.motion = None;
                 let dt = T as f64 * 1e-9;
                 self.point = match quantity {
@@ -255,7 +244,7 @@ impl Drive {
                     Quantity::Unknown => from,
                 };
             }
-            (_, Generator::Master(_)) if self.mode == ModeIs::Other && self.motion.is_none() => {
+            (_, Generator::Master(_)) if self.shows.mode == ModeIs::Other && self.motion.is_none() => {
                 self.motion = own(Trajectory::run(from, 0.0, HALT));
             }
             _ => {}
@@ -293,7 +282,7 @@ impl Drive {
         match (self.state, next) {
             (State::Fault, _) => {
                 self.state = next;
-                (self.code, self.fault.active) = (0, false);
+                (self.code, self.shows.fault.active) = (0, false);
                 if self.persists {
                     self.trip(7);
                 }
@@ -317,12 +306,12 @@ impl Drive {
             Mode::Own => ModeIs::Own,
             Mode::Homing => ModeIs::Homing,
         };
-        self.mode_in = match self.mode {
+        self.mode_in = match self.shows.mode {
             mode if mode == wanted => return,
             ModeIs::Other => self.mode_in + 1,
             _ => 0,
         };
-        self.mode = if self.mode_in < MODE_TAKES { ModeIs::Other } else { wanted };
+        self.shows.mode = if self.mode_in < MODE_TAKES { ModeIs::Other } else { wanted };
     }
 
     fn advance(&mut self) {
@@ -332,10 +321,10 @@ impl Drive {
         };
         *ns += T;
         self.point = motion.at(*ns);
-        let over = self.homing == Homing::Open && motion.is_over(*ns);
+        let over = self.shows.homing == Homing::Open && motion.is_over(*ns);
         if self.homes && over && self.state == State::OperationEnabled {
             self.homed = !self.home_fails;
-            self.homing = if self.home_fails { Homing::Failed } else { Homing::Attained };
+            self.shows.homing = if self.home_fails { Homing::Failed } else { Homing::Attained };
         }
     }
 
@@ -356,21 +345,8 @@ impl Drive {
             fault: self.code,
             ..DriveStatus::default()
         };
-        let evidence = Evidence {
-            accepted: self.accepted,
-            outputs_count: self.outputs_count,
-            mode: self.mode,
-            homing: self.homing,
-            reference: Some(if self.homed { Reference::Set } else { Reference::Lost }),
-            fault: self.fault,
-            obstacle: self.obstacle,
-            refused: self.refused,
-            follows: self.follows,
-            position,
-            demand,
-            demand_velocity: velocity,
-            ..Evidence::default()
-        };
+        let reference = Some(if self.homed { Reference::Set } else { Reference::Lost });
+        let evidence = Evidence { reference, position, demand, demand_velocity: velocity, ..self.shows };
         self.reports.push_front(Report { status, evidence, restarts: self.restarts });
         self.reports.truncate(16);
     }

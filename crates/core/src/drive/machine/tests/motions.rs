@@ -489,7 +489,9 @@ fn homing_is_done_in_its_mode_and_ends_in_the_own_one_with_the_reference_read() 
                 rig.moving();
             }
             assert_eq!(rig.run(Command::Home), Ok(()), "{can:?}");
-            assert!(rig.drive.homed && rig.drive.point.position == 0.0 && rig.drive.mode == ModeIs::Own);
+            assert!(
+                rig.drive.homed && rig.drive.point.position == 0.0 && rig.drive.shows.mode == ModeIs::Own
+            );
             rig.turns(100);
             assert_eq!((rig.drive.point.position, rig.drive.is_moving()), (0.0, false), "{can:?}");
             assert_eq!(rig.state(), Cia402::OperationEnabled);
@@ -505,13 +507,13 @@ fn a_homing_that_fails_or_lasts_too_long_ends_in_the_own_mode_at_standstill() {
             let mut rig = Rig::enabled(can);
             rig.drive.home_fails = true;
             assert!(matches!(rig.run(Command::Home), Err(Failure::Unsupported(_))), "{can:?}");
-            assert!((rig.drive.mode, rig.drive.is_moving()) == (ModeIs::Own, false), "{:?}", rig.drive);
+            assert!((rig.drive.shows.mode, rig.drive.is_moving()) == (ModeIs::Own, false), "{:?}", rig.drive);
         }
         let mut rig = Rig::with(can, |plan| plan.home_timeout = Duration::from_millis(100));
         assert_eq!(rig.run(Command::Enable), Ok(()));
         assert_eq!(rig.run(Command::Home), Err(Failure::TimedOut(Cia402::OperationEnabled)), "{can:?}");
         rig.turns(1_000);
-        assert_eq!(rig.drive.mode, ModeIs::Own, "{can:?}");
+        assert_eq!(rig.drive.shows.mode, ModeIs::Own, "{can:?}");
         assert!(!matches!(rig.motion(), Motion::Home));
     }
 }
@@ -530,7 +532,11 @@ fn a_homing_is_stopped_in_each_of_its_steps() {
                 }
                 steps += 1;
                 assert_eq!(rig.run(command), Ok(()), "{after} {can:?}");
-                assert_eq!((rig.drive.mode, rig.drive.is_moving()), (ModeIs::Own, false), "{after} {can:?}");
+                assert_eq!(
+                    (rig.drive.shows.mode, rig.drive.is_moving()),
+                    (ModeIs::Own, false),
+                    "{after} {can:?}"
+                );
                 let position = rig.drive.point.position;
                 rig.turns(30);
                 assert!((rig.drive.point.position - position).abs() < 1e-6, "{after} {can:?}");
@@ -544,7 +550,7 @@ fn a_homing_is_stopped_in_each_of_its_steps() {
 fn a_drive_in_another_mode_takes_no_motion() {
     for can in homers() {
         let mut rig = Rig::enabled(can);
-        rig.drive.mode = ModeIs::Other;
+        rig.drive.shows.mode = ModeIs::Other;
         for report in &mut rig.drive.reports {
             report.evidence.mode = ModeIs::Other;
         }
@@ -667,7 +673,7 @@ fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_s
     for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
         let mut rig = Rig::enabled(can);
         rig.moving();
-        rig.drive.mode = ModeIs::Other;
+        rig.drive.shows.mode = ModeIs::Other;
         let from = rig.gone.len();
         let end = rig.finish();
         assert!(matches!(end, Err(Failure::Unsupported(why)) if why.contains("mode")), "{end:?}");

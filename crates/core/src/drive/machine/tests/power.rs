@@ -132,16 +132,16 @@ fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
         let mut rig = Rig::new(can);
         rig.start(Command::Enable);
         rig.turn();
-        rig.drive.fault.named = false;
+        rig.drive.shows.fault.named = false;
         rig.drive.trip(5);
         rig.turns(10);
         assert_eq!(rig.end(), None, "its code will be known");
-        rig.drive.fault.named = true;
+        rig.drive.shows.fault.named = true;
         assert_eq!(rig.finish(), Err(named));
         assert!(rig.power().is_off(), "{:?}", rig.power());
 
         let mut rig = Rig::new(can);
-        rig.drive.obstacle = Some("a setting");
+        rig.drive.shows.obstacle = Some("a setting");
         rig.turns(3);
         assert_eq!(rig.run(Command::Enable), Err(Failure::Unsupported("a setting")));
         let is_off = |power: Power| power == Power::Untouched || power.is_off();
@@ -188,13 +188,13 @@ fn a_fault_is_reset_by_an_edge_when_the_drive_takes_one() {
         rig.until("its fault", |rig| rig.end().is_some());
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(5))), "{can:?}");
         // None was ever requested with its reaction still running.
-        rig.drive.fault.resettable = Resettable::At(Time(u64::MAX));
+        rig.drive.shows.fault.resettable = Resettable::At(Time(u64::MAX));
         rig.start(Command::ResetFault);
         rig.turns(50);
         assert!(!rig.drive.powers.contains(&Power::FaultReset));
         // However long that is.
         let at = rig.now + 5_000 * MS;
-        rig.drive.fault.resettable = Resettable::At(at);
+        rig.drive.shows.fault.resettable = Resettable::At(at);
         assert_eq!(rig.finish(), Ok(()), "{can:?}");
         assert!(rig.now > at && rig.drive.powers.ends_with(&[Power::Off, Power::FaultReset, Power::Off]));
         assert_eq!(rig.state(), Cia402::SwitchOnDisabled);
@@ -202,7 +202,7 @@ fn a_fault_is_reset_by_an_edge_when_the_drive_takes_one() {
         assert_eq!(rig.run(Command::Enable), Ok(()));
         rig.drive.trip(5);
         rig.turns(3);
-        rig.drive.fault.resettable = Resettable::Never(Some("switch it off"));
+        rig.drive.shows.fault.resettable = Resettable::Never(Some("switch it off"));
         let resets = rig.drive.powers.len();
         assert_eq!(rig.run(Command::ResetFault), Err(Failure::Unsupported("switch it off")), "{can:?}");
         assert!(!rig.drive.powers[resets..].contains(&Power::FaultReset));
@@ -218,13 +218,13 @@ fn a_drive_that_falls_out_of_operation_or_heeds_no_output_ends_its_command_and_d
                 rig.moving();
             }
             let state = if counts { Cia402::SwitchOnDisabled } else { Cia402::OperationEnabled };
-            (rig.drive.state, rig.drive.outputs_count) = (state, counts);
+            (rig.drive.state, rig.drive.shows.outputs_count) = (state, counts);
             let powers = rig.drive.powers.len();
             rig.turns(20);
             let end = if moves { Err(Failure::Dropped(state)) } else { Ok(()) };
             assert_eq!(rig.end(), Some(end), "{can:?}");
             // Somebody switches it on again.
-            rig.drive.outputs_count = true;
+            rig.drive.shows.outputs_count = true;
             if counts {
                 rig.drive.state = Cia402::SwitchedOn;
             }
@@ -299,7 +299,7 @@ fn resetting(can: Capabilities, resettable: Resettable) -> Rig {
     let can = Capabilities { power_reports: 3, ..can };
     let mut rig = Rig::with(can, |plan| plan.enable_timeout = Duration::from_secs(2));
     rig.drive.trip(5);
-    (rig.drive.delay, rig.drive.fault.resettable) = (0, resettable);
+    (rig.drive.delay, rig.drive.shows.fault.resettable) = (0, resettable);
     rig.turn();
     rig.start(Command::ResetFault);
     rig
@@ -362,11 +362,11 @@ fn a_fault_that_stays_or_follows_a_reset_fails_it_once_its_code_is_known() {
             continue;
         }
         rig.turns(2);
-        rig.drive.fault.named = false;
+        rig.drive.shows.fault.named = false;
         rig.drive.trip(9);
         rig.turns(20);
         assert_eq!(rig.end(), None, "{can:?}");
-        rig.drive.fault.named = true;
+        rig.drive.shows.fault.named = true;
         rig.turn();
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(9))), "{can:?}");
     }
@@ -400,9 +400,9 @@ fn a_state_is_proved_by_so_many_reports_in_a_row() {
             assert_eq!(rig.end(), Some(Ok(())), "{command:?} {can:?}");
         }
         let mut rig = resetting(can, Resettable::Now);
-        rig.drive.fault.named = false;
+        rig.drive.shows.fault.named = false;
         for active in [true, true, false, false, true, false, false] {
-            rig.drive.fault.active = active;
+            rig.drive.shows.fault.active = active;
             rig.turn();
             assert_eq!(rig.end(), None, "{can:?}");
         }

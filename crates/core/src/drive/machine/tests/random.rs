@@ -225,7 +225,7 @@ fn run(seed: u64) {
     rig.drive.point.position = dice.roll(5) as f64 - 2.0;
     let mut judge = Judge::default();
     for _ in 0..EXCHANGES {
-        if dice.hits(2) && !rig.drive.fault.active {
+        if dice.hits(2) && !rig.drive.shows.fault.active {
             rig.drive.trip(5);
         }
         if dice.hits(2) {

@@ -215,19 +215,19 @@ fn a_drive_that_does_not_follow_yet_is_stopped_when_it_does_or_not_at_all() {
     for can in kinds() {
         let mut rig = Rig::new(can);
         (rig.drive.state, rig.drive.point.velocity) = (Cia402::OperationEnabled, 30.0);
-        rig.drive.follows = Follows::NotYet;
+        rig.drive.shows.follows = Follows::NotYet;
         rig.turns(3);
         rig.start(STOP);
         rig.turns(200);
         assert_eq!((rig.end(), rig.drive.point.velocity), (None, 30.0), "{can:?}");
-        rig.drive.follows = Follows::Yes;
+        rig.drive.shows.follows = Follows::Yes;
         assert_eq!((rig.finish(), rig.drive.is_moving()), (Ok(()), false), "{can:?}");
 
         let why = Failure::Unsupported("a key switch");
         for command in [STOP, Command::QuickStop, Command::Disable] {
             let mut rig = Rig::new(can);
             (rig.drive.state, rig.drive.point.velocity) = (Cia402::OperationEnabled, 30.0);
-            rig.drive.follows = Follows::Never("a key switch");
+            rig.drive.shows.follows = Follows::Never("a key switch");
             rig.turns(3);
             assert_eq!(rig.run(command), Err(why), "{can:?}");
         }
@@ -239,17 +239,21 @@ fn a_drive_found_in_another_mode_is_halted_in_it_before_it_changes() {
     for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
         let mut rig = Rig::new(can);
         rig.drive.state = Cia402::OperationEnabled;
-        (rig.drive.mode, rig.drive.point.velocity) = (ModeIs::Other, 30.0);
+        (rig.drive.shows.mode, rig.drive.point.velocity) = (ModeIs::Other, 30.0);
         rig.turns(3);
         rig.start(STOP);
         for _ in 0..500 {
             rig.turn();
-            assert!(rig.drive.mode != ModeIs::Own || !rig.drive.is_moving(), "{can:?}: {:?}", rig.drive);
+            assert!(
+                rig.drive.shows.mode != ModeIs::Own || !rig.drive.is_moving(),
+                "{can:?}: {:?}",
+                rig.drive
+            );
             if rig.end().is_some() {
                 break;
             }
         }
-        assert_eq!((rig.end(), rig.drive.mode), (Some(Ok(())), ModeIs::Own), "{can:?}");
+        assert_eq!((rig.end(), rig.drive.shows.mode), (Some(Ok(())), ModeIs::Own), "{can:?}");
     }
 }
 
@@ -263,10 +267,11 @@ fn a_stop_that_waits_for_its_drive_ends_with_what_a_new_report_says() {
             (on, false, Follows::Never(why), Power::EnableOperation, Err(Failure::Unsupported(why))),
         ] {
             let mut rig = Rig::new(can);
-            (rig.drive.state, rig.drive.follows) = (on, Follows::NotYet);
+            (rig.drive.state, rig.drive.shows.follows) = (on, Follows::NotYet);
             rig.turns(3);
             rig.start(STOP);
-            (rig.drive.state, rig.drive.fault.active, rig.drive.follows) = (state, fault, follows);
+            (rig.drive.state, rig.drive.shows.fault.active, rig.drive.shows.follows) =
+                (state, fault, follows);
             // What is no report ends nothing.
             (rig.slot.status.state, rig.slot.evidence.fault.active) = (state, fault);
             rig.slot.evidence.follows = follows;
@@ -274,7 +279,7 @@ fn a_stop_that_waits_for_its_drive_ends_with_what_a_new_report_says() {
             assert_eq!((rig.power(), rig.end()), (Power::EnableOperation, None), "{state:?} {can:?}");
             rig.turns(3);
             assert_eq!(rig.power(), power, "{state:?} {follows:?} {can:?}");
-            rig.drive.follows = Follows::Yes;
+            rig.drive.shows.follows = Follows::Yes;
             assert_eq!(rig.finish(), end, "{state:?} {follows:?} {can:?}");
         }
     }
@@ -288,7 +293,7 @@ fn a_stop_waits_for_no_drive_that_is_out_of_operation_or_was_switched_off() {
         rig.start(STOP);
         assert_eq!(rig.power(), Power::SwitchOn, "{can:?}");
         let mut rig = Rig::enabled(can);
-        rig.drive.follows = Follows::NotYet;
+        rig.drive.shows.follows = Follows::NotYet;
         rig.turns(2);
         rig.start(Command::Disable);
         rig.turn();
