@@ -128,6 +128,13 @@ mod tests {
         reference
     }
 
+    /// It was lost, and is locked by so many errors in a row as at first.
+    fn relocks(reference: &mut Reference) {
+        assert!((0..49).all(|_| !reference.take(0, Some(0)).locked));
+        assert!(reference.take(0, Some(0)).locked);
+        assert_eq!(reference.status().losses, 1);
+    }
+
     #[test]
     fn it_is_locked_by_errors_within_the_bound_in_a_row() {
         let mut reference = Reference::new(0, MS);
@@ -143,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_lost_by_errors_far_outside_in_a_row_and_not_by_one() {
+    fn it_is_lost_by_errors_far_outside_in_a_row_and_not_by_one_or_by_silence() {
         let mut reference = locked();
         for (index, error) in
             [40_001, -40_001, 40_000, 40_001, 12_000, 40_001, 40_001].into_iter().enumerate()
@@ -155,20 +162,13 @@ mod tests {
         assert!(reference.take(108, Some(499_000)).counts);
         let status = reference.status();
         assert_eq!((status.losses, status.error_max.ns, status.error_max.index), (1, 499_000, 108));
-        assert!((0..49).all(|_| !reference.take(0, Some(0)).locked));
-        assert!(reference.take(0, Some(0)).locked);
-        assert_eq!(reference.status().losses, 1);
-    }
-
-    #[test]
-    fn it_is_lost_by_silence() {
+        relocks(&mut reference);
+        // Or by silence.
         let mut reference = locked();
         assert!((0..99).all(|index| reference.take(index, None).locked));
         assert!(!reference.take(99, None).locked);
         assert!((0..99).all(|index| !reference.take(index, None).locked));
-        assert_eq!(reference.status().losses, 1);
-        assert!((0..49).all(|_| !reference.take(0, Some(0)).locked));
-        assert!(reference.take(0, Some(0)).locked);
+        relocks(&mut reference);
     }
 
     #[test]
