@@ -383,20 +383,6 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
 }
 
 #[test]
-fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
-    let mut x = Alone::new(plan()).enabled();
-    while x.controller.queues.events.slots() > x.controller.queues.room_for_ends {
-        x.controller.emit(&cycle(50), Time(50 * MS), EventKind::Restarted);
-    }
-    let mut takes = |command| {
-        let command = QueuedCommand { id: CommandId::of_task(1), member: 0, command, stream: 0, call: None };
-        x.controller.command_from_task(&cycle(50), Time(50 * MS), command, |room| room).is_ok()
-    };
-    assert!(!takes(Command::Home));
-    assert!(takes(Command::QuickStop));
-}
-
-#[test]
 fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
     let mut x = Alone::new(plan()).enabled();
     x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
@@ -516,21 +502,6 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
 }
 
 #[test]
-fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
-    let mut plan = plan();
-    plan.stop.then = StopThen::Hold;
-    let standstill = plan.stop.standstill_for;
-    let mut x = Alone::new(plan).enabled();
-    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
-    x.turns(standstill);
-    let order = x.controller.machine.newest();
-    assert!(matches!(order.0, Some(Command::Stop { .. })));
-    let id = x.begin(Command::Reset);
-    assert_eq!(x.ended(), [(id, Outcome::Done)]);
-    assert_eq!(x.controller.machine.newest(), order);
-}
-
-#[test]
 fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
     let mut x = found_running();
     x.done(Command::Stop { deceleration: None }, State::OperationEnabled);
@@ -624,15 +595,12 @@ impl Alone {
 }
 
 #[test]
-fn a_stream_that_runs_empty_holds_the_last_position_without_speed_and_takes_no_row_of_the_next_one() {
-    let plan = AxisPlan { underrun: Underrun::Hold, ..plan() };
-    let mut x = following(plan, &[(0, 0.01, 10.0), (1, 0.02, 10.0)]);
+fn a_stream_that_runs_empty_holds_the_last_position_or_goes_on_at_its_last_speed_for_so_many_rows() {
+    // It takes no row of the next one.
+    let hold = AxisPlan { underrun: Underrun::Hold, ..plan() };
+    let mut x = following(hold, &[(0, 0.01, 10.0), (1, 0.02, 10.0)]);
     assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 10.0, acceleration: 7.0, last: false }));
     assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 0.0, acceleration: 0.0, last: false }));
-}
-
-#[test]
-fn a_stream_that_runs_empty_goes_on_at_its_last_speed_for_so_many_rows() {
     let plan = AxisPlan { underrun: Underrun::Extrapolate(2), divisor: 1, ..plan() };
     let mut x = following(plan, &[(0, 0.01, 10.0)]);
     x.fed();
@@ -877,19 +845,23 @@ fn a_drive_that_is_found_running_is_stopped_by_its_ramp_however_long_its_link_ta
 }
 
 #[test]
-fn a_reset_takes_no_drive_over_that_went_off_by_itself_or_does_not_answer() {
-    for off in [true, false] {
-        let mut x = found_running();
-        if off {
-            x.slot.status.state = State::ReadyToSwitchOn;
-            x.turn();
-        } else {
-            x.misses(5);
-            assert_eq!(x.link(), Link::Lost);
-        }
+fn a_reset_leaves_the_order_by_which_an_axis_holds_and_takes_no_drive_over_that_is_off_or_silent() {
+    let mut off = found_running();
+    off.slot.status.state = State::ReadyToSwitchOn;
+    off.turn();
+    let mut silent = found_running();
+    silent.misses(5);
+    assert_eq!(silent.link(), Link::Lost);
+    let mut plan = plan();
+    plan.stop.then = StopThen::Hold;
+    let mut holds = Alone::new(plan).enabled();
+    holds.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
+    holds.turns(holds.controller.plan().stop.standstill_for);
+    assert!(matches!(holds.controller.newest(), Some(Command::Stop { .. })));
+    for (what, mut x) in [("off by itself", off), ("silent", silent), ("holds", holds)] {
         let order = x.controller.machine.newest();
         x.done_at_once(Command::Reset);
-        assert_eq!(x.controller.machine.newest(), order, "off: {off}");
+        assert_eq!(x.controller.machine.newest(), order, "{what}");
     }
 }
 
@@ -903,22 +875,27 @@ fn native_motion_data_may_lead_out_of_a_quick_stop() {
 
 impl Alone {
     /// The in-loop task gives a command.
-    fn task(&mut self, id: u64, command: Command) -> CommandId {
+    fn task(&mut self, id: u64, command: Command) -> Option<CommandId> {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
         let command = QueuedCommand { id, member: 0, command, stream: 0, call: None };
-        self.controller.command_from_task(&cycle, cycle.grid, command, |room| room).unwrap();
-        id
+        self.controller.command_from_task(&cycle, cycle.grid, command, |room| room).ok().map(|_| id)
     }
 }
 
 #[test]
-fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
+fn a_command_of_the_task_that_a_stop_overtakes_has_its_end_and_room_for_it_unless_it_is_a_stop() {
     let mut x = Alone::new(plan()).enabled();
-    let (home, stop) = (x.task(1, Command::Home), x.task(2, Command::QuickStop));
+    let [home, stop] = [(1, Command::Home), (2, Command::QuickStop)].map(|(id, it)| x.task(id, it).unwrap());
     assert_eq!(x.ended(), [(home.0, Outcome::Aborted(Abort::Replaced(stop)))]);
     x.controller.stop(&cycle(50), Time(50 * MS), StopCause::Overrun);
     assert_eq!(x.ended(), [(stop.0, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
+    let mut x = Alone::new(plan()).enabled();
+    while x.controller.queues.events.slots() > x.controller.queues.room_for_ends {
+        x.controller.emit(&cycle(50), Time(50 * MS), EventKind::Restarted);
+    }
+    assert_eq!(x.task(1, Command::Home), None);
+    assert!(x.task(1, Command::QuickStop).is_some());
 }
 
 #[test]
