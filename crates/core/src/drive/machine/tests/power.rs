@@ -201,8 +201,8 @@ fn a_fault_is_reset_by_an_edge_when_the_drive_takes_one() {
         assert_eq!(rig.run(Command::ResetFault), Ok(()), "there is none");
         assert_eq!(rig.run(Command::Enable), Ok(()));
         rig.drive.trip(5);
-        rig.turns(3);
         rig.drive.shows.fault.resettable = Resettable::Never(Some("switch it off"));
+        rig.turns(3);
         let resets = rig.drive.powers.len();
         assert_eq!(rig.run(Command::ResetFault), Err(Failure::Unsupported("switch it off")), "{can:?}");
         assert!(!rig.drive.powers[resets..].contains(&Power::FaultReset));
