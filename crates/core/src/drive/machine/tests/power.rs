@@ -61,24 +61,6 @@ fn enable_leads_into_operation_from_every_state_and_moves_nothing() {
 }
 
 #[test]
-fn an_enable_in_operation_is_done_by_a_report_from_after_it() {
-    for can in kinds() {
-        let mut rig = Rig::enabled(can);
-        let before = rig.slot.desired.power;
-        rig.start(Command::Enable);
-        assert!(rig.slot.desired.power.serial > before.serial);
-        for _ in 0..20 {
-            rig.exchange(Fate::ReplyLost);
-            assert_eq!(rig.end(), None);
-        }
-        rig.drive.delay = 5;
-        (0..4).for_each(|_| rig.exchange(Fate::Suspect(1)));
-        assert_eq!(rig.end(), None);
-        assert_eq!((rig.finish(), rig.drive.powers.contains(&Power::Off)), (Ok(()), false));
-    }
-}
-
-#[test]
 fn a_stop_behind_an_enable_in_operation_leaves_it_in_operation() {
     for can in kinds() {
         for (turns, lost) in (0..6).flat_map(|turns| [(turns, false), (turns, true)]) {
