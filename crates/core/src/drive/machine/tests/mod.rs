@@ -132,8 +132,18 @@ impl Rig {
 
     /// In operation.
     fn enabled(can: Capabilities) -> Rig {
-        let mut rig = Rig::new(can);
+        Rig::enabled_with(can, |_| ())
+    }
+
+    fn enabled_with(can: Capabilities, change: impl FnOnce(&mut AxisPlan)) -> Rig {
+        let mut rig = Rig::with(can, change);
         assert_eq!(rig.run(Command::Enable), Ok(()));
+        rig
+    }
+
+    fn in_motion(can: Capabilities) -> Rig {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
         rig
     }
 

@@ -47,8 +47,7 @@ fn a_command_that_is_replaced_before_it_left_never_was() {
 #[test]
 fn reports_that_are_old_or_suspect_or_of_before_end_nothing() {
     for can in movers() {
-        let mut rig = Rig::with(can, |plan| plan.in_position.reports = 1);
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, |plan| plan.in_position.reports = 1);
         // It comes back to where it begins: its old reports look like its end.
         rig.start(to(10.0));
         for _ in 0..50 {
@@ -129,8 +128,7 @@ fn a_move_of_an_axis_that_does_not_follow_fails_in_its_time_with_the_distance() 
         rig.drive.blocked = None;
         assert_eq!(rig.run(to(20.0)), Ok(()), "{can:?}");
         // The one key that brings the old end back.
-        let mut rig = Rig::with(can, |plan| plan.in_position.window = None);
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, |plan| plan.in_position.window = None);
         rig.drive.blocked = Some(10.0);
         assert_eq!(rig.run(to(25.0)), Ok(()), "{can:?}");
     }
@@ -175,8 +173,7 @@ fn a_stream_is_done_where_its_last_row_is() {
 fn a_whole_turn_that_was_not_made_is_no_arrival_and_a_wrapped_count_is() {
     for can in movers() {
         let rotary = |plan: &mut AxisPlan| plan.units.modulo = Some(10.0);
-        let mut rig = Rig::with(can, rotary);
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, rotary);
         rig.drive.blocked = Some(10.0);
         let end = rig.run(by(10.0));
         assert!(matches!(end, Err(Failure::OutOfPosition { .. })), "{end:?} {can:?}");
@@ -255,8 +252,7 @@ fn a_target_or_a_profile_that_does_not_fit_is_refused() {
         assert!(!matches!(rig.motion(), Motion::Move { .. }));
     }
     for can in movers() {
-        let mut rig = Rig::with(can, |plan| plan.limits.position = Some((0.0, 50.0)));
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, |plan| plan.limits.position = Some((0.0, 50.0)));
         for command in [to(50.1), by(-10.1)] {
             assert!(matches!(rig.run(command), Err(Failure::Limit { .. })), "{command:?} {can:?}");
         }
@@ -272,8 +268,7 @@ fn a_jog_ends_before_the_position_limit_ahead_and_leads_back_from_there() {
             continue;
         }
         for direction in [1.0, -1.0] {
-            let mut rig = Rig::with(can, |plan| plan.limits.position = Some((-40.0, 60.0)));
-            assert_eq!(rig.run(Command::Enable), Ok(()));
+            let mut rig = Rig::enabled_with(can, |plan| plan.limits.position = Some((-40.0, 60.0)));
             rig.drive.homed = true;
             rig.turns(3);
             rig.start(jog(80.0 * direction));
@@ -509,8 +504,7 @@ fn a_homing_that_fails_or_lasts_too_long_ends_in_the_own_mode_at_standstill() {
             assert!(matches!(rig.run(Command::Home), Err(Failure::Unsupported(_))), "{can:?}");
             assert!((rig.drive.shows.mode, rig.drive.is_moving()) == (ModeIs::Own, false), "{:?}", rig.drive);
         }
-        let mut rig = Rig::with(can, |plan| plan.home_timeout = Duration::from_millis(100));
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, |plan| plan.home_timeout = Duration::from_millis(100));
         assert_eq!(rig.run(Command::Home), Err(Failure::TimedOut(Cia402::OperationEnabled)), "{can:?}");
         rig.turns(1_000);
         assert_eq!(rig.drive.shows.mode, ModeIs::Own, "{can:?}");
@@ -671,8 +665,7 @@ fn a_jog_takes_other_velocities_and_stands_just_before_the_limit_by_the_reported
 #[test]
 fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_stops() {
     for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
-        let mut rig = Rig::enabled(can);
-        rig.moving();
+        let mut rig = Rig::in_motion(can);
         rig.drive.shows.mode = ModeIs::Other;
         let from = rig.gone.len();
         let end = rig.finish();

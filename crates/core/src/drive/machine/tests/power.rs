@@ -164,8 +164,7 @@ fn a_command_that_never_leaves_fails_in_time_and_never_leaves_after_that() {
 #[test]
 fn a_fault_is_reset_by_an_edge_when_the_drive_takes_one() {
     for can in kinds() {
-        let mut rig = Rig::enabled(can);
-        rig.moving();
+        let mut rig = Rig::in_motion(can);
         rig.drive.trip(5);
         rig.until("its fault", |rig| rig.end().is_some());
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(5))), "{can:?}");

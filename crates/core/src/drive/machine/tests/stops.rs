@@ -9,8 +9,7 @@ use crate::drive::planner::Point;
 fn a_stop_brakes_along_its_ramp_and_ends_at_standstill_with_power_on() {
     for can in kinds() {
         for (command, takes) in [(STOP, 50), (Command::Stop { deceleration: Some(500.0) }, 100)] {
-            let mut rig = Rig::enabled(can);
-            rig.moving();
+            let mut rig = Rig::in_motion(can);
             rig.start(command);
             let (since, mut before) = (rig.now, rig.drive.point.velocity);
             while rig.end().is_none() {
@@ -32,8 +31,7 @@ fn a_stop_brakes_along_its_ramp_and_ends_at_standstill_with_power_on() {
 #[test]
 fn a_quick_stop_is_released_at_standstill_and_not_before() {
     for can in kinds() {
-        let mut rig = Rig::with(can, |plan| plan.limits.acceleration = Some(5_000.0));
-        assert_eq!(rig.run(Command::Enable), Ok(()));
+        let mut rig = Rig::enabled_with(can, |plan| plan.limits.acceleration = Some(5_000.0));
         rig.moving();
         rig.start(Command::QuickStop);
         let mut halts = 0;
@@ -63,8 +61,7 @@ fn a_halt_is_neither_made_softer_nor_ended_by_what_replaces_it_or_is_refused() {
     for can in kinds() {
         let refused = refused(&can);
         for next in [Command::Stop { deceleration: Some(1.0) }, refused] {
-            let mut rig = Rig::with(can, |plan| plan.limits.acceleration = Some(5_000.0));
-            assert_eq!(rig.run(Command::Enable), Ok(()));
+            let mut rig = Rig::enabled_with(can, |plan| plan.limits.acceleration = Some(5_000.0));
             rig.moving();
             rig.start(Command::QuickStop);
             rig.turns(3);
@@ -110,8 +107,7 @@ fn a_halt_that_is_not_obeyed_becomes_a_ramp_once_its_reports_cannot_be_older_tha
 #[test]
 fn a_drive_that_runs_again_after_a_halt_fails_the_stop_and_stays_halted() {
     let can = kinds().into_iter().find(|can| can.stands_ns > 0).unwrap();
-    let mut rig = Rig::enabled(can);
-    rig.moving();
+    let mut rig = Rig::in_motion(can);
     rig.start(Command::QuickStop);
     rig.until("its release", |rig| rig.motion() == Motion::Hold);
     // A reference of its own moves it.
@@ -162,8 +158,7 @@ fn a_stop_on_the_way_up_or_off_lets_no_power_come_on() {
                 assert_ne!(rig.state(), Cia402::OperationEnabled, "{after} {can:?}");
 
                 // A power off is not taken back, whatever old reports say.
-                let mut rig = Rig::enabled(can);
-                rig.moving();
+                let mut rig = Rig::in_motion(can);
                 rig.start(Command::Disable);
                 (0..=after).for_each(|_| rig.exchange(Fate::ReplyLost));
                 rig.start(command);
