@@ -379,9 +379,8 @@ mod tests {
     }
 
     #[test]
-    fn an_ordinary_user_who_requires_is_refused_and_who_prefers_is_told_what_is_missing() {
-        const NAME: &str = "rt::thread::tests::an_ordinary_user_who_requires_is_refused_and_who_prefers_is_told_what_is_missing";
-        in_own_process(NAME, || {
+    fn an_ordinary_user_is_refused_or_told_what_is_missing() {
+        in_own_process("rt::thread::tests::an_ordinary_user_is_refused_or_told_what_is_missing", || {
             assert!(limit_rtprio(0) && limit_memlock(64 << 10));
             become_ordinary();
             let refused = on_a_thread(|| enter(&plan(Realtime::Require), &Regions::new()));
