@@ -202,12 +202,8 @@ mod tests {
         edges.see();
         assert_eq!(words(&mut edges, 3, &[Some(ENABLE); 4]), [2, 0, 0, 2]);
         assert!(!edges.is_seen(), "the next one has no effect yet");
-    }
-
-    #[test]
-    fn without_an_effect_it_is_held_until_its_time_is_over() {
-        let mut edges = Edges::new(2, 5 * MS);
-        let word = words(&mut edges, 0, &[Some(ENABLE); 9]);
+        // Without an effect it is held until its time is over.
+        let word = words(&mut Edges::new(2, 5 * MS), 0, &[Some(ENABLE); 9]);
         assert_eq!(word, [0, 0, 2, 2, 2, 2, 2, 0, 0]);
     }
 
@@ -222,10 +218,7 @@ mod tests {
         // From idle it waits for no packet more.
         let mut edges = Edges::new(3, 100 * MS);
         assert_eq!(words(&mut edges, 0, &[Some(STOP); 2]), [0, 0x8000], "the first packet is idle");
-    }
-
-    #[test]
-    fn power_off_waits_for_no_stop_and_no_stop_for_power_off() {
+        // Power off waits for no stop, and no stop for power off.
         let mut edges = Edges::new(2, 100 * MS);
         assert_eq!(words(&mut edges, 0, &[None, Some(STOP), Some(OFF), Some(OFF)]), [0, 0x8000, 0, 4]);
         assert_eq!(words(&mut edges, 4, &[Some(STOP); 3]), [4; 3]);

@@ -351,10 +351,7 @@ mod tests {
         assert_eq!(application.write(segment), Err(segment));
         port.flush();
         assert_eq!(port.peek(), None);
-    }
-
-    #[test]
-    fn named_calls_put_their_codes_where_the_manual_has_them() {
+        // Named calls put their codes where the manual has them.
         let io = |text: &str| text.parse::<IoCode>().unwrap();
         let profile = NativeProfile { velocity: 1200, acceleration: 600, deceleration: 600, distance: -5 };
         let two = NativeOutput::to_two_sensors(io("2L"), io("3R"), profile).outputs;

@@ -60,22 +60,11 @@ fn found(device: &Device) -> Found {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::scan::specimen;
 
     #[test]
     fn only_devices_of_the_vendor_are_drives() {
-        let from = SocketAddrV4::new([192, 168, 1, 40].into(), PORT);
-        let mut device = Device {
-            from,
-            claims: from,
-            name: "STF05-IP ".into(),
-            vendor: 60,
-            device_type: 43,
-            product: 176,
-            revision: (251, 3),
-            status: 0,
-            serial: 7,
-            state: 3,
-        };
+        let mut device = specimen();
         assert_eq!(found(&device).lines, [("address", "192.168.1.40".to_owned())]);
         assert_eq!(found(&device).what, "STF05-IP at 192.168.1.40");
         device.vendor = 1;

@@ -184,13 +184,19 @@ fn finish(mut devices: Vec<Device>) -> Result<Vec<Device>, ScanError> {
     Ok(devices)
 }
 
+/// A drive that has answered.
+#[cfg(test)]
+pub(super) fn specimen() -> Device {
+    tests::device(0xC0FFEE, tests::FROM)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::wire::cpf::{self, item};
     use crate::wire::encapsulation::Header;
 
-    const FROM: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(192, 168, 1, 40), PORT);
+    pub(super) const FROM: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(192, 168, 1, 40), PORT);
 
     /// The answer of a device with this serial number.
     fn answered(context: u64, serial: u32) -> Vec<u8> {
@@ -208,27 +214,31 @@ mod tests {
         out
     }
 
+    /// One with this serial number that has answered from there.
+    pub(super) fn device(serial: u32, from: SocketAddrV4) -> Device {
+        answer(&answered(7, serial), from, 7).unwrap()
+    }
+
     #[test]
     fn only_an_answer_to_our_own_request_names_a_device() {
         let whole = answered(7, 5);
-        let device = answer(&whole, FROM, 7).unwrap();
+        let device = device(5, FROM);
         assert_eq!((device.vendor, device.product, device.serial, device.state), (60, 176, 5, 3));
         assert_eq!((device.name.as_str(), device.revision), ("STF05-IP", (251, 3)));
         assert_eq!(answer(&whole, FROM, 8), None);
         for size in 0..whole.len() {
             assert_eq!(answer(&whole[..size], FROM, 7), None, "{size}");
         }
-        let mut refused = whole.clone();
-        refused[8] = 1;
-        assert_eq!(answer(&refused, FROM, 7), None);
-        let mut other = whole;
-        other[0] = 0x04;
-        assert_eq!(answer(&other, FROM, 7), None);
+        // A refusal, and an answer to another command.
+        for (at, byte) in [(8, 1), (0, 4)] {
+            let mut other = whole.clone();
+            other[at] = byte;
+            assert_eq!(answer(&other, FROM, 7), None, "{at}");
+        }
     }
 
     #[test]
     fn a_device_is_listed_once_by_its_vendor_and_serial_number() {
-        let device = |serial, from| answer(&answered(7, serial), from, 7).unwrap();
         let elsewhere = SocketAddrV4::new([192, 168, 2, 40].into(), PORT);
         let known = [device(5, FROM), device(0, FROM)];
         assert!(!is_new(&device(5, elsewhere), &known));

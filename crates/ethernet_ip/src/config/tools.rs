@@ -163,18 +163,8 @@ mod tests {
 
     #[test]
     fn devices_stand_in_a_table_that_says_where_one_is_elsewhere() {
-        let device = Device {
-            from: SocketAddrV4::new([192, 168, 1, 40].into(), 44_818),
-            claims: SocketAddrV4::new([10, 10, 10, 10].into(), 44_818),
-            name: "STF05-IP".into(),
-            vendor: 60,
-            device_type: 43,
-            product: 176,
-            revision: (251, 3),
-            status: 0,
-            serial: 0xC0FFEE,
-            state: 3,
-        };
+        let claims = SocketAddrV4::new([10, 10, 10, 10].into(), 44_818);
+        let device = Device { claims, ..crate::config::scan::specimen() };
         let other =
             Device { claims: device.from, vendor: 1, name: String::new(), state: 9, ..device.clone() };
         let rows: Vec<String> = text(&[device.clone(), other]).lines().map(str::to_owned).collect();
@@ -189,10 +179,7 @@ mod tests {
         assert_eq!(rows[3], "192.168.1.40 says that it is at 10.10.10.10:44818");
         let json = object(&device);
         assert_eq!((&json["serial"], &json["state_name"]), (&0xC0FFEE.into(), &"operational".into()));
-    }
-
-    #[test]
-    fn targets_have_the_usual_port_unless_they_name_another() {
+        // Targets have the usual port unless they name another one.
         assert_eq!(target("192.168.1.40"), Ok(SocketAddrV4::new([192, 168, 1, 40].into(), PORT)));
         assert_eq!(target("192.168.1.40:5").map(|target| target.port()), Ok(5));
         for text in ["", "0.0.0.0", "drive", "192.168.1.40:0", "::1"] {

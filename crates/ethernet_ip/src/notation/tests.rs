@@ -6,7 +6,7 @@ fn target(text: &str) -> Option<Target> {
 }
 
 #[test]
-fn addresses_are_what_they_say() {
+fn addresses_are_what_they_say_and_the_list_has_all_of_them() {
     for (text, expected) in [
         ("AC", Target::Parameter { index: 0x1E, flash: false }),
         ("AC.flash", Target::Parameter { index: 0x1E, flash: true }),
@@ -26,34 +26,37 @@ fn addresses_are_what_they_say() {
     ] {
         assert_eq!(target(text), Some(expected), "{text}");
     }
-    for text in [
-        "",
-        "ac",
-        "XX",
-        "IV",
-        "SC.flash",
-        "R:",
-        "R:Z",
-        "R:33",
-        "SCL:",
-        "SCL:XX",
-        "SCL:VE/1",
-        "SCL:RX",
-        "SCL:MO/13",
-        "output:0",
-        "output:129",
-        "output:+1",
-        "0x01/1",
-        "0x01/1/7/1",
-        "0x01/1/7.u17",
-        "0x800/1/1",
-        "1/0x400/1",
-        "+1/1/1",
-        "0x/1/1",
-    ] {
+    let none = " ac XX IV SC.flash R: R:Z R:33 SCL: SCL:XX SCL:VE/1 SCL:RX SCL:MO/13 output:0 output:129 output:+1 \
+                0x01/1 0x01/1/7/1 0x01/1/7.u17 0x800/1/1 1/0x400/1 +1/1/1 0x/1/1";
+    for text in none.split(' ') {
         assert_eq!(target(text), None, "{text}");
         assert!(matches!(Addresses.read(text), Err(NotationError::Address { .. })), "{text}");
     }
+    // The list has all of them, each with a meaning.
+    let listed = |part, values| {
+        let wanted = Wanted { drive: "x", part, values, ..Wanted::default() };
+        Addresses.list(&wanted)
+    };
+    let Ok(Listing::Known(rows)) = listed(None, false) else { panic!("a list that is known") };
+    assert_eq!(
+        rows.len(),
+        opcodes::PARAMETERS.len() + 10 + opcodes::REGISTERS.len() + opcodes::OPCODES.len() + 9
+    );
+    for row in &rows {
+        assert!(row.name.is_some() && target(&row.address).is_some(), "{row:?}");
+    }
+    let usage =
+        |address: &str| rows.iter().find(|row| row.address == address).and_then(|row| row.usage.clone());
+    assert_eq!(usage("AC").as_deref(), Some("16 read write"));
+    assert_eq!(usage("SC").as_deref(), Some("16 read"));
+    assert_eq!(usage("R:3").as_deref(), Some("32 read write"));
+    assert_eq!(usage("SCL:ME").as_deref(), Some("write"));
+    assert!(matches!(listed(Some("registers"), true), Ok(Listing::Read(_))));
+    assert!(
+        listed(Some("06"), false).unwrap_err().to_string().contains("parameters, registers and commands")
+    );
+    let wanted = Wanted { drive: "x", modified: true, ..Wanted::default() };
+    assert!(Addresses.list(&wanted).is_err());
 }
 
 /// AC100 is 600, VE5 is 1200 (Host Command Reference): a reading of "10 rev/s/s" would be wrong by sixty.
@@ -86,28 +89,32 @@ fn scaled_values_and_counts_are_the_same() {
 #[test]
 fn values_that_do_not_exist_are_refused_with_the_right_form() {
     let message = |address: &str, text: &str| Addresses.value(address, text).unwrap_err().to_string();
-    assert_eq!(message("AC", "0"), "0 is out of the range of its type, 1 ... 32000");
-    assert_eq!(message("AC", "5334.0"), "5334.0 is out of the range of its type, 1 ... 32000");
-    assert_eq!(message("GC", "2001"), "2001 is out of the range of its type, -2000 ... 2000");
-    assert_eq!(
-        message("R:3", "0x100000000"),
-        "0x100000000 is out of the range of its type, -2147483648 ... 2147483647"
-    );
-    assert_eq!(
-        message("PD", "1.5"),
-        "1.5 is not a value of this parameter; write a whole number, 0 ... 65535, or its bits as 0x..."
-    );
-    let form = "a whole number, 1 ... 32000, or its bits as 0x..., or a value in rev/s² with a point";
-    for text in ["", "1.", ".5", "1e3", "1.0e3", "- 1", "fast", "0x", "0x+1", "nan"] {
-        assert_eq!(message("AC", text), format!("{text} is not a value of this parameter; write {form}"));
+    for (address, text, range) in [
+        ("AC", "0", "1 ... 32000"),
+        ("AC", "5334.0", "1 ... 32000"),
+        ("GC", "2001", "-2000 ... 2000"),
+        ("R:3", "0x100000000", "-2147483648 ... 2147483647"),
+    ] {
+        assert_eq!(message(address, text), format!("{text} is out of the range of its type, {range}"));
     }
-    assert!(message("SCL:FS", "13L").contains("like 2L"));
-    assert!(message("SCL:ME", "1").contains("0 ... 0"));
-    assert!(message("save-segment", "13").contains("1 ... 12"));
-    assert_eq!(message("SC", "1"), format!("cannot be written; write to {READ_ONLY}"));
-    assert_eq!(message("absolute", "1"), format!("cannot be written; write to {READ_ONLY}"));
-    assert!(message("0x01/1/7.octets", "1").contains("two digits each"));
-    assert!(message("0x01/1/7.text", "ü").contains("ASCII"));
+    let ac = "a whole number, 1 ... 32000, or its bits as 0x..., or a value in rev/s² with a point";
+    let bad =
+        ["", "1.", ".5", "1e3", "1.0e3", "- 1", "fast", "0x", "0x+1", "nan"].map(|text| ("AC", text, ac));
+    let pd = ("PD", "1.5", "a whole number, 0 ... 65535, or its bits as 0x...");
+    for (address, text, form) in bad.into_iter().chain([pd]) {
+        assert_eq!(message(address, text), format!("{text} is not a value of this parameter; write {form}"));
+    }
+    for (address, text, part) in [
+        ("SCL:FS", "13L", "like 2L"),
+        ("SCL:ME", "1", "0 ... 0"),
+        ("save-segment", "13", "1 ... 12"),
+        ("SC", "1", "cannot be written; write to "),
+        ("absolute", "1", READ_ONLY),
+        ("0x01/1/7.octets", "1", "two digits each"),
+        ("0x01/1/7.text", "ü", "ASCII"),
+    ] {
+        assert!(message(address, text).contains(part), "{}", message(address, text));
+    }
 }
 
 #[test]
@@ -119,79 +126,51 @@ fn reads_and_writes_are_the_calls_of_their_targets() {
         assert_eq!(Addresses.read(text), Err(NotationError::Address { form: ONLY_WRITTEN }), "{text}");
     }
     // As a program of the application gives them: an i16, an i32 and an i64.
-    let written = |address, value| Addresses.write(address, value).map(|call| call.value as i64).ok();
-    assert_eq!(written("GC", 0xFF6A), Some(0xFF6A));
-    assert_eq!(written("R:3", u64::from(u32::MAX)), Some(0xFFFF_FFFF));
-    assert_eq!(written("R:3", u64::MAX), Some(0xFFFF_FFFF));
-    assert_eq!(written("SCL:DI", u64::from(-5_i32 as u32)), Some(-5));
-    assert_eq!(written("SCL:DI", -5_i64 as u64), Some(-5));
-    assert_eq!(written("SCL:DI", 1 << 40), None);
-    assert_eq!(written("AC", 0x1_0258), None);
-    assert_eq!(written("AC", 0), None);
+    for (address, value, written) in [
+        ("GC", 0xFF6A, Some(0xFF6A)),
+        ("R:3", u64::from(u32::MAX), Some(0xFFFF_FFFF)),
+        ("R:3", u64::MAX, Some(0xFFFF_FFFF)),
+        ("SCL:DI", u64::from(-5_i32 as u32), Some(-5)),
+        ("SCL:DI", -5_i64 as u64, Some(-5)),
+        ("SCL:DI", 1 << 40, None),
+        ("AC", 0x1_0258, None),
+        ("AC", 0, None),
+    ] {
+        let found = Addresses.write(address, value).map(|call| call.value as i64);
+        assert_eq!(found.ok(), written, "{address} {value:#x}");
+    }
+    let read_back = |address| Addresses.read_back(address);
+    assert_eq!((read_back("AC.flash"), read_back("R:3")), (vec!["AC".into()], vec!["R:3".into()]));
+    assert!(read_back("SCL:VE").is_empty() && read_back("output:1").is_empty());
 }
 
 /// An attribute has its own size: eight bytes at once would be another value.
 #[test]
 fn attributes_are_written_with_the_bytes_of_their_type() {
-    let calls = |address: &str, text: &str| {
-        let calls = Addresses.write_long(address, text)?;
-        Some(calls.into_iter().map(|call| (call.service, call.value)).collect::<Vec<_>>())
-    };
-    assert_eq!(calls("0xF5/1/13.u16", "120"), Some(vec![(LOAD, 120), (STORE, 2)]));
-    assert_eq!(calls("0xF5/1/13.i8", "-1"), Some(vec![(LOAD, 0xFF), (STORE, 1)]));
-    assert_eq!(calls("0x01/1/7.text", "abc"), Some(vec![(LOAD, 0x6362_6103), (STORE, 4)]));
-    assert_eq!(calls("0x01/1/7", "01 02"), Some(vec![(LOAD, 0x0201), (STORE, 2)]));
-    assert_eq!(calls("0x01/1/7.octets", "01 02 03 04 05 06 07 08 09").map(|calls| calls.len()), Some(3));
-    for (address, text) in [("AC", "600"), ("0xF5/1/13.u16", "65536"), ("0x01/1/7", ""), ("0x01/1/7", "0")] {
-        assert_eq!(calls(address, text), None, "{address} = {text}");
+    for (address, text, expected) in [
+        ("0xF5/1/13.u16", "120", Some(vec![(LOAD, 120), (STORE, 2)])),
+        ("0xF5/1/13.i8", "-1", Some(vec![(LOAD, 0xFF), (STORE, 1)])),
+        ("0x01/1/7.text", "abc", Some(vec![(LOAD, 0x6362_6103), (STORE, 4)])),
+        ("0x01/1/7", "01 02", Some(vec![(LOAD, 0x0201), (STORE, 2)])),
+        (
+            "0x01/1/7.octets",
+            "01 02 03 04 05 06 07 08 09",
+            Some(vec![(LOAD, 0x0807_0605_0403_0201), (LOAD, 9), (STORE, 9)]),
+        ),
+        ("AC", "600", None),
+        ("0xF5/1/13.u16", "65536", None),
+        ("0x01/1/7", "", None),
+        ("0x01/1/7", "0", None),
+    ] {
+        let calls = Addresses.write_long(address, text);
+        let found: Option<Vec<_>> =
+            calls.map(|calls| calls.into_iter().map(|call| (call.service, call.value)).collect());
+        assert_eq!(found, expected, "{address} = {text}");
     }
     // The single call of a shorter one stores nothing.
-    assert_eq!(Addresses.write("0xF5/1/13.u16", 120).map(|call| (call.service, call.value)), Ok((STORE, 0)));
-    assert_eq!(
-        Addresses.write("0xF5/1/13.u64", 120).map(|call| (call.service, call.value)),
-        Ok((WRITE, 120))
-    );
+    let written = |address| Addresses.write(address, 120).map(|call| (call.service, call.value));
+    assert_eq!((written("0xF5/1/13.u16"), written("0xF5/1/13.u64")), (Ok((STORE, 0)), Ok((WRITE, 120))));
     assert_eq!(Addresses.show("0x01/1/7.text", 0x6362_6103), "abc");
     assert_eq!(Addresses.show("0x01/1/7", 0x0201), "01 02 00 00 00 00 00 00");
-}
-
-#[test]
-fn a_write_is_read_back_where_that_is_possible() {
-    assert_eq!(Addresses.read_back("AC.flash"), ["AC"]);
-    assert_eq!(Addresses.read_back("R:3"), ["R:3"]);
-    assert_eq!(Addresses.read_back("SCL:VE"), [""; 0]);
-    assert_eq!(Addresses.read_back("output:1"), [""; 0]);
-}
-
-#[test]
-fn the_list_has_all_of_them_each_with_a_meaning_and_an_address_that_is_one() {
-    let listed = |part, values| {
-        let wanted = Wanted { drive: "x", part, values, ..Wanted::default() };
-        Addresses.list(&wanted)
-    };
-    let Ok(Listing::Known(rows)) = listed(None, false) else { panic!("a list that is known") };
-    assert_eq!(
-        rows.len(),
-        opcodes::PARAMETERS.len() + 10 + opcodes::REGISTERS.len() + opcodes::OPCODES.len() + 9
-    );
-    for row in &rows {
-        assert!(row.name.is_some() && target(&row.address).is_some(), "{row:?}");
-    }
-    let usage =
-        |address: &str| rows.iter().find(|row| row.address == address).and_then(|row| row.usage.clone());
-    assert_eq!(usage("AC").as_deref(), Some("16 read write"));
-    assert_eq!(usage("SC").as_deref(), Some("16 read"));
-    assert_eq!(usage("R:3").as_deref(), Some("32 read write"));
-    assert_eq!(usage("SCL:ME").as_deref(), Some("write"));
-    assert!(matches!(listed(Some("registers"), true), Ok(Listing::Read(_))));
-    assert!(
-        listed(Some("06"), false).unwrap_err().to_string().contains("parameters, registers and commands")
-    );
-    let wanted = Wanted { drive: "x", modified: true, ..Wanted::default() };
-    assert!(Addresses.list(&wanted).is_err());
-}
-
-#[test]
-fn a_status_is_said_in_words() {
     assert_eq!(Addresses.reason(0x14), "attribute not supported (0x14)");
 }

@@ -21,9 +21,65 @@ fn bus(drives: Vec<MoonsDrive>) -> EthernetIpPlan {
 }
 
 #[test]
-fn a_drive_as_it_is_without_a_word_has_no_faults() {
-    assert_eq!(drive().faults(10 * MS), []);
-    assert_eq!(bus(vec![drive()]).faults(MS), []);
+fn what_a_drive_cannot_do_is_a_fault_of_its_key() {
+    type Change = fn(&mut MoonsDrive);
+    const SEEK: Homing = Homing {
+        method: HomingMethod::Seek,
+        input: 0x4CB2,
+        velocity: 1.0,
+        acceleration: 10.0,
+        distance: -20.0,
+    };
+    // With the change before each, too.
+    let changes: [(Change, &[&str]); 11] = [
+        (|_| (), &[]),
+        (|drive| drive.fresh_within_ns = Some(10 * MS - 1), &["fresh_within"]),
+        (|drive| drive.fresh_within_ns = Some(10 * MS), &[]),
+        (|drive| drive.homing = Some(SEEK), &[]),
+        (
+            |drive| {
+                drive.connection = Access::InputOnly;
+                drive.enable_input = Some(EnableInput { number: 3, closed: true });
+            },
+            &["homing", "enable_input"],
+        ),
+        (|drive| (drive.homing, drive.enable_input) = (None, None), &[]),
+        (|drive| drive.connection = Access::ListenOnly, &["delivery"]),
+        (|drive| (drive.connection, drive.version) = (Access::Owner, Some(Version::V1)), &["connection"]),
+        (
+            |drive| {
+                drive.version = None;
+                let method = HomingMethod::Find;
+                drive.homing = Some(Homing { method, input: 2, velocity: 3.0, distance: 2e6, ..SEEK });
+                drive.axis.limits.homing = Some(2.0);
+            },
+            &["homing.input", "homing.distance", "homing.velocity"],
+        ),
+        // A command has to be seen in time, and a lost packet must not end the watchdog.
+        (
+            |drive| {
+                drive.homing = None;
+                (drive.effect_within_ns, drive.watchdog.within_ns) = (40 * MS, Some(20 * MS));
+            },
+            &[],
+        ),
+        (
+            |drive| (drive.effect_within_ns, drive.watchdog.within_ns) = (40 * MS - 1, Some(20 * MS - 1)),
+            &["effect_within", "watchdog"],
+        ),
+    ];
+    let mut fast = drive();
+    let mut drive = drive();
+    for (row, (change, expected)) in changes.into_iter().enumerate() {
+        change(&mut drive);
+        assert_eq!(keys(&drive), expected, "row {row}");
+    }
+    fast.axis.divisor = 1;
+    assert_eq!(fast.faults(999_000)[0].key, "divisor");
+    assert_eq!((fast.faults(MS), bus(vec![fast.clone()]).faults(MS)), (vec![], vec![]));
+    assert_eq!(fast.faults(1_000_100)[0].key, "divisor", "no whole microseconds");
+    (fast.input_rpi_ns, fast.first_within_ns) = (Some(11 * S), 20 * S);
+    assert!(keys(&fast).contains(&"input_rpi"));
 }
 
 #[test]
@@ -45,22 +101,13 @@ fn the_bound_of_the_loop_is_what_a_connection_has_to_outlive() {
 }
 
 #[test]
-fn the_usual_time_out_is_long_enough_for_a_stop_and_at_least_100_ms() {
-    let of = |divisor, bucket| {
+fn a_time_out_is_long_enough_for_a_stop_and_at_least_100_ms_or_a_fault_that_names_the_factor() {
+    // 4, 8, 16 and 32 packets of 10 ms; after 90 ms, and after 240 ms, the stop has left.
+    for (divisor, bucket, timeout_ms) in [(10, 5, 160), (10, 20, 320), (2, 1, 128), (50, 1, 400)] {
         let mut drive = drive();
         (drive.axis.divisor, drive.axis.health.bucket) = (divisor, bucket);
-        assert_eq!(keys(&drive), [""; 0]);
-        drive.timeout_ns(MS)
-    };
-    // 4, 8, 16 and 32 packets of 10 ms; after 90 ms, and after 240 ms, the stop has left.
-    assert_eq!(of(10, 5), 160 * MS);
-    assert_eq!(of(10, 20), 320 * MS);
-    assert_eq!(of(2, 1), 128 * MS);
-    assert_eq!(of(50, 1), 400 * MS);
-}
-
-#[test]
-fn a_connection_that_ends_before_the_stop_request_is_a_fault_that_names_the_factor() {
+        assert_eq!((keys(&drive), drive.timeout_ns(MS)), (vec![], timeout_ms * MS), "{divisor} {bucket}");
+    }
     let mut drive = drive();
     drive.multiplier = Some(1);
     let why = "ends the connection after 80 ms, before the stop request that follows a loss within 90 ms; use 16 or \
@@ -71,24 +118,10 @@ fn a_connection_that_ends_before_the_stop_request_is_a_fault_that_names_the_fact
     // The drive's packets come more often than ours: their time-out is the shorter one.
     drive.input_rpi_ns = Some(2 * MS);
     assert_eq!(keys(&drive), ["timeout_multiplier"]);
-}
-
-#[test]
-fn intervals_out_of_range_are_faults() {
-    let mut fast = drive();
-    fast.axis.divisor = 1;
-    assert_eq!(fast.faults(999_000)[0].key, "divisor");
-    assert_eq!(fast.faults(MS), []);
-    assert_eq!(fast.faults(1_000_100)[0].key, "divisor", "no whole microseconds");
-    let mut slow = drive();
-    slow.input_rpi_ns = Some(11 * S);
-    slow.first_within_ns = 20 * S;
-    assert!(keys(&slow).contains(&"input_rpi"));
-    let mut old = drive();
-    old.fresh_within_ns = Some(10 * MS - 1);
-    assert_eq!(keys(&old), ["fresh_within"]);
-    old.fresh_within_ns = Some(10 * MS);
-    assert_eq!(keys(&old), [""; 0]);
+    // Commands are as far apart as their packets and the idle ones.
+    assert_eq!(drive.command_every_ns(MS), 40 * MS);
+    drive.hold = 3;
+    assert_eq!(drive.command_every_ns(MS), 60 * MS);
 }
 
 /// 32000 is 133.3 rev/s, and 5333 rev/s²: not sixty times that, as a misprint in the tables says.
@@ -116,77 +149,33 @@ fn the_range_of_the_wire_is_said_in_user_units() {
 }
 
 #[test]
-fn what_a_connection_without_outputs_cannot_do_is_a_fault() {
-    let homing = Homing {
-        method: HomingMethod::Seek,
-        input: 0x4CB2,
-        velocity: 1.0,
-        acceleration: 10.0,
-        distance: -20.0,
+fn addresses_of_two_drives_and_of_the_master_differ_and_another_machine_has_its_own() {
+    let keys = |plan: &EthernetIpPlan| {
+        plan.faults(MS).into_iter().map(|(index, fault)| (index, fault.key)).collect::<Vec<_>>()
     };
-    let mut drive = drive();
-    drive.homing = Some(homing);
-    assert_eq!(keys(&drive), [""; 0]);
-    drive.connection = Access::InputOnly;
-    drive.enable_input = Some(EnableInput { number: 3, closed: true });
-    assert_eq!(keys(&drive), ["homing", "enable_input"]);
-    (drive.homing, drive.enable_input) = (None, None);
-    assert_eq!(keys(&drive), [""; 0]);
-    drive.connection = Access::ListenOnly;
-    assert_eq!(keys(&drive), ["delivery"]);
-    drive.connection = Access::Owner;
-    drive.version = Some(Version::V1);
-    assert_eq!(keys(&drive), ["connection"]);
-}
-
-#[test]
-fn a_distance_or_input_that_no_drive_has_is_a_fault() {
-    let homing =
-        Homing { method: HomingMethod::Find, input: 2, velocity: 3.0, acceleration: 10.0, distance: 2e6 };
-    let mut drive = drive();
-    drive.homing = Some(homing);
-    drive.axis.limits.homing = Some(2.0);
-    assert_eq!(keys(&drive), ["homing.input", "homing.distance", "homing.velocity"]);
-}
-
-#[test]
-fn a_command_that_cannot_be_seen_in_time_and_a_watchdog_that_a_lost_packet_ends_are_faults() {
-    let mut drive = drive();
-    drive.effect_within_ns = 40 * MS;
-    drive.watchdog.within_ns = Some(20 * MS);
-    assert_eq!(keys(&drive), [""; 0]);
-    drive.effect_within_ns = 40 * MS - 1;
-    drive.watchdog.within_ns = Some(20 * MS - 1);
-    assert_eq!(keys(&drive), ["effect_within", "watchdog"]);
-}
-
-#[test]
-fn commands_are_as_far_apart_as_their_packets_and_the_idle_ones() {
-    let mut drive = drive();
-    assert_eq!(drive.command_every_ns(MS), 40 * MS);
-    drive.hold = 3;
-    assert_eq!(drive.command_every_ns(MS), 60 * MS);
-}
-
-#[test]
-fn two_drives_at_one_address_and_the_masters_own_are_faults() {
     let mut other = drive();
     other.axis.name = "n".into();
     other.address.set_port(5);
-    let faults = bus(vec![drive(), other.clone()]).faults(MS);
-    assert_eq!(faults.iter().map(|(index, fault)| (*index, fault.key)).collect::<Vec<_>>(), [(1, "address")]);
+    assert_eq!(keys(&bus(vec![drive(), other.clone()])), [(1, "address")]);
     other.address.set_ip([192, 168, 1, 1].into());
     let mut plan = bus(vec![drive(), other]);
     assert_eq!(plan.faults(MS).len(), 1);
     plan.bind.set_ip(Ipv4Addr::UNSPECIFIED);
-    assert_eq!(plan.faults(MS).iter().map(|(_, fault)| fault.key).collect::<Vec<_>>(), ["bind"]);
+    assert!(matches!(keys(&plan)[..], [(_, "bind")]));
     // A group sends to one port only.
     plan.bind = SocketAddrV4::new([192, 168, 1, 9].into(), 2223);
     plan.drives[1].delivery = Delivery::Multicast;
-    assert_eq!(
-        plan.faults(MS).iter().map(|(index, fault)| (*index, fault.key)).collect::<Vec<_>>(),
-        [(1, "delivery")]
-    );
+    assert_eq!(keys(&plan), [(1, "delivery")]);
+    // Another machine has its own.
+    let plan = bus(vec![drive()]);
+    let wanted = Variant { was_ns: MS, period_ns: MS / 4, drives: Some(3), place: 1 };
+    let other = EthernetIpPlan::variant(&plan, &wanted).unwrap();
+    assert_eq!(other.bind, SocketAddrV4::new([192, 241, 1, 1].into(), IO_PORT));
+    assert_eq!(other.originator, Originator::at([192, 241, 1, 1].into()));
+    let addresses: Vec<_> = other.drives.iter().map(|drive| drive.address.ip().octets()[3]).collect();
+    assert_eq!(addresses, [40, 41, 42]);
+    assert!(other.drives.iter().all(|drive| drive.rpi_ns(MS / 4) == 10 * MS));
+    assert_eq!(other.faults(MS / 4), []);
 }
 
 #[test]
@@ -217,28 +206,7 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
 }
 
 #[test]
-fn another_machine_has_its_own_addresses_originator_and_intervals() {
-    let plan = bus(vec![drive()]);
-    let wanted = Variant { was_ns: MS, period_ns: MS / 4, drives: Some(3), place: 1 };
-    let other = EthernetIpPlan::variant(&plan, &wanted).unwrap();
-    assert_eq!(other.bind, SocketAddrV4::new([192, 241, 1, 1].into(), IO_PORT));
-    assert_eq!(other.originator, Originator::at([192, 241, 1, 1].into()));
-    let addresses: Vec<_> = other.drives.iter().map(|drive| drive.address.ip().octets()[3]).collect();
-    assert_eq!(addresses, [40, 41, 42]);
-    assert!(other.drives.iter().all(|drive| drive.rpi_ns(MS / 4) == 10 * MS));
-    assert_eq!(other.faults(MS / 4), []);
-}
-
-#[test]
-fn an_alarm_word_is_named_by_the_alarm_that_took_the_current() {
-    let name = bus(Vec::new()).fault_names();
-    assert_eq!(name(0x0002), Some("CCW limit"));
-    assert_eq!(name(0x0202), Some("bad encoder"));
-    assert_eq!(name(0), None);
-}
-
-#[test]
-fn what_is_shown_comes_in_the_order_of_its_names() {
+fn what_is_shown_has_its_names_in_its_order_and_an_alarm_word_that_of_the_alarm_that_took_the_current() {
     let inputs = Inputs {
         voltage: 242,
         temperature: 305,
@@ -251,4 +219,6 @@ fn what_is_shown_comes_in_the_order_of_its_names() {
     assert_eq!(names(&drive())[0].as_deref(), Some("supply-voltage"));
     assert_eq!(names(&drive())[3].as_deref(), Some("position-error"));
     assert_eq!(names(&MoonsDrive { layout: Layout::Page, ..drive() })[3], None);
+    let name = bus(Vec::new()).fault_names();
+    assert_eq!([0x0002, 0x0202, 0].map(name), [Some("CCW limit"), Some("bad encoder"), None]);
 }

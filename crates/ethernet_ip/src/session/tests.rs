@@ -9,6 +9,7 @@ use super::*;
 use crate::exchange::{Connection, LoopEnd, both};
 use crate::plan::{Delivery, Layout};
 use crate::target;
+use crate::wire::tests::hex;
 use fieldbeat_core::axis::acyclic::Acyclic;
 
 mod acyclic;
@@ -20,14 +21,6 @@ const PERIOD_NS: u64 = 10 * MS;
 const DRIVE: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 40);
 /// Nothing is waited for by this time: calls are polled.
 const LIMIT: Duration = Duration::from_secs(5);
-
-/// Bytes as they are printed; `|` is for the reader.
-fn hex(text: &str) -> Vec<u8> {
-    text.split([' ', '|', '\n'])
-        .filter(|byte| !byte.is_empty())
-        .map(|byte| u8::from_str_radix(byte, 16).expect(byte))
-        .collect()
-}
 
 /// A message of this command in session 0x101.
 fn framed(command: u8, session: u32, context: u64, data: &[u8]) -> Vec<u8> {
@@ -70,7 +63,8 @@ const PROFILE: &str = "0E 03 20 64 24 00 30 01";
 const SECOND: &str = "8E 00 00 00 00 FB 00 00 41 B0 00 01 03 4A";
 /// Board 117.7: the example of the Host Command Reference.
 const FIRST: &str = "8E 00 00 00 00 75 00 07 41 5F 00 01 03 4A";
-/// The golden opening of the sheet: serial 1, T->O id 0x00010001, 10 ms, 16 intervals.
+/// The golden opening of the sheet, which tshark decodes without complaint.
+/// Serial 1, T->O id 0x00010001, 10 ms, 16 intervals.
 const OPEN: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 01 00 01 00 01 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 46 \
                     48 10 27 00 00 3A 48 01 04 20 04 24 66 2C 70 2C 65";
 const OPENED: &str =
@@ -80,25 +74,31 @@ const CLOSED: &str = "CE 00 00 00 01 00 34 12 EE FF C0 00 00 00";
 const PROBE: &str = "0E 03 20 01 24 01 30 01";
 const PROBED: &str = "8E 00 00 00 3C 00";
 
-/// The opening with this serial number.
-fn open(serial: u8) -> String {
-    let id = format!("{serial:02X} 00 01 00 {serial:02X} 00 34 12");
-    OPEN.replace("01 00 01 00 01 00 34 12", &id)
+/// A serial number as it stands on the wire.
+fn wire(serial: u16) -> String {
+    let [low, high] = serial.to_le_bytes();
+    format!("{low:02X} {high:02X}")
 }
 
-fn opened(serial: u8) -> String {
-    let id = format!("{serial:02X} 00 01 00 {serial:02X} 00 34 12");
-    OPENED.replace("01 00 01 00 01 00 34 12", &id)
+/// The opening with this serial number.
+fn open(serial: u16) -> String {
+    let serial = wire(serial);
+    OPEN.replace("01 00 01 00 01 00 34 12", &format!("{serial} 01 00 {serial} 34 12"))
+}
+
+fn opened(serial: u16) -> String {
+    let serial = wire(serial);
+    OPENED.replace("01 00 01 00 01 00 34 12", &format!("{serial} 01 00 {serial} 34 12"))
 }
 
 /// A refusal of the opening with this serial number.
-fn refused(serial: u8, status: &str) -> String {
-    format!("D4 00 {status} {serial:02X} 00 34 12 EE FF C0 00 00 00")
+fn refused(serial: u16, status: &str) -> String {
+    format!("D4 00 {status} {} 34 12 EE FF C0 00 00 00", wire(serial))
 }
 
 /// The close of the connection with this serial number, or its answer.
-fn of(serial: u8, text: &str) -> String {
-    text.replace("01 00 34 12", &format!("{serial:02X} 00 34 12"))
+fn of(serial: u16, text: &str) -> String {
+    text.replace("01 00 34 12", &format!("{} 34 12", wire(serial)))
 }
 
 /// A session with a scripted drive, and the loop's end.
@@ -136,12 +136,24 @@ impl Bench {
         Bench::new(|plan| change(&mut plan.drives[1]))
     }
 
-    /// One whose class 1 connection is open; its loop has received that.
-    fn running(change: impl FnOnce(&mut MoonsDrive)) -> Bench {
+    /// One that has just registered and identified a drive of the second version.
+    fn registered(change: impl FnOnce(&mut MoonsDrive)) -> Bench {
         let mut bench = Bench::of_drive(change);
         bench.register(SECOND);
+        bench
+    }
+
+    /// One whose opening is under way.
+    fn opening() -> Bench {
+        let mut bench = Bench::registered(|_| ());
         bench.request(OPEN);
-        bench.answer(OPENED);
+        bench
+    }
+
+    /// One whose class 1 connection is open; its loop has received that.
+    fn running(change: impl FnOnce(&mut MoonsDrive)) -> Bench {
+        let mut bench = Bench::registered(change);
+        bench.trade(OPEN, OPENED);
         bench.news();
         bench
     }
@@ -149,10 +161,8 @@ impl Bench {
     /// TCP is open, and the session registered and identified, with this profile code.
     fn register(&mut self, profile: &str) {
         self.begin();
-        self.request(IDENTIFY);
-        self.answer(IDENTITY_REPLY);
-        self.request(PROFILE);
-        self.answer(profile);
+        self.trade(IDENTIFY, IDENTITY_REPLY);
+        self.trade(PROFILE, profile);
     }
 
     fn begin(&mut self) {
@@ -191,6 +201,25 @@ impl Bench {
         self.receive(&rr(self.context, message));
     }
 
+    /// Just this was sent, and is answered with that.
+    #[track_caller]
+    fn trade(&mut self, message: &str, answer: &str) {
+        self.request(message);
+        self.answer(answer);
+    }
+
+    /// The loop wishes something, and the session sees it.
+    fn wish(&mut self, wish: Wish) {
+        self.loop_end.wish(wish);
+        self.pass(LOOK_NS);
+    }
+
+    /// The session was unregistered, and nothing else sent.
+    #[track_caller]
+    fn unregisters(&mut self) {
+        assert_eq!(self.taken(), framed(0x66, SESSION, 0, &[]));
+    }
+
     /// So much time passes, with a look at each due instant.
     fn pass(&mut self, ns: u64) {
         let until = self.now + ns;
@@ -224,6 +253,11 @@ impl Bench {
 
     fn note(&self) -> String {
         self.session.notes().get(0).unwrap_or_default()
+    }
+
+    #[track_caller]
+    fn says(&self, part: &str) {
+        assert!(self.note().contains(part), "{part}: {}", self.note());
     }
 
     #[track_caller]

@@ -27,4 +27,4 @@ pub mod opcodes;
 use fieldbeat_core::bus::reader::Reader;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

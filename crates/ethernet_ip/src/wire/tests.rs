@@ -1,4 +1,4 @@
-//! Golden frames, each with its source, and what must not happen on any bytes.
+//! Golden frames, each with its source.
 //!
 //! | source | what |
 //! |---|---|
@@ -13,7 +13,6 @@ use super::connection::{Direction, ForwardOpen, Route, Target, Triad};
 use super::encapsulation::Frame;
 use crate::{Access, Version};
 
-mod any;
 mod drive;
 mod packets;
 mod sessions;
@@ -24,7 +23,7 @@ const OUTGOING_ID: u32 = 0x5A01_0013;
 const INCOMING_ID: u32 = 0x0001_0001;
 
 /// Bytes as they are printed; `|` is for the reader.
-fn hex(text: &str) -> Vec<u8> {
+pub(crate) fn hex(text: &str) -> Vec<u8> {
     text.split([' ', '|', '\n'])
         .filter(|byte| !byte.is_empty())
         .map(|byte| u8::from_str_radix(byte, 16).expect(byte))

@@ -6,6 +6,18 @@ use crate::wire::opcodes::{opcode, parameter};
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallTicket, long};
 
 const VENDOR: &str = "3C 03 20 64 24 01 30 01";
+const READ: &str = "3C 03 20 64 24 01 30 01 00 02 84 1E 00 00 00 00";
+const READ_REPLY: &str = "BC 00 00 00 00 02 84 1E 02 58 00 00";
+const WRITE: &str = "3C 03 20 64 24 01 30 01 00 02 83 1E 02 58 00 00";
+/// Of class 3, with serial number 2: as tshark decodes it without complaint, like READ on it.
+const CONNECT: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 \
+                       F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
+const CONNECTED: &str =
+    "D4 00 00 00 14 00 01 5A 02 00 01 00 02 00 34 12 EE FF C0 00 40 42 0F 00 40 42 0F 00 00 00";
+const DISCONNECT: &str = "4E 02 20 06 24 01 0A 0E 02 00 34 12 EE FF C0 00 02 00 20 02 24 01";
+/// The ids of both directions.
+const OURS: &str = "14 00 01 5A";
+const THEIRS: &str = "02 00 01 00";
 
 fn ac(flash: bool) -> Target {
     Target::Parameter { index: parameter("AC").unwrap().index, flash }
@@ -17,6 +29,15 @@ impl Bench {
         // Its waker runs the session.
         self.look();
         ticket
+    }
+
+    /// Posts one that reads, or that commands the drive.
+    fn post_read(&mut self) -> CallTicket {
+        self.post(ac(false).read())
+    }
+
+    fn post_write(&mut self) -> CallTicket {
+        self.post(ac(false).write(600))
     }
 
     /// Posts a call that is sent as this, answered with this, and returns the result.
@@ -38,6 +59,7 @@ fn every_kind_of_call_is_sent_as_the_manual_says() {
     let mut bench = Bench::running(|_| ());
     let command = |name, field| Target::Command { code: opcode(name).unwrap().code, field };
     let register = Target::Register(b'3');
+    // The examples of the Host Command Reference 920-0002 W.
     for (call, payload, answer, value) in [
         (ac(false).read(), "00 02 84 1E 00 00 00 00", "00 02 84 1E 02 58 00 00", 600),
         (ac(false).write(600), "00 02 83 1E 02 58 00 00", "00 02 83 1E 00 09 00 00", 9),
@@ -48,6 +70,7 @@ fn every_kind_of_call_is_sent_as_the_manual_says() {
         (Target::Encoder.read(), "00 02 88 00 00 00 00 00", "00 02 88 00 00 00 00 07", 7),
         (Target::AlarmHistory.read(), "00 02 87 00 00 00 00 00", "00 02 87 00 00 00 00 03", 3),
         (Target::Output(1).write(1), "00 02 8B 81 00 00 00 00", "00 02 8B 81 00 09 00 00", 9),
+        (Target::Output(1).write(0), "00 02 8B 01 00 00 00 00", "00 02 8B 01 00 09 00 00", 9),
         (Target::Kill.write(0), "00 02 98 00 00 00 00 00", "00 02 98 00 00 09 00 00", 9),
         (Target::Stop.write(1), "00 02 A3 01 00 00 00 00", "00 02 A3 01 00 09 00 00", 9),
         (Target::AlarmReset.write(0), "00 02 8E 00 00 00 00 00", "00 02 8E 00 02 00 00 00", 0x200),
@@ -62,15 +85,16 @@ fn every_kind_of_call_is_sent_as_the_manual_says() {
         assert_eq!(result, Ok(value), "{payload}");
     }
     let attribute = Target::attribute(1, 1, 2).unwrap();
-    assert_eq!(bench.call(attribute.read(), "0E 03 20 01 24 01 30 02", "8E 00 00 00 2B 01"), Ok(0x012B));
-    let eight = "10 03 20 01 24 01 30 02 08 07 06 05 04 03 02 01";
-    assert_eq!(
-        bench.call(attribute.write(0x0102_0304_0506_0708), eight, "90 00 00 00"),
-        Ok(0x0102_0304_0506_0708)
-    );
     // A class of 16 bits, and the class itself.
-    let attribute = Target::attribute(0x300, 0, 1).unwrap();
-    assert_eq!(bench.call(attribute.read(), "0E 04 21 00 00 03 24 00 30 01", "8E 00 00 00"), Ok(0));
+    let class = Target::attribute(0x300, 0, 1).unwrap();
+    let (eight, bytes) = (0x0102_0304_0506_0708, "10 03 20 01 24 01 30 02 08 07 06 05 04 03 02 01");
+    for (call, request, answer, value) in [
+        (attribute.read(), "0E 03 20 01 24 01 30 02", "8E 00 00 00 2B 01", 0x012B),
+        (attribute.write(eight), bytes, "90 00 00 00", eight),
+        (class.read(), "0E 04 21 00 00 03 24 00 30 01", "8E 00 00 00", 0),
+    ] {
+        assert_eq!(bench.call(call, request, answer), Ok(value), "{request}");
+    }
 }
 
 #[test]
@@ -105,18 +129,18 @@ fn what_cannot_be_sent_is_refused_by_its_name() {
 fn the_refusal_of_a_drive_keeps_its_status() {
     let mut bench = Bench::running(|_| ());
     let attribute = Target::attribute(1, 1, 99).unwrap().read();
-    let result = bench.call(attribute, "0E 03 20 01 24 01 30 63", "8E 00 14 00");
-    assert_eq!(result, Err(CallError::Refused(0x14)));
-    let result = bench.call(attribute, "0E 03 20 01 24 01 30 63", "8E 00 1F 01 34 12");
-    assert_eq!(result, Err(CallError::Refused(0x0112_341F)));
-    // An answer that is none to this message.
-    let read = format!("{VENDOR} 00 02 84 1E 00 00 00 00");
-    for answer in ["BC 00 00 00 00 02 84 1F 02 58 00 00", "BC 00 00 00 00 02 84 1E 02 58"] {
-        assert_eq!(bench.call(ac(false).read(), &read, answer), Err(CallError::Refused(BROKEN)));
+    for (call, request, answer, status) in [
+        (attribute, "0E 03 20 01 24 01 30 63", "8E 00 14 00", 0x14),
+        (attribute, "0E 03 20 01 24 01 30 63", "8E 00 1F 01 34 12", 0x0112_341F),
+        // Answers that are none to this message.
+        (ac(false).read(), READ, "BC 00 00 00 00 02 84 1F 02 58 00 00", BROKEN),
+        (ac(false).read(), READ, "BC 00 00 00 00 02 84 1E 02 58", BROKEN),
+    ] {
+        assert_eq!(bench.call(call, request, answer), Err(CallError::Refused(status)), "{answer}");
     }
     // The encapsulation's; the session goes on.
-    let mut ticket = bench.post(ac(false).read());
-    bench.request(&read);
+    let mut ticket = bench.post_read();
+    bench.request(READ);
     let mut refusal = framed(0x6F, SESSION, bench.context, &[]);
     refusal[8] = 3;
     bench.receive(&refusal);
@@ -132,8 +156,7 @@ fn a_long_attribute_is_read_and_written_in_parts() {
     let calls = [name.read(), part(long::SIZE, 0), part(long::PART, 8), part(long::PART, 16)];
     let mut tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
     bench.look();
-    bench.request("0E 03 20 01 24 01 30 07");
-    bench.answer("8E 00 00 00 0B 53 54 46 30 35 2D 49 50 20 20 20");
+    bench.trade("0E 03 20 01 24 01 30 07", "8E 00 00 00 0B 53 54 46 30 35 2D 49 50 20 20 20");
     let mut end = |ticket: usize| tickets[ticket].poll().unwrap().map(|answer| answer.value.to_le_bytes());
     assert_eq!(end(0), Ok(*b"\x0BSTF05-I"));
     assert_eq!(end(1), Ok([12, 0, 0, 0, 0, 0, 0, 0]));
@@ -142,8 +165,7 @@ fn a_long_attribute_is_read_and_written_in_parts() {
     let calls = long::write(name.pack(), b"\x09ABCDEFGHI");
     let mut tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
     bench.look();
-    bench.request("10 03 20 01 24 01 30 07 09 41 42 43 44 45 46 47 48 49");
-    bench.answer("90 00 00 00");
+    bench.trade("10 03 20 01 24 01 30 07 09 41 42 43 44 45 46 47 48 49", "90 00 00 00");
     assert!(tickets.iter_mut().all(|ticket| matches!(ticket.poll(), Some(Ok(_)))));
 }
 
@@ -159,13 +181,10 @@ fn a_call_that_commands_the_drive_is_refused_while_the_loop_guards() {
     assert_eq!(ticket.poll(), Some(Err(CallError::Commands)));
     // Then on submission; what commands nothing is served.
     assert!(bench.acyclic.post(ac(false).write(600), LIMIT).is_err());
-    let mut ticket = bench.post(ac(false).read());
-    bench.request(&format!("{VENDOR} 00 02 84 1E 00 00 00 00"));
-    bench.answer("BC 00 00 00 00 02 84 1E 02 58 00 00");
-    assert!(matches!(ticket.poll(), Some(Ok(_))));
+    assert_eq!(bench.call(ac(false).read(), READ, READ_REPLY), Ok(600));
     // Right before the frame is built, too: a call that waits for its connection.
     let mut bench = Bench::running(|drive| drive.explicit = Explicit::Connected);
-    let mut ticket = bench.post(ac(false).write(600));
+    let mut ticket = bench.post_write();
     bench.request(CONNECT);
     bench.loop_end.guard(true);
     bench.answer(CONNECTED);
@@ -177,29 +196,25 @@ fn a_call_that_commands_the_drive_is_refused_while_the_loop_guards() {
 #[test]
 fn the_loop_sees_a_commanding_call_until_its_end_is_known() {
     let mut bench = Bench::running(|_| ());
-    let write = format!("{VENDOR} 00 02 83 1E 02 58 00 00");
-    let done = "BC 00 00 00 00 02 83 1E 00 09 00 00";
-    let mut ticket = bench.post(ac(false).write(600));
-    bench.request(&write);
+    let mut ticket = bench.post_write();
+    bench.request(WRITE);
     assert!(bench.loop_end.guard(true), "its frame left before the guard");
-    bench.answer(done);
+    bench.answer("BC 00 00 00 00 02 83 1E 00 09 00 00");
     assert!(matches!(ticket.poll(), Some(Ok(_))));
     assert!(!bench.loop_end.guard(false));
     bench.look();
     // Cancelled or late, it may still be carried out; the answer to a later request says that it is over.
-    let ticket = bench.post(ac(false).write(600));
-    bench.request(&write);
-    drop(ticket);
+    drop(bench.post_write());
+    bench.request(WRITE);
     bench.look();
     assert!(bench.loop_end.guard(false));
     bench.pass(5 * S + LOOK_NS);
     assert!(bench.loop_end.guard(false));
-    bench.request(PROBE);
-    bench.answer(PROBED);
+    bench.trade(PROBE, PROBED);
     assert!(!bench.loop_end.guard(false));
     // The same over the end of the session.
-    let mut ticket = bench.post(ac(false).write(600));
-    bench.request(&write);
+    let mut ticket = bench.post_write();
+    bench.request(WRITE);
     bench.lose();
     assert_eq!(ticket.poll(), Some(Err(CallError::TimedOut)));
     assert!(bench.loop_end.guard(false));
@@ -211,11 +226,11 @@ fn the_loop_sees_a_commanding_call_until_its_end_is_known() {
 }
 
 #[test]
-fn a_call_that_is_not_answered_times_out_and_its_late_answer_is_nobodys() {
+fn the_answer_to_a_call_that_has_timed_out_or_was_cancelled_is_nobodys() {
     let mut bench = Bench::running(|_| ());
-    let mut ticket = bench.post(ac(false).read());
-    bench.request(&format!("{VENDOR} 00 02 84 1E 00 00 00 00"));
-    let late = rr(bench.context, "BC 00 00 00 00 02 84 1E 02 58 00 00");
+    let mut ticket = bench.post_read();
+    bench.request(READ);
+    let late = rr(bench.context, READ_REPLY);
     bench.pass(5 * S - LOOK_NS);
     assert_eq!(ticket.poll(), None);
     bench.pass(2 * LOOK_NS);
@@ -226,69 +241,46 @@ fn a_call_that_is_not_answered_times_out_and_its_late_answer_is_nobodys() {
     assert_eq!(bench.session.unmatched, 1);
     bench.answer(PROBED);
     assert_eq!((bench.state.clone(), bench.news()), (HandshakeState::Kept, vec![]));
+    let mut ticket = bench.post_read();
+    bench.request(READ);
+    ticket.cancel();
+    bench.look();
+    assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
+    // The next one waits for that answer.
+    let mut ticket = bench.post_read();
+    bench.silence();
+    bench.answer("BC 00 00 00 00 02 84 1E 00 01 00 00");
+    assert_eq!(ticket.poll(), None);
+    bench.trade(READ, "BC 00 00 00 00 02 84 1E 00 02 00 00");
+    assert_eq!(ticket.poll().unwrap().unwrap().value, 2);
+    assert_eq!(bench.session.unmatched, 1);
 }
 
 #[test]
 fn calls_are_served_while_the_connection_is_refused_and_refused_without_a_session() {
     let mut bench = Bench::of_drive(|_| ());
-    let mut ticket = bench.post(ac(false).read());
-    assert_eq!(ticket.poll(), Some(Err(CallError::NotOnline)));
+    assert_eq!(bench.post_read().poll(), Some(Err(CallError::NotOnline)));
     bench.register(SECOND);
-    bench.request(OPEN);
-    bench.answer(&refused(1, "01 01 06 01"));
-    let read = format!("{VENDOR} 00 02 84 1E 00 00 00 00");
-    assert_eq!(bench.call(ac(false).read(), &read, "BC 00 00 00 00 02 84 1E 02 58 00 00"), Ok(600));
+    bench.trade(OPEN, &refused(1, "01 01 06 01"));
+    assert_eq!(bench.call(ac(false).read(), READ, READ_REPLY), Ok(600));
     bench.lose();
-    assert_eq!(bench.post(ac(false).read()).poll(), Some(Err(CallError::NotOnline)));
+    assert_eq!(bench.post_read().poll(), Some(Err(CallError::NotOnline)));
     bench.register(SECOND);
-    bench.loop_end.wish(Wish::Close { generation: 0 });
-    bench.pass(LOOK_NS);
-    assert_eq!(bench.post(ac(false).read()).poll(), Some(Err(CallError::Gone)));
+    bench.wish(Wish::Close { generation: 0 });
+    assert_eq!(bench.post_read().poll(), Some(Err(CallError::Gone)));
 }
-
-#[test]
-fn a_call_that_is_cancelled_ends_at_once_and_its_answer_is_awaited_by_nobody() {
-    let mut bench = Bench::running(|_| ());
-    let read = format!("{VENDOR} 00 02 84 1E 00 00 00 00");
-    let mut ticket = bench.post(ac(false).read());
-    bench.request(&read);
-    ticket.cancel();
-    bench.look();
-    assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
-    // The next one waits for that answer.
-    let mut ticket = bench.post(ac(false).read());
-    bench.silence();
-    bench.answer("BC 00 00 00 00 02 84 1E 00 01 00 00");
-    assert_eq!(ticket.poll(), None);
-    bench.request(&read);
-    bench.answer("BC 00 00 00 00 02 84 1E 00 02 00 00");
-    assert_eq!(ticket.poll().unwrap().unwrap().value, 2);
-    assert_eq!(bench.session.unmatched, 0);
-}
-
-/// Of class 3, with serial number 2.
-const CONNECT: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 \
-                       F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
-const CONNECTED: &str =
-    "D4 00 00 00 14 00 01 5A 02 00 01 00 02 00 34 12 EE FF C0 00 40 42 0F 00 40 42 0F 00 00 00";
-/// The ids of both directions.
-const OURS: &str = "14 00 01 5A";
-const THEIRS: &str = "02 00 01 00";
-const READ: &str = "3C 03 20 64 24 01 30 01 00 02 84 1E 00 00 00 00";
-const READ_REPLY: &str = "BC 00 00 00 00 02 84 1E 02 58 00 00";
 
 /// A call is under way on class 3, with number 1.
 fn connected() -> (Bench, CallTicket) {
     let mut bench = Bench::running(|drive| drive.explicit = Explicit::Connected);
-    let ticket = bench.post(ac(false).read());
-    bench.request(CONNECT);
-    bench.answer(CONNECTED);
+    let ticket = bench.post_read();
+    bench.trade(CONNECT, CONNECTED);
     assert_eq!(bench.taken(), unit(OURS, 1, READ));
     (bench, ticket)
 }
 
 #[test]
-fn class_3_carries_calls_one_after_the_other() {
+fn class_3_carries_calls_one_after_the_other_and_is_kept_alive() {
     let (mut bench, mut ticket) = connected();
     // Of another connection, number, service, or unconnected.
     for stranger in [
@@ -303,17 +295,11 @@ fn class_3_carries_calls_one_after_the_other() {
     assert_eq!(bench.session.unmatched, 4);
     bench.receive(&unit(THEIRS, 1, READ_REPLY));
     assert_eq!(ticket.poll().unwrap().unwrap().value, 600);
-    let mut ticket = bench.post(ac(false).read());
+    let mut ticket = bench.post_read();
     assert_eq!(bench.taken(), unit(OURS, 2, READ));
     bench.receive(&unit(THEIRS, 2, READ_REPLY));
     assert!(matches!(ticket.poll(), Some(Ok(_))));
-}
-
-#[test]
-fn class_3_is_kept_alive() {
-    let (mut bench, _ticket) = connected();
-    bench.receive(&unit(THEIRS, 1, READ_REPLY));
-    for sequence in 2..6 {
+    for sequence in 3..7 {
         bench.pass(9 * S);
         bench.silence();
         bench.pass(S + LOOK_NS);
@@ -325,6 +311,15 @@ fn class_3_is_kept_alive() {
 #[test]
 fn a_request_on_class_3_is_repeated_once_with_its_number_and_then_the_connection_opened_anew() {
     let (mut bench, mut ticket) = connected();
+    bench.pass(3 * S);
+    assert_eq!(bench.taken(), unit(OURS, 1, READ));
+    bench.receive(&unit(THEIRS, 1, READ_REPLY));
+    assert!(matches!(ticket.poll(), Some(Ok(_))));
+    // The second answer, to the first request.
+    bench.receive(&unit(THEIRS, 1, READ_REPLY));
+    assert_eq!(bench.session.unmatched, 1);
+
+    let (mut bench, mut ticket) = connected();
     bench.pass(5 * S / 2 + LOOK_NS);
     assert_eq!(bench.taken(), unit(OURS, 1, READ));
     assert_eq!(ticket.poll(), None);
@@ -333,50 +328,33 @@ fn a_request_on_class_3_is_repeated_once_with_its_number_and_then_the_connection
     bench.pass(S);
     assert_eq!(ticket.poll(), Some(Err(CallError::TimedOut)));
     // Its end may not be known to the drive.
-    let close = "4E 02 20 06 24 01 0A 0E 02 00 34 12 EE FF C0 00 02 00 20 02 24 01";
-    bench.request(close);
-    bench.answer(&of(2, CLOSED));
-    bench.request(PROBE);
-    bench.answer(PROBED);
+    bench.trade(DISCONNECT, &of(2, CLOSED));
+    bench.trade(PROBE, PROBED);
     assert_eq!(bench.news(), [], "the other connection is not touched");
-    let _ticket = bench.post(ac(false).read());
-    let again = CONNECT.replace("02 00 01 00 02 00", "03 00 01 00 03 00");
-    bench.request(&again);
-    bench.answer(&CONNECTED.replace("02 00 01 00 02 00", "03 00 01 00 03 00"));
+    let _ticket = bench.post_read();
+    let again = |text: &str| text.replace("02 00 01 00 02 00", "03 00 01 00 03 00");
+    bench.trade(&again(CONNECT), &again(CONNECTED));
     assert_eq!(bench.taken(), unit(OURS, 1, READ));
     // It ends with the session; the drive may not know it.
     bench.lose();
     bench.register(SECOND);
-    bench.request(&close.replace("02 00 34 12", "03 00 34 12"));
-}
-
-#[test]
-fn a_repeated_request_that_is_answered_is_answered() {
-    let (mut bench, mut ticket) = connected();
-    bench.pass(3 * S);
-    assert_eq!(bench.taken(), unit(OURS, 1, READ));
-    bench.receive(&unit(THEIRS, 1, READ_REPLY));
-    assert!(matches!(ticket.poll(), Some(Ok(_))));
-    // The second answer, to the first request.
-    bench.receive(&unit(THEIRS, 1, READ_REPLY));
-    assert_eq!(bench.session.unmatched, 1);
+    bench.request(&DISCONNECT.replace("02 00 34 12", "03 00 34 12"));
 }
 
 #[test]
 fn a_refused_class_3_connection_refuses_the_call() {
     let mut bench = Bench::running(|drive| drive.explicit = Explicit::Connected);
-    let mut ticket = bench.post(ac(false).read());
-    bench.request(CONNECT);
-    bench.answer(&refused(2, "01 01 13 01"));
+    let mut ticket = bench.post_read();
+    bench.trade(CONNECT, &refused(2, "01 01 13 01"));
     let status = 0x0101_1301;
     assert_eq!(ticket.poll(), Some(Err(CallError::Refused(status))));
     assert_eq!(target::reason(status), "no connection left (0x0113)");
     bench.silence();
     // And one that is not answered.
-    let mut ticket = bench.post(ac(false).read());
+    let mut ticket = bench.post_read();
     bench.context += 1;
     bench.out.clear();
     bench.pass(S + LOOK_NS);
     assert_eq!(ticket.poll(), Some(Err(CallError::TimedOut)));
-    bench.request("4E 02 20 06 24 01 0A 0E 03 00 34 12 EE FF C0 00 02 00 20 02 24 01");
+    bench.request(&DISCONNECT.replace("02 00 34 12", "03 00 34 12"));
 }

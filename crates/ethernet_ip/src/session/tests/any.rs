@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::target::Target;
 use crate::wire::encapsulation::{DATA_MAX, HEADER};
 
 /// What a drive, or something else, may send in answer to the last request.
@@ -24,9 +25,8 @@ enum Event {
     Wait(u64),
     Wish(Wish),
     Lost,
-    Call,
-    /// A call that commands the drive.
-    Command,
+    /// `Stop` is written: it commands the drive.
+    Call(Target),
     Guard(bool),
 }
 
@@ -65,41 +65,31 @@ fn event() -> impl Strategy<Value = Event> {
             false => Event::Wish(Wish::TimedOut { generation: 1 }),
         }),
         1 => Just(Event::Lost),
-        2 => Just(Event::Call),
-        2 => Just(Event::Command),
+        4 => prop::sample::select(vec![Target::Stop, Target::Absolute]).prop_map(Event::Call),
         2 => any::<bool>().prop_map(Event::Guard),
     ]
+}
+
+/// A message on the newest connection.
+fn on_newest(session: &Session, sequence: u16, message: &str) -> Vec<u8> {
+    unit(&format!("{} 01 00", wire(session.serial.unwrap_or_default())), sequence, message)
 }
 
 /// What the drive should answer now.
 fn right(session: &Session) -> Vec<u8> {
     let Some(pending) = &session.pending else { return Vec::new() };
-    let of = |serial: u16| {
-        let [low, high] = serial.to_le_bytes();
-        format!("{low:02X} {high:02X}")
-    };
     let message = match pending.what {
         What::Register => return framed(0x65, SESSION, session.context, &hex("01 00 00 00")),
         What::Identity => IDENTITY_REPLY.to_owned(),
         What::Profile => SECOND.to_owned(),
         What::Homed(_) | What::Probe => PROBED.to_owned(),
-        What::Open(Open { triad, .. }, ..) | What::OpenConnected(Open { triad, .. }) => {
-            let serial = of(triad.serial);
-            let ids = format!("13 00 01 5A {serial} 01 00 {serial}");
-            format!("D4 00 00 00 {ids} 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00")
-        }
-        What::Close => {
-            let serial = session.to_close.front().map_or(0, |open| open.triad.serial);
-            format!("CE 00 00 00 {} 34 12 EE FF C0 00 00 00", of(serial))
-        }
+        What::Open(Open { triad, .. }, ..) | What::OpenConnected(Open { triad, .. }) => opened(triad.serial),
+        What::Close => of(session.to_close.front().map_or(0, |open| open.triad.serial), CLOSED),
         What::Call => "BC 00 00 00 00 02 A3 00 00 09 00 00".to_owned(),
     };
     match pending.way {
         Way::Unconnected { context } => rr(context, &message),
-        Way::Connected { sequence, .. } => {
-            let incoming = of(session.serial.unwrap_or_default());
-            unit(&format!("{incoming} 01 00"), sequence, &message)
-        }
+        Way::Connected { sequence, .. } => on_newest(session, sequence, &message),
     }
 }
 
@@ -122,51 +112,32 @@ proptest! {
         bench.state = bench.session.begin(bench.now, &mut bench.out);
         for (event, split) in events {
             let context = bench.session.context;
-            let arrived = match event {
-                Event::Bytes(bytes) => bytes,
+            let mut arrived = Vec::new();
+            match event {
+                Event::Bytes(bytes) => arrived = bytes,
                 Event::Answer(_) if bench.session.handle == 0 => {
-                    framed(0x65, SESSION, context, &hex("01 00 00 00"))
+                    arrived = framed(0x65, SESSION, context, &hex("01 00 00 00"));
                 }
-                Event::Answer(message) => rr(context, message),
+                Event::Answer(message) => arrived = rr(context, message),
                 Event::Changed { message, place, byte } => {
-                    let mut frame = rr(context, message);
-                    let place = place % frame.len();
-                    frame[place] = byte;
-                    frame
+                    arrived = rr(context, message);
+                    let place = place % arrived.len();
+                    arrived[place] = byte;
                 }
-                Event::Right => right(&bench.session),
+                Event::Right => arrived = right(&bench.session),
                 Event::Connected { sequence, message } => {
-                    let [low, high] = bench.session.serial.unwrap_or_default().to_le_bytes();
-                    unit(&format!("{low:02X} {high:02X} 01 00"), sequence, message)
+                    arrived = on_newest(&bench.session, sequence, message);
                 }
-                Event::Wait(ns) => {
-                    bench.pass(ns);
-                    Vec::new()
-                }
-                Event::Wish(wish) => {
-                    bench.loop_end.wish(wish);
-                    Vec::new()
-                }
-                Event::Lost => {
-                    bench.state = HandshakeState::Failed("lost".into());
-                    Vec::new()
-                }
-                Event::Command => {
-                    tickets.extend(bench.acyclic.post(target::Target::Stop.write(0), LIMIT));
+                Event::Wait(ns) => bench.pass(ns),
+                Event::Wish(wish) => _ = bench.loop_end.wish(wish),
+                Event::Lost => bench.state = HandshakeState::Failed("lost".into()),
+                Event::Call(target) => {
+                    let call = if target == Target::Stop { target.write(0) } else { target.read() };
+                    tickets.extend(bench.acyclic.post(call, LIMIT));
                     bench.look();
-                    Vec::new()
                 }
-                Event::Call => {
-                    tickets.extend(bench.acyclic.post(target::Target::Absolute.read(), LIMIT));
-                    bench.look();
-                    Vec::new()
-                }
-                Event::Guard(on) => {
-                    guarded = on;
-                    safe = false;
-                    Vec::new()
-                }
-            };
+                Event::Guard(on) => (guarded, safe) = (on, false),
+            }
             for part in arrived.chunks(split) {
                 if let HandshakeState::Failed(_) = bench.state {
                     break;

@@ -20,21 +20,27 @@ impl Groups for Members {
     }
 }
 
+/// The opening with this serial number, and with other bytes in it.
+fn changed(serial: u16, changes: &[(&str, &str)]) -> String {
+    changes.iter().fold(open(serial), |open, (from, to)| open.replace(from, to))
+}
+
+/// The bytes of configuration that a drive may want.
+const TWO_ZEROS: (&str, &str) =
+    ("01 04 20 04 24 66 2C 70 2C 65", "01 06 20 04 24 66 2C 70 2C 65 80 01 00 00");
+
 #[test]
 fn an_owner_registers_identifies_the_drive_and_opens_its_connection() {
     let mut bench = Bench::of_drive(|_| ());
     bench.begin();
     assert_eq!(bench.state, HandshakeState::More);
-    bench.request(IDENTIFY);
-    bench.answer(IDENTITY_REPLY);
-    bench.request(PROFILE);
+    bench.trade(IDENTIFY, IDENTITY_REPLY);
     assert_eq!(bench.state, HandshakeState::More);
-    bench.answer(SECOND);
+    bench.trade(PROFILE, SECOND);
     assert_eq!(bench.state, HandshakeState::Kept);
     // What its enable depends on is known before the connection is open.
     assert_eq!(bench.news(), [READ_NOTHING]);
-    bench.request(OPEN);
-    bench.answer(OPENED);
+    bench.trade(OPEN, OPENED);
     assert_eq!(bench.news(), [News::Opened(connection())]);
     bench.silence();
     assert_eq!((bench.note(), bench.session.unmatched), (String::new(), 0));
@@ -49,8 +55,7 @@ fn the_register_of_its_reference_is_read_before_the_opening() {
         ("BC 00 20 00", None),
         ("BC 00 00 00 00 02 9F 34 00 00 00 01", None),
     ] {
-        let mut bench = Bench::of_drive(|drive| drive.homed_register = Some(b'3'));
-        bench.register(SECOND);
+        let mut bench = Bench::registered(|drive| drive.homed_register = Some(b'3'));
         bench.request("3C 03 20 64 24 01 30 01 00 02 9F 33 00 00 00 00");
         assert_eq!(bench.news(), []);
         bench.answer(answer);
@@ -60,215 +65,145 @@ fn the_register_of_its_reference_is_read_before_the_opening() {
 }
 
 #[test]
-fn a_unit_of_the_first_version_is_only_read() {
+fn a_unit_of_the_first_version_is_only_read_and_one_without_profile_code_needs_its_version() {
     let mut bench = Bench::of_drive(|_| ());
     bench.register(FIRST);
-    let open = OPEN.replace("46 48", "02 48").replace("3A 48", "20 48").replace("2C 70 2C 65", "2C 67 2C 64");
-    bench.request(&open);
-    bench.answer(OPENED);
+    let only_read = changed(1, &[("46 48", "02 48"), ("3A 48", "20 48"), ("2C 70 2C 65", "2C 67 2C 64")]);
+    bench.trade(&only_read, OPENED);
     let (outputs, version) = (Outputs::Heartbeat(2), Version::V1);
     let expected = News::Opened(Connection { outputs, version, ..connection() });
     assert_eq!(bench.news(), [READ_NOTHING, expected]);
-}
-
-#[test]
-fn a_drive_without_profile_code_needs_its_version() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register("8E 00 05 00");
-    let why = bench.failed();
-    assert!(why.starts_with("STF05-IP of vendor 60 does not say which assemblies it has (path"), "{why}");
-    assert!(why.contains("`version`"), "{why}");
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register("8E 00 00 00 00 FB");
-    assert!(bench.failed().contains("too short"));
-    // With it nobody asks.
-    let mut bench = Bench::of_drive(|drive| drive.version = Some(Version::V2));
-    bench.begin();
-    bench.request(IDENTIFY);
-    bench.answer("81 00 08 00");
-    bench.request(OPEN);
-}
-
-#[test]
-fn listening_only_has_a_point_of_its_own() {
-    let mut bench = Bench::of_drive(|drive| {
-        drive.connection = Access::ListenOnly;
-        drive.heartbeat = Some(0);
-    });
-    bench.register(SECOND);
-    bench.request(&OPEN.replace("46 48", "00 48").replace("2C 70", "2C 68"));
-    bench.answer(&refused(1, "01 01 19 01"));
-    assert!(bench.note().contains("(0x0119)") && bench.note().contains("input-only"), "{}", bench.note());
-    bench.silence();
-}
-
-#[test]
-fn configuration_data_is_tried_without_and_with_two_zero_bytes() {
-    for status in ["01 02 26 01 01 00", "01 01 29 01", "01 01 10 01"] {
-        let mut bench = Bench::of_drive(|_| ());
-        bench.register(SECOND);
-        bench.request(OPEN);
-        bench.answer(&refused(1, status));
-        let with = |open: String| {
-            open.replace("01 04 20 04 24 66 2C 70 2C 65", "01 06 20 04 24 66 2C 70 2C 65 80 01 00 00")
-        };
-        bench.request(&with(open(2)));
-        bench.answer(&refused(2, status));
-        bench.silence();
-        assert!(bench.note().contains("`configuration`; tried again after 1 s"), "{}", bench.note());
-        // Then from the beginning; what is taken is kept.
-        bench.pass(S + LOOK_NS);
-        bench.request(&open(3));
-        bench.answer(&refused(3, status));
-        bench.request(&with(open(4)));
-        bench.answer(&opened(4));
-        bench.news();
-        bench.loop_end.wish(Wish::TimedOut { generation: 1 });
-        bench.pass(LOOK_NS);
-        bench.request(&of(4, CLOSE));
-        bench.answer(&of(4, CLOSED));
-        bench.pass(S + LOOK_NS);
-        bench.request(&with(open(5)));
-    }
-    // What is configured is all there is.
-    let mut bench = Bench::of_drive(|drive| drive.configuration = Some(vec![1, 2]));
-    bench.register(SECOND);
-    bench
-        .request(&OPEN.replace("01 04 20 04 24 66 2C 70 2C 65", "01 06 20 04 24 66 2C 70 2C 65 80 01 01 02"));
-    bench.answer(&refused(1, "01 01 29 01"));
-    bench.silence();
-}
-
-#[test]
-fn heartbeats_have_the_size_that_the_drive_wants() {
-    let input_only = |drive: &mut MoonsDrive| drive.connection = Access::InputOnly;
-    let sized =
-        |serial, size: &str| open(serial).replace("46 48", &format!("{size} 48")).replace("2C 70", "2C 67");
-    let begun = |change: &dyn Fn(&mut MoonsDrive)| {
-        let mut bench = Bench::of_drive(|drive| {
-            input_only(drive);
-            change(drive);
-        });
-        bench.register(SECOND);
-        bench
-    };
-    // It names it.
-    let mut bench = begun(&|_| ());
-    bench.request(&sized(1, "02"));
-    bench.answer(&refused(1, "01 02 27 01 00 00"));
-    bench.request(&sized(2, "00"));
-    bench.answer(&opened(2));
-    let news = bench.news();
-    assert!(matches!(news[1], News::Opened(Connection { outputs: Outputs::Heartbeat(0), .. })), "{news:?}");
-    // It does not, or names one that no heartbeat has.
-    for status in ["01 01 27 01", "01 01 09 01", "01 02 27 01 46 00"] {
-        let mut bench = begun(&|_| ());
-        bench.request(&sized(1, "02"));
-        bench.answer(&refused(1, status));
-        bench.request(&sized(2, "06"));
-        bench.answer(&refused(2, status));
-        bench.request(&sized(3, "00"));
-        bench.answer(&refused(3, status));
-        bench.silence();
-        assert!(bench.note().contains("`heartbeat`"), "{}", bench.note());
-    }
-    assert!({
-        let mut bench = begun(&|drive| drive.heartbeat = Some(6));
-        bench.request(&sized(1, "06"));
-        bench.answer(&refused(1, "01 02 27 01 02 00"));
-        bench.silence();
-        bench.note().contains("the drive wants 2 bytes")
-    });
-}
-
-#[test]
-fn a_size_of_process_data_that_the_drive_does_not_have_is_reported() {
-    for (status, words) in [
-        ("01 02 27 01 4A 00", "wrong O->T size (0x0127): the drive wants 74 bytes"),
-        ("01 02 28 01 3E 00", "wrong T->O size (0x0128): the drive wants 62 bytes"),
+    for (profile, parts) in [
+        ("8E 00 05 00", ["STF05-IP of vendor 60 does not say which assemblies it has (path", "`version`"]),
+        ("8E 00 00 00 00 FB", ["too short", ""]),
     ] {
         let mut bench = Bench::of_drive(|_| ());
-        bench.register(SECOND);
-        bench.request(OPEN);
-        bench.answer(&refused(1, status));
+        bench.register(profile);
+        assert!(parts.iter().all(|part| bench.failed().contains(part)), "{}", bench.failed());
+    }
+    // With its version nobody asks.
+    let mut bench = Bench::of_drive(|drive| drive.version = Some(Version::V2));
+    bench.begin();
+    bench.trade(IDENTIFY, "81 00 08 00");
+    bench.request(OPEN);
+}
+
+#[test]
+fn what_a_drive_refuses_is_tried_in_its_other_forms_and_then_said() {
+    type Change = fn(&mut MoonsDrive);
+    let none: Change = |_| ();
+    let listens: Change = |drive| (drive.connection, drive.heartbeat) = (Access::ListenOnly, Some(0));
+    let reads: Change = |drive| drive.connection = Access::InputOnly;
+    let six: Change = |drive| (drive.connection, drive.heartbeat) = (Access::InputOnly, Some(6));
+    let data: Change = |drive| drive.configuration = Some(vec![1, 2]);
+    let heartbeat = |size| vec![("46 48", size), ("2C 70", "2C 67")];
+    let [of_none, of_2, of_6] = ["00 48", "02 48", "06 48"].map(heartbeat);
+    let sizes = vec![of_2, of_6.clone(), of_none];
+    let zeros = vec![vec![], vec![TWO_ZEROS]];
+    let with_data = vec![(TWO_ZEROS.0, "01 06 20 04 24 66 2C 70 2C 65 80 01 01 02")];
+    let configuration = "`configuration`; tried again after 1 s";
+    let wants_74 =
+        "10.0.0.40:44818: the drive refuses the connection: wrong O->T size (0x0127): the drive wants 74";
+    for (change, forms, status, says) in [
+        (listens, vec![vec![("46 48", "00 48"), ("2C 70", "2C 68")]], "01 01 19 01", "(0x0119)"),
+        (listens, vec![vec![("46 48", "00 48"), ("2C 70", "2C 68")]], "01 01 19 01", "input-only"),
+        // A size that is none of a heartbeat, or none at all.
+        (reads, sizes.clone(), "01 01 27 01", "`heartbeat`"),
+        (reads, sizes.clone(), "01 01 09 01", "`heartbeat`"),
+        (reads, sizes, "01 02 27 01 46 00", "`heartbeat`"),
+        (six, vec![of_6], "01 02 27 01 02 00", "the drive wants 2 bytes"),
+        (none, zeros.clone(), "01 02 26 01 01 00", configuration),
+        (none, zeros.clone(), "01 01 29 01", configuration),
+        (none, zeros, "01 01 10 01", configuration),
+        // What is configured is all there is.
+        (data, vec![with_data], "01 01 29 01", ""),
+        (none, vec![vec![]], "01 02 27 01 4A 00", wants_74),
+        (none, vec![vec![]], "01 02 28 01 3E 00", "wrong T->O size (0x0128): the drive wants 62 bytes"),
+    ] {
+        let mut bench = Bench::registered(change);
+        for (serial, form) in (1..).zip(forms) {
+            bench.trade(&changed(serial, &form), &refused(serial, status));
+        }
         bench.silence();
-        assert!(bench.note().starts_with("10.0.0.40:44818: the drive refuses"), "{}", bench.note());
-        assert!(bench.note().contains(words), "{}", bench.note());
+        bench.says(says);
     }
 }
 
 #[test]
-fn the_large_form_is_for_drives_without_the_small_one() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
+fn the_form_that_a_drive_takes_is_kept() {
+    let mut bench = Bench::opening();
+    bench.answer(&refused(1, "01 01 29 01"));
+    bench.trade(&changed(2, &[TWO_ZEROS]), &refused(2, "01 01 29 01"));
+    // Then from the beginning.
+    bench.pass(S + LOOK_NS);
+    bench.trade(&open(3), &refused(3, "01 01 29 01"));
+    bench.trade(&changed(4, &[TWO_ZEROS]), &opened(4));
+    bench.news();
+    bench.wish(Wish::TimedOut { generation: 1 });
+    bench.trade(&of(4, CLOSE), &of(4, CLOSED));
+    bench.pass(S + LOOK_NS);
+    bench.request(&changed(5, &[TWO_ZEROS]));
+    // A size of heartbeats that it names.
+    let mut bench = Bench::registered(|drive| drive.connection = Access::InputOnly);
+    let sized = |serial, size| changed(serial, &[("46 48", size), ("2C 70", "2C 67")]);
+    bench.trade(&sized(1, "02 48"), &refused(1, "01 02 27 01 00 00"));
+    bench.trade(&sized(2, "00 48"), &opened(2));
+    let news = bench.news();
+    assert!(matches!(news[1], News::Opened(Connection { outputs: Outputs::Heartbeat(0), .. })), "{news:?}");
+    // The large form, where there is no small one.
+    let mut bench = Bench::opening();
     bench.answer(&refused(1, "08 00"));
     let large = "5B 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 46 00 \
                  00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
-    bench.request(large);
-    bench.answer(&opened(2).replace("D4 00", "DB 00"));
+    bench.trade(large, &opened(2).replace("D4 00", "DB 00"));
     assert!(matches!(bench.news()[..], [_, News::Opened(_)]));
 }
 
 #[test]
-fn a_connection_in_use_gets_another_serial_number_at_once_and_then_a_pause() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
+fn a_connection_in_use_gets_another_serial_number_at_once_and_then_pauses_that_grow() {
+    let mut bench = Bench::opening();
     bench.answer(&refused(1, "01 01 00 01"));
-    bench.request(&open(2));
-    bench.answer(&refused(2, "01 01 00 01"));
+    bench.trade(&open(2), &refused(2, "01 01 00 01"));
     bench.silence();
     bench.pass(S - LOOK_NS);
     bench.silence();
     bench.pass(2 * LOOK_NS);
     bench.request(&open(3));
+    // With each refusal, until there is a connection.
+    let mut bench = Bench::registered(|_| ());
+    for (serial, pause_s) in (1..).zip([1, 2, 4, 8, 16, 16]) {
+        bench.trade(&open(serial), &refused(serial, "01 01 03 01"));
+        assert!(bench.note().ends_with(&format!("tried again after {pause_s} s")), "{}", bench.note());
+        bench.pass(pause_s * S - LOOK_NS);
+        bench.silence();
+        bench.pass(2 * LOOK_NS);
+    }
+    bench.trade(&open(7), &opened(7));
+    assert_eq!((bench.note(), bench.session.pause_ns), (String::new(), S));
 }
 
 #[test]
 fn an_owned_drive_is_left_alone_for_one_watchdog_period_at_least() {
     // 512 intervals of 10 ms.
-    let mut bench = Bench::of_drive(|drive| drive.multiplier = Some(7));
-    bench.register(SECOND);
-    bench.request(&OPEN.replace("02 00 00 00 10 27", "07 00 00 00 10 27"));
-    bench.answer(&refused(1, "01 01 06 01"));
+    let mut bench = Bench::registered(|drive| drive.multiplier = Some(7));
+    let open = |serial| changed(serial, &[("02 00 00 00 10 27", "07 00 00 00 10 27")]);
+    bench.trade(&open(1), &refused(1, "01 01 06 01"));
     let note = bench.note();
     assert!(note.contains("(0x0106)") && note.contains("another controller"), "{note}");
     assert!(note.ends_with("tried again after 5.12 s"), "{note}");
     bench.pass(5 * S);
     bench.silence();
     bench.pass(S);
-    bench.request(&open(2).replace("02 00 00 00 10 27", "07 00 00 00 10 27"));
-}
-
-#[test]
-fn pauses_grow_with_each_refusal_and_begin_anew_after_a_connection() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    let mut serial = 1;
-    for pause_s in [1, 2, 4, 8, 16, 16] {
-        bench.request(&open(serial));
-        bench.answer(&refused(serial, "01 01 03 01"));
-        assert!(bench.note().ends_with(&format!("tried again after {pause_s} s")), "{}", bench.note());
-        bench.pass(pause_s * S - LOOK_NS);
-        bench.silence();
-        bench.pass(2 * LOOK_NS);
-        serial += 1;
-    }
-    bench.request(&open(serial));
-    bench.answer(&opened(serial));
-    assert_eq!((bench.note(), bench.session.pause_ns), (String::new(), S));
+    bench.request(&open(2));
 }
 
 #[test]
 fn an_opening_that_is_not_answered_is_closed_and_made_anew() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
+    let mut bench = Bench::opening();
     let late = rr(bench.context, OPENED);
     bench.pass(S + LOOK_NS);
     bench.request(CLOSE);
-    assert!(bench.note().contains("does not answer the opening"), "{}", bench.note());
+    bench.says("does not answer the opening");
     // What comes late is not taken for open: it is being closed.
     bench.receive(&late);
     bench.silence();
@@ -276,47 +211,31 @@ fn an_opening_that_is_not_answered_is_closed_and_made_anew() {
     bench.answer(CLOSED);
     bench.silence();
     bench.pass(S);
-    bench.request(&open(2));
     // The drive may still have the first one.
-    bench.answer(&refused(2, "01 01 06 01"));
+    bench.trade(&open(2), &refused(2, "01 01 06 01"));
     bench.pass(2 * S + LOOK_NS);
-    bench.request(&open(3));
-    bench.answer(&opened(3));
+    bench.trade(&open(3), &opened(3));
     assert!(matches!(bench.news()[..], [News::Opened(Connection { generation: 1, .. })]));
 }
 
 #[test]
-fn an_answer_of_no_use_is_closed() {
-    // An interval of 0; a reply that ends too early.
-    for answer in [OPENED.replace("C0 00 10 27", "C0 00 00 00"), OPENED[..60].to_owned()] {
-        let mut bench = Bench::of_drive(|_| ());
-        bench.register(SECOND);
-        bench.request(OPEN);
+fn an_answer_of_no_use_is_closed_and_the_note_says_why() {
+    let with_api = |api: &str| OPENED.replace("10 27 00 00 10 27 00 00", &format!("10 27 00 00 {api}"));
+    let but = "the drive opens the connection, but";
+    // 10 ms were requested, and a packet counts for 20: 20 ms are taken, 20.001 are not.
+    let rare = "every 20.001 ms only, and a packet counts for 20 ms: raise `fresh_within`";
+    for (answer, says) in
+        [(with_api("00 00 00 00"), but), (OPENED[..60].to_owned(), but), (with_api("21 4E 00 00"), rare)]
+    {
+        let mut bench = Bench::opening();
         bench.answer(&answer);
         bench.request(CLOSE);
-        assert!(bench.note().contains("the drive opens the connection, but"), "{}", bench.note());
+        bench.says(says);
         assert_eq!(bench.news(), [READ_NOTHING]);
     }
-}
-
-#[test]
-fn a_drive_that_sends_too_rarely_is_closed_and_the_note_says_what_it_can_do() {
-    // 10 ms were requested, and a packet counts for 20: 20 ms are taken, 20.001 are not.
-    let with_api = |api: &str| OPENED.replace("10 27 00 00 10 27 00 00", &format!("10 27 00 00 {api}"));
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
+    let mut bench = Bench::opening();
     bench.answer(&with_api("20 4E 00 00"));
     assert!(matches!(bench.news()[..], [_, News::Opened(Connection { incoming_api_ns: 20_000_000, .. })]));
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
-    bench.answer(&with_api("21 4E 00 00"));
-    assert_eq!(bench.news(), [READ_NOTHING]);
-    bench.request(CLOSE);
-    let note = bench.note();
-    let says = "every 20.001 ms only, and a packet counts for 20 ms: raise `fresh_within`";
-    assert!(note.contains(says), "{note}");
 }
 
 #[test]
@@ -326,19 +245,15 @@ fn packets_go_where_the_drive_says_and_come_where_the_bus_listens() {
     bench.context += 1;
     let item = "01 80 10 00 00 02 13 88 00 00 00 00 00 00 00 00 00 00 00 00";
     assert_eq!(bench.taken(), rr_with(bench.context, OPEN, "03 00", item));
-    // Port 2223 at its own address.
-    let item = "00 80 10 00 00 02 08 AF 00 00 00 00 00 00 00 00 00 00 00 00";
-    bench.receive(&rr_with(bench.context, OPENED, "03 00", item));
-    let destination = SocketAddrV4::new(DRIVE, 2223);
-    assert_eq!(bench.news()[1], News::Opened(Connection { destination, ..connection() }));
-
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
-    let item = "00 80 10 00 00 02 08 AE 0A 00 00 63 00 00 00 00 00 00 00 00";
-    bench.receive(&rr_with(bench.context, OPENED, "03 00", item));
-    let destination = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 99), 2222);
-    assert_eq!(bench.news()[1], News::Opened(Connection { destination, ..connection() }));
+    // Port 2223 at its own address; another address.
+    for (mut bench, item, destination) in [
+        (bench, "08 AF 00 00 00 00", SocketAddrV4::new(DRIVE, 2223)),
+        (Bench::opening(), "08 AE 0A 00 00 63", SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 99), 2222)),
+    ] {
+        let item = format!("00 80 10 00 00 02 {item} 00 00 00 00 00 00 00 00");
+        bench.receive(&rr_with(bench.context, OPENED, "03 00", &item));
+        assert_eq!(bench.news()[1], News::Opened(Connection { destination, ..connection() }));
+    }
 }
 
 #[test]
@@ -361,40 +276,33 @@ fn a_group_is_joined_before_the_loop_gets_the_connection_and_left_with_it() {
     let group = SocketAddrV4::new(Ipv4Addr::new(239, 192, 1, 64), 2222);
     let count = || members.0.lock().unwrap().get(&group).copied();
     assert_eq!((bench.news().len(), count()), (2, Some(1)));
-    bench.loop_end.wish(Wish::TimedOut { generation: 1 });
-    bench.pass(LOOK_NS);
+    bench.wish(Wish::TimedOut { generation: 1 });
     assert_eq!(count(), Some(0));
-    bench.request(CLOSE);
-    bench.answer(CLOSED);
+    bench.trade(CLOSE, CLOSED);
     bench.pass(S + LOOK_NS);
     // Without a group there is nothing to receive; the same if it cannot be joined.
-    bench.request(&open(2));
-    bench.answer(&opened(2));
+    bench.trade(&open(2), &opened(2));
     bench.request(&of(2, CLOSE));
-    assert!(bench.note().contains("does not say which one"), "{}", bench.note());
+    bench.says("does not say which one");
     bench.answer(&of(2, CLOSED));
     bench.pass(S + LOOK_NS);
     bench.request(&open(3));
     let item = "01 80 10 00 00 02 08 AE 0A 00 00 01 00 00 00 00 00 00 00 00";
     bench.receive(&rr_with(bench.context, &opened(3), "03 00", item));
     bench.request(&of(3, CLOSE));
-    assert!(bench.note().contains("it is none"), "{}", bench.note());
+    bench.says("it is none");
 }
 
 #[test]
 fn a_message_that_answers_another_request_is_counted_and_dropped() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
+    let mut bench = Bench::opening();
     let context = bench.context;
-    let other_session = |mut frame: Vec<u8>| {
-        frame[4] ^= 1;
-        frame
-    };
+    let mut other_session = rr(context, OPENED);
+    other_session[4] ^= 1;
     let strangers = [
         rr(context - 1, OPENED),
         rr(context + 1, OPENED),
-        other_session(rr(context, OPENED)),
+        other_session,
         // Of another service, triad, not a reply, no message at all.
         rr(context, PROBED),
         rr(context, &opened(2)),
@@ -404,63 +312,45 @@ fn a_message_that_answers_another_request_is_counted_and_dropped() {
         framed(0x63, SESSION, context, &hex("00 00")),
         unit("01 00 01 00", 1, OPENED),
     ];
-    for (count, stranger) in strangers.iter().enumerate() {
+    for (count, stranger) in (1..).zip(&strangers) {
         bench.receive(stranger);
-        assert_eq!(bench.session.unmatched, count as u64 + 1);
+        assert_eq!(bench.session.unmatched, count);
         bench.silence();
     }
-    bench.receive(&framed(0, 0, 0, &[7; 4]));
-    assert_eq!((bench.news(), bench.session.unmatched), (vec![READ_NOTHING], strangers.len() as u64));
-    bench.answer(OPENED);
-    assert_eq!(bench.news(), [News::Opened(connection())]);
-}
-
-#[test]
-fn messages_that_arrive_together_are_taken_one_after_the_other() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.register(SECOND);
-    bench.request(OPEN);
-    let context = bench.context;
-    let nothing = framed(0, 0, 0, &[]);
-    let together =
-        [nothing.clone(), rr(context - 1, SECOND), rr(context, OPENED), rr(context, OPENED), nothing]
-            .concat();
+    // The right one, together with others before and behind it.
+    let nothing = framed(0, 0, 0, &[7; 4]);
+    let right = rr(context, OPENED);
+    let together = [&nothing[..], &strangers[0], &right, &right, &nothing].concat();
+    assert_eq!(bench.news(), [READ_NOTHING]);
     bench.state = bench.session.take(bench.now, &together, &mut bench.out);
-    assert_eq!(bench.news(), [READ_NOTHING, News::Opened(connection())]);
-    assert_eq!((bench.state.clone(), bench.session.unmatched), (HandshakeState::Kept, 2));
+    assert_eq!((bench.news(), bench.session.unmatched), (vec![News::Opened(connection())], 12));
+    assert_eq!(bench.state, HandshakeState::Kept);
     assert!(bench.session.inbox.is_empty());
 }
 
 #[test]
-fn a_refused_session_and_bytes_of_something_else_end_the_connection() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.state = bench.session.begin(bench.now, &mut bench.out);
+fn a_session_that_is_refused_not_answered_or_no_session_ends_the_connection() {
+    let begun = || {
+        let mut bench = Bench::of_drive(|_| ());
+        bench.state = bench.session.begin(bench.now, &mut bench.out);
+        bench
+    };
+    let mut bench = begun();
     let mut refusal = framed(0x65, 0, 1, &hex("01 00 00 00"));
     refusal[8] = 2;
     bench.receive(&refusal);
-    assert_eq!(
-        bench.failed(),
-        "the drive refuses to register a session: no memory for another session (0x0002)"
-    );
-
-    let mut bench = Bench::of_drive(|_| ());
-    bench.state = bench.session.begin(bench.now, &mut bench.out);
+    let why = "the drive refuses to register a session: no memory for another session (0x0002)";
+    assert_eq!(bench.failed(), why);
+    let mut bench = begun();
     bench.state = bench.session.take(bench.now, b"HTTP/1.1 400", &mut bench.out);
     assert!(bench.failed().contains("not an EtherNet/IP peer"), "{}", bench.failed());
-}
-
-#[test]
-fn a_drive_that_does_not_answer_is_given_up() {
     for (requests, words) in [(0, "the registration"), (1, "its identity"), (2, "its profile code")] {
-        let mut bench = Bench::of_drive(|_| ());
-        if requests == 0 {
-            bench.state = bench.session.begin(bench.now, &mut bench.out);
-        } else {
+        let mut bench = if requests == 0 { begun() } else { Bench::of_drive(|_| ()) };
+        if requests > 0 {
             bench.begin();
         }
         if requests == 2 {
-            bench.request(IDENTIFY);
-            bench.answer(IDENTITY_REPLY);
+            bench.trade(IDENTIFY, IDENTITY_REPLY);
         }
         bench.receive(&rr(99, PROBED));
         bench.pass(S - LOOK_NS);

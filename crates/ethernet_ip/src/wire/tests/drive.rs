@@ -4,10 +4,7 @@ use std::collections::HashSet;
 
 use super::super::assembly::{self, Condition, IoCode, Letters, alarms, command, status};
 use super::super::cip;
-use super::super::encapsulation::{self, Unconnected};
-use super::super::message::{
-    Answer, AnswerError, Buffered, Deceleration, Immediate, PATH, PROFILE_PATH, ProfileCode,
-};
+use super::super::message::{Answer, AnswerError, Buffered, Immediate, PROFILE_PATH, ProfileCode};
 use super::super::opcodes::{OPCODES, PARAMETERS, opcode, parameter};
 use super::*;
 
@@ -16,7 +13,7 @@ fn buffered(name: &str, value: i64) -> Buffered {
 }
 
 #[test]
-fn hcr_examples_of_buffered_commands() {
+fn buffered_commands_are_those_of_the_host_command_reference_with_their_operands_only() {
     let io = |text: &str| text.parse::<IoCode>().unwrap().code().into();
     for (name, value, golden) in [
         ("AC", 600, "00 01 00 1E 00 00 02 58"),
@@ -37,10 +34,7 @@ fn hcr_examples_of_buffered_commands() {
     }
     let register = Buffered { field: b'3', ..buffered("RX", -5) };
     assert_eq!(register.encode().unwrap()[..], hex("00 01 33 AE FF FF FF FB"));
-}
-
-#[test]
-fn operands_that_a_command_does_not_have_are_refused() {
+    // Operands that a command does not have.
     for (name, low, high) in [
         ("FL", 0, 0),
         ("QX", 0, 255),
@@ -62,56 +56,25 @@ fn operands_that_a_command_does_not_have_are_refused() {
 }
 
 #[test]
-fn tshark_unconnected_ac100() {
-    let golden = hex(
-        "6F 00 20 00 01 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 | 00 00 00 00 00 00 02 00 00 00 00 \
-         00 B2 00 10 00 3C 03 20 64 24 01 30 01 00 01 00 1E 00 00 02 58",
-    );
-    let ac = buffered("AC", 600);
-    let request = with(|out| cip::request(out, cip::service::VENDOR, &PATH, &ac.encode().unwrap()));
-    assert_eq!(with(|out| encapsulation::send_rr_data(out, SESSION, 0, &request, None)), golden);
-    let answer = hex("BC 00 00 00 00 01 00 1E 00 09 00 00");
-    let frame = with(|out| encapsulation::send_rr_data(out, SESSION, 0, &answer, None));
-    let message = Unconnected::parse(whole(&frame).data).unwrap().message;
-    let answer = reply(message);
-    assert_eq!((answer.service, answer.status), (cip::service::VENDOR, Status::default()));
-    assert_eq!(ac.answer(answer.data), Ok(status::ENABLED | status::IN_POSITION));
-    assert_eq!(buffered("DE", 600).answer(answer.data), Err(AnswerError::Other));
-    assert_eq!(ac.answer(&answer.data[1..]), Err(AnswerError::Length(7)));
-}
-
-#[test]
-fn hcr_examples_of_immediate_commands() {
-    let ac = parameter("AC").unwrap().index;
-    for (message, golden) in [
-        (Immediate::ReadParameter(ac), "00 02 84 1E 00 00 00 00"),
-        (Immediate::ReadAbsolute, "00 02 88 01 00 00 00 00"),
-        (Immediate::ReadEncoder, "00 02 88 00 00 00 00 00"),
-        (Immediate::ReadRegister(b'3'), "00 02 9F 33 00 00 00 00"),
-        (Immediate::Kill(Deceleration::Largest), "00 02 98 00 00 00 00 00"),
-        (Immediate::Stop(Deceleration::Set), "00 02 A3 01 00 00 00 00"),
-        (Immediate::WriteParameter { index: ac, value: 600, flash: false }, "00 02 83 1E 02 58 00 00"),
-        (Immediate::WriteParameter { index: ac, value: 600, flash: true }, "00 02 83 9E 02 58 00 00"),
-        (Immediate::WriteRegister { register: b'3', value: -2 }, "00 02 9E 33 FF FF FF FE"),
-        (Immediate::SetOutput { index: 1, closed: true }, "00 02 8B 81 00 00 00 00"),
-        (Immediate::SetOutput { index: 1, closed: false }, "00 02 8B 01 00 00 00 00"),
-        (Immediate::ResetAlarm, "00 02 8E 00 00 00 00 00"),
-        (Immediate::ReadAlarmHistory, "00 02 87 00 00 00 00 00"),
-        (Immediate::LoadProgram, "00 02 A1 00 00 00 00 00"),
-        (Immediate::SaveSegment(12), "00 02 A2 0C 00 00 00 00"),
+fn an_answer_to_a_command_is_its_own_or_named() {
+    let ac = Immediate::ReadParameter(parameter("AC").unwrap().index);
+    for (message, text, expected) in [
+        (ac, "00 02 84 1E 02 58 00 00", Ok(Answer::Word(600))),
+        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21", Ok(Answer::Long(0x8765_4321_u32 as i32))),
+        (Immediate::ResetAlarm, "00 02 8E 00 02 00 00 00", Ok(Answer::Status(status::ALARM))),
+        // Of the encoder, of a buffered command, too short, too long.
+        (Immediate::ReadAbsolute, "00 02 88 00 87 65 43 21", Err(AnswerError::Other)),
+        (Immediate::ReadAbsolute, "00 01 88 01 87 65 43 21", Err(AnswerError::Other)),
+        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43", Err(AnswerError::Length(7))),
+        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21 00", Err(AnswerError::Length(9))),
     ] {
-        assert_eq!(message.encode()[..], hex(golden), "{message:?}");
+        assert_eq!(message.answer(&hex(text)), expected, "{text}");
     }
-    let answer = |message: Immediate, text: &str| message.answer(&hex(text));
-    assert_eq!(answer(Immediate::ReadParameter(ac), "00 02 84 1E 02 58 00 00"), Ok(Answer::Word(600)));
-    let position = Answer::Long(0x8765_4321_u32 as i32);
-    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21"), Ok(position));
-    assert_eq!(answer(Immediate::ResetAlarm, "00 02 8E 00 02 00 00 00"), Ok(Answer::Status(status::ALARM)));
-    // Of the encoder, of a buffered command, too short, too long.
-    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 00 87 65 43 21"), Err(AnswerError::Other));
-    assert_eq!(answer(Immediate::ReadAbsolute, "00 01 88 01 87 65 43 21"), Err(AnswerError::Other));
-    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43"), Err(AnswerError::Length(7)));
-    assert_eq!(answer(Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21 00"), Err(AnswerError::Length(9)));
+    let answer = hex("00 01 00 1E 00 09 00 00");
+    let ac = buffered("AC", 600);
+    assert_eq!(ac.answer(&answer), Ok(status::ENABLED | status::IN_POSITION));
+    assert_eq!(buffered("DE", 600).answer(&answer), Err(AnswerError::Other));
+    assert_eq!(ac.answer(&answer[1..]), Err(AnswerError::Length(7)));
 }
 
 #[test]
@@ -122,16 +85,15 @@ fn hcr_profile_code() {
     let code =
         ProfileCode { board: (117, 7), profile: b'A', model: 95, sub_model: 0, firmware: (1, 3, b'J') };
     assert_eq!(ProfileCode::parse(&data), Some(code));
-    assert_eq!(code.version(), Version::V1);
-    data[1] = 251;
-    assert_eq!(ProfileCode::parse(&data).unwrap().version(), Version::V2);
-    data[..4].copy_from_slice(&[0, 250, 0xFF, 0xFF]);
-    assert_eq!(ProfileCode::parse(&data).unwrap().version(), Version::V1);
+    for (board, version) in [(0x75, Version::V1), (251, Version::V2), (250, Version::V1)] {
+        data[1] = board;
+        assert_eq!(ProfileCode::parse(&data).unwrap().version(), version, "{board}");
+    }
     assert_eq!(ProfileCode::parse(&data[..9]), None);
 }
 
 #[test]
-fn tables_name_everything_once() {
+fn tables_name_everything_once_and_bits_as_the_manual() {
     assert!(OPCODES.is_sorted_by(|a, b| a.name < b.name));
     assert_eq!(OPCODES.iter().map(|opcode| opcode.code).collect::<HashSet<_>>().len(), OPCODES.len());
     assert_eq!(PARAMETERS.iter().map(|one| one.name).collect::<HashSet<_>>().len(), PARAMETERS.len());
@@ -143,13 +105,23 @@ fn tables_name_everything_once() {
             assert_eq!(opcode.code, parameter.index, "{}", parameter.name);
         }
     }
+    // Bits are those of the manual.
+    assert_eq!(status::NAMES[status::HOMING.trailing_zeros() as usize], "homing");
+    assert_eq!(status::NAMES[status::INITIALIZING.trailing_zeros() as usize], "initialising");
+    assert_eq!((command::STOP_FAST, command::STOP, command::HOST), (0x4000, 0x8000, 0x4_0000));
+    assert_eq!((command::RESET_ALARM, command::CURRENT), (0x10_0000, 0x20_0000));
+    let faults: u32 = (0..16).filter(|bit| assembly::ALARMS[*bit].fault).map(|bit| 1 << bit).sum();
+    assert_eq!(faults, 0x0001 | 0x0008 | 0x0010 | 0x0020 | 0x0080 | 0x0100 | 0x0200);
+    let names = |word| alarms(word).map(|alarm| alarm.name).collect::<Vec<_>>();
+    assert_eq!(names(0x1000 | 0x0008), ["over temperature", "no move: the motor is disabled"]);
+    assert!(names(0xFFFF_0000).is_empty() && names(u32::MAX).len() == 16);
 }
 
 #[test]
-fn io_codes_in_both_directions() {
-    assert_eq!("2L".parse::<IoCode>().unwrap().code(), 0x4CB2);
-    assert_eq!("3R".parse::<IoCode>().unwrap().code(), 0x52B3);
-    assert_eq!("12F".parse::<IoCode>().unwrap().code(), 0x46BC);
+fn io_codes_and_letters_of_host_commands_are_those_of_the_manual_and_no_others() {
+    for (text, code) in [("2L", 0x4CB2), ("3R", 0x52B3), ("12F", 0x46BC)] {
+        assert_eq!(text.parse::<IoCode>().unwrap().code(), code, "{text}");
+    }
     for condition in [Condition::High, Condition::Low, Condition::Rising, Condition::Falling] {
         for number in 0..=IoCode::MAX {
             let code = IoCode::new(number, condition).unwrap();
@@ -162,25 +134,6 @@ fn io_codes_in_both_directions() {
         assert!(text.parse::<IoCode>().is_err(), "{text}");
     }
     assert_eq!((0..=u16::MAX).filter(|code| IoCode::from_code(*code).is_some()).count(), 4 * 13);
-}
-
-#[test]
-fn letters_of_host_commands() {
     assert_eq!(Letters::new("SO"), Some(Letters(0x534F)));
-    for text in ["", "S", "SOS", "so", "S1", "Ä"] {
-        assert_eq!(Letters::new(text), None, "{text}");
-    }
-}
-
-#[test]
-fn bits_are_those_of_the_manual() {
-    assert_eq!(status::NAMES[status::HOMING.trailing_zeros() as usize], "homing");
-    assert_eq!(status::NAMES[status::INITIALIZING.trailing_zeros() as usize], "initialising");
-    assert_eq!((command::STOP_FAST, command::STOP, command::HOST), (0x4000, 0x8000, 0x4_0000));
-    assert_eq!((command::RESET_ALARM, command::CURRENT), (0x10_0000, 0x20_0000));
-    let faults: u32 = (0..16).filter(|bit| assembly::ALARMS[*bit].fault).map(|bit| 1 << bit).sum();
-    assert_eq!(faults, 0x0001 | 0x0008 | 0x0010 | 0x0020 | 0x0080 | 0x0100 | 0x0200);
-    let names = |word| alarms(word).map(|alarm| alarm.name).collect::<Vec<_>>();
-    assert_eq!(names(0x1000 | 0x0008), ["over temperature", "no move: the motor is disabled"]);
-    assert!(names(0xFFFF_0000).is_empty() && names(u32::MAX).len() == 16);
+    assert!(["", "S", "SOS", "so", "S1", "Ä"].iter().all(|text| Letters::new(text).is_none()));
 }

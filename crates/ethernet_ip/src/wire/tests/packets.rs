@@ -11,7 +11,7 @@ const INCOMING: &str = "02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 3A 00 01
     00 00 00 00 00 00 00";
 
 #[test]
-fn tshark_first_packet_of_an_owner_enables() {
+fn tshark_first_packet_of_an_owner_enables_and_heartbeats_show_no_outputs() {
     let mut golden =
         hex("02 00 02 80 08 00 13 00 01 5A 01 00 00 00 B1 00 46 00 01 00 01 00 00 00 02 00 00 00");
     golden.resize(OUTGOING_MAX, 0);
@@ -27,6 +27,19 @@ fn tshark_first_packet_of_an_owner_enables() {
     golden[10..14].copy_from_slice(&[5, 6, 7, 8]);
     golden[18..21].copy_from_slice(&[9, 10, 0]);
     assert_eq!(packet.bytes(), golden);
+    // Heartbeats show no outputs.
+    for (size, expected) in [(0, 18), (2, 20), (6, 24), (255, 88)] {
+        let mut packet = Outgoing::heartbeat(7, size);
+        packet.set_sequence(0x0102_0304, 0x0506);
+        packet.set_run(true);
+        assert_eq!(packet.bytes().len(), expected);
+        assert_eq!(usize::from(packet.bytes()[16]), expected - 18, "the item says its size");
+        let golden = hex("02 00 02 80 08 00 07 00 00 00 04 03 02 01 B1 00");
+        assert_eq!(packet.bytes()[..16], golden);
+        let data = [6, 5, 1, 0, 0, 0];
+        let shown = data.len().min(expected - 18);
+        assert_eq!(packet.bytes()[18..18 + shown], data[..shown]);
+    }
 }
 
 #[test]
@@ -57,23 +70,7 @@ fn outputs_are_where_the_manual_has_them() {
 }
 
 #[test]
-fn heartbeats_show_no_outputs() {
-    for (size, expected) in [(0, 18), (2, 20), (6, 24), (255, 88)] {
-        let mut packet = Outgoing::heartbeat(7, size);
-        packet.set_sequence(0x0102_0304, 0x0506);
-        packet.set_run(true);
-        assert_eq!(packet.bytes().len(), expected);
-        assert_eq!(usize::from(packet.bytes()[16]), expected - 18, "the item says its size");
-        let golden = hex("02 00 02 80 08 00 07 00 00 00 04 03 02 01 B1 00");
-        assert_eq!(packet.bytes()[..16], golden);
-        let data = [6, 5, 1, 0, 0, 0];
-        let shown = data.len().min(expected - 18);
-        assert_eq!(packet.bytes()[18..18 + shown], data[..shown]);
-    }
-}
-
-#[test]
-fn tshark_packet_of_a_drive() {
+fn inputs_are_those_of_tshark_and_of_the_host_command_reference() {
     let golden = hex(INCOMING);
     let packet = Packet::parse(&golden).unwrap();
     assert_eq!((packet.connection, packet.sequence, packet.count), (INCOMING_ID, 1, 1));
@@ -95,6 +92,27 @@ fn tshark_packet_of_a_drive() {
     };
     assert_eq!(Inputs::parse(data, Version::V2, Layout::Manual), Some(expected));
     assert_eq!(Inputs::parse(data, Version::V1, Layout::Manual), None);
+    // The first two bytes are the count.
+    let example = hex(
+        "E0 03 28 00 A8 C0 19 00 00 00 E9 01 00 00 38 02 BA FC FF FF C7 2A 06 00 C3 FF FF 40 00 0F 0F 00",
+    );
+    let expected = Inputs {
+        status: status::ENABLED | status::IN_POSITION | status::MOVING,
+        alarm: 0,
+        voltage: 489,
+        current: 0,
+        temperature: 568,
+        encoder: -838,
+        absolute: 404_167,
+        position_error: None,
+        velocity: -61,
+        extended_inputs: 0x40FF,
+        main_inputs: 0x0F00,
+        outputs: Some(0x000F),
+        analog: None,
+    };
+    assert_eq!(Inputs::parse(&example[2..], Version::V1, Layout::Manual), Some(expected));
+    assert_eq!(Inputs::parse(&example, Version::V1, Layout::Manual), None);
 }
 
 #[test]
@@ -131,49 +149,25 @@ fn both_orders_of_the_inputs_and_no_other_size() {
 }
 
 #[test]
-fn hcr_example_of_the_first_version() {
-    // The first two bytes are the count.
-    let example = hex(
-        "E0 03 28 00 A8 C0 19 00 00 00 E9 01 00 00 38 02 BA FC FF FF C7 2A 06 00 C3 FF FF 40 00 0F 0F 00",
-    );
-    let expected = Inputs {
-        status: status::ENABLED | status::IN_POSITION | status::MOVING,
-        alarm: 0,
-        voltage: 489,
-        current: 0,
-        temperature: 568,
-        encoder: -838,
-        absolute: 404_167,
-        position_error: None,
-        velocity: -61,
-        extended_inputs: 0x40FF,
-        main_inputs: 0x0F00,
-        outputs: Some(0x000F),
-        analog: None,
-    };
-    assert_eq!(Inputs::parse(&example[2..], Version::V1, Layout::Manual), Some(expected));
-    assert_eq!(Inputs::parse(&example, Version::V1, Layout::Manual), None);
-}
-
-#[test]
 fn what_is_no_packet_says_why() {
     let golden = hex(INCOMING);
-    let changed = |at: usize, byte| {
+    for (at, byte, why) in [
+        (0, 1, PacketError::NoPacket(76)),
+        (0, 3, PacketError::NoPacket(76)),
+        (3, 0, PacketError::Item(0x0002)),
+        // Its length is wrong.
+        (4, 4, PacketError::Item(0x8002)),
+        (14, 0xB2, PacketError::Item(0x00B2)),
+        (16, 0x3B, PacketError::Length { expected: 59, actual: 58 }),
+        (16, 0x20, PacketError::Length { expected: 32, actual: 58 }),
+    ] {
         let mut packet = golden.clone();
         packet[at] = byte;
-        Packet::parse(&packet).map(|_| ()).unwrap_err()
-    };
-    assert_eq!(changed(0, 1), PacketError::NoPacket(76));
-    assert_eq!(changed(0, 3), PacketError::NoPacket(76));
-    assert_eq!(changed(3, 0), PacketError::Item(0x0002));
-    assert_eq!(changed(4, 4), PacketError::Item(0x8002), "its length is wrong");
-    assert_eq!(changed(14, 0xB2), PacketError::Item(0x00B2));
-    assert_eq!(changed(16, 0x3B), PacketError::Length { expected: 59, actual: 58 });
-    assert_eq!(changed(16, 0x20), PacketError::Length { expected: 32, actual: 58 });
-    // A class 0 packet.
+        assert_eq!(Packet::parse(&packet), Err(why), "{at}");
+    }
+    // A class 0 packet, and one without the count that class 1 has.
     let class_0 = hex("02 00 A1 00 04 00 01 00 01 00 B1 00 02 00 01 00");
     assert_eq!(Packet::parse(&class_0), Err(PacketError::Item(0x00A1)));
-    // Without the count that class 1 has.
     let bare = hex("02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 01 00 01");
     assert_eq!(Packet::parse(&bare), Err(PacketError::Length { expected: 2, actual: 1 }));
     for size in 0..golden.len() {
@@ -183,6 +177,6 @@ fn what_is_no_packet_says_why() {
         };
         assert_eq!(Packet::parse(&golden[..size]), Err(expected));
     }
-    let expected = "12 bytes of data where 56 are agreed";
-    assert_eq!(PacketError::Length { expected: 56, actual: 12 }.to_string(), expected);
+    let said = PacketError::Length { expected: 56, actual: 12 }.to_string();
+    assert_eq!(said, "12 bytes of data where 56 are agreed");
 }

@@ -1,132 +1,63 @@
 //! Sessions, and the opening and closing of connections.
 
-use super::super::connection::{self, ConnectionError, Opened, closed, forward_close, timeout_factor};
+use super::super::cip;
+use super::super::connection::{ConnectionError, Opened, closed, forward_close, timeout_factor};
 use super::super::cpf::{self, Items, item};
-use super::super::encapsulation::{
-    self, Connected, HEADER, Identity, Listed, Malformed, Unconnected, command,
-};
-use super::super::{cip, message};
+use super::super::encapsulation::{self, Connected, HEADER, Identity, Listed, Malformed, Unconnected};
 use super::*;
 
 #[test]
-fn tshark_forward_open_of_an_exclusive_owner() {
-    let golden = hex(
-        "6F 00 42 00 01 01 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 | 00 00 00 00 00 00 02 00 00 00 00 \
-         00 B2 00 32 00 | 54 02 20 06 24 01 0A 0E 00 00 00 00 01 00 01 00 01 00 34 12 EE FF C0 00 02 00 00 00 10 27 \
-         00 00 46 48 10 27 00 00 3A 48 01 04 20 04 24 66 2C 70 2C 65",
-    );
-    let open = with(|out| owner().emit(out));
-    assert_eq!(with(|out| encapsulation::send_rr_data(out, SESSION, 1, &open, None)), golden);
-    let frame = whole(&golden);
-    assert_eq!((frame.header.command, frame.header.session, frame.header.context), (0x6F, SESSION, 1));
-    let message = Unconnected { message: &open, outgoing: None, incoming: None };
-    assert_eq!(Unconnected::parse(frame.data), Some(message));
-}
-
-#[test]
-fn tshark_large_forward_open() {
-    let golden = hex(
-        "5B 02 20 06 24 01 0A 0E 00 00 00 00 03 00 01 00 09 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 46 00 00 48 \
-         10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65",
-    );
-    let triad = Triad { serial: 9, ..TRIAD };
-    let open = ForwardOpen { large: true, incoming_id: 0x0001_0003, triad, ..owner() };
-    assert_eq!(with(|out| open.emit(out)), golden);
-    // A size that the small form cannot say makes it large, and 511 does not.
+fn a_size_that_the_small_form_of_an_opening_cannot_say_makes_it_large() {
     let service = |size| {
-        let outgoing = Direction { size, ..open.outgoing };
-        with(|out| ForwardOpen { large: false, outgoing, ..open }.emit(out))[0]
+        let outgoing = Direction { size, ..owner().outgoing };
+        with(|out| ForwardOpen { outgoing, ..owner() }.emit(out))[0]
     };
     assert_eq!((service(511), service(512)), (0x54, 0x5B));
+    assert_eq!((timeout_factor(0), timeout_factor(7), timeout_factor(255)), (4, 512, 512));
 }
 
 #[test]
-fn tshark_class_3_open_and_first_transfer() {
-    let golden = hex(
-        "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 F4 43 40 42 \
-         0F 00 F4 43 A3 02 20 02 24 01",
-    );
-    let explicit = Direction::explicit(1_000_000, 500);
-    let open = ForwardOpen {
-        incoming_id: 0x0001_0002,
-        triad: Triad { serial: 2, ..TRIAD },
-        multiplier: 3,
-        outgoing: explicit,
-        incoming: explicit,
-        target: Target::Messages,
-        ..owner()
-    };
-    assert_eq!(with(|out| open.emit(out)), golden);
-
-    let golden = hex(
-        "70 00 26 00 01 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 | 00 00 00 00 00 00 02 00 A1 00 04 \
-         00 14 00 01 5A B1 00 12 00 01 00 3C 03 20 64 24 01 30 01 00 02 88 01 00 00 00 00",
-    );
-    let payload = message::Immediate::ReadAbsolute.encode();
-    let request = with(|out| cip::request(out, cip::service::VENDOR, &message::PATH, &payload));
-    assert_eq!(with(|out| encapsulation::send_unit_data(out, SESSION, 0x5A01_0014, 1, &request)), golden);
-    let expected = Connected { connection: 0x5A01_0014, sequence: 1, message: &request };
-    assert_eq!(Connected::parse(whole(&golden).data), Some(expected));
-    // An unconnected message is none on a connection, and the reverse.
-    assert_eq!(Unconnected::parse(whole(&golden).data), None);
-    let unconnected = with(|out| encapsulation::send_rr_data(out, SESSION, 1, &request, None));
-    assert_eq!(Connected::parse(whole(&unconnected).data), None);
-}
-
-#[test]
-fn tshark_forward_close() {
+fn paths_are_those_of_the_sheet_in_an_opening_and_without_data_in_a_close() {
+    // tshark
     let golden = hex("4E 02 20 06 24 01 0A 0E 01 00 34 12 EE FF C0 00 04 00 20 04 24 66 2C 70 2C 65");
-    assert_eq!(with(|out| forward_close(out, TRIAD, &owner().target)), golden);
-    // The data was for the opening only.
-    let configuration = Configuration::new(&[0, 0]).unwrap();
-    let target = Target::assemblies(Access::Owner, Version::V2, configuration);
-    assert_eq!(with(|out| forward_close(out, TRIAD, &target)), golden);
-}
-
-#[test]
-fn paths_of_the_other_connections() {
-    let path = |access, version, data: &'static [u8], key| {
-        let target = Target::assemblies(access, version, Configuration::new(data).unwrap());
-        with(|out| ForwardOpen { target, key, ..owner() }.emit(out)).split_off(41)
-    };
-    let owner = |data| path(Access::Owner, Version::V2, data, None);
-    assert_eq!(owner(&[0, 0]), hex("06 20 04 24 66 2C 70 2C 65 80 01 00 00"));
-    // Half a word is filled up.
-    assert_eq!(owner(&[1, 2, 3]), hex("07 20 04 24 66 2C 70 2C 65 80 02 01 02 03 00"));
-    assert_eq!(path(Access::InputOnly, Version::V1, &[], None), hex("04 20 04 24 66 2C 67 2C 64"));
-    assert_eq!(path(Access::ListenOnly, Version::V2, &[], None), hex("04 20 04 24 66 2C 68 2C 65"));
+    for data in [&[][..], &[0, 0]] {
+        let target = Target::assemblies(Access::Owner, Version::V2, Configuration::new(data).unwrap());
+        assert_eq!(with(|out| forward_close(out, TRIAD, &target)), golden);
+    }
     let key = Key { vendor: 60, device_type: 0x102, product_code: 3, major: 0x84, minor: 5 };
-    let keyed = hex("09 34 04 3C 00 02 01 03 00 84 05 20 04 24 66 2C 70 2C 65");
-    assert_eq!(path(Access::Owner, Version::V2, &[], Some(key)), keyed);
+    for (access, version, data, key, golden) in [
+        (Access::Owner, Version::V2, &[0, 0][..], None, "06 20 04 24 66 2C 70 2C 65 80 01 00 00"),
+        // Half a word is filled up.
+        (Access::Owner, Version::V2, &[1, 2, 3], None, "07 20 04 24 66 2C 70 2C 65 80 02 01 02 03 00"),
+        (Access::InputOnly, Version::V1, &[], None, "04 20 04 24 66 2C 67 2C 64"),
+        (Access::ListenOnly, Version::V2, &[], None, "04 20 04 24 66 2C 68 2C 65"),
+        (
+            Access::Owner,
+            Version::V2,
+            &[],
+            Some(key),
+            "09 34 04 3C 00 02 01 03 00 84 05 20 04 24 66 2C 70 2C 65",
+        ),
+    ] {
+        let target = Target::assemblies(access, version, Configuration::new(data).unwrap());
+        assert_eq!(
+            with(|out| ForwardOpen { target, key, ..owner() }.emit(out))[41..],
+            hex(golden),
+            "{golden}"
+        );
+    }
     // The longest that is taken, and one more.
     let longest = [7; Configuration::MAX + 1];
     assert_eq!(Configuration::new(&longest), None);
     let configuration = Configuration::new(&longest[1..]).unwrap();
     let target = Target::assemblies(Access::Owner, Version::V2, configuration);
-    let open = with(|out| ForwardOpen { target, key: Some(key), ..super::owner() }.emit(out));
+    let open = with(|out| ForwardOpen { target, key: Some(key), ..owner() }.emit(out));
     assert_eq!(usize::from(open[41]) * 2, open.len() - 42);
-}
-
-#[test]
-fn segments_have_16_bits_only_where_8_do_not_do() {
+    // Segments have 16 bits only where 8 do not do.
     let path =
         [Segment::Class(0xFF), Segment::Instance(0x100), Segment::Attribute(0xABCD), Segment::Point(1)];
     let request = with(|out| cip::request(out, 0x0E, &path, &[9]));
     assert_eq!(request, hex("0E 06 20 FF 25 00 00 01 31 00 CD AB 2C 01 09"));
-}
-
-#[test]
-fn network_parameters() {
-    // 0x4846 and 0x483A are in the golden frames; 0x283A is what a group has.
-    let word = |route| {
-        let incoming = Direction::cyclic(10_000, 58, route);
-        let open = with(|out| ForwardOpen { incoming, ..owner() }.emit(out));
-        u16::from_le_bytes([open[38], open[39]])
-    };
-    assert_eq!(word(Route::Multicast), 0x283A);
-    assert_eq!(word(Route::PointToPoint), 0x483A);
-    assert_eq!(connection::incoming_size(Version::V1), 32);
-    assert_eq!((timeout_factor(0), timeout_factor(7), timeout_factor(255)), (4, 512, 512));
 }
 
 /// tshark: the reply to the opening.
@@ -165,44 +96,52 @@ fn tshark_reply_to_forward_open() {
 
 #[test]
 fn a_refusal_says_what_the_drive_wants() {
-    let refusal = |text: &str, triad| Opened::parse(&reply(&hex(text)), triad);
+    let refused = |general, extended, size| ConnectionError::Refused(Status { general, extended, size });
     let size = "D4 00 01 02 27 01 46 00 01 00 34 12 EE FF C0 00 00 00";
+    let other = Triad { serial: 7, ..TRIAD };
+    for (text, triad, expected) in [
+        (size, TRIAD, Err(refused(1, Some(0x127), Some(70)))),
+        // Some devices leave the triad out; that of another request is not ours.
+        ("DB 00 01 01 06 01", TRIAD, Err(refused(1, Some(0x106), None))),
+        (size, other, Err(ConnectionError::Other)),
+    ] {
+        assert_eq!(Opened::parse(&reply(&hex(text)), triad), expected, "{text}");
+    }
     let status = Status { general: 1, extended: Some(0x127), size: Some(70) };
-    assert_eq!(refusal(size, TRIAD), Err(ConnectionError::Refused(status)));
     assert_eq!(status.failure(), Some(Status::OUTGOING_SIZE));
-    assert_eq!(
-        refusal(size, TRIAD).unwrap_err().to_string(),
-        "wrong O->T size (0x0127): the drive wants 70 bytes"
-    );
-    // Some devices leave the triad out; that of another request is not ours.
-    let bare = Status { general: 1, extended: Some(0x106), size: None };
-    assert_eq!(refusal("DB 00 01 01 06 01", TRIAD), Err(ConnectionError::Refused(bare)));
-    assert_eq!(refusal(size, Triad { serial: 7, ..TRIAD }), Err(ConnectionError::Other));
-
-    let gone = Status { general: 1, extended: Some(0x107), size: None };
-    let answer = hex("CE 00 01 01 07 01 01 00 34 12 EE FF C0 00 00 00");
-    assert_eq!(closed(&reply(&answer), TRIAD), Err(ConnectionError::Refused(gone)));
-    let answer = hex("CE 00 00 00 01 00 34 12 EE FF C0 00 00 00");
-    assert_eq!(closed(&reply(&answer), TRIAD), Ok(()));
-    assert_eq!(closed(&reply(&answer), Triad { serial: 7, ..TRIAD }), Err(ConnectionError::Other));
-    assert_eq!(closed(&reply(&answer[..11]), TRIAD), Err(ConnectionError::Short));
+    let said = refused(1, Some(0x127), Some(70)).to_string();
+    assert_eq!(said, "wrong O->T size (0x0127): the drive wants 70 bytes");
+    let end = "CE 00 00 00 01 00 34 12 EE FF C0 00 00 00";
+    for (text, triad, expected) in [
+        ("CE 00 01 01 07 01 01 00 34 12 EE FF C0 00 00 00", TRIAD, Err(refused(1, Some(0x107), None))),
+        (end, TRIAD, Ok(())),
+        (end, other, Err(ConnectionError::Other)),
+        (&end[..32], TRIAD, Err(ConnectionError::Short)),
+    ] {
+        assert_eq!(closed(&reply(&hex(text)), triad), expected, "{text}");
+    }
 }
 
 #[test]
 fn status_sentences() {
-    let sentence = |general, extended, size| Status { general, extended, size }.to_string();
-    assert_eq!(sentence(0, None, None), "ok (0x00)");
-    assert_eq!(sentence(8, None, None), "service not supported (0x08)");
-    assert_eq!(sentence(1, Some(0x106), None), "somebody else owns the outputs (0x0106)");
-    assert_eq!(sentence(1, Some(0x128), Some(58)), "wrong T->O size (0x0128): the drive wants 58 bytes");
-    assert_eq!(
-        sentence(1, Some(0x126), Some(1)),
-        "wrong size of the configuration data (0x0126), whose 16-bit words are at most 1"
-    );
-    assert_eq!(sentence(1, Some(0x7777), None), "connection failure (0x01, extended 0x7777)");
-    // An extended status has its names with the general status 1 only.
-    assert_eq!(sentence(0x1F, Some(0x106), None), "error of the vendor's own (0x1f, extended 0x0106)");
-    assert_eq!(sentence(0xD0, None, None), "unknown status (0xd0)");
+    for (general, extended, size, sentence) in [
+        (0, None, None, "ok (0x00)"),
+        (8, None, None, "service not supported (0x08)"),
+        (1, Some(0x106), None, "somebody else owns the outputs (0x0106)"),
+        (1, Some(0x128), Some(58), "wrong T->O size (0x0128): the drive wants 58 bytes"),
+        (
+            1,
+            Some(0x126),
+            Some(1),
+            "wrong size of the configuration data (0x0126), whose 16-bit words are at most 1",
+        ),
+        (1, Some(0x7777), None, "connection failure (0x01, extended 0x7777)"),
+        // An extended status has its names with the general status 1 only.
+        (0x1F, Some(0x106), None, "error of the vendor's own (0x1f, extended 0x0106)"),
+        (0xD0, None, None, "unknown status (0xd0)"),
+    ] {
+        assert_eq!(Status { general, extended, size }.to_string(), sentence);
+    }
     assert_eq!(encapsulation::Status::NO_SESSION.to_string(), "invalid session handle (0x0064)");
     assert_eq!(encapsulation::Status(0x77).to_string(), "unknown encapsulation status (0x0077)");
 }
@@ -216,20 +155,6 @@ fn additional_status_is_skipped_before_the_data() {
     assert_eq!(Reply::parse(&answer[..9]), None);
     assert_eq!(Reply::parse(&hex("0E 00 00 00")), None);
     assert_eq!(Reply::parse(&answer[..3]), None);
-}
-
-#[test]
-fn short_commands() {
-    let mut golden =
-        hex("65 00 04 00 00 00 00 00 00 00 00 00 07 00 00 00 00 00 00 00 00 00 00 00 01 00 00 00");
-    assert_eq!(with(|out| encapsulation::register_session(out, 7)), golden);
-    // The reply: the session is in its header.
-    golden[4..6].copy_from_slice(&[1, 1]);
-    let header = whole(&golden).header;
-    assert_eq!((header.command, header.session, header.context), (command::REGISTER_SESSION, SESSION, 7));
-    assert_eq!(header.status, encapsulation::Status::OK);
-    let golden = hex("66 00 00 00 01 01 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00");
-    assert_eq!(with(|out| encapsulation::unregister_session(out, SESSION)), golden);
 }
 
 #[test]
@@ -284,10 +209,12 @@ fn socket_addresses_are_big_endian_and_in_any_order() {
         other[at] = byte;
         assert_eq!(Unconnected::parse(&other).and_then(|message| message.incoming), None);
     }
-    // The interface is CIP.
+    // The interface is CIP; an unconnected message is none on a connection, and the reverse.
     let mut other = data.clone();
     other[0] = 1;
-    assert_eq!(Unconnected::parse(&other), None);
+    assert_eq!((Unconnected::parse(&other), Connected::parse(&data)), (None, None));
+    let connected = with(|out| encapsulation::send_unit_data(out, SESSION, 7, 1, &[0x54]));
+    assert_eq!(Unconnected::parse(whole(&connected).data), None);
     // Ours asks for a port with the same item.
     let request = with(|out| encapsulation::send_rr_data(out, SESSION, 1, &[0x54], Some(own)));
     let message = Unconnected { message: &[0x54], outgoing: None, incoming: Some(own) };
@@ -308,13 +235,11 @@ fn a_count_or_length_of_items_that_lies_is_refused() {
         data[at] = byte;
         kinds(&data)
     };
-    assert_eq!(changed(0, 3), None);
-    assert_eq!(changed(1, 0xFF), None);
-    assert_eq!(changed(4, 9), None);
-    assert_eq!(changed(10, 2), None);
+    for (at, byte) in [(0, 3), (1, 0xFF), (4, 9), (10, 2)] {
+        assert_eq!(changed(at, byte), None, "{at}");
+    }
     // Fewer items than there are: the others do not count.
-    assert_eq!(changed(0, 1), Some(vec![1]));
-    assert_eq!(changed(0, 0), Some(vec![]));
+    assert_eq!((changed(0, 1), changed(0, 0)), (Some(vec![1]), Some(vec![])));
 }
 
 #[test]
