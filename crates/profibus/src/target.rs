@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_that_of_one_target() {
+    fn an_address_is_that_of_one_target_and_a_write_to_it_commands_unless_known_to_be_harmless() {
         for kind in Kind::ALL {
             for (code, sub) in [(0, 0), (61, 0), (39, 255), (u16::MAX, 1)] {
                 let target = Target::Parameter(Parameter { code, sub, kind });
@@ -209,25 +209,15 @@ mod tests {
         let record = Target::Record(Record { slot: 1, index: 255 });
         assert_eq!(Target::unpack(record.pack()), Some(record));
         assert_eq!((Target::unpack(0x0800_0000), Target::unpack(0xFF01_0000)), (None, None));
-    }
-
-    #[test]
-    fn a_write_commands_unless_it_is_known_to_be_harmless() {
         let code = |code| Target::Parameter(Parameter { code, sub: 0, kind: Kind::Own });
         let record = Target::Record(Record { slot: 0, index: 47 });
         let refused = |target: Target, service| {
             refusal(&Call { service, address: target.pack(), value: 0 }, &[]).is_some()
         };
         for target in [code(39), code(11), code(13), code(135), record] {
-            for (service, expected) in [
-                (long::WRITE, true),
-                (long::STORE, true),
-                (long::READ, false),
-                (long::LOAD, false),
-                (long::PART, false),
-            ] {
-                assert_eq!(refused(target, service), expected, "{target:?} {service}");
-            }
+            let services = [long::WRITE, long::STORE, long::READ, long::LOAD, long::PART];
+            let expected = [true, true, false, false, false];
+            assert_eq!(services.map(|service| refused(target, service)), expected, "{target:?}");
         }
         assert!(HARMLESS.iter().all(|harmless| !refused(code(*harmless), long::WRITE)));
     }

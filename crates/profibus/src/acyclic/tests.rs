@@ -182,10 +182,7 @@ fn without_a_path_a_call_is_refused_and_says_why() {
     }
     side.rest(2, [0; CHANNEL]);
     assert!(side.access.is_idle());
-}
-
-#[test]
-fn a_drive_that_is_not_there_gets_no_call() {
+    // A drive that is not there gets no call.
     for path in [PKW, ParameterPath::Drivecom, MSAC1] {
         let mut side = Side::new(path);
         for (link, exchanges) in [(Link::Lost, true), (Link::Unseen, true), (Link::Online, false)] {

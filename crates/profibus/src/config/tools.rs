@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stations_stand_in_a_table_with_what_is_known_of_them() {
+    fn stations_stand_in_a_table_and_a_rate_is_one_of_the_ten() {
         let found = |address, status: u32, master, fault: u16| {
             let status = [&status.to_le_bytes()[..3], &[master]].concat();
             let data = [&status[..], &[0, 0x82, 3], &fault.to_be_bytes()].concat();
@@ -195,10 +195,6 @@ mod tests {
             (&0x82.into(), &2.into(), &0x2310.into())
         );
         assert_eq!(object(&found[2])["ident"], Value::Null);
-    }
-
-    #[test]
-    fn a_rate_is_one_of_the_ten() {
         assert_eq!(rate("500000"), Ok(500_000));
         assert!(rate("115200").unwrap_err().contains("1500000"));
     }

@@ -72,6 +72,39 @@ impl Rig {
     fn heard(&mut self) -> Option<Heard<'_>> {
         self.line.heard(self.now)
     }
+
+    /// The reply arrives so many us later, and is the answer to the request.
+    #[track_caller]
+    fn is_answered(&mut self, after_us: u64) {
+        self.now = self.now + after_us * US;
+        self.arrive(&REPLY);
+        assert_eq!(self.heard(), answer());
+    }
+
+    /// The reply arrives, and answers nothing.
+    #[track_caller]
+    fn is_late(&mut self) {
+        self.arrive(&REPLY);
+        assert_eq!(self.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
+    }
+
+    /// An idle time of 22 us follows.
+    #[track_caller]
+    fn idles(&mut self) {
+        assert_eq!(self.line.ready(self.now + 21 * US), Ready::Wait);
+        assert_eq!(self.line.ready(self.now + 23 * US), Ready::Free);
+    }
+
+    /// The slot time is over, and the request fails or is repeated.
+    #[track_caller]
+    fn is_overdue(&mut self, instead: Instead, failed: bool) {
+        self.idle();
+        assert_eq!(self.line.ready(self.now), Ready::Overdue { job: Job::Drive(0), instead, failed });
+        if !failed {
+            assert_eq!(self.line.ready(self.now), Ready::Resend);
+            assert_eq!(self.send(), REQUEST);
+        }
+    }
 }
 
 fn answer() -> Option<Heard<'static>> {
@@ -110,9 +143,7 @@ fn the_answer_of_the_sheet_answers_at_any_split() {
         }
         rig.arrive(&REPLY[split..]);
         assert_eq!(rig.heard(), answer(), "{split}");
-        // An idle time follows.
-        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
-        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+        rig.idles();
     }
 }
 
@@ -124,13 +155,11 @@ fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
     for late in [0, 5 * US, 22 * US, 500 * US] {
         let mut rig = Rig::up(|_| ());
         rig.request();
-        let begin = rig.now;
-        rig.now = begin + ended + late;
-        rig.arrive(&REPLY);
-        assert_eq!(rig.heard(), answer());
-        let free = begin + ended + 22 * US;
-        assert_eq!(rig.line.ready(free - US), Ready::Wait, "{late}");
-        assert_eq!(rig.line.ready(free + US), Ready::Free, "{late}");
+        let end = rig.now + ended;
+        rig.now = end + late;
+        rig.is_answered(0);
+        assert_eq!(rig.line.ready(end + 21 * US), Ready::Wait, "{late}");
+        assert_eq!(rig.line.ready(end + 23 * US), Ready::Free, "{late}");
     }
     // With a slow driver, or with something behind it, the wire may have been in use until now.
     for (latency_ns, behind) in [(400 * US, &[][..]), (0, &TOKEN[..])] {
@@ -139,8 +168,7 @@ fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
         rig.now = rig.now + ended + 300 * US;
         rig.arrive(&[&REPLY, behind].concat());
         assert_eq!(rig.heard(), answer());
-        assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
-        assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+        rig.idles();
     }
 }
 
@@ -149,21 +177,13 @@ fn a_request_without_an_answer_is_repeated_byte_for_byte_and_then_fails() {
     let mut rig = Rig::up(|plan| plan.retries = 2);
     rig.request();
     for left in [2, 1, 0] {
-        rig.idle();
-        let failed = left == 0;
-        let overdue = Ready::Overdue { job: Job::Drive(0), instead: Instead::Silence, failed };
-        assert_eq!(rig.line.ready(rig.now), overdue);
-        if !failed {
-            assert_eq!(rig.line.ready(rig.now), Ready::Resend);
-            assert_eq!(rig.send(), REQUEST);
-        }
+        rig.is_overdue(Instead::Silence, left == 0);
     }
     assert_eq!(rig.line.ready(rig.now), Ready::Free);
     // The slot time is 300 bits behind the last byte of the request.
     rig.request();
     rig.now = rig.now + 154 * US + 200 * US - US;
     assert_eq!(rig.line.ready(rig.now), Ready::Wait);
-    // It comes after all.
     rig.idle();
     assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { .. }));
 }
@@ -172,59 +192,43 @@ fn a_request_without_an_answer_is_repeated_byte_for_byte_and_then_fails() {
 fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
     let mut rig = Rig::up(|plan| plan.retries = 0);
     rig.request();
-    rig.idle();
-    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: true, .. }));
+    rig.is_overdue(Instead::Silence, true);
     rig.now = rig.now + US;
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
-    assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
-    assert_eq!(rig.line.ready(rig.now + 23 * US), Ready::Free);
+    rig.is_late();
+    rig.idles();
+    // To one that was repeated, the first answer, which is late, and the second, late by the same.
+    let mut rig = Rig::up(|_| ());
+    rig.request();
+    rig.is_overdue(Instead::Silence, false);
+    rig.is_answered(160);
+    rig.now = rig.now + 154 * US;
+    assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
+    rig.is_late();
+    rig.idle();
+    assert_eq!(rig.line.ready(rig.now), Ready::Free);
 }
 
 #[test]
 fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
     let mut rig = Rig::up(|_| ());
     rig.request();
-    let leaves = rig.now + 154 * US;
-    for (after_us, bytes) in [(0, &REPLY[..]), (100, &REPLY[..9]), (153, &[0xFF, 0x33])] {
-        rig.now = leaves - 154 * US + after_us * US;
-        rig.arrive(bytes);
-        match after_us {
-            0 => assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE))))),
-            100 => {}
-            _ => assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. })))),
-        }
-        assert_eq!(rig.heard(), None);
-    }
-    rig.now = leaves + 160 * US;
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), answer(), "it is waited for all the same");
+    let begin = rig.now;
+    rig.is_late();
+    assert_eq!(rig.heard(), None);
+    rig.now = begin + 100 * US;
+    rig.arrive(&REPLY[..9]);
+    assert_eq!(rig.heard(), None);
+    rig.now = begin + 153 * US;
+    rig.arrive(&[0xFF, 0x33]);
+    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. }))));
+    assert_eq!(rig.heard(), None);
+    // It is waited for all the same.
+    rig.is_answered(161);
     // Where the other end has all bytes at once, an answer may be there sooner.
     rig.line.is_timed = false;
     rig.idle();
     rig.request();
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), answer());
-}
-
-#[test]
-fn a_second_answer_to_a_request_that_was_repeated_is_not_taken_for_that_to_the_next_one() {
-    let mut rig = Rig::up(|_| ());
-    rig.request();
-    rig.idle();
-    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { failed: false, .. }));
-    assert_eq!(rig.line.ready(rig.now), Ready::Resend);
-    rig.send();
-    // The first answer, which is late, and the second, late by the same.
-    rig.now = rig.now + 160 * US;
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), answer());
-    rig.now = rig.now + 154 * US;
-    assert_eq!(rig.line.ready(rig.now), Ready::Wait, "for its slot time");
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
-    rig.idle();
-    assert_eq!(rig.line.ready(rig.now), Ready::Free);
+    rig.is_answered(0);
 }
 
 #[test]
@@ -248,34 +252,25 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
         rig.arrive(&REPLY);
         assert_eq!(rig.heard(), None);
         assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
-        rig.idle();
-        let overdue = Ready::Overdue { job: Job::Drive(0), instead: Instead::Garbage, failed: false };
-        assert_eq!(rig.line.ready(rig.now), overdue);
-        assert_eq!(rig.line.ready(rig.now), Ready::Resend);
-        assert_eq!(rig.send(), REQUEST);
-        rig.now = rig.now + 350 * US;
-        rig.arrive(&REPLY);
-        assert_eq!(rig.heard(), answer());
+        rig.is_overdue(Instead::Garbage, false);
+        rig.is_answered(350);
     }
 }
 
 #[test]
 fn what_comes_from_others_or_of_another_kind_answers_nothing() {
-    let frame = |da, sa, fc| {
+    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
+    for ((da, sa, fc), heard) in [
+        ((2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
+        ((3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
+        ((2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
+        ((7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
+        ((7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
+        ((2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
+    ] {
         let mut bytes = REPLY;
         (bytes[4], bytes[5], bytes[6]) = (da, sa, fc);
         bytes[19] = bytes[4..19].iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte));
-        bytes
-    };
-    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
-    for (bytes, heard) in [
-        (frame(2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
-        (frame(3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
-        (frame(2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
-        (frame(7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
-        (frame(7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
-        (frame(2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
-    ] {
         let mut rig = Rig::up(|_| ());
         rig.request();
         rig.now = rig.now + 200 * US;
@@ -284,8 +279,7 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         rig.arrive(&[telegram::SC]);
         assert_eq!(rig.heard(), unrelated(Unrelated::Kind, None), "an acknowledgement has no data");
         // The true one counts all the same.
-        rig.arrive(&REPLY);
-        assert_eq!(rig.heard(), answer());
+        rig.is_answered(0);
     }
 }
 
@@ -387,16 +381,14 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
         rig.arrive(bytes);
         assert_eq!(rig.heard(), other(sign));
     }
-    rig.now = rig.now + 200 * US;
-    rig.arrive(&REPLY);
-    assert_eq!(rig.heard(), answer());
+    rig.is_answered(200);
 
     // It has returned one: it returns others, early or late.
     let mut rig = Rig::up(|_| ());
     rig.request();
-    rig.arrive(&TOKEN);
-    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
-    rig.now = rig.now + 2_000 * MS;
-    rig.arrive(&TOKEN);
-    assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
+    for later in [0, 2_000 * MS] {
+        rig.now = rig.now + later;
+        rig.arrive(&TOKEN);
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
+    }
 }

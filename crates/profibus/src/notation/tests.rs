@@ -4,7 +4,7 @@ use super::*;
 use fieldbeat_core::axis::acyclic::long::LOAD;
 
 #[test]
-fn addresses_are_codes_and_records() {
+fn addresses_are_codes_and_records_and_the_known_ones_are_listed() {
     let parameter = |code, sub, kind| Some(Target::Parameter(Parameter { code, sub, kind }));
     for (text, expected) in [
         ("C0061", parameter(61, 0, Kind::Own)),
@@ -17,24 +17,25 @@ fn addresses_are_codes_and_records() {
     ] {
         assert_eq!(Target::parse(text), expected, "{text}");
     }
-    for text in [
-        "",
-        "C",
-        "61",
-        "C+61",
-        "C0061/",
-        "C0061/256",
-        "C65536",
-        "C1.",
-        "C1.f32",
-        "1/256",
-        "/3",
-        "1/3/4",
-        "C1 ",
-    ] {
+    for text in "|C|61|C+61|C0061/|C0061/256|C65536|C1.|C1.f32|1/256|/3|1/3/4|C1 ".split('|') {
         assert_eq!(Target::parse(text), None, "{text}");
         let error = Codes.read(text).unwrap_err().to_string();
         assert!(error.contains("C0061") && error.contains("1/3"), "{error}");
+    }
+    // The known codes are listed.
+    let wanted = Wanted { drive: "x", ..Wanted::default() };
+    let Ok(Listing::Known(rows)) = Codes.list(&wanted) else { panic!("they are known") };
+    let row = |address: &str| rows.iter().find(|row| row.address == address).cloned();
+    assert_eq!(row("C0061").and_then(|row| row.usage).as_deref(), Some("i32 read"));
+    assert!(row("C0039/3").is_some() && row("C0039").is_none() && row("C0039/4").is_none());
+    assert!(rows.iter().all(|row| Codes.read(&row.address).is_ok() && row.name.is_some()));
+    assert!(matches!(Codes.list(&Wanted { values: true, ..wanted }), Ok(Listing::Read(_))));
+    for wanted in [
+        Wanted { part: Some("1"), ..wanted },
+        Wanted { modified: true, ..wanted },
+        Wanted { from: Some("C1"), ..wanted },
+    ] {
+        assert!(matches!(Codes.list(&wanted), Err(ListError::Wanted(_))));
     }
 }
 
@@ -55,32 +56,28 @@ fn values_are_counts_or_scaled_by_their_code() {
     ] {
         assert_eq!(Codes.value(address, text), Ok(raw), "{address} {text}");
     }
-    for (address, text) in [
-        ("C0039", "0.00001"),
-        ("C0039", "2147483648"),
-        ("C0039", "300000.0"),
-        ("C0150.u16", "-1"),
-        ("C0150.u16", "1.0"),
-        ("C0150.i8", "128"),
-        ("C0039", "fast"),
-        ("1/3", ""),
-        ("1/3", "0"),
-        ("C0200.text", ""),
-        ("C0200.text", "\u{b5}"),
+    for (address, texts) in [
+        ("C0039", &["0.00001", "2147483648", "300000.0", "fast"][..]),
+        ("C0150.u16", &["-1", "1.0"]),
+        ("C0150.i8", &["128"]),
+        ("1/3", &["", "0"]),
+        ("C0200.text", &["", "\u{b5}"]),
     ] {
-        assert!(Codes.value(address, text).is_err(), "{address} {text}");
+        assert!(texts.iter().all(|text| Codes.value(address, text).is_err()), "{address}");
     }
     assert!(matches!(Codes.value("C0061", "1"), Err(NotationError::ReadOnly { .. })));
     assert!(Codes.write("C0061", 1).is_err() && Codes.write_long("C0061.text", "a").is_none());
-    assert_eq!(Codes.show("C0061", 430_000), "430000 (0x68FB0) = 43.0000 °C");
-    assert_eq!(Codes.show("C0039/2", 0xFFFF_FFFF), "-1 (0xFFFFFFFF) = -0.0001 Hz");
-    assert_eq!(Codes.show("C0999", 25_000), "25000 (0x61A8) = 2.5000");
-    assert_eq!(Codes.show("C0150.u16", 0x237), "567 (0x237)");
-    assert_eq!(Codes.show("1/3", 0xA001), "01 A0 00 00 00 00 00 00");
-    assert_eq!(
-        (Codes.number("C0039", 0xFFFF_FFFE), Codes.number("C0039.u32", 0xFFFF_FFFE)),
-        (-2, 0xFFFF_FFFE)
-    );
+    for (address, raw, shown) in [
+        ("C0061", 430_000, "430000 (0x68FB0) = 43.0000 °C"),
+        ("C0039/2", 0xFFFF_FFFF, "-1 (0xFFFFFFFF) = -0.0001 Hz"),
+        ("C0999", 25_000, "25000 (0x61A8) = 2.5000"),
+        ("C0150.u16", 0x237, "567 (0x237)"),
+        ("1/3", 0xA001, "01 A0 00 00 00 00 00 00"),
+    ] {
+        assert_eq!(Codes.show(address, raw), shown);
+    }
+    let number = |address| Codes.number(address, 0xFFFF_FFFE);
+    assert_eq!((number("C0039"), number("C0039.u32")), (-2, 0xFFFF_FFFE));
 }
 
 #[test]
@@ -101,22 +98,4 @@ fn a_call_has_the_bits_of_its_kind() {
     let calls: Vec<_> = text.iter().map(|call| (call.service, call.value)).collect();
     assert_eq!(calls, [(LOAD, u64::from_le_bytes(*b"left axi")), (LOAD, u64::from(b's')), (STORE, 9)]);
     assert!(Codes.write_long("C0039", "1").is_none() && Codes.write_long("C0200.text", "\n").is_none());
-}
-
-#[test]
-fn the_known_codes_are_listed() {
-    let wanted = Wanted { drive: "x", ..Wanted::default() };
-    let Ok(Listing::Known(rows)) = Codes.list(&wanted) else { panic!("they are known") };
-    let row = |address: &str| rows.iter().find(|row| row.address == address).cloned();
-    assert_eq!(row("C0061").and_then(|row| row.usage).as_deref(), Some("i32 read"));
-    assert!(row("C0039/3").is_some() && row("C0039").is_none() && row("C0039/4").is_none());
-    assert!(rows.iter().all(|row| Codes.read(&row.address).is_ok() && row.name.is_some()));
-    assert!(matches!(Codes.list(&Wanted { values: true, ..wanted }), Ok(Listing::Read(_))));
-    for wanted in [
-        Wanted { part: Some("1"), ..wanted },
-        Wanted { modified: true, ..wanted },
-        Wanted { from: Some("C1"), ..wanted },
-    ] {
-        assert!(matches!(Codes.list(&wanted), Err(ListError::Wanted(_))));
-    }
 }

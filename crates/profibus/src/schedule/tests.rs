@@ -12,12 +12,13 @@ fn wire(rate: u32, drives: u8) -> ProfibusPlan {
     ProfibusPlan::new("/dev/ttyS1", rate, (0..drives).map(drive).collect())
 }
 
-fn every(divisor: u32, plan: ProfibusPlan) -> ProfibusPlan {
-    plan.in_turn(divisor)
+/// The longest record of MSAC1 may come between.
+fn by_records(drive: &mut LenzeDrive) {
+    drive.parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Default::default() };
 }
 
 #[test]
-fn a_turn_of_12_bytes_takes_what_the_sheet_says() {
+fn a_turn_takes_what_the_sheet_says_and_begins_inside_the_windows() {
     let sheet_us = [57_800, 28_900, 12_200, 5_920, 2_960, 1_190, 430, 250, 160, 110];
     for (rate, us) in RATES.into_iter().zip(sheet_us) {
         let turn_us = wire(rate, 1).usual_turn_ns(0) as f64 / 1e3;
@@ -25,33 +26,39 @@ fn a_turn_of_12_bytes_takes_what_the_sheet_says() {
     }
     // 42 bytes of 11 bits, MaxTsdr, Tsyn.
     assert_eq!(wire(1_500_000, 1).usual_turn_ns(0), 645 * 2_000 / 3);
-}
-
-#[test]
-fn whole_turns_begin_inside_the_windows() {
-    // At 500 kbit/s a turn takes 1.19 ms. It begins 0, 1.19, 2.38 ... 4.76 ms after a slot, and then in the next one.
-    assert_eq!(wire(500_000, 3).exchanges_within(6 * MS, WIDE), 5);
-    assert_eq!(wire(500_000, 3).exchanges_within(S, WIDE), 166 * 5 + 4);
-    // With half of the cycle: 0, 1.19, 2.38, and at 3.57 the window is over.
-    assert_eq!(wire(500_000, 1).exchanges_within(S, USUAL), 250 * 3);
-    // At 1.5 Mbit/s 0, 0.43; 0.86 is behind either deadline.
-    assert_eq!(wire(1_500_000, 1).exchanges_within(S, USUAL), 2_000);
-    // At 12 Mbit/s 107.9 us.
-    assert_eq!(wire(12_000_000, 4).exchanges_within(S, WIDE), 8_000);
-    assert_eq!(wire(12_000_000, 0).exchanges_within(S, WIDE), 0);
+    // Whole turns begin inside the windows.
+    for (rate, drives, within, grid, exchanges) in [
+        // At 500 kbit/s a turn takes 1.19 ms. It begins 0, 1.19, 2.38 ... 4.76 ms after a slot, and then in the next.
+        (500_000, 3, 6 * MS, WIDE, 5),
+        (500_000, 3, S, WIDE, 166 * 5 + 4),
+        // With half of the cycle: 0, 1.19, 2.38, and at 3.57 the window is over.
+        (500_000, 1, S, USUAL, 250 * 3),
+        // At 1.5 Mbit/s 0, 0.43; 0.86 is behind either deadline.
+        (1_500_000, 1, S, USUAL, 2_000),
+        // At 12 Mbit/s 107.9 us.
+        (12_000_000, 4, S, WIDE, 8_000),
+        (12_000_000, 0, S, WIDE, 0),
+    ] {
+        assert_eq!(wire(rate, drives).exchanges_within(within, grid), exchanges, "{rate} {drives}");
+    }
 }
 
 #[test]
 fn twelve_megabit_carry_four_drives_in_every_cycle_with_room() {
     let mut plan = wire(12_000_000, 4);
     assert_eq!(plan.schedule_faults(WIDE), []);
-    for drive in &mut plan.drives {
-        drive.parameters = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Default::default() };
-    }
-    // The longest record of MSAC1 fits, too.
+    plan.drives.iter_mut().for_each(by_records);
     assert_eq!(plan.schedule_faults(WIDE), []);
     assert!(!wire(12_000_000, 7).schedule_faults(WIDE).is_empty());
     assert!(!wire(12_000_000, 4).schedule_faults(USUAL).is_empty());
+    // A watchdog outlasts the wait for a turn.
+    let mut plan = wire(1_500_000, 2).in_turn(2);
+    plan.drives[0].watchdog.timeout_ns = Some(10 * MS);
+    assert_eq!(plan.schedule_faults(USUAL), []);
+    plan.drives[0].user_prm[0] |= 1 << 2;
+    plan.drives[0].watchdog.timeout_ns = Some(4 * MS);
+    let said = plan.schedule_faults(USUAL);
+    assert!(matches!(&said[..], [(0, PlanFault { key: "watchdog", .. })]), "{said:?}");
 }
 
 #[test]
@@ -62,14 +69,14 @@ fn what_does_not_fit_is_refused_with_what_would() {
     let expected = "asks for an exchange every 1 ms, which is over ";
     assert!(message.starts_with(expected), "{message}");
     assert!(message.ends_with("; use divisor 2 and phases in turn, or rate 6000000"), "{message}");
-    assert_eq!(every(2, wire(1_500_000, 2)).schedule_faults(USUAL), []);
+    assert_eq!(wire(1_500_000, 2).in_turn(2).schedule_faults(USUAL), []);
     assert_eq!(wire(6_000_000, 2).schedule_faults(USUAL), []);
     assert!(!wire(3_000_000, 2).schedule_faults(USUAL).is_empty());
     for (rate, drives) in [(500_000, 1), (500_000, 4), (1_500_000, 31), (93_750, 2)] {
         let plan = wire(rate, drives);
         let divisor = plan.least_divisor(USUAL).unwrap();
-        assert!(every(divisor, plan.clone()).lay(USUAL).is_ok());
-        assert!(every(divisor - 1, plan.clone()).lay(USUAL).is_err(), "{rate}, {drives}: {divisor}");
+        assert!(plan.in_turn(divisor).lay(USUAL).is_ok());
+        assert!(plan.in_turn(divisor - 1).lay(USUAL).is_err(), "{rate}, {drives}: {divisor}");
         // The wire carries so many.
         let due = S / MS * u64::from(drives) / u64::from(divisor);
         assert!(due <= plan.exchanges_within(S, USUAL), "{rate}, {drives}: {divisor}");
@@ -112,8 +119,7 @@ fn the_longest_wait_is_that_for_all_others_with_their_repetitions() {
     // It is over in the third cycle.
     assert_eq!(USUAL.cycles_behind(plan.turn_within(1, USUAL)), 2);
     // One record of MSAC1 among all turns.
-    plan.drives[0].parameters =
-        ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Default::default() };
+    by_records(&mut plan.drives[0]);
     let record = (255.0 + 15.0) * byte + 183.0 * bit;
     let within = plan.turn_within(1, USUAL) as f64;
     // It is sent twice, from 0.2 ms to 4.4 ms, then two tries of the other one begin at 4.4 and at 5 ms.
@@ -145,15 +151,4 @@ fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
     let mut plan = wire(500_000, 1);
     plan.drives[0].axis.divisor = 3;
     assert_eq!((plan.request_within(0, USUAL), plan.request_within(1, USUAL)), (32 * US, 0));
-}
-
-#[test]
-fn a_watchdog_outlasts_the_wait_for_a_turn() {
-    let mut plan = every(2, wire(1_500_000, 2));
-    plan.drives[0].watchdog.timeout_ns = Some(10 * MS);
-    assert_eq!(plan.schedule_faults(USUAL), []);
-    plan.drives[0].user_prm[0] |= 1 << 2;
-    plan.drives[0].watchdog.timeout_ns = Some(4 * MS);
-    let said = plan.schedule_faults(USUAL);
-    assert!(matches!(&said[..], [(0, PlanFault { key: "watchdog", .. })]), "{said:?}");
 }

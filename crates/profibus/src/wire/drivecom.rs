@@ -96,8 +96,6 @@ impl fmt::Display for ErrorCode {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
     use super::*;
 
     fn read(bits: u32, code: u16) -> Job {
@@ -105,32 +103,40 @@ mod tests {
     }
 
     #[test]
-    fn manual_e94aycpm_reads_c0061() {
-        // The length of the job is don't-care, that of the reply the drive's own: 2 bytes.
-        assert_eq!(encode(&read(8, 61), false), [0x01, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let answer = [0x11, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0];
-        assert_eq!(reply(&read(16, 61), false, &answer), Some(Ok(43)));
-        // With the other handshake bit neither is the other's.
-        assert_eq!(encode(&read(8, 61), true), [0x41, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let toggled = [0x51, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0];
-        assert_eq!(reply(&read(16, 61), true, &toggled), Some(Ok(43)));
-        assert_eq!(reply(&read(16, 61), false, &toggled), None);
-        assert_eq!(reply(&read(16, 61), true, &answer), None);
-    }
-
-    #[test]
-    fn manual_emf_reads_c0061_and_writes_c0039() {
-        assert_eq!(encode(&read(32, 61), false), [0x31, 0, 0x5F, 0xC2, 0, 0, 0, 0]);
-        let answer = [0x31, 0, 0x5F, 0xC2, 0, 0x06, 0x8F, 0xB0];
-        assert_eq!(reply(&read(32, 61), false, &answer), Some(Ok(430_000)));
-        let write = Job { write: Some(1_504_000), ..read(32, 39) };
-        assert_eq!(encode(&write, true), [0x72, 0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
-        // Replies to a write as three modules give them: the lower bits differ.
-        let of_service = |service| reply(&write, true, &[service, 0, 0x5F, 0xD8, 1, 2, 3, 4]);
-        assert!(
-            [0x72, 0x70, 0x40].into_iter().all(|service| of_service(service).is_some_and(|end| end.is_ok()))
-        );
-        assert!([0x32, 0x30, 0x00].into_iter().all(|service| of_service(service).is_none()));
+    fn jobs_and_replies_are_those_of_the_manuals_and_of_one_handshake_bit() {
+        let write = |bits, code, value| Job { write: Some(value), ..read(bits, code) };
+        for (source, job, bit, bytes, answer, value) in [
+            // The length of the job is don't-care, that of the reply the drive's own: 2 bytes.
+            ("E94AYCPM", read(16, 61), false, 0x1100_5FC2_0000_0000_u64, 0x1100_5FC2_002B_0000_u64, 43),
+            ("E94AYCPM", read(16, 61), true, 0x5100_5FC2_0000_0000, 0x5100_5FC2_002B_0000, 43),
+            ("EMF", read(32, 61), false, 0x3100_5FC2_0000_0000, 0x3100_5FC2_0006_8FB0, 430_000),
+            // Replies to a write as three modules give them: the lower bits differ.
+            ("EMF", write(32, 39, 1_504_000), true, 0x7200_5FD8_0016_F300, 0x7200_5FD8_0016_F300, 1_504_000),
+            ("EMF", write(32, 39, 1_504_000), true, 0x7200_5FD8_0016_F300, 0x7000_5FD8_0016_F300, 1_504_000),
+            ("EMF", write(32, 39, 1_504_000), true, 0x7200_5FD8_0016_F300, 0x4000_5FD8_0016_F300, 1_504_000),
+            // Data stand on the left.
+            ("sheet", write(8, 0, 0x12), false, 0x0200_5FFF_1200_0000, 0x0200_5FFF_1200_0000, 0x12),
+            ("sheet", write(16, 0, 0x1234), false, 0x1200_5FFF_1234_0000, 0x1200_5FFF_1234_0000, 0x1234),
+            (
+                "sheet",
+                write(32, 0, 0x1234_5678),
+                false,
+                0x3200_5FFF_1234_5678,
+                0x3200_5FFF_1234_5678,
+                0x1234_5678,
+            ),
+        ] {
+            let [bytes, answer] = [bytes, answer].map(u64::to_be_bytes);
+            assert_eq!(encode(&job, bit), bytes, "{source}");
+            assert_eq!(reply(&job, bit, &answer), Some(Ok(value)), "{source} {answer:02X?}");
+            assert_eq!(reply(&job, !bit, &answer), None, "{source}: the bit of another job");
+            assert_eq!(reply(&Job { sub: 1, ..job }, bit, &answer), None, "{source}");
+            assert_eq!(reply(&Job { code: job.code ^ 1, ..job }, bit, &answer), None, "{source}");
+        }
+        assert_eq!(encode(&read(8, 61), false)[0], 0x01);
+        assert_eq!(encode(&write(8, 0, 0xFFFF_FF12), false)[4..], [0x12, 0, 0, 0]);
+        assert_eq!((none(true), none(false)), ([0x40, 0, 0, 0, 0, 0, 0, 0], [0; 8]));
+        assert_eq!((index_of(24575), index_of(24576)), (Some(0), None));
     }
 
     #[test]
@@ -140,33 +146,5 @@ mod tests {
         assert_eq!(error.to_string(), "error 6/7/0000: the object does not exist");
         assert_eq!(ErrorCode(0x0800_0034).to_string(), "error 8/0/0034: a part of the parameter is wrong");
         assert_eq!(ErrorCode(0x0800_0040).to_string(), "error 8/0/0040: unknown");
-    }
-
-    #[test]
-    fn data_stand_on_the_left() {
-        let write = |bits, value| encode(&Job { write: Some(value), ..read(bits, 0) }, false);
-        assert_eq!(write(8, 0xFFFF_FF12), [0x02, 0, 0x5F, 0xFF, 0x12, 0, 0, 0]);
-        assert_eq!(write(16, 0x1234), [0x12, 0, 0x5F, 0xFF, 0x12, 0x34, 0, 0]);
-        assert_eq!(write(32, 0x1234_5678), [0x32, 0, 0x5F, 0xFF, 0x12, 0x34, 0x56, 0x78]);
-        assert_eq!((none(true), none(false)), ([0x40, 0, 0, 0, 0, 0, 0, 0], [0; 8]));
-        assert_eq!((index_of(24575), index_of(24576)), (Some(0), None));
-    }
-
-    proptest! {
-        #[test]
-        fn what_is_written_is_read_back(value: u32, code: u16, sub: u8, handshake: bool, error: bool) {
-            for bits in [8, 16, 32] {
-                let value = value >> (32 - bits);
-                let job = Job { code, sub, bits, write: Some(value) };
-                // A drive that mirrors the job, and sets its bit 7 or not.
-                let mut channel = encode(&job, handshake);
-                channel[0] |= if error { ERROR } else { 0 };
-                let answer = reply(&job, handshake, &channel).expect("its own");
-                prop_assert_eq!(answer.ok(), (!error).then_some(value));
-                prop_assert_eq!(reply(&job, !handshake, &channel), None);
-                prop_assert_eq!(reply(&Job { sub: !sub, ..job }, handshake, &channel), None);
-                prop_assert_eq!(reply(&Job { code: !code, ..job }, handshake, &channel), None);
-            }
-        }
     }
 }

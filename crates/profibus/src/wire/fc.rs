@@ -50,22 +50,3 @@ pub const fn refusal(function: u8) -> &'static str {
         _ => "a function that is no refusal",
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn codes_of_the_sheet_are_what_it_says() {
-        for (code, function, fcb, fcv) in [
-            (0x6D, Function::SrdHigh, true, false),
-            (0x5D, Function::SrdHigh, false, true),
-            (0x7D, Function::SrdHigh, true, true),
-            (0x5C, Function::SrdLow, false, true),
-            (0x49, Function::FdlStatus, false, false),
-            (0x46, Function::SdnHigh, false, false),
-        ] {
-            assert_eq!(FunctionCode::request(function, fcb, fcv), FunctionCode(code));
-        }
-    }
-}

@@ -1,4 +1,4 @@
-//! Golden telegrams, each with its source, and what must not happen on any bytes.
+//! Golden telegrams, each with its source.
 //!
 //! Unless said otherwise they are the sheet's, made by pyprofibus's encoder or seen on a wire: slave 7, master 2.
 

@@ -100,10 +100,7 @@ mod tests {
         // Both words of a fault: one in which the drive still reacts, one in which it is off.
         assert_eq!(DrivecomStatus(0x002F).state(), State::FaultReactionActive);
         assert_eq!(DrivecomStatus(0x0008).state(), State::Fault);
-    }
-
-    #[test]
-    fn commands_are_the_bits_of_the_sheet() {
+        // Commands, as the sheet has them.
         use DrivecomControl as C;
         let run = C::ENABLED.with(C::RAMP_ENABLE | C::RAMP_RUN | C::SETPOINT);
         assert_eq!(run, C(0x007F));

@@ -67,26 +67,26 @@ fn pkw_without_a_pause_goes_from_code_to_code_and_pauses_before_the_same_one() {
 #[test]
 fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
     let mut side = Side::new(PKW);
-    let write = |raw: u64| (WRITE, C0039_2, raw);
-    for ((service, address, value), job, answer, expected) in [
+    for (service, address, value, job, answer, expected) in [
         // Element jobs of a subcode; 7 is "write word" from the master, and "error" from the drive.
-        (write(1_504_000), "80270200 0016F300", "50270200 0016F300", Ok(1_504_000)),
-        (write(9), "80270200 00000009", "70270200 00000002", Err(2)),
-        (write(9), "80270200 00000009", "80270200 00000000", Err(0x0B)),
-        ((READ, C0039_2, 0), "60270200 00000000", "40270200 0000FFFF", Ok(0xFFFF)),
-        ((WRITE, code(150, 1, Kind::U16), 0x1_0007), "70960100 00000007", "40960100 00000007", Ok(0x1_0007)),
-        ((WRITE, code(150, 0, Kind::I16), 0xFFFE), "20960000 0000FFFE", "10960000 0000FFFE", Ok(0xFFFE)),
-        ((READ, code(1999, 0, Kind::Own), 0), "17CF0000 00000000", "77CF0000 00000000", Err(0)),
-        ((READ, C0061, 0), "103D0000 00000000", "303D0000 00068FB0", Err(BROKEN)),
+        (WRITE, C0039_2, 1_504_000, "80270200 0016F300", "50270200 0016F300", Ok(1_504_000)),
+        (WRITE, C0039_2, 9, "80270200 00000009", "70270200 00000002", Err(2)),
+        (WRITE, C0039_2, 9, "80270200 00000009", "80270200 00000000", Err(0x0B)),
+        (READ, C0039_2, 0, "60270200 00000000", "40270200 0000FFFF", Ok(0xFFFF)),
+        (WRITE, code(150, 1, Kind::U16), 0x1_0007, "70960100 00000007", "40960100 00000007", Ok(0x1_0007)),
+        (WRITE, code(150, 0, Kind::I16), 0xFFFE, "20960000 0000FFFE", "10960000 0000FFFE", Ok(0xFFFE)),
+        (READ, code(1999, 0, Kind::Own), 0, "17CF0000 00000000", "77CF0000 00000000", Err(0)),
+        // The sheet's write of C0039, and an element of the FPBA manual.
+        (WRITE, code(39, 0, Kind::Own), 1_504_000, "30270000 0016F300", "20270000 0016F300", Ok(1_504_000)),
+        (READ, code(0x54, 0x0B, Kind::Own), 0, "60540B00 00000000", "40540B00 00000064", Ok(100)),
+        // No ids of a value.
+        (READ, C0061, 0, "103D0000 00000000", "303D0000 00068FB0", Err(BROKEN)),
+        (READ, C0061, 0, "103D0000 00000000", "603D0000 00068FB0", Err(BROKEN)),
+        (READ, C0061, 0, "103D0000 00000000", "903D0000 00068FB0", Err(BROKEN)),
     ] {
         let [job, answer] = [job, answer].map(hex);
         let mut ticket = side.post(service, address, value);
-        let (mut turn, mut foreign) = (0, Vec::new());
-        for at in [0, 1, 2] {
-            let mut other = answer;
-            other[at] ^= if at == 0 { 1 } else { 4 };
-            foreign.push(other);
-        }
+        let mut turn = 0;
         let end = side.by_channel(&mut ticket, |out| {
             if out == [0; 8] {
                 return Some(out);
@@ -94,11 +94,14 @@ fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
             assert_eq!(out, job);
             turn += 1;
             // Those to another code, or another subcode, and one that is lost.
+            let mut reply = answer;
             match turn {
-                1..=3 => Some(foreign[turn - 1]),
-                4 => None,
-                _ => Some(answer),
+                1 => reply[0] ^= 1,
+                2 | 3 => reply[turn - 1] ^= 4,
+                4 => return None,
+                _ => {}
             }
+            Some(reply)
         });
         assert_eq!(end, expected.map_err(CallError::Refused), "{answer:02X?}");
     }
@@ -156,8 +159,8 @@ fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
         let mut side = Side::new(ParameterPath::Drivecom);
         let mut drive = Drivecom { bare, ..Drivecom::new([0, 0x06, 0x8F, 0xB0]) };
         for _ in 0..3 {
-            let mut ticket = side.read(C0061);
             let mut jobs = Vec::new();
+            let mut ticket = side.read(C0061);
             let end = side.by_channel(&mut ticket, |out| {
                 jobs.push(out);
                 Some(drive.exchange(out))
@@ -166,15 +169,18 @@ fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
             assert!(jobs.iter().any(|job| job[0] & 0xBF == 0x31 && job[1..] == [0, 0x5F, 0xC2, 0, 0, 0, 0]));
         }
         // The length of the reply says 4: it is that of the code that counts.
-        for (kind, raw) in [(Kind::U8, 0), (Kind::U16, 6), (Kind::I32, 0x0006_8FB0)] {
-            let mut ticket = side.read(code(61, 0, kind));
-            assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(raw), "{kind:?}");
+        let (read, write) = ([0, 0x06, 0x8F, 0xB0], [0; 4]);
+        for (service, address, raw, value) in [
+            (READ, code(61, 0, Kind::U8), 0, read),
+            (READ, code(61, 0, Kind::U16), 6, read),
+            (READ, code(61, 0, Kind::I32), 0x0006_8FB0, read),
+            (WRITE, code(39, 0, Kind::Own), 1_504_000, write),
+            (WRITE, code(39, 2, Kind::U16), 0xFFFE, write),
+        ] {
+            drive.value = value;
+            let mut ticket = side.post(service, address, raw);
+            assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(raw), "{address:X}");
         }
-        drive.value = [0; 4];
-        let mut ticket = side.write(code(39, 0, Kind::Own), 1_504_000);
-        assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(1_504_000));
-        let mut ticket = side.write(code(39, 2, Kind::U16), 0xFFFE);
-        assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(0xFFFE));
         assert_eq!(drive.writes.iter().map(|job| job[0] & 0xBF).collect::<Vec<_>>(), [0x32, 0x12]);
         assert_eq!(drive.writes[0][1..], [0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
         assert_eq!(drive.writes[1][1..], [2, 0x5F, 0xD8, 0xFF, 0xFE, 0, 0]);
@@ -214,19 +220,15 @@ fn drivecom_begins_against_what_the_drive_shows() {
     // One that still shows the bit of a master before, and follows at once, later, or not at all.
     for follows in [Some(0), Some(1), Some(3), None] {
         let mut side = Side::new(ParameterPath::Drivecom);
-        let mut shown = 0x40;
+        let (mut shown, mut acted) = (0x40, 0);
         let mut behind = std::collections::VecDeque::from(vec![0x40; follows.unwrap_or(0)]);
         let mut ticket = side.read(C0061);
-        let mut acted = 0;
         let end = side.by_channel(&mut ticket, |out| {
-            if out[0] & 7 == 0 {
-                if follows.is_some() {
-                    behind.push_back(out[0] & 0x40);
-                    shown = behind.pop_front().unwrap();
-                }
-                return Some([shown, 0, 0, 0, 0, 0, 0, 0]);
+            if out[0] & 7 == 0 && follows.is_some() {
+                behind.push_back(out[0] & 0x40);
+                shown = behind.pop_front().unwrap();
             }
-            if out[0] & 0x40 == shown {
+            if out[0] & 7 == 0 || out[0] & 0x40 == shown {
                 return Some([shown, 0, 0, 0, 0, 0, 0, 0]);
             }
             acted += 1;
@@ -234,10 +236,7 @@ fn drivecom_begins_against_what_the_drive_shows() {
         });
         assert_eq!((end, acted), (Ok(9), 1), "{follows:?}");
     }
-}
-
-#[test]
-fn one_wrong_answer_does_not_keep_a_channel_from_its_first_job() {
+    // One wrong answer does not keep it from its first job.
     let mut side = Side::new(ParameterPath::Drivecom);
     side.rest(1, [0x40, 0, 0, 0, 0, 0, 0, 0]);
     let mut ticket = side.read(C0061);
@@ -286,13 +285,14 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
 #[test]
 fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
     for (path, cancels) in
-        [(PKW, false), (PKW, true), (ParameterPath::Drivecom, false), (ParameterPath::Drivecom, true)]
+        [PKW, ParameterPath::Drivecom].into_iter().flat_map(|path| [(path, false), (path, true)])
     {
         let mut side = Side::new(path);
         side.rest(3, [0; 8]);
         let mut first = side.write(C0039_2, 1);
         let Sent::Exchange(job) = side.turn() else { panic!("a channel") };
         side.access.channel_answered(&[0; 8]);
+        let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
         if cancels {
             first.cancel();
         } else {
@@ -304,7 +304,6 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
             assert!(side.access.commands());
             side.access.channel_answered(&[0; 8]);
         }
-        let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
         assert_eq!(first.poll(), Some(Err(why)));
         let mut late = job;
         late[0] = if path == PKW { 0x50 | job[0] & 0xF } else { job[0] & 0x40 };
@@ -317,12 +316,7 @@ fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
             })
         });
         assert_eq!(end, Ok(2), "{path:?}");
-    }
-}
-
-#[test]
-fn a_drive_that_never_answers_holds_up_nothing_for_ever() {
-    for path in [PKW, ParameterPath::Drivecom] {
+        // One that never answers holds up nothing for ever.
         let mut side = Side::new(path);
         let mut ticket = side.write(C0039_2, 1);
         assert_eq!(side.by_channel(&mut ticket, |_| Some([0; 8])), Err(CallError::TimedOut));

@@ -33,6 +33,11 @@ impl Module {
         }
     }
 
+    /// How a call ends that it serves.
+    fn end(&mut self, side: &mut Side, ticket: &mut CallTicket) -> Result<u64, CallError> {
+        side.until(ticket, Some, |data| Some(self.exchange(data)))
+    }
+
     fn exchange(&mut self, data: &[u8]) -> Reply {
         if !data.is_empty() {
             if self.stored.is_some() {
@@ -132,65 +137,56 @@ fn msac1_reads_c0061_with_the_telegrams_of_the_sheet() {
 
 #[test]
 fn several_codes_are_read_in_one_request_each_with_its_own_end() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module::new();
-    let mut others = [side.read(code(39, 2, Kind::Own)), side.read(code(999, 0, Kind::Own))];
+    let (mut side, mut module) = (Side::new(MSAC1), Module::new());
+    let unknown = code(999, 0, Kind::Own);
+    let mut others = [side.read(code(39, 2, Kind::Own)), side.read(unknown)];
     let mut last = side.read(C0061);
-    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Ok(430_000));
+    assert_eq!(module.end(&mut side, &mut last), Ok(430_000));
     let ends = others.each_mut().map(|ticket| ticket.poll().unwrap().map(|answer| answer.value));
     assert_eq!((module.requests, ends), (1, [Ok(7), Err(CallError::Refused(0))]));
     // More than a request holds, and another call behind them.
     let mut many: Vec<CallTicket> = (0..BATCH + 3).map(|_| side.read(C0061)).collect();
     let mut record = side.read(record(1, 3));
-    assert_eq!(side.by_msac1(&mut record, |data| Some(module.exchange(data))), Ok(0x03_0201));
+    assert_eq!(module.end(&mut side, &mut record), Ok(0x03_0201));
     assert!(many.iter_mut().all(|ticket| ticket.poll().unwrap().unwrap().value == 430_000));
     assert_eq!(module.requests, 3);
     // In a series, nothing behind the first that fails is reported as done.
-    let mut series = side.series(&[(READ, C0061, 0), (READ, code(999, 0, Kind::Own), 0), (READ, C0061, 0)]);
-    let mut last = series.pop().unwrap();
-    let end = side.by_msac1(&mut last, |data| Some(module.exchange(data)));
-    assert_eq!(end, Err(CallError::Skipped));
+    let mut series = side.series(&[(READ, C0061, 0), (READ, unknown, 0), (READ, C0061, 0)]);
+    assert_eq!(module.end(&mut side, &mut series[2]), Err(CallError::Skipped));
     assert!(series[0].poll().unwrap().is_ok());
 }
 
 #[test]
 fn writes_go_together_unless_the_first_that_fails_has_to_end_the_rest() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module::new();
+    let (mut side, mut module) = (Side::new(MSAC1), Module::new());
     let mut first = side.write(C0039_2, (-5_i32) as u32 as u64);
     let mut last = side.write(code(12, 0, Kind::U8), 0x1FF);
-    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Ok(0x1FF));
+    assert_eq!(module.end(&mut side, &mut last), Ok(0x1FF));
     assert!(first.poll().unwrap().is_ok());
     let expected = [
         &[1, 2, 0, 2, 0x10, 1, 0x5F, 0xD8, 0, 2, 0x10, 0, 0x5F, 0xF3, 0, 0][..],
         &[4, 1, 0xFF, 0xFF, 0xFF, 0xFB, 5, 1, 0xFF, 0],
     ];
     assert_eq!(module.written, [expected.concat()]);
-    module.written.clear();
-    let series = [(WRITE, code(999, 0, Kind::Own), 1), (WRITE, C0039_2, 2)];
-    let mut series = side.series(&series);
-    let mut last = series.pop().unwrap();
-    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
-    assert_eq!(series[0].poll(), Some(Err(CallError::Refused(0))));
-    assert_eq!(module.written.len(), 1, "the second one was never sent");
-    // A read that fails keeps the write behind it from being sent.
-    let mut series = side.series(&[(READ, code(999, 0, Kind::Own), 0), (WRITE, C0039_2, 2)]);
-    let mut last = series.pop().unwrap();
-    assert_eq!(side.by_msac1(&mut last, |data| Some(module.exchange(data))), Err(CallError::Skipped));
-    assert_eq!(module.written.len(), 1);
+    // What is behind a write that fails, or behind a read, was never sent.
+    for (service, value, sent) in [(WRITE, 1, 2), (READ, 0, 2)] {
+        let mut series = side.series(&[(service, code(999, 0, Kind::Own), value), (WRITE, C0039_2, 2)]);
+        assert_eq!(module.end(&mut side, &mut series[1]), Err(CallError::Skipped));
+        assert_eq!(series[0].poll(), Some(Err(CallError::Refused(0))));
+        assert_eq!(module.written.len(), sent, "{service}");
+    }
     // One that is cancelled before the request leaves is not in it.
     let mut wanted = side.write(C0039_2, 3);
     let unwanted = side.write(C0039_2, 4);
     side.access.advance(side.now, Link::Online, true, false);
     drop(unwanted);
-    assert!(side.by_msac1(&mut wanted, |data| Some(module.exchange(data))).is_ok());
+    assert!(module.end(&mut side, &mut wanted).is_ok());
     assert_eq!(module.written.last().map(|request| request[3]), Some(1));
 }
 
 #[test]
-fn a_response_to_another_request_is_not_taken() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module::new();
+fn a_response_to_another_request_is_not_taken_and_one_that_is_cut_ends_the_call() {
+    let (mut side, mut module) = (Side::new(MSAC1), Module::new());
     let mut ticket = side.read(C0061);
     let mut foreign = 2;
     let end = side.by_msac1(&mut ticket, |data| match module.exchange(data) {
@@ -205,82 +201,52 @@ fn a_response_to_another_request_is_not_taken() {
         reply => Some(reply),
     });
     assert_eq!((end, foreign), (Ok(430_000), 0));
-}
-
-#[test]
-fn an_answer_that_is_cut_or_is_none_ends_the_call() {
-    let cut = |service, answer: &dyn Fn(&mut Vec<u8>)| {
-        let mut side = Side::new(MSAC1);
-        let mut module = Module::new();
-        let mut ticket = side.post(service, C0039_2, 1);
-        side.by_msac1(&mut ticket, |data| match module.exchange(data) {
-            Reply::Data(mut data) if data[0] == 0x5E => {
-                answer(&mut data);
-                Some(Reply::Data(data))
-            }
-            reply => Some(reply),
-        })
-    };
-    let broken = Err(CallError::Refused(BROKEN));
-    let shorter = |data: &mut Vec<u8>| data.truncate(data.len() - 1);
-    let shorter_inside = |data: &mut Vec<u8>| {
-        data.pop();
-        data[3] -= 1;
-    };
-    for service in [READ, WRITE] {
-        assert_eq!(cut(service, &shorter), broken);
-        assert_eq!(cut(service, &shorter_inside), broken);
-        // Another axis, another number of parameters, another id.
-        for (at, bit) in [(6, 1), (7, 1), (5, 3), (0, 0x20)] {
-            assert_eq!(cut(service, &|data: &mut Vec<u8>| data[at] ^= bit), broken, "{at}");
+    type Change = fn(&mut Vec<u8>);
+    let changes: [(&str, Change); 6] = [
+        ("cut", |data| data.truncate(data.len() - 1)),
+        ("cut inside", |data| (data[3], _) = (data[3] - 1, data.pop())),
+        ("another axis", |data| data[6] ^= 1),
+        ("another number of parameters", |data| data[7] ^= 1),
+        ("another id", |data| data[5] ^= 3),
+        ("another service", |data| data[0] ^= 0x20),
+    ];
+    for (what, change) in changes {
+        for service in [READ, WRITE] {
+            let (mut side, mut module) = (Side::new(MSAC1), Module::new());
+            let mut ticket = side.post(service, C0039_2, 1);
+            let end = side.by_msac1(&mut ticket, |data| {
+                let mut reply = module.exchange(data);
+                match &mut reply {
+                    Reply::Data(data) if data[0] == 0x5E => change(data),
+                    _ => {}
+                }
+                Some(reply)
+            });
+            assert_eq!(end, Err(CallError::Refused(BROKEN)), "{what}");
         }
     }
 }
 
 #[test]
-fn a_write_is_sent_once_whatever_is_lost() {
+fn whatever_is_lost_a_read_is_done_and_a_write_sent_once() {
     // Each telegram in turn is lost: the request, or the answer to it.
     for (lost, answer) in (0..16).flat_map(|lost| [(lost, false), (lost, true)]) {
-        let mut side = Side::new(MSAC1);
-        let mut module = Module::new();
-        let mut ticket = side.write(C0039_2, 9);
-        let mut number = 0;
-        let end = side.by_msac1(&mut ticket, |data| {
-            number += 1;
-            match number - 1 == lost {
-                true if answer => {
-                    module.exchange(data);
-                    None
-                }
-                true => None,
-                false => Some(module.exchange(data)),
-            }
-        });
-        // It may be uncertain. It was never done twice, and is never said to be done if it was not.
-        assert!(module.written.len() <= 1, "{lost} {answer}");
-        match end {
-            Ok(9) => assert_eq!(module.written.len(), 1, "{lost} {answer}"),
-            end => assert_eq!(end, Err(CallError::TimedOut), "{lost} {answer}"),
-        }
-        assert!(end.is_ok() || lost == 0 || answer, "a request or a poll that never arrived costs nothing");
-    }
-}
-
-#[test]
-fn a_read_is_done_whatever_is_lost() {
-    for (lost, answer) in (0..16).flat_map(|lost| [(lost, false), (lost, true)]) {
-        for address in [C0061, record(1, 3)] {
-            let mut side = Side::new(MSAC1);
-            let mut module = Module::new();
-            let mut ticket = side.read(address);
-            let mut number = 0;
+        let run = |call: &dyn Fn(&Side) -> CallTicket| {
+            let (mut side, mut module) = (Side::new(MSAC1), Module::new());
+            let (mut ticket, mut number) = (call(&side), 0);
             let end = side.by_msac1(&mut ticket, |data| {
                 number += 1;
-                let reply = if number - 1 == lost && !answer { None } else { Some(module.exchange(data)) };
-                reply.filter(|_| number - 1 != lost)
+                let arrives = number - 1 != lost || answer;
+                arrives.then(|| module.exchange(data)).filter(|_| number - 1 != lost)
             });
-            assert_eq!(end, Ok(if address == C0061 { 430_000 } else { 0x03_0201 }), "{lost} {answer}");
-        }
+            (end, module.written.len())
+        };
+        assert_eq!(run(&|side| side.read(C0061)), (Ok(430_000), 0), "{lost} {answer}");
+        assert_eq!(run(&|side| side.read(record(1, 3))), (Ok(0x03_0201), 0), "{lost} {answer}");
+        // It may be uncertain. It was never done twice, and is never said to be done if it was not.
+        let (end, written) = run(&|side| side.write(C0039_2, 9));
+        assert!(matches!((&end, written), (Ok(9), 1) | (Err(CallError::TimedOut), 0 | 1)), "{lost} {answer}");
+        assert!(end.is_ok() || lost == 0 || answer, "a request or a poll that never arrived costs nothing");
     }
 }
 
@@ -296,22 +262,19 @@ fn busy_is_again_later_and_all_else_is_refused_by_name() {
         let mut module = Module::new();
         let mut ticket = side.write(C0039_2, 9);
         let (mut times, mut at) = (3, Vec::new());
-        let now = std::cell::Cell::new(0);
-        let end = side.until(
-            &mut ticket,
-            |out| {
-                now.set(now.get() + 1);
-                Some(out)
-            },
-            |data| {
-                if data.first() == Some(&0x5F) && times > 0 {
-                    times -= 1;
-                    at.push(now.get());
-                    return Some(Reply::Data(refusal.to_vec()));
-                }
-                Some(module.exchange(data))
-            },
-        );
+        let exchanges = std::cell::Cell::new(0);
+        let channel = |out| {
+            exchanges.set(exchanges.get() + 1);
+            Some(out)
+        };
+        let end = side.until(&mut ticket, channel, |data| {
+            if data.first() == Some(&0x5F) && times > 0 {
+                times -= 1;
+                at.push(exchanges.get());
+                return Some(Reply::Data(refusal.to_vec()));
+            }
+            Some(module.exchange(data))
+        });
         assert_eq!(end, expected);
         assert!(at.windows(2).all(|two| two[1] - two[0] >= 4), "{at:?}");
         assert_eq!(module.written.len(), usize::from(expected.is_ok()));
@@ -324,47 +287,49 @@ fn busy_is_again_later_and_all_else_is_refused_by_name() {
 }
 
 #[test]
-fn a_write_whose_outcome_is_refused_is_uncertain() {
+fn a_write_whose_outcome_is_refused_or_lost_is_uncertain() {
     // The poll for the answer, and the reading of the response.
     for (refused, reply) in [
         (&[][..], Reply::Refused(3)),
         (&[0x5E, 0, 47, 240], Reply::Refused(3)),
         (&[0x5E, 0, 47, 240], Reply::Data(vec![0xDE, 0x80, 0xB6, 0])),
     ] {
-        let mut side = Side::new(MSAC1);
-        let mut module = Module::new();
+        let (mut side, mut module) = (Side::new(MSAC1), Module::new());
         let mut ticket = side.write(C0039_2, 9);
         let end = side.by_msac1(&mut ticket, |data| {
             Some(if data == refused { reply.clone() } else { module.exchange(data) })
         });
         assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1), "{reply:?}");
     }
+    // A record.
+    let (mut side, mut module) = (Side::new(MSAC1), Module { delay: 0, ..Module::new() });
+    let to = record(1, 3);
+    let mut pieces = side.series(&[(LOAD, to, 1), (STORE, to, 8)]);
+    let mut first = true;
+    let end = side.by_msac1(&mut pieces[1], |data| {
+        let reply = module.exchange(data);
+        (!std::mem::take(&mut first)).then_some(reply)
+    });
+    assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1));
 }
 
 #[test]
-fn an_answer_that_nobody_has_fetched_is_fetched_first() {
-    let mut side = Side::new(MSAC1);
+fn what_nobody_has_fetched_is_fetched_before_the_next_request() {
     let stale = vec![0x5E, 0, 47, 4, 1, 1, 0, 1];
-    let mut module = Module { stored: Some((1, stale)), ..Module::new() };
+    let (mut side, mut module) = (Side::new(MSAC1), Module { stored: Some((1, stale)), ..Module::new() });
     let mut ticket = side.write(C0039_2, 9);
-    assert_eq!(side.by_msac1(&mut ticket, |data| Some(module.exchange(data))), Ok(9));
-    assert_eq!(module.written.len(), 1);
-}
+    assert_eq!((module.end(&mut side, &mut ticket), module.written.len()), (Ok(9), 1));
 
-#[test]
-fn the_answer_to_a_request_that_was_given_up_is_fetched_before_the_next_one() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module { delay: u32::MAX, ..Module::new() };
+    // The answer to a request that was given up comes at last.
+    let (mut side, mut module) = (Side::new(MSAC1), Module { delay: u32::MAX, ..Module::new() });
     let mut first = side.read(C0061);
-    let end = side.by_msac1(&mut first, |data| Some(module.exchange(data)));
-    assert_eq!(end, Err(CallError::TimedOut));
+    assert_eq!(module.end(&mut side, &mut first), Err(CallError::TimedOut));
     while !side.access.is_idle() {
         match side.turn() {
             Sent::Exchange(inputs) => side.access.channel_answered(&inputs),
             Sent::Msac1(data) => side.access.answered(side.now, module.exchange(&data).answer()),
         }
     }
-    // It comes at last.
     module.delay = 0;
     module.stored.iter_mut().for_each(|(polls, _)| *polls = 1);
     let mut second = side.read(C0061);
@@ -374,36 +339,15 @@ fn the_answer_to_a_request_that_was_given_up_is_fetched_before_the_next_one() {
         Some(reply)
     });
     assert_eq!(end, Ok(430_000));
-}
 
-#[test]
-fn a_write_that_has_timed_out_ends_with_the_drive_before_the_next_call() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module { busy: u32::MAX, ..Module::new() };
-    let mut first = side.write(C0039_2, 9);
-    let mut second = side.read(C0061);
-    let end = side.by_msac1(&mut first, |data| Some(module.exchange(data)));
-    assert_eq!(end, Err(CallError::TimedOut));
+    // A write that has timed out ends with the drive.
+    let (mut side, mut module) = (Side::new(MSAC1), Module { busy: u32::MAX, ..Module::new() });
+    let [mut first, mut second] = [side.write(C0039_2, 9), side.read(C0061)];
+    assert_eq!(module.end(&mut side, &mut first), Err(CallError::TimedOut));
     assert!(side.access.commands());
-    module.left = 3;
-    module.busy = 0;
-    assert_eq!(side.by_msac1(&mut second, |data| Some(module.exchange(data))), Ok(430_000));
+    (module.left, module.busy) = (3, 0);
+    assert_eq!(module.end(&mut side, &mut second), Ok(430_000));
     assert!(!side.access.commands() && module.written.len() == 1 && module.requests == 2);
-}
-
-#[test]
-fn what_the_drive_forgets_ends_with_it() {
-    for (service, why) in [(READ, CallError::Restarted), (WRITE, CallError::TimedOut)] {
-        let mut side = Side::new(MSAC1);
-        let mut ticket = side.post(service, C0039_2, 0);
-        while !matches!(side.turn(), Sent::Msac1(_)) {
-            side.access.channel_answered(&[0; 8]);
-        }
-        side.access.ended();
-        assert_eq!(ticket.poll(), Some(Err(why)));
-        side.rest(2, [0; 8]);
-        assert!(side.access.is_idle());
-    }
 }
 
 /// A module with a text of 51 characters, of which a response has at most so many.
@@ -462,72 +406,58 @@ fn a_text_is_read_whole_or_in_parts() {
 fn a_text_is_written_whole_by_msac1_and_refused_by_name_elsewhere() {
     let to = code(199, 0, Kind::Text);
     let calls = |text: &[u8]| [(LOAD, to, raw(text)), (STORE, to, text.len() as u64)];
-    for text in [b"axis 1".as_slice(), b"axis 12"] {
-        let mut side = Side::new(MSAC1);
-        let mut module = Module { values: vec![(0x5F38, 0)], ..Module::new() };
+    for (text, pad) in [(b"axis 1".as_slice(), &[][..]), (b"axis 12", &[0])] {
+        let (mut side, mut module) =
+            (Side::new(MSAC1), Module { values: vec![(0x5F38, 0)], ..Module::new() });
         let mut tickets = side.series(&calls(text));
-        let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
-        assert_eq!(end, Ok(text.len() as u64));
-        let pad = if text.len() % 2 == 0 { &[][..] } else { &[0] };
+        assert_eq!(module.end(&mut side, &mut tickets[1]), Ok(text.len() as u64));
         let head = [1, 2, 0, 1, 0x10, 0, 0x5F, 0x38, 0, 0, 9, text.len() as u8];
         assert_eq!(module.written, [[&head[..], text, pad].concat()]);
     }
-    for (path, why) in [(ParameterPath::None, NO_PATH), (PKW, NO_TEXT), (ParameterPath::Drivecom, NO_TEXT)] {
-        let mut side = Side::new(path);
+    // A drive that refuses, and paths without texts.
+    let refused = |path, why| {
+        let (mut side, mut module) = (Side::new(path), Module::new());
         let mut tickets = side.series(&calls(b"axis 1"));
-        assert_eq!(side.by_channel(&mut tickets[1], Some), Err(CallError::Refused(why)), "{path:?}");
+        let end = module.end(&mut side, &mut tickets[1]);
+        assert_eq!(end, Err(CallError::Refused(why)), "{path:?}");
+        module.written.len()
+    };
+    assert_eq!(refused(MSAC1, 0), 1);
+    for (path, why) in [(ParameterPath::None, NO_PATH), (PKW, NO_TEXT), (ParameterPath::Drivecom, NO_TEXT)] {
+        assert_eq!(refused(path, why), 0);
     }
-    // What was not handed over, what is not written so, and a drive that refuses.
+    // What was not handed over, and what is not written so.
     let mut side = Side::new(MSAC1);
     for (service, address, why) in [(STORE, to, NOT_LOADED), (WRITE, to, NO_CALL), (STORE, C0039_2, NO_CALL)]
     {
         let mut ticket = side.post(service, address, 6);
         assert_eq!(side.by_msac1(&mut ticket, |_| None), Err(CallError::Refused(why)));
     }
-    let mut module = Module::new();
-    let mut tickets = side.series(&calls(b"axis 1"));
-    let end = side.by_msac1(&mut tickets[1], |data| Some(module.exchange(data)));
-    assert_eq!((end, module.written.len()), (Err(CallError::Refused(0)), 1));
 }
 
 #[test]
 fn any_record_is_read_and_written_with_any_path() {
     for path in [ParameterPath::None, PKW, ParameterPath::Drivecom, MSAC1] {
-        let mut side = Side::new(path);
-        let mut module = Module::new();
+        let (mut side, mut module) = (Side::new(path), Module::new());
         let to = record(1, 3);
         let mut read = side.series(&[(READ, to, 0), (SIZE, to, 0)]);
-        let mut size = read.pop().unwrap();
-        let channel = |out: [u8; 8]| Some(out);
-        assert_eq!(side.until(&mut size, channel, |data| Some(module.exchange(data))), Ok(3));
+        assert_eq!(module.end(&mut side, &mut read[1]), Ok(3));
         assert_eq!(read[0].poll().unwrap().unwrap().value, 0x03_0201);
         let pieces = [(LOAD, to, 0x0807_0605_0403_0201), (LOAD, to, 0x0A09), (STORE, to, 10)];
         let mut pieces = side.series(&pieces);
-        assert_eq!(side.until(&mut pieces[2], channel, |data| Some(module.exchange(data))), Ok(10));
+        assert_eq!(module.end(&mut side, &mut pieces[2]), Ok(10));
         assert_eq!(module.written, [(1..=10).collect::<Vec<u8>>()]);
-        for (service, address) in [(READ, record(2, 3)), (READ, record(1, 4))] {
-            let mut ticket = side.post(service, address, 0);
-            let end = side.until(&mut ticket, channel, |data| Some(module.exchange(data)));
-            assert_eq!(end, Err(CallError::Refused(0x1080_B000)));
+        // Others that there are not; what was not handed over is not written.
+        for (service, address, value, why) in [
+            (READ, record(2, 3), 0, 0x1080_B000),
+            (READ, record(1, 4), 0, 0x1080_B000),
+            (STORE, to, 10, NOT_LOADED),
+        ] {
+            let mut ticket = side.post(service, address, value);
+            assert_eq!(module.end(&mut side, &mut ticket), Err(CallError::Refused(why)));
         }
-        // What was not handed over is not written.
-        let mut ticket = side.post(STORE, to, 10);
-        assert_eq!(side.until(&mut ticket, channel, |_| None), Err(CallError::Refused(NOT_LOADED)));
+        assert_eq!(module.written.len(), 1);
     }
-}
-
-#[test]
-fn a_record_that_was_perhaps_written_is_uncertain() {
-    let mut side = Side::new(MSAC1);
-    let mut module = Module { delay: 0, ..Module::new() };
-    let to = record(1, 3);
-    let mut pieces = side.series(&[(LOAD, to, 1), (STORE, to, 8)]);
-    let mut first = true;
-    let end = side.by_msac1(&mut pieces[1], |data| {
-        let reply = module.exchange(data);
-        (!std::mem::take(&mut first)).then_some(reply)
-    });
-    assert_eq!((end, module.written.len()), (Err(CallError::TimedOut), 1));
 }
 
 #[test]
@@ -547,5 +477,17 @@ fn while_power_is_on_fewer_turns_are_taken_from_the_exchange() {
             }
         }
         assert!(turns.len() > 8 && turns.windows(2).all(|two| two[1] - two[0] == every), "{turns:?}");
+    }
+    // What the drive forgets ends with it.
+    for (service, why) in [(READ, CallError::Restarted), (WRITE, CallError::TimedOut)] {
+        let mut side = Side::new(MSAC1);
+        let mut ticket = side.post(service, C0039_2, 0);
+        while !matches!(side.turn(), Sent::Msac1(_)) {
+            side.access.channel_answered(&[0; 8]);
+        }
+        side.access.ended();
+        assert_eq!(ticket.poll(), Some(Err(why)));
+        side.rest(2, [0; 8]);
+        assert!(side.access.is_idle());
     }
 }

@@ -1,8 +1,5 @@
 //! The services of DP-V0.
 
-use proptest::collection::vec;
-use proptest::prelude::*;
-
 use super::super::dp::{
     Configuration, Diagnosis, DiagnosisStatus, GlobalControl, SetPrm, Watchdog, dpv1, station_status,
 };
@@ -11,7 +8,7 @@ use super::super::sap::{Service, global_control};
 use super::*;
 
 #[test]
-fn pyprofibus_start_up_of_a_slave() {
+fn pyprofibus_telegrams_of_a_start_up_and_of_data_exchange() {
     // In the order of the sheet: the frame count bit toggles over all services.
     let head = |service: Service, fcb, fcv| service.head(SLAVE, MASTER, fcb, fcv);
     golden("68 05 05 68 87 82 6D 3C 3E F0 16", head(Service::SlaveDiag, true, false), &[]);
@@ -34,10 +31,7 @@ fn pyprofibus_start_up_of_a_slave() {
         head(Service::DataExchange, true, true),
         &hex("10 3D 00 00 00 00 00 00 04 7F 10 00"),
     );
-}
-
-#[test]
-fn pyprofibus_replies_of_a_slave_in_data_exchange() {
+    // The replies in Data_Exchange.
     for (text, fc) in [
         ("68 0F 0F 68 02 07 08 20 3D 00 00 00 06 8F B0 02 37 10 00 FC 16", 0x08),
         ("68 0F 0F 68 02 07 0A 20 3D 00 00 00 06 8F B0 02 37 10 00 FE 16", 0x0A),
@@ -46,10 +40,6 @@ fn pyprofibus_replies_of_a_slave_in_data_exchange() {
         golden(text, head, &hex("20 3D 00 00 00 06 8F B0 02 37 10 00"));
     }
     assert_eq!(Next::parse(&[0xE5]), Next::Telegram { telegram: Telegram::Acknowledge, size: 1 });
-}
-
-#[test]
-fn pyprofibus_global_control() {
     for (text, command, groups) in [
         ("68 07 07 68 FF 82 46 3A 3E 00 00 3F 16", GlobalControl::OPERATE, 0),
         ("68 07 07 68 FF 82 46 3A 3E 02 00 41 16", GlobalControl::CLEAR, 0),
@@ -60,7 +50,7 @@ fn pyprofibus_global_control() {
 }
 
 #[test]
-fn pyprofibus_diagnosis_of_a_slave_that_waits_for_parameters() {
+fn a_diagnosis_is_that_of_pyprofibus_and_of_manual_2130() {
     let data = hex("02 05 00 FF 00 82");
     let diagnosis = Diagnosis::parse(&data).expect("six bytes");
     assert_eq!((diagnosis.master, diagnosis.ident, diagnosis.extended), (None, 0x0082, &[][..]));
@@ -69,40 +59,7 @@ fn pyprofibus_diagnosis_of_a_slave_that_waits_for_parameters() {
     assert!(diagnosis.status.has(DiagnosisStatus::NOT_READY | DiagnosisStatus::PRM_REQ));
     assert!(!diagnosis.status.has_any(DiagnosisStatus::PRM_FAULT | DiagnosisStatus::CFG_FAULT));
     assert!((0..6).all(|size| Diagnosis::parse(&data[..size]).is_none()));
-}
-
-#[test]
-fn each_bit_of_a_diagnosis_is_where_the_sheet_says() {
-    let with = |byte: usize, bit: u8| {
-        let mut data = [0; 6];
-        data[byte] = 1 << bit;
-        Diagnosis::parse(&data).expect("six bytes").status
-    };
-    for (byte, bit, status) in [
-        (0, 0, DiagnosisStatus::NON_EXISTENT),
-        (0, 1, DiagnosisStatus::NOT_READY),
-        (0, 2, DiagnosisStatus::CFG_FAULT),
-        (0, 3, DiagnosisStatus::EXT_DIAG),
-        (0, 4, DiagnosisStatus::NOT_SUPPORTED),
-        (0, 5, DiagnosisStatus::INVALID_REPLY),
-        (0, 6, DiagnosisStatus::PRM_FAULT),
-        (0, 7, DiagnosisStatus::MASTER_LOCK),
-        (1, 0, DiagnosisStatus::PRM_REQ),
-        (1, 1, DiagnosisStatus::STAT_DIAG),
-        (1, 2, DiagnosisStatus::ALWAYS),
-        (1, 3, DiagnosisStatus::WD_ON),
-        (1, 4, DiagnosisStatus::FREEZE),
-        (1, 5, DiagnosisStatus::SYNC),
-        (1, 7, DiagnosisStatus::DEACTIVATED),
-        (2, 7, DiagnosisStatus::OVERFLOW),
-    ] {
-        assert_eq!(with(byte, bit), DiagnosisStatus(status), "byte {byte}, bit {bit}");
-        assert_eq!(with(byte, bit).names().count(), 1);
-    }
-}
-
-#[test]
-fn manual_2130_fault_in_the_extended_diagnosis() {
+    // Manual 2130: a fault in the extended diagnosis.
     let fault = |extended: &str| {
         let data = [hex("08 0C 00 02 00 82"), hex(extended)].concat();
         Diagnosis::parse(&data).expect("six bytes").fault()
@@ -115,6 +72,26 @@ fn manual_2130_fault_in_the_extended_diagnosis() {
     assert_eq!(fault("05 81 00 00 00 03 23 10"), Some(0x2310));
     // Cut, or without a size.
     assert_eq!((fault("03 23"), fault("00 03 23 10")), (None, None));
+}
+
+#[test]
+fn each_bit_of_a_diagnosis_is_where_the_sheet_says() {
+    use DiagnosisStatus as D;
+    // Bytes, bits from, and four of the sheet; 0 is one without a meaning.
+    for (byte, from, bits) in [
+        (0, 0, [D::NON_EXISTENT, D::NOT_READY, D::CFG_FAULT, D::EXT_DIAG]),
+        (0, 4, [D::NOT_SUPPORTED, D::INVALID_REPLY, D::PRM_FAULT, D::MASTER_LOCK]),
+        (1, 0, [D::PRM_REQ, D::STAT_DIAG, D::ALWAYS, D::WD_ON]),
+        (1, 4, [D::FREEZE, D::SYNC, 0, D::DEACTIVATED]),
+        (2, 4, [0, 0, 0, D::OVERFLOW]),
+    ] {
+        for (bit, expected) in (from..).zip(bits).filter(|(_, expected)| *expected != 0) {
+            let mut data = [0; 6];
+            data[byte] = 1 << bit;
+            let status = Diagnosis::parse(&data).expect("six bytes").status;
+            assert_eq!((status, status.names().count()), (D(expected), 1), "byte {byte}, bit {bit}");
+        }
+    }
 }
 
 #[test]
@@ -149,31 +126,23 @@ fn the_watchdog_of_a_slave_is_as_short_as_it_can_be() {
 
 #[test]
 fn identifier_bytes_of_the_sheet() {
-    let sizes = |bytes: &[u8]| Configuration(bytes).sizes();
-    // Inputs and outputs of 4 words, and of 2.
-    assert_eq!(sizes(&[0xF3]), Some((8, 8)));
-    assert_eq!(sizes(&[0xF3, 0xF1]), Some((12, 12)));
-    for (identifier, bytes) in [(0x10, (1, 0)), (0x21, (0, 2)), (0x5F, (32, 0)), (0x00, (0, 0))] {
-        assert_eq!(sizes(&[identifier]), Some(bytes));
-    }
-    // Special formats: outputs of 4 words, inputs of 3 bytes, both with two bytes of the manufacturer.
-    assert_eq!(sizes(&[0x80, 0xC3]), Some((0, 8)));
-    assert_eq!(sizes(&[0x40, 0x02]), Some((3, 0)));
-    assert_eq!(sizes(&[0xC2, 0x41, 0x80, 0xAA, 0xBB, 0x10]), Some((2, 4)));
-    assert_eq!(sizes(&[0x4F, 0x00]), Some((1, 0)));
-    // Cut.
-    assert_eq!((sizes(&[0x10, 0xC2, 0x41]), sizes(&[0x10, 0xC2, 0x41, 0x80, 0xAA])), (None, None));
-}
-
-proptest! {
-    #[test]
-    fn no_diagnosis_and_no_configuration_makes_it_panic_or_reach_beyond(data in vec(any::<u8>(), 0..250)) {
-        if let Some(diagnosis) = Diagnosis::parse(&data) {
-            prop_assert_eq!(diagnosis.extended.len() + 6, data.len());
-            prop_assert!(diagnosis.fault().is_none() || diagnosis.extended.len() >= 3);
-        }
-        if let Some((inputs, outputs)) = Configuration(&data).sizes() {
-            prop_assert!(inputs.max(outputs) <= 128 * data.len());
-        }
+    for (bytes, sizes) in [
+        // Inputs and outputs of 4 words, and of 2.
+        (&[0xF3][..], Some((8, 8))),
+        (&[0xF3, 0xF1], Some((12, 12))),
+        (&[0x10], Some((1, 0))),
+        (&[0x21], Some((0, 2))),
+        (&[0x5F], Some((32, 0))),
+        (&[0x00], Some((0, 0))),
+        // Special formats: outputs of 4 words, inputs of 3 bytes, both with two bytes of the manufacturer.
+        (&[0x80, 0xC3], Some((0, 8))),
+        (&[0x40, 0x02], Some((3, 0))),
+        (&[0xC2, 0x41, 0x80, 0xAA, 0xBB, 0x10], Some((2, 4))),
+        (&[0x4F, 0x00], Some((1, 0))),
+        // Cut.
+        (&[0x10, 0xC2, 0x41], None),
+        (&[0x10, 0xC2, 0x41, 0x80, 0xAA], None),
+    ] {
+        assert_eq!(Configuration(bytes).sizes(), sizes, "{bytes:02X?}");
     }
 }
