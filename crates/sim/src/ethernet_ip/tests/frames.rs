@@ -18,33 +18,33 @@ const OPENED: &str =
 const ENABLE: &str = "02 00 02 80 08 00 13 00 01 5A 01 00 00 00 B1 00 46 00 01 00 01 00 00 00 02 00 00 00";
 
 #[test]
-fn the_owners_open_is_answered_as_the_sheet_has_it() {
-    let mut bench = Bench::new(|_| {});
+fn the_sheets_owner_opens_enables_and_closes() {
+    let mut bench = Bench::new(servo);
     assert_eq!(bench.session, 0x101);
     let reply = bench.raw(MASTER, &hex(OPEN));
     let header = "6F 00 42 00 01 01 00 00 00 00 00 00 01 00 00 00 00 00 00 00 00 00 00 00 \
                   00 00 00 00 00 00 03 00 00 00 00 00 B2 00 1E 00";
-    let mut expected = hex(header);
-    expected.extend(hex(OPENED));
     // Where packets are taken.
-    expected.extend(hex("00 80 10 00 00 02 08 AE 00 00 00 00 00 00 00 00 00 00 00 00"));
+    let item = "00 80 10 00 00 02 08 AE 00 00 00 00 00 00 00 00 00 00 00 00";
+    let mut expected = hex(&[header, OPENED, item].concat());
     expected[2] = (expected.len() - 24) as u8;
     assert_eq!(reply, expected);
-}
-
-#[test]
-fn the_first_packet_of_the_sheet_enables_the_drive() {
-    let mut bench = Bench::new(servo);
-    bench.raw(MASTER, &hex(OPEN));
     let mut enable = hex(ENABLE);
     enable.resize(enable.len() + 60, 0);
     bench.at(PACKETS, MASTER_IO, &enable);
-    assert_eq!(bench.status(), 0x0009);
-    assert_eq!(bench.sim.ignored(), Ignored::default());
+    assert_eq!((bench.status(), bench.sim.ignored()), (0x0009, Ignored::default()));
+    let close = "4E 02 20 06 24 01 0A 0E 01 00 34 12 EE FF C0 00 04 00 20 04 24 66 2C 70 2C 65";
+    assert_eq!(bench.message(&hex(close)), hex("CE 00 00 00 01 00 34 12 EE FF C0 00 00 00"));
+    assert_eq!(bench.sim.connections(), (1, 0));
+    // The large form.
+    let open = "5B 02 20 06 24 01 0A 0E 00 00 00 00 03 00 01 00 09 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 \
+                46 00 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
+    let opened = "DB 00 00 00 13 00 01 5A 03 00 01 00 09 00 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00";
+    assert_eq!(Bench::new(|_| {}).message(&hex(open)), hex(opened));
 }
 
 #[test]
-fn a_packet_of_the_drive_is_that_of_the_sheet() {
+fn the_inputs_are_those_of_the_sheet_and_of_the_manuals_example() {
     let report = Report {
         status: 0x0009,
         voltage: 242,
@@ -67,35 +67,21 @@ fn a_packet_of_the_drive_is_that_of_the_sheet() {
     );
     expected.resize(expected.len() + 12, 0);
     assert_eq!(packet, expected);
-}
-
-#[test]
-fn the_v1_inputs_are_those_of_the_manuals_example() {
-    let report = Report {
+    let first = Report {
         status: 0x19,
         voltage: 489,
+        current: 0,
         temperature: 568,
-        encoder: -838,
-        absolute: 404_167,
         velocity: -61,
         extended: 0x40FF,
         main: 0x0F00,
         outputs: 0x000F,
-        ..Report::default()
+        ..report
     };
     let mut packet = Vec::new();
-    report.append(INPUT_V1, Ipv4Addr::new(192, 168, 0, 40), &FirmwareSettings::default(), &mut packet);
+    first.append(INPUT_V1, Ipv4Addr::new(192, 168, 0, 40), &FirmwareSettings::default(), &mut packet);
     let example = "2800A8C0 1900 0000 E901 0000 3802 BAFCFFFF C72A0600 C3FF FF40 000F 0F00";
     assert_eq!(packet, hex(example));
-}
-
-#[test]
-fn the_sheets_close_is_answered() {
-    let mut bench = Bench::new(|_| {});
-    bench.raw(MASTER, &hex(OPEN));
-    let close = "4E 02 20 06 24 01 0A 0E 01 00 34 12 EE FF C0 00 04 00 20 04 24 66 2C 70 2C 65";
-    assert_eq!(bench.message(&hex(close)), hex("CE 00 00 00 01 00 34 12 EE FF C0 00 00 00"));
-    assert_eq!(bench.sim.connections(), (1, 0));
 }
 
 #[test]
@@ -131,36 +117,16 @@ fn an_unconnected_type_1_message_is_answered_with_the_status() {
 }
 
 #[test]
-fn the_large_open_is_taken() {
-    let mut bench = Bench::new(|_| {});
-    let open = "5B 02 20 06 24 01 0A 0E 00 00 00 00 03 00 01 00 09 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 \
-                46 00 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
-    let reply = bench.message(&hex(open));
-    let opened = "DB 00 00 00 13 00 01 5A 03 00 01 00 09 00 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00";
-    assert_eq!(reply, hex(opened));
-}
-
-#[test]
-fn the_profile_code_is_that_of_the_manuals_example() {
+fn the_commands_of_the_manual_are_taken_and_do_what_they_say() {
     let mut bench = Bench::new(|settings| {
         (settings.identity.board, settings.identity.model) = ((117, 7), (0x5F, 0));
     });
+    // The example of the profile code.
     let reply = bench.message(&hex("0E 03 20 64 24 00 30 01"));
     assert_eq!(reply, hex("8E 00 00 00 00 75 00 07 41 5F 00 01 03 4A"));
-}
-
-#[test]
-fn the_commands_of_the_manual_are_taken_and_do_what_they_say() {
-    let mut bench = Bench::new(|_| {});
-    let examples = [
-        "00 01 00 1E 00 00 02 58",
-        "00 01 00 1F 00 00 02 58",
-        "00 01 00 1D 00 00 04 B0",
-        "00 01 00 B6 00 01 86 A0",
-        "00 01 00 9F 00 00 00 00",
-        "00 01 00 66 00 00 00 00",
-    ];
-    for example in examples {
+    let examples = "00 01 00 1E 00 00 02 58|00 01 00 1F 00 00 02 58|00 01 00 1D 00 00 04 B0|00 01 00 B6 00 01 86 A0|\
+                    00 01 00 9F 00 00 00 00|00 01 00 66 00 00 00 00";
+    for example in examples.split('|') {
         let (status, data) = bench.vendor(example);
         assert_eq!((status, &data[..4]), (0, &hex(example)[..4]), "{example}");
     }

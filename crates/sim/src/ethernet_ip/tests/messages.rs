@@ -3,10 +3,10 @@
 use super::*;
 
 /// Sends on the class 3 connection: the reply behind the encapsulation.
-fn connected(bench: &mut Bench, id: u32, count: u16, message: &str) -> Vec<u8> {
+fn connected(bench: &mut Bench, count: u16, message: &str) -> Vec<u8> {
     let message = hex(message);
     let mut data = hex("00 00 00 00 00 00 02 00 A1 00 04 00");
-    data.extend(id.to_le_bytes());
+    data.extend(bench.id.to_le_bytes());
     data.extend([0xB1, 0]);
     data.extend((message.len() as u16 + 2).to_le_bytes());
     data.extend(count.to_le_bytes());
@@ -27,17 +27,16 @@ fn register(bench: &mut Bench) -> Vec<u8> {
 fn a_repeated_message_gets_its_reply_again_and_is_not_carried_out_again() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward::messages());
-    let id = bench.id;
-    assert_eq!(connected(&mut bench, id, 0, READ), [0; 0], "the first one is not 0");
-    let first = connected(&mut bench, id, 1, WRITE_A);
+    assert_eq!(connected(&mut bench, 0, READ), [0; 0], "the first one is not 0");
+    let first = connected(&mut bench, 1, WRITE_A);
     assert_eq!(first, hex("01 00 BC 00 00 00 00 02 9E 31 00 00 00 00"));
     assert_eq!(register(&mut bench), [0, 0, 0, 0x0A]);
-    assert_eq!(connected(&mut bench, id, 1, WRITE_B), first);
-    assert_eq!(connected(&mut bench, id, 1, "0E 03 20 01 24 01 30 01"), first, "even another one");
+    assert_eq!(connected(&mut bench, 1, WRITE_B), first);
+    assert_eq!(connected(&mut bench, 1, "0E 03 20 01 24 01 30 01"), first, "even another one");
     assert_eq!(register(&mut bench), [0, 0, 0, 0x0A]);
-    connected(&mut bench, id, 9, WRITE_B);
+    connected(&mut bench, 9, WRITE_B);
     assert_eq!(register(&mut bench), [0, 0, 0, 0x0B], "a jump");
-    connected(&mut bench, id, 3, WRITE_A);
+    connected(&mut bench, 3, WRITE_A);
     assert_eq!(register(&mut bench), [0, 0, 0, 0x0A], "a step back");
     assert_eq!(bench.sim.ignored(), Ignored { repeated: 3, ..Ignored::default() });
 }
@@ -46,17 +45,18 @@ fn a_repeated_message_gets_its_reply_again_and_is_not_carried_out_again() {
 fn a_message_to_nothing_gets_no_reply() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward::messages());
-    let id = bench.id;
-    assert_eq!(connected(&mut bench, id + 1, 1, READ), [0; 0]);
+    bench.id += 1;
+    assert_eq!(connected(&mut bench, 1, READ), [0; 0]);
+    bench.id -= 1;
     // Another connection of the same host.
     let other = SocketAddrV4::new(*MASTER.ip(), 50_000);
     let session = bench.connect(other);
     let mut data = hex("00 00 00 00 00 00 02 00 A1 00 04 00");
-    data.extend(id.to_le_bytes());
+    data.extend(bench.id.to_le_bytes());
     data.extend(hex("B1 00 04 00 01 00 0E 00"));
     assert_eq!(bench.raw(other, &frame(0x70, session, &data)), [0; 0]);
     bench.message(&Forward::messages().close());
-    assert_eq!(connected(&mut bench, id, 1, READ), [0; 0], "closed");
+    assert_eq!(connected(&mut bench, 1, READ), [0; 0], "closed");
     assert_eq!(bench.sim.ignored(), Ignored { unknown_connection: 2, wrong_source: 1, ..Ignored::default() });
 }
 
@@ -64,11 +64,10 @@ fn a_message_to_nothing_gets_no_reply() {
 fn a_class_3_connection_times_out_or_stays_and_ends_with_its_tcp() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward { us: (100_000, 100_000), multiplier: 2, ..Forward::messages() });
-    let id = bench.id;
     bench.pass(9 * S);
-    assert_ne!(connected(&mut bench, id, 1, READ), [0; 0]);
+    assert_ne!(connected(&mut bench, 1, READ), [0; 0]);
     bench.pass(1_600 * MS - 1);
-    assert_ne!(connected(&mut bench, id, 1, READ), [0; 0], "a repetition feeds, too");
+    assert_ne!(connected(&mut bench, 1, READ), [0; 0], "a repetition feeds, too");
     bench.pass(1_600 * MS);
     assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
     let mut stays = Bench::new(|settings| settings.network.messages_time_out = false);
@@ -83,13 +82,11 @@ fn a_class_3_connection_times_out_or_stays_and_ends_with_its_tcp() {
 fn a_reply_that_does_not_fit_is_refused_and_a_message_that_does_not_is_dropped() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward { ncp: (0x43F4, 0x4214), ..Forward::messages() });
-    let id = bench.id;
-    assert_eq!(connected(&mut bench, id, 1, "01 02 20 01 24 01"), hex("01 00 81 00 11 00"));
-    assert_eq!(connected(&mut bench, id, 2, "0E 03 20 01 24 01 30 01"), hex("02 00 8E 00 00 00 3C 00"));
+    assert_eq!(connected(&mut bench, 1, "01 02 20 01 24 01"), hex("01 00 81 00 11 00"));
+    assert_eq!(connected(&mut bench, 2, "0E 03 20 01 24 01 30 01"), hex("02 00 8E 00 00 00 3C 00"));
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward { ncp: (0x4208, 0x43F4), ..Forward::messages() });
-    let id = bench.id;
-    assert_eq!(connected(&mut bench, id, 1, "0E 03 20 01 24 01 30 01"), [0; 0]);
+    assert_eq!(connected(&mut bench, 1, "0E 03 20 01 24 01 30 01"), [0; 0]);
     assert_eq!(bench.sim.ignored().wrong_length, 1);
 }
 
@@ -122,33 +119,29 @@ fn what_does_not_exist_is_refused_as_the_sheet_says() {
 #[test]
 fn the_objects_say_what_the_drive_is() {
     let mut bench = Bench::new(|settings| settings.identity.serial = Some(0x0102_0304));
-    let mut data = |message: &str| {
-        let reply = bench.message(&hex(message));
-        assert_eq!(reply[1..4], [0, 0, 0], "{message}");
-        reply[4..].to_vec()
-    };
     let identity = "3C 00 2B 00 01 00 01 01 00 00 04 03 02 01 08 53 54 46 31 30 2D 49 50";
-    assert_eq!(data("01 02 20 01 24 01"), hex(identity));
-    assert_eq!(data("0E 03 20 01 24 01 30 06"), hex("04 03 02 01"));
-    assert_eq!(data("0E 03 20 04 24 65 30 04"), hex("38 00"));
-    assert_eq!(data("0E 03 20 04 24 65 30 03").len(), 56);
-    assert_eq!(data("0E 03 20 04 24 64 30 03")[..4], hex("02 00 00 0A"));
-    assert_eq!(data("0E 03 20 04 24 70 30 03"), [0; 64]);
-    assert_eq!(data("0E 03 20 04 24 66 30 04"), hex("02 00"));
-    assert_eq!(data("0E 03 20 F5 24 01 30 05")[..8], hex("02 00 00 0A 00 FF FF FF"));
-    assert_eq!(data("0E 03 20 F6 24 02 30 01"), hex("64 00 00 00"));
-    assert_eq!(data("0E 03 20 48 24 01 30 05"), [47]);
-    assert_eq!(data("0E 03 20 64 24 00 30 01"), hex("00 FB 00 00 41 B0 00 01 03 4A"));
-}
-
-#[test]
-fn the_outputs_can_be_set_while_nobody_owns_them() {
-    let mut bench = Bench::new(|_| {});
-    let set = format!("10 03 20 04 24 70 30 03 02 {}", "00 ".repeat(63));
-    assert_eq!(bench.message(&hex(&set)), hex("90 00 00 00"));
-    assert_eq!(bench.status(), 1);
+    for (message, size, begin) in [
+        ("01 02 20 01 24 01", 23, identity),
+        ("0E 03 20 01 24 01 30 06", 4, "04 03 02 01"),
+        ("0E 03 20 04 24 65 30 04", 2, "38 00"),
+        ("0E 03 20 04 24 65 30 03", 56, ""),
+        ("0E 03 20 04 24 64 30 03", 30, "02 00 00 0A"),
+        ("0E 03 20 04 24 66 30 04", 2, "02 00"),
+        ("0E 03 20 F5 24 01 30 05", 22, "02 00 00 0A 00 FF FF FF"),
+        ("0E 03 20 F6 24 02 30 01", 4, "64 00 00 00"),
+        ("0E 03 20 48 24 01 30 05", 1, "2F"),
+        ("0E 03 20 64 24 00 30 01", 10, "00 FB 00 00 41 B0 00 01 03 4A"),
+    ] {
+        let reply = bench.message(&hex(message));
+        assert_eq!((&reply[1..4], reply.len()), (&[0, 0, 0][..], 4 + size), "{message}");
+        assert!(reply[4..].starts_with(&hex(begin)), "{message}: {reply:02X?}");
+    }
+    // The outputs can be set while nobody owns them.
+    assert_eq!(bench.message(&hex("0E 03 20 04 24 70 30 03"))[4..], [0; 64]);
+    let set = hex(&format!("10 03 20 04 24 70 30 03 02 {}", "00 ".repeat(63)));
+    assert_eq!((bench.message(&set), bench.status()), (hex("90 00 00 00"), 1));
     bench.open(&Forward::default());
-    assert_eq!(bench.message(&hex(&set)), hex("90 00 0C 00"));
+    assert_eq!(bench.message(&set), hex("90 00 0C 00"));
 }
 
 #[test]
@@ -162,10 +155,7 @@ fn parameters_are_read_written_and_saved_by_type_2() {
     assert_eq!((bench.vendor("00 02 84 1E 00 00 00 00").1[5], bench.sim.refused().out_of_range), (0x64, 1));
     assert_eq!(bench.vendor("00 02 84 80 00 00 00 00"), (0, hex("00 02 84 80 00 00 00 00")));
     assert_eq!(bench.vendor("00 02 84 7F 00 00 00 00").0, 0x20);
-    bench.sim.disconnected(bench.now, MASTER);
-    bench.sim.restart(bench.now);
-    bench.pass(S);
-    bench.session = bench.connect(MASTER);
+    bench.power_cycle();
     assert_eq!(bench.vendor("00 02 84 1E 00 00 00 00").1[4..6], 600_u16.to_be_bytes());
     assert_eq!(bench.vendor("00 02 84 1D 00 00 00 00").1[4..6], [0, 0xC8], "saved");
 }
@@ -173,22 +163,13 @@ fn parameters_are_read_written_and_saved_by_type_2() {
 #[test]
 fn a_wrong_vendor_message_is_refused() {
     let mut bench = Bench::new(|_| {});
-    for (message, status) in [
-        ("00 02 88 01 00 00 00", 0x13),
-        ("00 02 88 01 00 00 00 00 00", 0x15),
-        ("00 03 88 01 00 00 00 00", 0x20),
-        ("01 02 88 01 00 00 00 00", 0x20),
-        ("00 01 00 FF 00 00 00 00", 0x20),
-        ("00 01 00 6B 00 00 58 B2", 0x20),
-        ("00 01 00 78 00 00 00 0D", 0x20),
-        ("00 02 11 00 00 00 00 00", 0x20),
-        ("00 02 88 02 00 00 00 00", 0x20),
-        ("00 02 9F 5A 00 00 00 00", 0x20),
-        ("00 02 9E 73 00 00 00 00", 0x20),
-        ("00 02 8B 04 00 00 00 00", 0x20),
-        ("00 02 A2 0D 00 00 00 00", 0x20),
-    ] {
-        assert_eq!(bench.vendor(message), (status, vec![]), "{message}");
+    assert_eq!(bench.vendor("00 02 88 01 00 00 00"), (0x13, vec![]));
+    assert_eq!(bench.vendor("00 02 88 01 00 00 00 00 00"), (0x15, vec![]));
+    let unknown = "00 03 88 01|01 02 88 01|00 01 00 FF|00 02 11 00|00 02 88 02|00 02 9F 5A|00 02 9E 73|00 02 8B 04|\
+                   00 02 A2 0D";
+    let unknown = unknown.split('|').map(|begin| format!("{begin} 00 00 00 00"));
+    for message in unknown.chain(["00 01 00 6B 00 00 58 B2", "00 01 00 78 00 00 00 0D"].map(str::to_owned)) {
+        assert_eq!(bench.vendor(&message), (0x20, vec![]), "{message}");
     }
 }
 
@@ -203,7 +184,6 @@ fn registers_carry_values_and_commands() {
     assert_eq!(bench.sim.drive.parameters.get(b"DI"), -200);
     bench.vendor("00 01 00 A5 00 00 30 39");
     assert_eq!(bench.vendor("00 02 9F 6C 00 00 00 00").1[4..], 12_345_i32.to_be_bytes());
-    bench.sim.disconnected(bench.now, MASTER);
-    bench.sim.restart(bench.now);
+    bench.power_cycle();
     assert_eq!(bench.sim.drive.registers, [0; 10]);
 }

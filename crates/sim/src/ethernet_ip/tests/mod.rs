@@ -63,7 +63,7 @@ impl Bench {
     fn connect(&mut self, from: SocketAddrV4) -> u32 {
         assert!(self.sim.connect(self.now, from));
         let reply = self.raw(from, &frame(0x65, 0, &[1, 0, 0, 0]));
-        u32::from_le_bytes(reply[4..8].try_into().unwrap())
+        word_of(&reply, 4)
     }
 
     /// What comes back on a TCP connection.
@@ -111,7 +111,7 @@ impl Bench {
     fn open(&mut self, open: &Forward) -> Vec<u8> {
         let reply = self.message(&open.bytes());
         assert_eq!(reply[..4], [0xD4, 0, 0, 0], "{reply:02X?}");
-        self.id = u32::from_le_bytes(reply[4..8].try_into().unwrap());
+        self.id = word_of(&reply, 4);
         self.sequence = 0;
         reply
     }
@@ -172,6 +172,14 @@ impl Bench {
         bench
     }
 
+    /// Power is lost for a moment, and there is a session again afterwards.
+    fn power_cycle(&mut self) {
+        self.sim.disconnected(self.now, MASTER);
+        self.sim.restart(self.now);
+        self.pass(S);
+        self.session = self.connect(MASTER);
+    }
+
     fn status(&mut self) -> u16 {
         self.sim.truth(self.now);
         self.sim.drive.status()
@@ -204,14 +212,12 @@ impl Bench {
 
 /// An encapsulation frame.
 fn frame(command: u16, session: u32, data: &[u8]) -> Vec<u8> {
-    let mut frame = command.to_le_bytes().to_vec();
-    frame.extend((data.len() as u16).to_le_bytes());
-    frame.extend(session.to_le_bytes());
-    frame.extend([0; 4]);
-    frame.extend(*b"context!");
-    frame.extend([0; 4]);
-    frame.extend(data);
-    frame
+    let [command, length] = [command, data.len() as u16].map(u16::to_le_bytes);
+    [&command[..], &length, &session.to_le_bytes(), &[0; 4], b"context!", &[0; 4], data].concat()
+}
+
+fn word_of(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
 }
 
 /// The bytes of assembly 0x70.
@@ -224,27 +230,20 @@ fn outputs(word: u32, elements: &[(usize, i32)]) -> [u8; 64] {
     outputs
 }
 
-/// A class 1 packet of the owner.
-fn packet(id: u32, sequence: u32, count: u16, header: u32, outputs: &[u8]) -> Vec<u8> {
-    let mut packet = hex("02 00 02 80 08 00");
-    packet.extend(id.to_le_bytes());
-    packet.extend(sequence.to_le_bytes());
-    packet.extend([0xB1, 0]);
-    packet.extend((outputs.len() as u16 + 6).to_le_bytes());
-    packet.extend(count.to_le_bytes());
-    packet.extend(header.to_le_bytes());
-    packet.extend(outputs);
-    packet
+/// A class 1 packet.
+fn class_1(id: u32, sequence: u32, data: &[u8]) -> Vec<u8> {
+    let head = hex("02 00 02 80 08 00");
+    let size = (data.len() as u16).to_le_bytes();
+    [&head[..], &id.to_le_bytes(), &sequence.to_le_bytes(), &[0xB1, 0], &size, data].concat()
 }
 
-/// A heartbeat.
+/// That of the owner.
+fn packet(id: u32, sequence: u32, count: u16, header: u32, outputs: &[u8]) -> Vec<u8> {
+    class_1(id, sequence, &[&count.to_le_bytes()[..], &header.to_le_bytes(), outputs].concat())
+}
+
 fn heartbeat(id: u32, sequence: u32) -> Vec<u8> {
-    let mut packet = hex("02 00 02 80 08 00");
-    packet.extend(id.to_le_bytes());
-    packet.extend(sequence.to_le_bytes());
-    packet.extend([0xB1, 0, 2, 0]);
-    packet.extend((sequence as u16).to_le_bytes());
-    packet
+    class_1(id, sequence, &(sequence as u16).to_le_bytes())
 }
 
 /// A Forward_Open, that of the sheet but for what a test changes.

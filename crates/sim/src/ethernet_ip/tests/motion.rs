@@ -48,6 +48,19 @@ fn rest(bench: &mut Bench) {
     panic!("it never rests: {:04X} at {}", bench.status(), bench.position());
 }
 
+/// A command, carried out to its end.
+fn go(bench: &mut Bench, word: u32, elements: &[(usize, i32)]) {
+    bench.command(word, elements);
+    rest(bench);
+}
+
+/// The status so many ms after a command.
+fn after(bench: &mut Bench, word: u32, elements: &[(usize, i32)], ms: u64) -> u16 {
+    bench.command(word, elements);
+    bench.idle_for(ms * MS);
+    bench.status()
+}
+
 #[test]
 fn moves_go_as_far_as_they_are_told() {
     let mut bench = Bench::enabled(|_| {});
@@ -60,18 +73,27 @@ fn moves_go_as_far_as_they_are_told() {
     assert_eq!(bench.position(), 100_000);
     // 5 turns at 5 rev/s and 0.05 s for the ramps.
     assert!((1_050 * MS..=1_080 * MS).contains(&bench.now.since(begin)), "{}", bench.now.since(begin));
-    bench.command(RELATIVE, &by(-100_001));
-    rest(&mut bench);
-    bench.command(ABSOLUTE, &by(777));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE, &by(-100_001));
+    go(&mut bench, ABSOLUTE, &by(777));
     assert_eq!(bench.position(), 777);
     let truth = bench.sim.truth(bench.now);
     assert!(truth.powered && !truth.homed && (truth.position - 777.0).abs() < 1.0, "{truth:?}");
     assert_eq!(bench.sim.refused(), Refused::default());
+    // Parameters out of their range stay as they were.
+    go(&mut bench, RELATIVE, &[(4, 0), (5, 32_001), (6, -5), (7, 1_000)]);
+    assert_eq!((bench.position(), bench.sim.refused().out_of_range), (1_777, 3));
+    assert_eq!(bench.sim.drive.parameters.get(b"AC"), 600);
+    bench.command(JOG, &[(1, i32::MIN), (2, 600), (3, 600)]);
+    assert_eq!(bench.sim.refused().out_of_range, 4);
+    // Position and power are lost with that of the drive.
+    bench.sim.disconnected(bench.now, MASTER);
+    bench.sim.restart(bench.now);
+    let truth = bench.sim.truth(bench.now);
+    assert!(!truth.powered && truth.position.abs() < 0.01, "{truth:?}");
 }
 
 #[test]
-fn only_a_change_from_0_acts() {
+fn only_a_change_from_0_acts_but_for_a_stop_and_one_command_at_a_time() {
     let mut bench = Bench::enabled(|_| {});
     for _ in 0..5 {
         bench.packet(1, &outputs(RELATIVE, &by(1_000)));
@@ -81,29 +103,19 @@ fn only_a_change_from_0_acts() {
     bench.word(DISABLE);
     rest(&mut bench);
     assert_eq!((bench.position(), bench.status(), bench.sim.refused().no_edge), (1_000, 1, 2));
-    bench.command(RELATIVE, &by(1_000));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE, &by(1_000));
     assert_eq!(bench.position(), 2_000);
-    let mut any = Bench::enabled(|settings| settings.firmware.edges = Edges::Any);
-    any.packet(1, &outputs(RELATIVE, &by(1_000)));
-    any.word(DISABLE);
-    assert_eq!(any.status(), 0);
-}
-
-#[test]
-fn the_first_word_after_an_open_is_a_change() {
-    let mut bench = Bench::new(|_| {});
-    bench.open(&Forward::default());
+    // The first word after an open is a change.
     bench.word(ENABLE);
-    assert_eq!(bench.status(), 1);
     bench.message(&Forward::default().close());
     bench.open(&Forward { serial: 2, ..Forward::default() });
     bench.word(DISABLE);
     assert_eq!(bench.status(), 0);
-}
-
-#[test]
-fn a_stop_acts_without_a_0_between_unless_the_drive_is_stricter() {
+    let mut any = Bench::enabled(|settings| settings.firmware.edges = Edges::Any);
+    any.packet(1, &outputs(RELATIVE, &by(1_000)));
+    any.word(DISABLE);
+    assert_eq!(any.status(), 0);
+    // A stop, unless the drive is stricter.
     for (edges, stops) in [(Edges::Stops, true), (Edges::Strict, false)] {
         for stop in [STOP, STOP_GENTLY] {
             let mut bench = Bench::enabled(|settings| settings.firmware.edges = edges);
@@ -113,13 +125,9 @@ fn a_stop_acts_without_a_0_between_unless_the_drive_is_stricter() {
             assert_eq!(bench.status() & STOPPING != 0, stops, "{edges:?} {stop:X}");
         }
     }
-}
-
-#[test]
-fn one_command_at_a_time_unless_it_is_a_stop() {
+    // Several bits are one command only if a stop is among them.
     let mut bench = Bench::enabled(|_| {});
-    bench.command(RELATIVE | DISABLE, &by(1_000));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE | DISABLE, &by(1_000));
     assert_eq!((bench.position(), bench.status(), bench.sim.refused().several_bits), (0, 1, 1));
     bench.command(JOG, &SLOWLY);
     bench.command(STOP | RELATIVE, &by(1_000));
@@ -128,54 +136,38 @@ fn one_command_at_a_time_unless_it_is_a_stop() {
 }
 
 #[test]
-fn a_move_while_disabled_is_an_alarm() {
+fn a_move_while_disabled_is_an_alarm_and_a_fault_disables() {
     let mut bench = Bench::owned(|_| {});
     for command in [RELATIVE, JOG] {
-        bench.command(command, &by(1_000));
-        assert_eq!((bench.alarm(), bench.status()), (0x1000, 0x0200));
-        bench.command(RESET, &[]);
-        assert_eq!((bench.alarm(), bench.status()), (0, 0));
+        assert_eq!((after(&mut bench, command, &by(1_000), 0), bench.alarm()), (0x0200, 0x1000));
+        assert_eq!((after(&mut bench, RESET, &[], 0), bench.alarm()), (0, 0));
     }
-    assert_eq!(bench.vendor("00 01 00 66 00 00 00 00").0, 0);
-    assert_eq!(bench.alarm(), 0x1000);
+    assert_eq!((bench.vendor("00 01 00 66 00 00 00 00").0, bench.alarm()), (0, 0x1000));
     bench.command(ENABLE, &[]);
-    bench.command(RELATIVE, &by(1_000));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE, &by(1_000));
     assert_eq!((bench.position(), bench.status()), (1_000, 0x0201), "an alarm of this class hinders nothing");
-}
-
-#[test]
-fn a_fault_disables_and_its_reset_leaves_the_motor_off() {
-    let mut bench = Bench::enabled(|_| {});
-    bench.command(JOG, &SLOWLY);
-    bench.idle_for(100 * MS);
+    bench.command(RESET, &[]);
+    after(&mut bench, JOG, &SLOWLY, 100);
     bench.sim.provoke(0x0080);
     assert_eq!(bench.status(), 0x0204);
-    bench.command(ENABLE, &[]);
-    assert_eq!((bench.status(), bench.sim.refused().not_enabled), (0x0204, 1));
-    bench.command(RESET, &[]);
-    assert_eq!(bench.status(), 0);
-    bench.command(ENABLE, &[]);
-    assert_eq!(bench.status(), 1);
+    assert_eq!((after(&mut bench, ENABLE, &[], 0), bench.sim.refused().not_enabled), (0x0204, 1));
+    assert_eq!(after(&mut bench, RESET, &[], 0), 0, "the motor stays off");
+    assert_eq!(after(&mut bench, ENABLE, &[], 0), 1);
     assert_eq!(bench.vendor("00 02 87 00 00 00 00 00").1[4..6], [0, 0x80]);
     let mut stays = Bench::owned(|settings| settings.firmware.persistent_alarm = 0x0200);
-    stays.command(RESET, &[]);
-    assert_eq!(stays.status(), 0x0204);
+    assert_eq!(after(&mut stays, RESET, &[], 0), 0x0204);
 }
 
 #[test]
 fn a_jog_runs_changes_its_speed_and_stops() {
     let mut bench = Bench::enabled(|_| {});
-    bench.command(JOG, &[(1, -240), (2, 600), (3, 60)]);
-    bench.idle_for(200 * MS);
-    assert_eq!(bench.status(), 1 | JOGGING);
+    assert_eq!(after(&mut bench, JOG, &[(1, -240), (2, 600), (3, 60)], 200), 1 | JOGGING);
     assert!((bench.velocity() + 20_000.0).abs() < 10.0);
     // The acceleration of an update does not count.
     bench.command(JOG_SPEED, &[(1, 480), (2, 1)]);
     bench.idle_for(500 * MS);
     assert!((bench.velocity() - 40_000.0).abs() < 10.0);
-    bench.command(STOP_GENTLY, &[]);
-    assert_eq!(bench.status(), 1 | JOGGING | STOPPING);
+    assert_eq!(after(&mut bench, STOP_GENTLY, &[], 0), 1 | JOGGING | STOPPING);
     // 2 rev/s with 10 rev/s².
     bench.idle_for(150 * MS);
     assert_ne!(bench.status() & STOPPING, 0);
@@ -185,9 +177,7 @@ fn a_jog_runs_changes_its_speed_and_stops() {
     bench.idle_for(100 * MS);
     assert_eq!((bench.status(), bench.velocity().round()), (1, 0.0), "nothing jogs");
     let mut both = Bench::enabled(|settings| settings.firmware.moving_while_jogging = true);
-    both.command(JOG, &SLOWLY);
-    both.idle_for(100 * MS);
-    assert_eq!(both.status(), 1 | JOGGING | MOVING);
+    assert_eq!(after(&mut both, JOG, &SLOWLY, 100), 1 | JOGGING | MOVING);
 }
 
 #[test]
@@ -198,8 +188,7 @@ fn the_two_stops_stop_with_their_own_decelerations() {
         bench.command(RELATIVE, &by(1_000_000));
         bench.idle_for(500 * MS);
         let begin = (bench.now, bench.position());
-        bench.command(command, &[]);
-        assert_eq!(bench.status(), 1 | MOVING | STOPPING);
+        assert_eq!(after(&mut bench, command, &[], 0), 1 | MOVING | STOPPING);
         let mut ns = 0;
         while bench.status() & STOPPING != 0 {
             bench.pass(MS);
@@ -229,18 +218,14 @@ fn a_move_behind_a_move_waits_in_the_buffer_which_is_bounded() {
     rest(&mut bench);
     assert_eq!(bench.position(), 7_000);
     assert_eq!(bench.vendor("00 02 84 94 00 00 00 00").1[4..6], [0, 2]);
-}
-
-#[test]
-fn type_1_parameters_wait_for_their_turn_and_type_2_stops_do_not() {
-    let mut bench = Bench::enabled(|_| {});
+    // Parameters of type 1 wait for their turn.
     bench.command(RELATIVE, &by(20_000));
     bench.vendor("00 01 00 B6 FF FF EC 78");
     bench.vendor("00 01 00 66 00 00 00 00");
     assert_eq!(bench.sim.drive.parameters.get(b"DI"), 20_000);
     rest(&mut bench);
-    assert_eq!((bench.position(), bench.sim.drive.parameters.get(b"DI")), (15_000, -5_000));
-    // ST ends the move and leaves the buffer, SK empties it.
+    assert_eq!((bench.position(), bench.sim.drive.parameters.get(b"DI")), (22_000, -5_000));
+    // Stops of type 2 do not: ST ends the move and leaves the buffer, SK empties it.
     for (stop, waits) in [("00 02 A3 00 00 00 00 00", true), ("00 02 98 00 00 00 00 00", false)] {
         bench.command(RELATIVE, &by(200_000));
         bench.command(RELATIVE, &by(200_000));
@@ -252,37 +237,31 @@ fn type_1_parameters_wait_for_their_turn_and_type_2_stops_do_not() {
 }
 
 #[test]
-fn parameters_out_of_their_range_stay_as_they_were() {
-    let mut bench = Bench::enabled(|_| {});
-    bench.command(RELATIVE, &by(1_000));
-    rest(&mut bench);
-    bench.command(RELATIVE, &[(4, 0), (5, 32_001), (6, -5), (7, 1_000)]);
-    rest(&mut bench);
-    assert_eq!((bench.position(), bench.sim.refused().out_of_range), (2_000, 3));
-    assert_eq!(bench.sim.drive.parameters.get(b"AC"), 600);
-    bench.command(JOG, &[(1, i32::MIN), (2, 600), (3, 600)]);
-    assert_eq!(bench.sim.refused().out_of_range, 4);
-}
-
-#[test]
 fn host_commands_act_and_follow_each_other_without_a_0() {
     let mut bench = Bench::owned(|_| {});
-    bench.packet(1, &outputs(HOST, &host("SP", 5_000, 0)));
+    let send = |bench: &mut Bench, letters, first, second| {
+        bench.packet(1, &outputs(HOST, &host(letters, first, second)));
+    };
+    send(&mut bench, "SP", 5_000, 0);
     assert_eq!(bench.position(), 5_000);
-    bench.packet(1, &outputs(HOST, &host("SP", 5_000, 0)));
-    bench.packet(1, &outputs(HOST, &host("SP", -5_000, 0)));
-    bench.packet(1, &outputs(HOST, &host("SO", 0x4CB1, 0)));
-    bench.packet(1, &outputs(HOST, &host("RL", 0x34, 99)));
-    bench.packet(1, &outputs(HOST, &host("HV", 0x32, 77)));
-    bench.packet(1, &outputs(HOST, &host("VC", 33, 0)));
+    for (letters, first, second) in [
+        ("SP", 5_000, 0),
+        ("SP", -5_000, 0),
+        ("SO", 0x4CB1, 0),
+        ("RL", 0x34, 99),
+        ("HV", 0x32, 77),
+        ("VC", 33, 0),
+    ] {
+        send(&mut bench, letters, first, second);
+    }
     assert_eq!((bench.position(), bench.sim.drive.report().outputs), (-5_000, 1));
     assert_eq!(bench.sim.drive.report().main, 0x1FF);
     assert_eq!(bench.sim.drive.registers[4], 99);
     assert_eq!(bench.sim.drive.parameters.indexed(b"HV", 2), 77);
     assert_eq!(bench.sim.drive.parameters.get(b"VC"), 33);
     assert_eq!(bench.sim.refused(), Refused::default());
-    bench.packet(1, &outputs(HOST, &host("XX", 0, 0)));
-    bench.packet(1, &outputs(HOST, &host("GC", 100, 0)));
+    send(&mut bench, "XX", 0, 0);
+    send(&mut bench, "GC", 100, 0);
     assert_eq!((bench.sim.refused().unknown_command, bench.alarm()), (2, 0));
     bench.word(0);
     bench.command(CURRENT, &[(8, 100)]);
@@ -295,8 +274,7 @@ fn host_commands_act_and_follow_each_other_without_a_0() {
 #[test]
 fn a_segment_runs_for_a_while_and_keeps_type_1_out() {
     let mut bench = Bench::enabled(|_| {});
-    bench.command(SEGMENT, &[(10, 1)]);
-    assert_eq!(bench.status(), 0x4001);
+    assert_eq!(after(&mut bench, SEGMENT, &[(10, 1)], 0), 0x4001);
     assert_eq!(bench.vendor("00 01 00 66 00 00 00 00").0, 0x10);
     assert_eq!(bench.vendor("00 02 88 01 00 00 00 00").0, 0);
     bench.command(RELATIVE, &by(100));
@@ -306,8 +284,7 @@ fn a_segment_runs_for_a_while_and_keeps_type_1_out() {
     rest(&mut bench);
     assert_eq!((bench.status(), bench.position()), (1, 100));
     bench.command(SEGMENT, &[(10, 1)]);
-    bench.command(STOP, &[]);
-    assert_eq!(bench.status(), 1);
+    assert_eq!(after(&mut bench, STOP, &[], 0), 1);
     bench.command(SEGMENT, &[(10, 7)]);
     assert_eq!(bench.alarm(), 0x4000);
 }
@@ -317,15 +294,16 @@ fn with_switch(settings: &mut MoonsSettings) {
         Some(HomeSwitch { at: Wired { input: 2, closed: true }, range: (-30_000, -28_000) });
 }
 
+/// A move with the code of an input.
+fn with_code(steps: i32, code: i32) -> Vec<(usize, i32)> {
+    by(steps).into_iter().chain([(10, code)]).collect()
+}
+
 #[test]
 fn homing_finds_its_switch_and_comes_back_to_it() {
     for command in [SEEK, FIND] {
         let mut bench = Bench::enabled(with_switch);
-        let low = [(10, 0x4CB2)];
-        let elements: Vec<_> = by(-1).into_iter().chain(low).collect();
-        bench.command(command, &elements);
-        bench.idle_for(50 * MS);
-        assert_eq!(bench.status(), 1 | MOVING | HOMING);
+        assert_eq!(after(&mut bench, command, &with_code(-1, 0x4CB2), 50), 1 | MOVING | HOMING);
         assert_eq!(bench.sim.drive.report().main, 0xFF);
         rest(&mut bench);
         assert!((-28_100..=-27_990).contains(&bench.position()), "{}", bench.position());
@@ -339,63 +317,49 @@ fn homing_finds_its_switch_and_comes_back_to_it() {
         with_switch(settings);
         settings.firmware.homing_zeroes = true;
     });
-    zero.command(FIND, &by(-1));
-    rest(&mut zero);
+    go(&mut zero, FIND, &by(-1));
     assert_eq!(zero.position(), 0);
 }
 
 #[test]
-fn homing_turns_round_at_one_limit_and_ends_at_the_second() {
+fn a_limit_stops_and_lets_the_motor_away_and_homing_turns_round_at_one() {
     let limited = |settings: &mut MoonsSettings| settings.motor.limits = Some((-40_000, 40_000));
-    let mut bench = Bench::enabled(|settings| {
-        with_switch(settings);
-        limited(settings);
-    });
-    bench.command(FIND, &by(1));
-    rest(&mut bench);
-    assert_eq!((bench.alarm(), bench.sim.truth(bench.now).homed), (0, true));
-    // Nothing is wired to input 3.
     let mut bench = Bench::enabled(limited);
-    let elements: Vec<_> = by(1).into_iter().chain([(10, 0x4CB3)]).collect();
-    bench.command(SEEK, &elements);
-    rest(&mut bench);
-    assert_eq!((bench.alarm(), bench.sim.truth(bench.now).homed), (0x0002, false));
-    // Without a home switch there is nothing to find.
-    bench.command(FIND, &by(1));
-    assert_eq!(bench.sim.refused().unsupported, 1);
-}
-
-#[test]
-fn a_limit_stops_and_lets_the_motor_away_from_it() {
-    let mut bench = Bench::enabled(|settings| settings.motor.limits = Some((-40_000, 40_000)));
-    bench.command(RELATIVE, &by(1_000_000));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE, &by(1_000_000));
     assert_eq!(bench.alarm(), 0x0004);
     assert!((40_000..42_000).contains(&bench.position()));
     bench.command(RESET, &[]);
     let at = bench.position();
     bench.command(RELATIVE, &by(1_000));
     assert_eq!((bench.alarm(), bench.status() & MOVING), (0x0004, 0));
-    bench.command(RELATIVE, &by(-10_000));
-    rest(&mut bench);
+    go(&mut bench, RELATIVE, &by(-10_000));
     assert_eq!(bench.position(), at - 10_000);
+    // Nothing is wired to input 3: homing ends at the second. Without a home switch there is nothing to find.
+    let mut bench = Bench::enabled(limited);
+    go(&mut bench, SEEK, &with_code(1, 0x4CB3));
+    assert_eq!((bench.alarm(), bench.sim.truth(bench.now).homed), (0x0002, false));
+    bench.command(FIND, &by(1));
+    assert_eq!(bench.sim.refused().unsupported, 1);
+    let mut bench = Bench::enabled(|settings| {
+        with_switch(settings);
+        limited(settings);
+    });
+    go(&mut bench, FIND, &by(1));
+    assert_eq!((bench.alarm(), bench.sim.truth(bench.now).homed), (0, true));
 }
 
 #[test]
 fn a_sensor_ends_a_move() {
     let mut bench = Bench::enabled(with_switch);
-    let to = |code: i32| by(-1).into_iter().chain([(10, code)]).collect::<Vec<_>>();
-    bench.command(SENSOR, &to(0x4CB2));
-    rest(&mut bench);
+    go(&mut bench, SENSOR, &with_code(-1, 0x4CB2));
     // Down from 5 rev/s with 100 rev/s²: 2500 steps.
     assert!((-30_700..-30_400).contains(&bench.position()), "{}", bench.position());
     // No such condition.
-    bench.command(SENSOR, &to(0x58B2));
+    bench.command(SENSOR, &with_code(-1, 0x58B2));
     assert_eq!((bench.status(), bench.sim.refused().unsupported), (1, 1));
     // The safety distance.
-    bench.command(0x80, &by(20_000).into_iter().chain([(10, 0x4CB5)]).collect::<Vec<_>>());
     let begin = bench.position();
-    rest(&mut bench);
+    go(&mut bench, 0x80, &with_code(20_000, 0x4CB5));
     assert!((20_000..23_000).contains(&(bench.position() - begin)));
 }
 
@@ -452,7 +416,7 @@ fn messages_feed_zs_and_heartbeats_only_if_set() {
 
 #[test]
 fn zs_and_za_count_from_the_next_power_up_on_and_only_if_saved() {
-    let restarted = |save: bool| {
+    for (save, end) in [(true, 0), (false, 1 | JOGGING)] {
         let mut bench = Bench::owned(|_| {});
         bench.packet(1, &outputs(HOST, &host("ZS", 200, 0)));
         bench.packet(1, &outputs(HOST, &host("ZA", 15, 0)));
@@ -461,22 +425,15 @@ fn zs_and_za_count_from_the_next_power_up_on_and_only_if_saved() {
             assert_eq!(bench.status(), 0x0100, "saving");
         }
         bench.command(ENABLE, &[]);
-        bench.command(ENABLE, &[]);
-        bench.command(JOG, &SLOWLY);
-        bench.pass(300 * MS);
-        assert_eq!(bench.status() & 0x21, 0x21, "not yet");
-        bench.sim.disconnected(bench.now, MASTER);
-        bench.sim.restart(bench.now);
-        bench.pass(S);
-        bench.session = bench.connect(MASTER);
-        bench.open(&Forward::default());
-        bench.command(ENABLE, &[]);
-        bench.command(JOG, &SLOWLY);
-        bench.pass(300 * MS);
-        bench.status()
-    };
-    assert_eq!(restarted(true), 0);
-    assert_eq!(restarted(false), 1 | JOGGING);
+        for status in [1 | JOGGING, end] {
+            bench.command(ENABLE, &[]);
+            bench.command(JOG, &SLOWLY);
+            bench.pass(300 * MS);
+            assert_eq!(bench.status() & !0x0100, status, "saved: {save}");
+            bench.power_cycle();
+            bench.open(&Forward::default());
+        }
+    }
 }
 
 #[test]
@@ -493,48 +450,29 @@ fn a_lost_owner_leaves_the_motor_to_zs_unless_set_otherwise() {
     let mut closed = Bench::enabled(|_| {});
     closed.command(JOG, &SLOWLY);
     closed.message(&Forward::default().close());
-    closed.pass(400 * MS);
-    assert_eq!(closed.status(), 1 | JOGGING);
-    closed.pass(200 * MS);
-    assert_eq!(closed.status(), 1);
+    for (ms, status) in [(400, 1 | JOGGING), (200, 1)] {
+        closed.pass(ms * MS);
+        assert_eq!(closed.status(), status);
+    }
 }
 
 #[test]
 fn the_hardware_enable_takes_the_power_and_does_not_give_it_back() {
     let mut bench = Bench::enabled(|settings| settings.motor.enable = Some(Wired { input: 4, closed: true }));
     assert_eq!(bench.sim.drive.report().main, 0xF7);
-    bench.command(JOG, &SLOWLY);
-    bench.idle_for(100 * MS);
+    assert_eq!(after(&mut bench, JOG, &SLOWLY, 100), 1 | JOGGING);
     bench.sim.inhibit(bench.now + 100 * MS);
     bench.idle_for(50 * MS);
     assert_eq!((bench.status(), bench.sim.drive.report().main), (0, 0xFF));
-    bench.command(ENABLE, &[]);
-    assert_eq!((bench.status(), bench.sim.refused().not_enabled), (0, 1));
-    bench.idle_for(100 * MS);
-    assert_eq!((bench.status(), bench.sim.drive.report().main), (0, 0xF7));
-    bench.command(ENABLE, &[]);
-    assert_eq!(bench.status(), 1);
-}
-
-#[test]
-fn a_drive_may_be_found_running() {
+    assert_eq!(after(&mut bench, ENABLE, &[], 100), 0);
+    assert_eq!((bench.sim.refused().not_enabled, bench.sim.drive.report().main), (1, 0xF7));
+    assert_eq!(after(&mut bench, ENABLE, &[], 0), 1);
+    // A drive may be found running.
     let mut bench = Bench::owned(|settings| settings.running = Some(-30_000.0));
     assert_eq!(bench.status(), 1 | JOGGING);
     assert!((bench.velocity() + 30_000.0).abs() < 10.0);
-    bench.command(DISABLE, &[]);
-    assert_eq!(bench.status(), 0);
+    assert_eq!(after(&mut bench, DISABLE, &[], 0), 0);
     bench.pass(5 * S);
     assert_eq!(bench.velocity(), 0.0, "it runs out");
     assert!(bench.position() < 0);
-}
-
-#[test]
-fn a_power_cycle_loses_position_and_power() {
-    let mut bench = Bench::enabled(|_| {});
-    bench.command(RELATIVE, &by(20_000));
-    rest(&mut bench);
-    bench.sim.disconnected(bench.now, MASTER);
-    bench.sim.restart(bench.now);
-    let truth = bench.sim.truth(bench.now);
-    assert!(!truth.powered && truth.position.abs() < 0.01, "{truth:?}");
 }

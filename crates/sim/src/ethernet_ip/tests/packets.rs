@@ -2,12 +2,10 @@
 
 use super::*;
 
-fn counts(bench: &Bench) -> Ignored {
-    bench.sim.ignored()
-}
-
-fn word_of(packet: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes(packet[at..at + 4].try_into().unwrap())
+/// A packet with these numbers.
+fn send(bench: &mut Bench, sequence: u32, count: u16, word: u32) {
+    let bytes = packet(bench.id, sequence, count, 1, &outputs(word, &[]));
+    bench.at(PACKETS, MASTER_IO, &bytes);
 }
 
 #[test]
@@ -18,13 +16,19 @@ fn the_drive_sends_at_once_and_then_by_its_clock() {
     bench.pass(40 * MS);
     let at: Vec<u64> = bench.sent.iter().map(|(at, ..)| at.since(begin)).collect();
     assert_eq!(at, (0..=10).map(|k| k * 4 * MS).collect::<Vec<_>>());
-    for (k, (_, to, packet)) in bench.sent.iter().enumerate() {
-        let k = k as u32 + 1;
+    for (k, (_, to, packet)) in (1..).zip(&bench.sent) {
         assert_eq!((*to, packet.len()), (MASTER_IO, 76));
         assert_eq!(packet[..6], hex("02 00 02 80 08 00"));
         assert_eq!((word_of(packet, 6), word_of(packet, 10)), (0x0001_0001, k));
         assert_eq!(packet[14..20], [0xB1, 0, 58, 0, k as u8, 0]);
     }
+    // Late, it sends one packet and no burst.
+    let begin = bench.now;
+    bench.now = begin + 95 * MS;
+    bench.pass(0);
+    assert_eq!(bench.sent.len(), 12);
+    bench.pass(MS);
+    assert_eq!((bench.sent.len(), bench.sent.last().unwrap().0), (13, begin + 96 * MS));
 }
 
 #[test]
@@ -49,50 +53,32 @@ fn its_clock_drifts_and_its_packets_jitter_but_their_schedule_does_not() {
 }
 
 #[test]
-fn a_late_run_sends_one_packet_and_no_burst() {
-    let mut bench = Bench::new(|_| {});
-    bench.open(&Forward::default());
-    let begin = bench.now;
-    bench.pass(0);
-    bench.now = begin + 95 * MS;
-    bench.pass(0);
-    assert_eq!(bench.sent.len(), 2);
-    bench.pass(5 * MS);
-    assert_eq!(bench.sent.last().unwrap().0, begin + 100 * MS);
-}
-
-#[test]
 fn a_connection_lives_ten_seconds_until_its_first_packet_and_then_by_its_factor() {
-    let mut bench = Bench::new(|_| {});
-    bench.open(&Forward::default());
-    bench.pass(10 * S - 1);
-    assert_eq!(bench.sim.connections(), (1, 1));
-    bench.pass(1);
-    assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
-    let mut bench = Bench::owned(|_| {});
-    bench.pass(160 * MS - 1);
-    assert_eq!(bench.sim.connections(), (1, 1));
-    let before = bench.sent.len();
-    bench.pass(1);
-    assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
-    bench.pass(S);
-    assert_eq!(bench.sent.len(), before, "it stops sending");
-    // Longer than ten seconds from the beginning, if the factor says so.
-    let mut bench = Bench::new(|_| {});
-    bench.open(&Forward { us: (100_000, 100_000), multiplier: 7, ..Forward::default() });
-    bench.pass(51_200 * MS - 1);
-    assert_eq!(bench.sim.connections().1, 1);
-    bench.pass(1);
-    assert_eq!(bench.sim.connections().1, 0);
-}
-
-#[test]
-fn tcp_stays_while_another_connection_of_the_originator_lives() {
+    let opened = |open: Forward| {
+        let mut bench = Bench::new(|_| {});
+        bench.open(&open);
+        bench
+    };
+    let slow = Forward { us: (100_000, 100_000), multiplier: 7, ..Forward::default() };
+    for (mut bench, ms) in [
+        (opened(Forward::default()), 10_000),
+        (Bench::owned(|_| {}), 160),
+        // Longer than ten seconds from the beginning, if the factor says so.
+        (opened(slow), 51_200),
+    ] {
+        bench.pass(ms * MS - 1);
+        assert_eq!(bench.sim.connections(), (1, 1), "{ms}");
+        let before = bench.sent.len();
+        bench.pass(1);
+        assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true), "{ms}");
+        bench.pass(S);
+        assert_eq!(bench.sent.len(), before, "it stops sending");
+    }
+    // TCP stays while another connection of the originator lives, and ends with the last one.
     let mut bench = Bench::owned(|_| {});
     bench.open(&Forward::messages());
     bench.pass(200 * MS);
     assert_eq!((bench.sim.connections(), bench.sim.hangs_up(MASTER)), ((1, 1), false));
-    // And ends with the last one.
     bench.pass(32 * S);
     assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
 }
@@ -101,32 +87,23 @@ fn tcp_stays_while_another_connection_of_the_originator_lives() {
 fn packets_that_are_not_the_connections_own_feed_nobody() {
     let mut bench = Bench::owned(|_| {});
     let good = packet(bench.id, 50, 50, 1, &outputs(0x2, &[]));
-    let mut wrong: Vec<(SocketAddrV4, Vec<u8>)> = Vec::new();
     let stranger = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 7), 2_222);
-    wrong.push((stranger, good.clone()));
     let change = |at: usize, value: u8| {
         let mut bytes = good.clone();
         bytes[at] = value;
-        bytes
+        (MASTER_IO, bytes)
     };
-    wrong.push((MASTER_IO, change(6, 0x55)));
-    // The connected address of class 3, and unconnected data.
-    wrong.push((MASTER_IO, change(2, 0xA1)));
-    wrong.push((MASTER_IO, change(14, 0xB2)));
-    wrong.push((MASTER_IO, good[..good.len() - 1].to_vec()));
-    // Without the run/idle header, and with a byte more.
-    wrong.push((MASTER_IO, {
-        let mut bytes = good[..20].to_vec();
-        bytes.extend(&good[24..]);
-        bytes[16] = 66;
-        bytes
-    }));
-    wrong.push((MASTER_IO, {
-        let mut bytes = good.clone();
-        bytes.push(0);
-        bytes[16] = 71;
-        bytes
-    }));
+    let wrong = [
+        (stranger, good.clone()),
+        change(6, 0x55),
+        // The connected address of class 3, and unconnected data.
+        change(2, 0xA1),
+        change(14, 0xB2),
+        (MASTER_IO, good[..good.len() - 1].to_vec()),
+        // Without the run/idle header, and with a byte more.
+        (MASTER_IO, [&good[..16], &[66], &good[17..20], &good[24..]].concat()),
+        (MASTER_IO, [&good[..16], &[71], &good[17..], &[0]].concat()),
+    ];
     for (from, bytes) in &wrong {
         assert_eq!(bench.at(PACKETS, *from, bytes), [0; 0]);
     }
@@ -137,7 +114,7 @@ fn packets_that_are_not_the_connections_own_feed_nobody() {
         wrong_length: 2,
         ..Ignored::default()
     };
-    assert_eq!((counts(&bench), bench.status()), (expected, 0));
+    assert_eq!((bench.sim.ignored(), bench.status()), (expected, 0));
     // Any port of the right host will do.
     bench.at(PACKETS, SocketAddrV4::new(*MASTER.ip(), 9), &good);
     assert_eq!(bench.status(), 1);
@@ -152,10 +129,6 @@ fn packets_that_are_not_the_connections_own_feed_nobody() {
 fn an_older_packet_is_dropped_and_does_not_feed() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward::default());
-    let send = |bench: &mut Bench, sequence: u32, count: u16, word: u32| {
-        let bytes = packet(bench.id, sequence, count, 1, &outputs(word, &[]));
-        bench.at(PACKETS, MASTER_IO, &bytes);
-    };
     // The first one is accepted whatever it is, and the numbers go round.
     send(&mut bench, u32::MAX, 1, 0);
     send(&mut bench, 1, 2, 0x2);
@@ -163,7 +136,7 @@ fn an_older_packet_is_dropped_and_does_not_feed() {
     for old in [1, 0, u32::MAX, 0x8000_0001] {
         send(&mut bench, old, 3, 0);
     }
-    assert_eq!(counts(&bench).old_sequence, 4);
+    assert_eq!(bench.sim.ignored().old_sequence, 4);
     bench.pass(159 * MS);
     send(&mut bench, 1, 3, 0);
     bench.pass(MS);
@@ -174,32 +147,32 @@ fn an_older_packet_is_dropped_and_does_not_feed() {
 fn data_that_is_not_new_feeds_and_does_not_act() {
     let mut bench = Bench::new(|_| {});
     bench.open(&Forward::default());
-    let send = |bench: &mut Bench, sequence: u32, count: u16, word: u32| {
-        let bytes = packet(bench.id, sequence, count, 1, &outputs(word, &[]));
-        bench.at(PACKETS, MASTER_IO, &bytes);
-    };
     send(&mut bench, 1, 0, 0x2);
-    assert_eq!((counts(&bench).duplicate, bench.status()), (1, 0), "0 is not ahead of 0");
+    assert_eq!((bench.sim.ignored().duplicate, bench.status()), (1, 0), "0 is not ahead of 0");
     send(&mut bench, 2, 1, 0x2);
     assert_eq!(bench.status(), 1);
     for sequence in 3..20 {
         bench.pass(100 * MS);
         send(&mut bench, sequence, if sequence % 2 == 0 { 1 } else { 0xFFF0 }, 0x4);
     }
-    assert_eq!((counts(&bench).duplicate, bench.status(), bench.sim.connections().1), (18, 1, 1));
+    assert_eq!((bench.sim.ignored().duplicate, bench.status(), bench.sim.connections().1), (18, 1, 1));
     let mut bench = Bench::new(|settings| settings.network.counts_forward = false);
     bench.open(&Forward::default());
     send(&mut bench, 1, 0, 0x2);
-    assert_eq!((counts(&bench).duplicate, bench.status()), (0, 1), "the other rule: only another one counts");
+    assert_eq!(
+        (bench.sim.ignored().duplicate, bench.status()),
+        (0, 1),
+        "the other rule: only another one counts"
+    );
     send(&mut bench, 2, 0, 0x4);
-    assert_eq!((counts(&bench).duplicate, bench.status()), (1, 1));
+    assert_eq!((bench.sim.ignored().duplicate, bench.status()), (1, 1));
 }
 
 #[test]
 fn an_idle_owner_feeds_and_does_not_act() {
     let mut bench = Bench::enabled(|_| {});
     bench.packet(0, &outputs(0x4, &[]));
-    assert_eq!((bench.status(), counts(&bench).idle), (1, 1));
+    assert_eq!((bench.status(), bench.sim.ignored().idle), (1, 1));
     for _ in 0..100 {
         bench.pass(50 * MS);
         bench.packet(0, &outputs(0, &[]));
@@ -233,7 +206,7 @@ fn heartbeats_keep_an_input_only_connection() {
         bench.pass(100 * MS);
         bench.at(PACKETS, MASTER_IO, &heartbeat(id, sequence));
     }
-    assert_eq!((bench.sim.connections().1, counts(&bench)), (1, Ignored::default()));
+    assert_eq!((bench.sim.connections().1, bench.sim.ignored()), (1, Ignored::default()));
     bench.pass(160 * MS);
     assert_eq!(bench.sim.connections().1, 0);
 }

@@ -9,8 +9,7 @@ fn answer(bench: &mut Bench, command: u16, session: u32, data: &[u8]) -> (u32, u
     assert_eq!(reply[..2], command.to_le_bytes());
     assert_eq!(usize::from(u16::from_le_bytes([reply[2], reply[3]])), reply.len() - 24);
     assert_eq!(&reply[12..20], b"context!");
-    let word = |at: usize| u32::from_le_bytes(reply[at..at + 4].try_into().unwrap());
-    (word(8), word(4), reply[24..].to_vec())
+    (word_of(&reply, 8), word_of(&reply, 4), reply[24..].to_vec())
 }
 
 fn other(port: u16) -> SocketAddrV4 {
@@ -37,38 +36,26 @@ fn each_command_is_answered_with_its_status() {
 }
 
 #[test]
-fn a_session_of_another_version_is_refused_with_the_right_one() {
-    let mut bench = Bench::new(|_| {});
+fn sessions_are_bounded_of_one_version_and_belong_to_their_connection() {
+    let mut bench = Bench::new(|settings| settings.network.sessions = 2);
+    let register = |bench: &mut Bench, port, data: &[u8]| bench.raw(other(port), &frame(0x65, 0, data));
     assert!(bench.sim.connect(bench.now, other(2)));
     for data in [[2, 0, 0, 0], [1, 0, 1, 0]] {
-        let reply = bench.raw(other(2), &frame(0x65, 0, &data));
-        assert_eq!((reply[8], &reply[24..]), (0x69, &[1, 0, 0, 0][..]));
+        let reply = register(&mut bench, 2, &data);
+        assert_eq!((reply[8], &reply[24..]), (0x69, &[1, 0, 0, 0][..]), "another version");
     }
-    let reply = bench.raw(other(2), &frame(0x65, 0, &[1, 0]));
+    let reply = register(&mut bench, 2, &[1, 0]);
     assert_eq!((reply[8], reply.len()), (0x65, 24));
-    let reply = bench.raw(other(2), &frame(0x65, 0, &[1, 0, 0, 0]));
+    let reply = register(&mut bench, 2, &[1, 0, 0, 0]);
     assert_eq!((reply[8], &reply[4..8]), (0, &hex("02 01 00 00")[..]), "it can still be registered");
-}
-
-#[test]
-fn sessions_are_bounded_and_so_are_connections() {
-    let mut bench = Bench::new(|settings| settings.network.sessions = 2);
-    bench.connect(other(2));
+    let session = bench.session;
+    assert_eq!(bench.raw(other(2), &frame(0x6F, session, &[0; 16]))[8], 0x64, "that of another connection");
     assert!(bench.sim.connect(bench.now, other(3)));
-    assert_eq!(bench.raw(other(3), &frame(0x65, 0, &[1, 0, 0, 0]))[8], 2);
+    assert_eq!(register(&mut bench, 3, &[1, 0, 0, 0])[8], 2);
     assert!(bench.sim.connect(bench.now, other(4)));
     assert!(!bench.sim.connect(bench.now, other(5)));
     bench.sim.disconnected(bench.now, other(2));
-    assert_eq!(bench.raw(other(3), &frame(0x65, 0, &[1, 0, 0, 0]))[8], 0);
-}
-
-#[test]
-fn a_session_belongs_to_its_connection() {
-    let mut bench = Bench::new(|_| {});
-    bench.connect(other(2));
-    let session = bench.session;
-    let reply = bench.raw(other(2), &frame(0x6F, session, &[0; 16]));
-    assert_eq!(reply[8], 0x64);
+    assert_eq!(register(&mut bench, 3, &[1, 0, 0, 0])[8], 0);
 }
 
 #[test]
@@ -96,6 +83,12 @@ fn a_request_with_a_status_or_options_gets_no_answer() {
         assert_eq!(bench.at(DISCOVERY, MASTER, &list), [0; 0]);
     }
     assert_eq!(bench.sim.ignored().bad_header, 4);
+    // One that is too long ends the connection.
+    let mut long = Bench::new(|_| {});
+    let bytes = frame(0x6F, long.session, &[0; FRAME_MAX - 23]);
+    assert_eq!(long.raw(MASTER, &bytes[..24])[8], 0x65);
+    assert!(long.sim.hangs_up(MASTER));
+    assert_eq!(long.raw(MASTER, &bytes[24..]), [0; 0]);
     // But for the one that ends the session.
     let mut end = frame(0x66, bench.session, &[]);
     end[8] = 1;
@@ -104,16 +97,7 @@ fn a_request_with_a_status_or_options_gets_no_answer() {
 }
 
 #[test]
-fn a_frame_that_is_too_long_ends_the_connection() {
-    let mut bench = Bench::new(|_| {});
-    let long = frame(0x6F, bench.session, &[0; FRAME_MAX - 23]);
-    assert_eq!(bench.raw(MASTER, &long[..24])[8], 0x65);
-    assert!(bench.sim.hangs_up(MASTER));
-    assert_eq!(bench.raw(MASTER, &long[24..]), [0; 0]);
-}
-
-#[test]
-fn a_silent_connection_ends_after_two_minutes_and_the_packets_go_on() {
+fn a_silent_connection_ends_after_a_time_that_can_be_set_and_the_packets_go_on() {
     let mut bench = Bench::owned(|_| {});
     for _ in 0..2_399 {
         bench.pass(50 * MS);
@@ -131,10 +115,6 @@ fn a_silent_connection_ends_after_two_minutes_and_the_packets_go_on() {
     let session = bench.connect(other(9));
     let (reply, _) = bench.message_of(other(9), session, &Forward::default().close(), &[]);
     assert_eq!(reply[..4], [0xCE, 0, 0, 0]);
-}
-
-#[test]
-fn the_inactivity_time_out_can_be_read_and_set() {
     let mut bench = Bench::new(|_| {});
     assert_eq!(bench.message(&hex("0E 03 20 F5 24 01 30 0D")), hex("8E 00 00 00 78 00"));
     assert_eq!(bench.message(&hex("10 03 20 F5 24 01 30 0D 02 00")), hex("90 00 00 00"));

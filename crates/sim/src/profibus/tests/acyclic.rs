@@ -35,10 +35,6 @@ fn request(bench: &mut Bench, data: &[u8]) -> Vec<u8> {
     answer[4..].to_vec()
 }
 
-fn hex(text: &str) -> Vec<u8> {
-    text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
-}
-
 /// Section 3 of the sheet, bytes of the wire. The frame count bit of each new request is the other one.
 #[test]
 fn the_telegrams_of_the_sheet_are_answered_as_the_sheet_has_it() {
@@ -124,14 +120,12 @@ fn it_needs_dpv1_data_exchange_and_the_own_master() {
     assert_eq!(bench.srd(SAPS, &[]), inactive);
     let mut prm = PRM;
     prm[7] = 0;
-    bench.set_prm(&prm);
-    bench.chk_cfg(&[0xF3, 0xF1]);
-    bench.wait(2 * MS);
+    bench.configured(&prm, &[0xF3, 0xF1]);
     assert_eq!(bench.exchange(&[0; 12]).0, 8);
     assert_eq!(bench.srd(SAPS, &[]), inactive);
     bench.set_prm(&PRM);
     assert_eq!(bench.srd(SAPS, &[]), Some((0xE5, vec![])));
-    (bench.master, bench.fcb) = (3, None);
+    bench.master((3, None));
     assert_eq!(bench.srd(SAPS, &[]), inactive);
     assert_eq!(bench.slave().misuse(), Misuse { state: 3, ..Misuse::default() });
 }

@@ -18,28 +18,16 @@ fn profidrive() -> Bench {
 #[test]
 fn drivecom_takes_one_state_at_a_time() {
     let mut bench = up(|_| ());
-    let path: [(u16, u16); 18] = [
-        (0x0F, 0x40),
-        (0x07, 0x40),
-        (0x06, 0x21),
-        // Not behind "switch on" in one step.
-        (0x0F, 0x21),
-        (0x07, 0x23),
-        (0x06, 0x21),
-        (0x07, 0x23),
-        (0x0F, 0x27),
-        (0x07, 0x23),
-        (0x0F, 0x27),
-        (0x06, 0x21),
-        (0x07, 0x23),
-        (0x02, 0x40),
-        (0x06, 0x21),
-        (0x04, 0x40),
-        (0x06, 0x21),
-        (0x07, 0x23),
-        (0x0F, 0x27),
+    // Not behind "switch on" in one step.
+    let words = [
+        0x0F, 0x07, 0x06, 0x0F, 0x07, 0x06, 0x07, 0x0F, 0x07, 0x0F, 0x06, 0x07, 0x02, 0x06, 0x04, 0x06, 0x07,
+        0x0F,
     ];
-    for (k, (word, state)) in path.into_iter().enumerate() {
+    let states = [
+        0x40, 0x40, 0x21, 0x21, 0x23, 0x21, 0x23, 0x27, 0x23, 0x27, 0x21, 0x23, 0x40, 0x21, 0x40, 0x21, 0x23,
+        0x27,
+    ];
+    for (k, (word, state)) in words.into_iter().zip(states).enumerate() {
         let mask = if state == 0x40 { 0x4F } else { STATES };
         assert_eq!(bench.words(word, 0).0 & mask, state, "{k}: {word:X}");
     }
@@ -76,6 +64,12 @@ fn stops_take_their_ramps_and_coasting_takes_the_friction() {
         bench.hold(1_000 * MS, word, 0x2000);
         assert_eq!(bench.slave().axis_state(), end, "{word:X}");
     }
+    // A ramp of 0.5 s to 1500 rpm: half of it after 250 ms.
+    let mut bench = up(|_| ());
+    bench.enable();
+    bench.hold(250 * MS, 0x7F, 0x4000);
+    let half = bench.rpm();
+    assert!((700.0..850.0).contains(&half), "{half}");
     // Where the bits are ignored it runs without them.
     let mut bench = up(|settings| settings.power.ramp_bits = false);
     bench.enable();
@@ -148,6 +142,7 @@ fn set_point_and_actual_value_are_shares_of_c0011() {
         });
         bench.enable();
         let (status, actual) = bench.hold(700 * MS, 0x7F, set_point);
+        assert_eq!(status & STATES | status & 0x0600, 0x0627, "{status:04X}");
         assert!((bench.rpm() - rpm).abs() < 1.0, "{}", bench.rpm());
         let expected = (rpm / full_rpm * f64::from(full_count)).round();
         assert!((f64::from(actual) - expected).abs() < 20.0, "{actual}");
@@ -164,9 +159,7 @@ fn further_words_are_where_they_are_set_up() {
             vec![OutputWord::Further, OutputWord::Control, OutputWord::Further, OutputWord::SetPoint];
         settings.inputs = vec![InputWord::Echo(2), InputWord::Torque, InputWord::Fault, InputWord::Status];
     });
-    bench.set_prm(&PRM);
-    bench.chk_cfg(&[0xF3]);
-    bench.wait(2 * MS);
+    bench.configured(&PRM, &[0xF3]);
     bench.control(0, 0);
     let (_, data) = bench.exchange(&[1, 2, 0, 6, 0xAB, 0xCD, 0, 0]);
     assert_eq!(data, [0xAB, 0xCD, 0, 0, 0, 0, 0x02, 0x31]);

@@ -1,10 +1,6 @@
-//! From the first telegram to a motor that follows.
+//! The telegrams of the sheet, byte by byte.
 
 use super::*;
-
-fn hex(text: &str) -> Vec<u8> {
-    text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
-}
 
 /// Section 6 of the sheet: pyprofibus' telegrams, address 7, master 2. Min Tsdr and bytes are exact at every rate.
 #[test]
@@ -45,24 +41,4 @@ fn the_telegrams_of_the_sheet_are_answered_as_the_sheet_has_it() {
         let answer = bench.ask(&hex(table[1].0));
         assert_eq!(answer, Some(hex("A2 82 87 08 3E 3C 02 05 00 FF 00 82 13 16")));
     }
-}
-
-#[test]
-fn a_motor_follows_its_set_point_and_stops() {
-    let mut bench = Bench::with(|_| ());
-    bench.up();
-    assert_eq!(bench.words(0x06, 0).0 & 0x6F, 0x21);
-    assert_eq!(bench.words(0x07, 0).0 & 0x6F, 0x23);
-    assert_eq!(bench.words(0x0F, 0).0 & 0x6F, 0x27);
-    // Ramp of 0.5 s to 1500 rpm: half of it after 250 ms.
-    bench.hold(250 * MS, 0x7F, 0x4000);
-    let half = bench.rpm();
-    assert!((700.0..850.0).contains(&half), "{half}");
-    let (status, actual) = bench.hold(500 * MS, 0x7F, 0x4000);
-    assert_eq!(status & 0x6F | status & 0x0600, 0x0627, "{status:04X}");
-    assert!((0x3FF0..0x4010).contains(&actual), "{actual:04X}");
-    assert!((bench.rpm() - 1_500.0).abs() < 1.0);
-    bench.hold(600 * MS, 0x7F, 0);
-    assert!(bench.rpm().abs() < 1.0);
-    assert_eq!(bench.slave().misuse(), Misuse::default());
 }

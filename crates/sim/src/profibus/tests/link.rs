@@ -9,76 +9,60 @@ const ALIVE: [u8; 6] = [0x10, MASTER, SLAVE, 0, 0x09, 0x16];
 fn a_request_needs_33_bits_of_silence_before_it_whatever_came_before() {
     for rate in RATES {
         let mut bench = Bench::at(rate, LenzeSettings::new(SLAVE));
-        let mut too_early = 0;
-        let answer = |bench: &mut Bench, bits_ns: u64| {
-            // An answer, then a token, then a request to somebody else, each followed by the request.
-            let mut answered = Vec::new();
-            for before in [&STATUS[..], &[0xDC, 2, 2], &[0x10, 9, 2, 0x49, 0x54, 0x16]] {
-                bench.wait(bench.line.bits_ns(1_000));
+        let line = bench.line;
+        let (enough, slot) = (line.bits_ns(33), line.bits_ns(100));
+        for (silence, answered) in
+            [(enough, true), (enough - 2, false), (line.bits_ns(11), false), (0, false)]
+        {
+            // A token, and a request to somebody else.
+            for before in [&[0xDC, 2, 2][..], &[0x10, 9, 2, 0x49, 0x54, 0x16]] {
+                bench.wait(line.bits_ns(1_000));
                 bench.put(before);
-                if before == STATUS {
-                    let reply = bench.take(bench.line.bits_ns(100)).unwrap();
-                    assert_eq!(reply.bytes, ALIVE);
-                    // `take` waits for 33 bits.
-                    if bits_ns < bench.line.bits_ns(33) {
-                        continue;
-                    }
-                }
-                bench.wait(if before == STATUS { 0 } else { bits_ns });
+                bench.wait(silence);
                 bench.put(&STATUS);
-                answered.push(bench.take(bench.line.bits_ns(100)).is_some());
+                assert_eq!(bench.take(slot).is_some(), answered, "{rate}: {silence} ns");
             }
-            answered
-        };
-        let enough = bench.line.bits_ns(33);
-        assert_eq!(answer(&mut bench, enough), [true; 3], "{rate}");
-        assert_eq!(bench.slave().misuse().too_early, 0);
-        for short in [enough - 2, bench.line.bits_ns(11), 0] {
-            let answers = answer(&mut bench, short);
-            assert_eq!(answers, [false; 2], "{rate}: {short} ns");
-            too_early += 2;
-            assert_eq!(bench.slave().misuse().too_early, too_early);
+        }
+        assert_eq!(bench.slave().misuse().too_early, 6);
+        // Its own answer; `take` waits for 33 bits.
+        for _ in 0..2 {
+            bench.put(&STATUS);
+            assert_eq!(bench.take(slot).unwrap().bytes, ALIVE, "{rate}");
         }
     }
-}
-
-#[test]
-fn a_slave_counts_what_is_too_early_for_itself_and_tokens_only() {
+    // What is for another slave is counted by that alone, a token by both.
     let segment = ProfibusSegment::new("x", 1_500_000, [7, 9].map(LenzeSettings::new).into());
     let mut bench = Bench::of(&segment);
-    bench.put(&[0xDC, 2, 2]);
-    bench.put(&STATUS);
-    bench.wait(MS);
-    assert_eq!((bench.sim(0).misuse().too_early, bench.sim(1).misuse().too_early), (1, 0));
-    bench.put(&[0xDC, 2, 2, 0xDC, 2, 2]);
-    bench.wait(MS);
-    assert_eq!((bench.sim(0).misuse().too_early, bench.sim(1).misuse().too_early), (2, 1));
+    for (second, counts) in [(&STATUS[..], (1, 0)), (&[0xDC, 2, 2], (2, 1))] {
+        bench.put(&[&[0xDC, 2, 2], second].concat());
+        bench.wait(MS);
+        assert_eq!((bench.sim(0).misuse().too_early, bench.sim(1).misuse().too_early), counts);
+    }
 }
 
 #[test]
 fn damaged_telegrams_are_ignored_each_with_its_count() {
     let good = [0x68, 5, 5, 0x68, 0x87, 0x82, 0x6D, 0x3C, 0x3E, 0xF0, 0x16];
-    let broken = |change: &dyn Fn(&mut Vec<u8>)| {
+    let none = Broken::default();
+    for (changes, expected) in [
+        (&[(0, 0x67)][..], Broken { start: 1, ..none }),
+        (&[(3, 0x69)], Broken { start: 1, ..none }),
+        (&[(1, 6)], Broken { length: 1, ..none }),
+        (&[(1, 3), (2, 3)], Broken { length: 1, ..none }),
+        (&[(1, 250), (2, 250)], Broken { length: 1, ..none }),
+        (&[(9, 0xF1)], Broken { sum: 1, ..none }),
+        (&[(7, 0x3D)], Broken { sum: 1, ..none }),
+        (&[(10, 0x17)], Broken { end: 1, ..none }),
+        (&[(7, 0x7C), (9, 0x30)], Broken { extension: 1, ..none }),
+    ] {
+        let mut bytes = good;
+        changes.iter().for_each(|(at, value)| bytes[*at] = *value);
         let mut bench = Bench::with(|_| ());
-        let mut bytes = good.to_vec();
-        change(&mut bytes);
-        assert_eq!(bench.ask(&bytes), None, "{bytes:02X?}");
-        let broken = bench.slave().broken();
-        assert_eq!(bench.slave().misuse(), Misuse::default());
+        assert_eq!(bench.ask(&bytes), None, "{changes:?}");
+        assert_eq!((bench.slave().broken(), bench.slave().misuse()), (expected, Misuse::default()));
         // The next one is answered.
         assert!(bench.ask(&good).is_some());
-        broken
-    };
-    let none = Broken::default();
-    assert_eq!(broken(&|bytes| bytes[0] = 0x67), Broken { start: 1, ..none });
-    assert_eq!(broken(&|bytes| bytes[3] = 0x69), Broken { start: 1, ..none });
-    assert_eq!(broken(&|bytes| bytes[1] = 6), Broken { length: 1, ..none });
-    assert_eq!(broken(&|bytes| (bytes[1], bytes[2]) = (3, 3)), Broken { length: 1, ..none });
-    assert_eq!(broken(&|bytes| (bytes[1], bytes[2]) = (250, 250)), Broken { length: 1, ..none });
-    assert_eq!(broken(&|bytes| bytes[9] ^= 1), Broken { sum: 1, ..none });
-    assert_eq!(broken(&|bytes| bytes[7] ^= 1), Broken { sum: 1, ..none });
-    assert_eq!(broken(&|bytes| bytes[10] = 0x17), Broken { end: 1, ..none });
-    assert_eq!(broken(&|bytes| (bytes[7], bytes[9]) = (0x7C, 0x30)), Broken { extension: 1, ..none });
+    }
     // One that is cut is given up when something else comes.
     let mut bench = Bench::with(|_| ());
     assert_eq!(bench.ask(&good[..7]), None);
@@ -90,21 +74,14 @@ fn damaged_telegrams_are_ignored_each_with_its_count() {
 fn one_character_of_silence_inside_is_allowed_and_more_is_not() {
     for rate in RATES {
         let mut bench = Bench::at(rate, LenzeSettings::new(SLAVE));
-        let mut halves = |gap_ns| {
-            bench.wait(bench.line.bits_ns(1_000));
+        let line = bench.line;
+        for (gap_ns, answer) in [(line.span_ns(1), Some(ALIVE.to_vec())), (line.span_ns(1) + 1, None)] {
+            bench.wait(line.bits_ns(1_000));
             bench.put(&STATUS[..4]);
             bench.wait(gap_ns);
             bench.put(&STATUS[4..]);
-            bench.take(bench.line.bits_ns(100)).map(|reply| reply.bytes)
-        };
-        let character = SerialLine {
-            rate,
-            parity: fieldbeat_core::net::Parity::Even,
-            rs485: fieldbeat_core::net::Rs485::Adapter,
+            assert_eq!(bench.take(line.bits_ns(100)).map(|reply| reply.bytes), answer, "{rate}");
         }
-        .span_ns(1);
-        assert_eq!(halves(character), Some(ALIVE.to_vec()), "{rate}");
-        assert_eq!(halves(character + 1), None, "{rate}");
         assert_eq!(bench.slave().broken().gap, 1);
     }
 }
@@ -112,25 +89,26 @@ fn one_character_of_silence_inside_is_allowed_and_more_is_not() {
 #[test]
 fn an_answer_waits_for_the_time_that_is_parametrised_or_set_up() {
     for rate in RATES {
-        let most = LinkSettings::default().max_tsdr(rate);
-        let bits = |bits: Option<u16>, min: u8| {
-            let link = LinkSettings { answer_bits: bits, ..LinkSettings::default() };
+        let most = LinkSettings::default().max_tsdr(rate).into();
+        for (answer_bits, min, expected) in [
+            (None, 11, 11),
+            (None, 0, 11),
+            (None, 60, 60),
+            (Some(40), 11, 40),
+            (Some(20), 40, 40),
+            (Some(5_000), 11, most),
+        ] {
+            let link = LinkSettings { answer_bits, ..LinkSettings::default() };
             let mut bench = Bench::at(rate, LenzeSettings { link, ..LenzeSettings::new(SLAVE) });
+            let line = bench.line;
             let mut prm = PRM;
             prm[3] = min;
             bench.set_prm(&prm);
-            bench.wait(bench.line.bits_ns(33));
+            bench.wait(line.bits_ns(33));
             bench.put(&STATUS);
-            let after = bench.take(bench.line.bits_ns(1_000)).unwrap().after;
-            let line = bench.line;
-            (0..2_000).find(|bits| line.bits_ns(*bits).abs_diff(after) <= 1)
-        };
-        assert_eq!(bits(None, 11), Some(11), "{rate}");
-        assert_eq!(bits(None, 0), Some(11), "{rate}");
-        assert_eq!(bits(None, 60), Some(60), "{rate}");
-        assert_eq!(bits(Some(40), 11), Some(40), "{rate}");
-        assert_eq!(bits(Some(20), 40), Some(40), "{rate}");
-        assert_eq!(bits(Some(5_000), 11), Some(most.into()), "{rate}");
+            let after = bench.take(line.bits_ns(1_000)).unwrap().after;
+            assert!(line.bits_ns(expected).abs_diff(after) <= 1, "{rate} {answer_bits:?} {min}: {after}");
+        }
     }
 }
 
@@ -168,55 +146,50 @@ fn a_repeated_frame_count_bit_is_answered_from_memory_and_its_data_are_ignored()
 #[test]
 fn a_first_request_starts_over_and_each_master_has_its_own_memory() {
     let mut bench = Bench::with(|_| ());
-    let diagnosis = |bench: &Bench, function| bench.frame(Some((60, 62)), function, &[]);
-    let first = diagnosis(&bench, 0x6D);
-    for _ in 0..3 {
-        assert!(bench.ask(&first).is_some());
+    let mut diagnosis = |master, function| {
+        bench.master = master;
+        let frame = bench.frame(Some((60, 62)), function, &[]);
+        let answered = bench.ask(&frame).is_some();
+        (answered, bench.slave().repeated(), bench.slave().misuse())
+    };
+    let retry = Misuse { changed_retry: 1, ..Misuse::default() };
+    for (master, function, expected) in [
+        (MASTER, 0x6D, (true, 0, Misuse::default())),
+        (MASTER, 0x6D, (true, 0, Misuse::default())),
+        // Behind a first one, with the bit set, the next has it clear.
+        (MASTER, 0x7D, (true, 1, retry)),
+        (MASTER, 0x5D, (true, 1, retry)),
+        // Another pair of stations.
+        (3, 0x5D, (true, 1, retry)),
+        (3, 0x5D, (true, 2, retry)),
+        // No bit at all.
+        (3, 0x4D, (false, 2, Misuse { frame_count: 1, ..retry })),
+    ] {
+        assert_eq!(diagnosis(master, function), expected, "{master} {function:X}");
     }
-    // Behind a first one, with the bit set, the next has it clear.
-    let same = diagnosis(&bench, 0x7D);
-    assert!(bench.ask(&same).is_some());
-    assert_eq!((bench.slave().repeated(), bench.slave().misuse().changed_retry), (1, 1));
-    let next = diagnosis(&bench, 0x5D);
-    bench.ask(&next);
-    assert_eq!(bench.slave().repeated(), 1);
-    bench.master = 3;
-    let other = diagnosis(&bench, 0x5D);
-    bench.ask(&other);
-    assert_eq!(bench.slave().repeated(), 1, "another pair of stations");
-    bench.ask(&other);
-    assert_eq!(bench.slave().repeated(), 2);
-    // No bit at all.
-    let none = diagnosis(&bench, 0x4D);
-    assert_eq!((bench.ask(&none), bench.slave().misuse().frame_count), (None, 1));
 }
 
 #[test]
 fn what_is_not_for_it_or_not_a_request_is_not_answered() {
-    let mut bench = Bench::with(|_| ());
-    bench.slave = 8;
-    let other = bench.frame(Some((60, 62)), 0x6D, &[]);
-    assert_eq!(bench.ask(&other), None);
-    bench.slave = SLAVE;
-    for function in [0x08, 0x00, 0x0A, 0x2D] {
-        let reply = bench.frame(Some((60, 62)), function, &[]);
-        assert_eq!(bench.ask(&reply), None, "{function:X}");
+    let none = Misuse::default();
+    let functions = [0x60, 0x61, 0x62, 0x68, 0x6A, 0x6B];
+    for (master, slave, functions, misuse) in [
+        (MASTER, 8, &[0x6D][..], none),
+        // Answers.
+        (MASTER, SLAVE, &[0x08, 0x00, 0x0A, 0x2D], none),
+        (MASTER, SLAVE, &functions, Misuse { function: 6, ..none }),
+        (SLAVE, SLAVE, &[0x6D], Misuse { source: 1, ..none }),
+        (MASTER, 127, &[0x6D], Misuse { broadcast: 1, ..none }),
+    ] {
+        let mut bench = Bench::with(|_| ());
+        (bench.master, bench.slave) = (master, slave);
+        for function in functions {
+            let frame = bench.frame(Some((60, 62)), *function, &[]);
+            assert_eq!(bench.ask(&frame), None, "{master} {slave} {function:X}");
+        }
+        assert_eq!(bench.ask(&[0xE5]), None);
+        assert_eq!(bench.sim(0).misuse(), misuse, "{master} {slave}");
     }
-    assert_eq!(bench.ask(&[0xE5]), None);
-    assert_eq!(bench.slave().misuse(), Misuse::default());
-    for function in [0x60, 0x61, 0x62, 0x68, 0x6A, 0x6B] {
-        let unknown = bench.frame(Some((60, 62)), function, &[]);
-        assert_eq!(bench.ask(&unknown), None, "{function:X}");
-    }
-    assert_eq!(bench.slave().misuse(), Misuse { function: 6, ..Misuse::default() });
-    bench.master = SLAVE;
-    let own = bench.frame(Some((60, 62)), 0x6D, &[]);
-    assert_eq!((bench.ask(&own), bench.slave().misuse().source), (None, 1));
-    (bench.master, bench.slave) = (MASTER, 127);
-    let all = bench.frame(Some((60, 62)), 0x6D, &[]);
-    assert_eq!(bench.ask(&all), None);
-    bench.slave = SLAVE;
-    assert_eq!(bench.slave().misuse().broadcast, 1);
 }
 
 #[test]

@@ -186,12 +186,23 @@ impl Bench {
         self.srd(None, data).unwrap()
     }
 
+    /// Parametrised, and so configured.
+    fn configured(&mut self, prm: &[u8], configuration: &[u8]) {
+        assert_eq!((self.set_prm(prm), self.chk_cfg(configuration)), (0xE5, 0xE5));
+        self.wait(2 * MS);
+    }
+
+    /// Another master asks from now on. The one before is returned, which may go on.
+    fn master(&mut self, master: (u8, Option<bool>)) -> (u8, Option<bool>) {
+        let before = (self.master, self.fcb);
+        (self.master, self.fcb) = master;
+        before
+    }
+
     /// In Data_Exchange, and in Operate.
     fn up(&mut self) {
         self.diagnose();
-        assert_eq!(self.set_prm(&PRM), 0xE5);
-        assert_eq!(self.chk_cfg(&[0xF3, 0xF1]), 0xE5);
-        self.wait(2 * MS);
+        self.configured(&PRM, &[0xF3, 0xF1]);
         let diagnosis = self.diagnose();
         assert_eq!([diagnosis[0] & !8, diagnosis[1], diagnosis[3]], [0, 0x0C, self.master]);
         self.control(0, 0);
@@ -200,8 +211,7 @@ impl Bench {
 
     /// The same for a master that is not the first one.
     fn up_as(&mut self, parametrised: u64) {
-        assert_eq!((self.set_prm(&PRM), self.chk_cfg(&[0xF3, 0xF1])), (0xE5, 0xE5));
-        self.wait(2 * MS);
+        self.configured(&PRM, &[0xF3, 0xF1]);
         assert_eq!(self.diagnose()[3], self.master);
         assert_eq!(self.slave().events().parametrised, parametrised);
     }
@@ -249,6 +259,10 @@ impl Bench {
         let now = self.now;
         self.slave().truth(now).velocity * 60.0
     }
+}
+
+fn hex(text: &str) -> Vec<u8> {
+    text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
 }
 
 /// Lock, watchdog of 100 ms, ident 0082, DP-V1.

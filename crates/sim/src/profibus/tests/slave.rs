@@ -5,8 +5,7 @@ use super::*;
 /// In Data_Exchange with this Set_Prm, Operate included.
 fn with_prm(prm: &[u8]) -> Bench {
     let mut bench = Bench::with(|_| ());
-    assert_eq!((bench.set_prm(prm), bench.chk_cfg(&[0xF3, 0xF1])), (0xE5, 0xE5));
-    bench.wait(2 * MS);
+    bench.configured(prm, &[0xF3, 0xF1]);
     bench.control(0, 0);
     assert_eq!(bench.slave().dp_state(), (DpState::DataExchange, Some(MASTER)));
     bench
@@ -36,34 +35,43 @@ fn the_states_follow_each_other_and_nothing_is_exchanged_before() {
 
 #[test]
 fn a_set_prm_that_does_not_fit_is_a_fault_by_its_name() {
-    let faults = |change: &dyn Fn(&mut Vec<u8>), settings: &dyn Fn(&mut LenzeSettings)| {
+    type Change<T> = fn(&mut T);
+    let usual: Change<LenzeSettings> = |_| ();
+    let length: Change<LenzeSettings> = |settings| settings.dp.user_prm = UserPrm::Length(3);
+    let exactly: Change<LenzeSettings> = |settings| settings.dp.user_prm = UserPrm::Exactly(vec![0x80, 0, 0]);
+    let none = Misuse::default();
+    let (taken, refused, parameters) = ((2, 0x0C), (0x42, 5), Misuse { parameters: 1, ..none });
+    let rows: [(Change<Vec<u8>>, Change<LenzeSettings>, _, _); 16] = [
+        (|_| (), usual, taken, none),
+        (|prm| prm[5] = 0x83, usual, refused, none),
+        (|prm| prm[3] = 10, usual, refused, parameters),
+        (|prm| prm[3] = 101, usual, refused, parameters),
+        (|prm| prm[1] = 0, usual, refused, parameters),
+        (|prm| prm[0] |= 1, usual, refused, parameters),
+        (|prm| prm.truncate(6), usual, refused, Misuse { length: 1, ..none }),
+        (|prm| prm[0] |= 0x20, usual, (0x52, 5), none),
+        (|prm| prm[0] |= 0x30, |settings| settings.dp.sync_freeze = true, taken, none),
+        (|prm| prm[7] |= 1, usual, refused, none),
+        (|prm| prm[7] |= 1, |settings| settings.dp.dpv1 = false, taken, none),
+        (|_| (), length, taken, none),
+        (|prm| prm.push(0), length, refused, none),
+        (|_| (), exactly, taken, none),
+        (|prm| prm[9] = 1, exactly, refused, none),
+        (|prm| prm[4] = 0x12, usual, refused, none),
+    ];
+    for (row, (change, settings, (first, second), misuse)) in rows.into_iter().enumerate() {
         let mut bench = Bench::with(settings);
         let mut prm = PRM.to_vec();
         change(&mut prm);
-        assert_eq!(bench.set_prm(&prm), 0xE5, "it is acknowledged all the same");
+        assert_eq!(bench.set_prm(&prm), 0xE5, "row {row}: it is acknowledged all the same");
         let diagnosis = bench.diagnose();
         assert_eq!(bench.slave().dp_state().0 == DpState::WaitCfg, diagnosis[0] & 0x40 == 0);
-        (diagnosis[0], diagnosis[1], bench.slave().misuse())
-    };
-    let (none, default) = (Misuse::default(), |_: &mut LenzeSettings| ());
-    let refused = |misuse| (0x42, 5, misuse);
-    assert_eq!(faults(&|_| (), &default), (2, 0x0C, none));
-    assert_eq!(faults(&|prm| prm[5] = 0x83, &default), refused(none));
-    assert_eq!(faults(&|prm| prm[3] = 10, &default), refused(Misuse { parameters: 1, ..none }));
-    assert_eq!(faults(&|prm| prm[3] = 101, &default), refused(Misuse { parameters: 1, ..none }));
-    assert_eq!(faults(&|prm| prm[1] = 0, &default), refused(Misuse { parameters: 1, ..none }));
-    assert_eq!(faults(&|prm| prm[0] |= 1, &default), refused(Misuse { parameters: 1, ..none }));
-    assert_eq!(faults(&|prm| prm.truncate(6), &default), refused(Misuse { length: 1, ..none }));
-    assert_eq!(faults(&|prm| prm[0] |= 0x20, &default), (0x52, 5, none));
-    assert_eq!(faults(&|prm| prm[0] |= 0x30, &|settings| settings.dp.sync_freeze = true), (2, 0x0C, none));
-    assert_eq!(faults(&|prm| prm[7] |= 1, &default), refused(none));
-    assert_eq!(faults(&|prm| prm[7] |= 1, &|settings| settings.dp.dpv1 = false), (2, 0x0C, none));
-    let length = |settings: &mut LenzeSettings| settings.dp.user_prm = UserPrm::Length(3);
-    assert_eq!(faults(&|_| (), &length), (2, 0x0C, none));
-    assert_eq!(faults(&|prm| prm.push(0), &length), refused(none));
-    let exactly = |settings: &mut LenzeSettings| settings.dp.user_prm = UserPrm::Exactly(vec![0x80, 0, 0]);
-    assert_eq!(faults(&|_| (), &exactly), (2, 0x0C, none));
-    assert_eq!(faults(&|prm| prm[9] = 1, &exactly), refused(none));
+        assert_eq!(
+            (diagnosis[0], diagnosis[1], bench.slave().misuse()),
+            (first, second, misuse),
+            "row {row}"
+        );
+    }
 }
 
 #[test]
@@ -74,7 +82,6 @@ fn a_fault_of_parameters_or_configuration_is_gone_with_right_ones() {
     bench.set_prm(&wrong);
     assert_eq!(bench.diagnose(), [0x42, 5, 0, 255, 0, 0x82]);
     bench.set_prm(&PRM);
-    assert_eq!(bench.diagnose()[..2], [2, 0x0C]);
     for wrong in [&[0xF3, 0xF0][..], &[0xF3], &[0xF3, 0xF1, 0], &[]] {
         assert_eq!(bench.chk_cfg(wrong), 0xE5);
         assert_eq!(bench.diagnose(), [6, 5, 0, 255, 0, 0x82], "{wrong:X?}");
@@ -97,26 +104,24 @@ fn a_fault_of_parameters_or_configuration_is_gone_with_right_ones() {
 fn another_master_is_locked_out_until_the_first_one_unlocks() {
     let mut bench = Bench::with(|_| ());
     bench.up();
-    let own = (bench.master, bench.fcb);
-    (bench.master, bench.fcb) = (3, None);
+    let own = bench.master((3, None));
     assert_eq!(bench.diagnose(), [0x80, 0x0C, 0, MASTER, 0, 0x82]);
     assert_eq!((bench.set_prm(&PRM), bench.chk_cfg(&[0xF3, 0xF1])), (3, 3));
     assert_eq!((bench.exchange(&[0; 12]).0, bench.slave().misuse().state), (3, 2));
     // Reading is allowed.
     assert_eq!(bench.srd(Some((56, 62)), &[]).unwrap().1.len(), 12);
     assert_eq!(bench.srd(Some((57, 62)), &[]).unwrap(), (8, vec![0; 12]));
-    let other = (bench.master, bench.fcb);
-    (bench.master, bench.fcb) = own;
+    let other = bench.master(own);
     assert_eq!(bench.exchange(&[0; 12]).0, 8, "its own goes on");
     let mut unlock = PRM;
     unlock[0] = 0x40;
     assert_eq!(bench.set_prm(&unlock), 0xE5);
     assert_eq!(bench.diagnose(), [2, 5, 0, 255, 0, 0x82]);
-    (bench.master, bench.fcb) = other;
+    bench.master(other);
     bench.up_as(2);
     let mut quiet = Bench::with(|settings| settings.dp.shows_lock = false);
     quiet.up();
-    (quiet.master, quiet.fcb) = (3, None);
+    quiet.master((3, None));
     assert_eq!(quiet.diagnose()[0], 0);
 }
 
@@ -154,17 +159,14 @@ fn the_watchdog_ends_data_exchange_at_its_time_and_the_drive_coasts() {
 #[test]
 fn each_telegram_of_its_own_master_feeds_the_watchdog_and_no_other() {
     let mut bench = with_prm(&PRM);
-    for round in 0..20 {
+    for _ in 0..10 {
+        bench.wait(60 * MS);
+        bench.words(0, 0);
         bench.wait(60 * MS);
         // A repeated one does.
         let function = if bench.fcb == Some(true) { 0x5D } else { 0x7D };
-        match round % 2 {
-            0 => drop(bench.words(0, 0)),
-            _ => {
-                let again = bench.frame(None, function, &[0; 12]);
-                assert!(bench.ask(&again).is_some());
-            }
-        }
+        let again = bench.frame(None, function, &[0; 12]);
+        assert!(bench.ask(&again).is_some());
     }
     assert_eq!(bench.slave().dp_state().0, DpState::DataExchange);
     for _ in 0..3 {
@@ -174,13 +176,12 @@ fn each_telegram_of_its_own_master_feeds_the_watchdog_and_no_other() {
     }
     assert_eq!((bench.slave().dp_state().0, bench.slave().events().watchdogs), (DpState::WaitPrm, 1));
     bench.up();
-    let own = (bench.master, bench.fcb);
-    (bench.master, bench.fcb) = (3, None);
+    let own = bench.master((3, None));
     for _ in 0..3 {
         bench.wait(30 * MS);
         bench.exchange(&[0; 12]);
     }
-    (bench.master, bench.fcb) = own;
+    bench.master(own);
     assert_eq!((bench.exchange(&[0; 12]).0, bench.slave().events().watchdogs), (3, 2));
 }
 
@@ -222,9 +223,7 @@ fn outputs_count_from_operate_on_and_for_the_groups_that_are_meant() {
     let mut prm = PRM;
     prm[6] = 0b0110;
     let mut bench = Bench::with(|_| ());
-    bench.set_prm(&prm);
-    bench.chk_cfg(&[0xF3, 0xF1]);
-    bench.wait(2 * MS);
+    bench.configured(&prm, &[0xF3, 0xF1]);
     let state = |bench: &mut Bench| {
         bench.words(0x06, 0);
         bench.slave().axis_state()
@@ -234,23 +233,24 @@ fn outputs_count_from_operate_on_and_for_the_groups_that_are_meant() {
     assert_eq!(state(&mut bench), State::SwitchOnDisabled, "another group");
     bench.control(0, 0b0100);
     assert_eq!(state(&mut bench), State::ReadyToSwitchOn);
-    bench.control(2, 0b1000);
-    assert_eq!(bench.slave().axis_state(), State::ReadyToSwitchOn);
-    bench.master = 3;
-    bench.control(2, 0);
-    bench.master = MASTER;
-    assert_eq!(bench.slave().axis_state(), State::ReadyToSwitchOn, "another master");
-    bench.control(2, 0);
-    assert_eq!(bench.slave().axis_state(), State::SwitchOnDisabled);
+    // Neither another group, nor another master, takes it back.
+    for (master, groups, expected) in [
+        (MASTER, 0b1000, State::ReadyToSwitchOn),
+        (3, 0, State::ReadyToSwitchOn),
+        (MASTER, 0, State::SwitchOnDisabled),
+    ] {
+        bench.master = master;
+        bench.control(2, groups);
+        bench.master = MASTER;
+        assert_eq!(bench.slave().axis_state(), expected, "{master} {groups}");
+    }
     assert_eq!(bench.slave().misuse(), Misuse::default());
     for command in [0x01, 0x40, 0x20, 0x08] {
         bench.control(command, 0);
     }
     assert_eq!(bench.slave().misuse(), Misuse { control: 4, ..Misuse::default() });
     let mut early = Bench::with(|settings| settings.dp.needs_operate = false);
-    early.set_prm(&PRM);
-    early.chk_cfg(&[0xF3, 0xF1]);
-    early.wait(2 * MS);
+    early.configured(&PRM, &[0xF3, 0xF1]);
     assert_eq!(state(&mut early), State::ReadyToSwitchOn);
 }
 
@@ -284,10 +284,9 @@ fn a_fault_is_due_until_its_diagnosis_is_read_and_again_when_it_is_gone() {
     assert_eq!((bench.exchange(&[0; 12]).0, bench.diagnose()[1]), (0xA, 0x0E));
     // Another master's reading does not count.
     bench.slave().set_static_diagnosis(false);
-    let own = (bench.master, bench.fcb);
-    (bench.master, bench.fcb) = (3, None);
+    let own = bench.master((3, None));
     bench.diagnose();
-    (bench.master, bench.fcb) = own;
+    bench.master(own);
     assert_eq!(bench.exchange(&[0; 12]).0, 0xA);
 }
 
