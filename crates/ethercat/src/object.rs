@@ -323,26 +323,10 @@ mod tests {
         ] {
             assert_eq!(target(text), Some((object.to_owned(), kind)), "{text}");
         }
-        for text in [
-            "",
-            "6041",
-            "6041:0",
-            "0x6041:",
-            "0x6041:256",
-            "0x6041:00",
-            "0x6041:+1",
-            "0x6041:0:0",
-            "0x604:0",
-            "0x06041:0",
-            "0x+041:0",
-            "0x6041:0.u64",
-            "0x6041:0.",
-            "0x6041h",
-            "status",
-            "status-word:0",
-            ".u16",
-            "06.042",
-        ] {
+        let none = "6041 6041:0 0x6041: 0x6041:256 0x6041:00 0x6041:+1 0x6041:0:0 0x604:0 0x06041:0 0x+041:0 \
+            0x6041:0.u64 0x6041:0. 0x6041h status status-word:0 .u16 06.042 0x1C12:0:ca 0x1C12:ca.u8 \
+            status-word:ca :ca";
+        for text in none.split_whitespace().chain([""]) {
             assert_eq!(target(text), None, "{text}");
             assert!(matches!(Objects.read(text), Err(NotationError::Address { .. })), "{text}");
         }
@@ -420,9 +404,6 @@ mod tests {
         }
         assert_eq!(Target::unpack(target.pack()), Some(target));
         assert_eq!(target.pack(), 0x801C_1200);
-        for text in ["0x1C12:0:ca", "0x1C12:ca.u8", "status-word:ca", ":ca"] {
-            assert_eq!(Target::parse(text), None, "{text}");
-        }
         assert!(matches!(Objects.value("0x1C12:ca", "1"), Err(NotationError::ReadOnly { .. })));
         assert_eq!(Objects.show("0x1C12:ca", 0x1704_0001), "01 00 04 17 00 00 00 00");
     }

@@ -112,7 +112,7 @@ pub fn listen(interface: &str, net: &mut dyn Frames) -> Option<Mac> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::cell::Cell;
     use std::os::fd::RawFd;
 
@@ -132,63 +132,62 @@ mod tests {
         room[..length].to_vec()
     }
 
-    /// The first of the frames of `sent`, in ms, that proves another master.
-    fn proof(sent: impl IntoIterator<Item = (u64, Vec<u8>)>) -> Option<u64> {
-        let mut other = OtherMaster::default();
-        sent.into_iter().find(|(ms, frame)| other.see(Time(S + ms * MS), frame)).map(|(ms, _)| ms)
-    }
-
     #[test]
     fn a_master_is_proved_by_its_third_frame_ten_milliseconds_after_the_first() {
-        let cyclic = |period: u64| proof((0..200).map(|n| (n * period, frame([0x10; 6], None))));
-        assert_eq!(cyclic(1), Some(10));
-        assert_eq!(cyclic(4), Some(16));
-        assert_eq!(cyclic(10), Some(20));
-        assert_eq!(cyclic(100), Some(200));
-        assert_eq!(cyclic(101), None, "a frame now and then");
-    }
-
-    #[test]
-    fn a_burst_is_what_a_master_has_left_behind() {
-        assert_eq!(proof((0..100).map(|n| (n / 25, frame([0x10; 6], Some([7; 8]))))), None);
-        let bursts = (0..100).map(|n| (n / 25 * 200, frame([0x10; 6], Some([7; 8]))));
-        assert_eq!(proof(bursts), None);
-    }
-
-    #[test]
-    fn what_the_first_slave_sets_in_passing_is_no_other_sender_and_another_mark_is() {
-        let passed =
-            (0..9).map(|n| (n * 5, frame([if n % 2 == 0 { 0x10 } else { 0x12 }; 6].map(|b| b), None)));
-        assert_eq!(
-            proof(passed.map(|(at, mut frame)| {
-                frame[7..12].fill(0x10);
-                (at, frame)
-            })),
-            Some(10)
-        );
-        // One frame of each of many: no master at all.
-        let each = (0..50_u8).map(|n| (u64::from(n) * 5, frame([0x10; 6], Some([n; 8]))));
-        assert_eq!(proof(each.filter(|(at, _)| *at > 0)), None);
-    }
-
-    #[test]
-    fn what_is_no_whole_frame_proves_nothing() {
-        let good = frame([0x10; 6], None);
-        let mut cut = good.clone();
-        cut.truncate(24);
-        let mut gateway = good.clone();
-        gateway[15] = 0x50;
-        for broken in [cut, gateway, vec![0; 60], vec![]] {
-            assert_eq!(proof((0..100).map(|n| (n * 10, broken.clone()))), None, "{broken:02x?}");
+        let mark = || frame([0x10; 6], Some([7; 8]));
+        let good = || frame([0x10; 6], None);
+        let cyclic = |period: u64, frame: Vec<u8>| (0..200).map(|n| (n * period, frame.clone())).collect();
+        let changed = |change: fn(&mut Vec<u8>)| {
+            let mut frame = good();
+            change(&mut frame);
+            frame
+        };
+        let passed = |n: u64| {
+            let mut frame = good();
+            frame[6] = if n % 2 == 0 { 0x10 } else { 0x12 };
+            (n * 5, frame)
+        };
+        for (what, sent, expected) in [
+            ("in each cycle", cyclic(1, good()), Some(10)),
+            ("in each cycle of 4 ms", cyclic(4, good()), Some(16)),
+            ("in each cycle of 10 ms", cyclic(10, good()), Some(20)),
+            ("in each cycle of 100 ms", cyclic(100, good()), Some(200)),
+            ("a frame now and then", cyclic(101, good()), None),
+            ("a burst that was left behind", (0..100).map(|n| (n / 25, mark())).collect(), None),
+            ("bursts", (0..100).map(|n| (n / 25 * 200, mark())).collect(), None),
+            (
+                "what the first slave sets in passing is no other sender",
+                (0..9).map(passed).collect(),
+                Some(10),
+            ),
+            (
+                "one frame of each of many",
+                (1..50_u8).map(|n| (u64::from(n) * 5, frame([0x10; 6], Some([n; 8])))).collect(),
+                None,
+            ),
+            ("cut off", cyclic(10, changed(|frame| frame.truncate(24))), None),
+            ("of a gateway", cyclic(10, changed(|frame| frame[15] = 0x50)), None),
+            ("zeros", cyclic(10, vec![0; 60]), None),
+            ("nothing", cyclic(10, vec![]), None),
+        ] {
+            let sent: Vec<(u64, Vec<u8>)> = sent;
+            let mut other = OtherMaster::default();
+            let proof = sent.into_iter().find(|(ms, frame)| other.see(Time(S + ms * MS), frame));
+            assert_eq!(proof.map(|(ms, _)| ms), expected, "{what}");
         }
-        assert_eq!(proof((0..100).map(|n| (n * 10, good.clone()))), Some(20));
     }
 
     /// A network interface on which frames arrive at these instants, ms; time passes while it is waited for.
-    struct Interface {
+    pub(crate) struct Interface {
         now: Cell<Time>,
         arriving: std::collections::VecDeque<(u64, Vec<u8>)>,
         fd: Option<RawFd>,
+    }
+
+    impl Interface {
+        pub(crate) fn new(arriving: Vec<(u64, Vec<u8>)>, fd: Option<RawFd>) -> Interface {
+            Interface { now: Cell::new(Time(S)), arriving: arriving.into(), fd }
+        }
     }
 
     impl Frames for Interface {
@@ -224,7 +223,7 @@ mod tests {
 
     /// Who has frames there, and for how long it was listened to, ms.
     fn found(interface: &str, fd: Option<RawFd>, arriving: Vec<(u64, Vec<u8>)>) -> (Option<Mac>, u64) {
-        let mut net = Interface { now: Cell::new(Time(S)), arriving: arriving.into(), fd };
+        let mut net = Interface::new(arriving, fd);
         let mac = listen(interface, &mut net);
         (mac, net.now().since(Time(S)) / MS)
     }

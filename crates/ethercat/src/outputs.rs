@@ -173,26 +173,18 @@ mod tests {
         }
         for outputs in [
             // R88D-1SN04H-ECT, 1702h ... 1705h.
-            &["0x6040", "0x607A", "0x60FF", "0x6071", "0x6060", "0x60B8:0.u16", "0x607F:0.u32"][..],
-            &["0x6040", "0x607A", "0x60FF", "0x6060", "0x60B8:0.u16", "0x60E0:0.u16", "0x60E1:0.u16"],
-            &[
-                "0x6040",
-                "0x607A",
-                "0x60FF",
-                "0x6071",
-                "0x6060",
-                "0x607F:0.u32",
-                "0x60E0:0.u16",
-                "0x60E1:0.u16",
-            ],
-            &["0x6040", "0x607A", "0x60FF", "0x6060", "0x60E0:0.u16", "0x60E1:0.u16", "0x60B2"],
+            "0x6040 0x607A 0x60FF 0x6071 0x6060 0x60B8:0.u16 0x607F:0.u32",
+            "0x6040 0x607A 0x60FF 0x6060 0x60B8:0.u16 0x60E0:0.u16 0x60E1:0.u16",
+            "0x6040 0x607A 0x60FF 0x6071 0x6060 0x607F:0.u32 0x60E0:0.u16 0x60E1:0.u16",
+            "0x6040 0x607A 0x60FF 0x6060 0x60E0:0.u16 0x60E1:0.u16 0x60B2",
             // EL7-EC750F, 1601h ... 1603h as far as the master drives a target of them.
-            &["0x6040", "0x60FF", "0x60B2", "0x6060"],
-            &["0x6040", "0x6071", "0x6087:0.u32", "0x6060"],
+            "0x6040 0x60FF 0x60B2 0x6060",
+            "0x6040 0x6071 0x6087:0.u32 0x6060",
             // ASDA-A2-E, 1600h.
-            &["0x6040", "0x607A", "0x60FF", "0x6071", "0x6060"],
+            "0x6040 0x607A 0x60FF 0x6071 0x6060",
         ] {
-            let owners = sources(&drive(0, outputs));
+            let outputs: Vec<_> = outputs.split_whitespace().collect();
+            let owners = sources(&drive(0, &outputs));
             assert!(owners.iter().all(Result::is_ok), "{outputs:?} {owners:?}");
         }
     }

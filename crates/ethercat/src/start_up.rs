@@ -92,39 +92,41 @@ mod tests {
     use crate::object::Family;
     use fieldbeat_core::time::{MS, US};
 
-    fn written(drive: &KollmorgenDrive) -> Vec<(u16, u8, u64)> {
-        let starts = start_up(drive, 2 * MS);
-        starts.iter().map(|start| (start.object.index, start.object.sub, start.raw)).collect()
+    /// `index:subindex=value` of each.
+    fn text(starts: &[Start]) -> String {
+        let one =
+            |start: &Start| format!("{:04X}:{}={:X}", start.object.index, start.object.sub, start.raw as u32);
+        starts.iter().map(one).collect::<Vec<_>>().join(" ")
+    }
+
+    fn written(drive: &KollmorgenDrive) -> String {
+        text(&start_up(drive, 2 * MS))
     }
 
     #[test]
     fn times_of_a_cycle_are_those_of_the_sheet() {
-        assert_eq!(cycle_time(2 * MS), Some((2, -3)));
-        assert_eq!(cycle_time(250 * US), Some((25, -5)));
-        assert_eq!(cycle_time(500 * US), Some((5, -4)));
-        assert_eq!(cycle_time(125_500), None);
+        for (period, expected) in
+            [(2 * MS, Some((2, -3))), (250 * US, Some((25, -5))), (500 * US, Some((5, -4))), (125_500, None)]
+        {
+            assert_eq!(cycle_time(period), expected);
+        }
     }
 
     #[test]
     fn a_drive_is_told_its_cycle_its_pdos_and_its_mode() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
-        let object = Object::new(0x6081, 0);
-        drive.slave.start_up.push(Start::new(object, Type::U32, 5));
-        assert_eq!(
-            written(&drive),
-            [
-                (0x60C2, 1, 2),
-                (0x60C2, 2, 0xFD),
-                (0x1C12, 0, 0),
-                (0x1C12, 1, 0x1702),
-                (0x1C12, 0, 1),
-                (0x1C13, 0, 0),
-                (0x1C13, 1, 0x1B03),
-                (0x1C13, 0, 1),
-                (0x6060, 0, 0x80),
-                (0x6081, 0, 5),
-            ]
-        );
+        drive.slave.start_up.push(Start::new(Object::new(0x6081, 0), Type::U32, 5));
+        let (cycle, rest) = ("60C2:1=2 60C2:2=FD", "6060:0=80 6081:0=5");
+        let inputs = "1C13:0=0 1C13:1=1B03 1C13:0=1";
+        let fixed = format!("{cycle} 1C12:0=0 1C12:1=1702 1C12:0=1 {inputs} {rest}");
+        assert_eq!(written(&drive), fixed);
+        drive.mapping = Mapping::AsIs;
+        assert_eq!(written(&drive), format!("{cycle} {rest}"));
+        // A free one is mapped before it is selected.
+        drive.mapping = Mapping::Free;
+        drive.outputs.pdo = 0x1600;
+        let mapped = "1C12:0=0 1600:0=0 1600:1=606B0020 1600:2=60400010 1600:0=2 1C12:1=1600 1C12:0=1";
+        assert!(written(&drive).starts_with(&format!("{cycle} {mapped} 1C13:0=0")), "{}", written(&drive));
     }
 
     #[test]
@@ -138,49 +140,11 @@ mod tests {
     #[test]
     fn of_a_drive_that_runs_its_pdos_and_what_is_in_them_are_looked_at() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
-        let read = |drive: &KollmorgenDrive| -> Vec<_> {
-            let starts = verify_found(drive);
-            starts.iter().map(|start| (start.object.index, start.object.sub, start.raw as u32)).collect()
-        };
-        let fixed = [(0x1C12, 0, 1), (0x1C12, 1, 0x1702), (0x1C13, 0, 1), (0x1C13, 1, 0x1B03)];
-        assert_eq!(read(&drive), fixed);
+        assert_eq!(text(&verify_found(&drive)), "1C12:0=1 1C12:1=1702 1C13:0=1 1C13:1=1B03");
         drive.mapping = Mapping::Free;
         (drive.outputs.pdo, drive.inputs.pdo) = (0x1600, 0x1A00);
-        let outputs = [
-            (0x1C12, 0, 1),
-            (0x1C12, 1, 0x1600),
-            (0x1600, 0, 2),
-            (0x1600, 1, 0x606B_0020),
-            (0x1600, 2, 0x6040_0010),
-        ];
-        let inputs = [
-            (0x1C13, 0, 1),
-            (0x1C13, 1, 0x1A00),
-            (0x1A00, 0, 3),
-            (0x1A00, 1, 0x6064_0020),
-            (0x1A00, 2, 0x6077_0010),
-            (0x1A00, 3, 0x6041_0010),
-        ];
-        assert_eq!(read(&drive), [&outputs[..], &inputs].concat());
-    }
-
-    #[test]
-    fn free_pdos_are_mapped_before_they_are_selected_and_some_are_left_alone() {
-        let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
-        drive.mapping = Mapping::Free;
-        drive.outputs.pdo = 0x1600;
-        let list = written(&drive);
-        let mapped = [
-            (0x1C12, 0, 0),
-            (0x1600, 0, 0),
-            (0x1600, 1, 0x606B_0020),
-            (0x1600, 2, 0x6040_0010),
-            (0x1600, 0, 2),
-            (0x1C12, 1, 0x1600),
-            (0x1C12, 0, 1),
-        ];
-        assert_eq!(list[2..9], mapped);
-        drive.mapping = Mapping::AsIs;
-        assert!(written(&drive).iter().all(|(index, ..)| !matches!(index, 0x1C12 | 0x1C13 | 0x1600)));
+        let outputs = "1C12:0=1 1C12:1=1600 1600:0=2 1600:1=606B0020 1600:2=60400010";
+        let inputs = "1C13:0=1 1C13:1=1A00 1A00:0=3 1A00:1=60640020 1A00:2=60770010 1A00:3=60410010";
+        assert_eq!(text(&verify_found(&drive)), format!("{outputs} {inputs}"));
     }
 }

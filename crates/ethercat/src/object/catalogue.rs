@@ -244,41 +244,34 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_are_found_by_object_and_by_name() {
+    fn all_are_found_by_object_and_by_name_and_have_ranges_within_their_type() {
         for known in all() {
             assert_eq!(find(known.object), Some(known));
             assert_eq!(named(known.name), Some(known));
             assert_eq!(Object::parse(known.name), None, "{} is no address", known.name);
+            let (low, high) = known.kind.range();
+            assert!(low <= known.min && known.min <= known.max && known.max <= high, "{}", known.name);
         }
         assert_eq!(find(Object::new(0x6041, 1)), None);
         assert_eq!(named("6041"), None);
     }
 
     #[test]
-    fn ranges_are_within_the_type() {
-        for known in all() {
-            let (low, high) = known.kind.range();
-            assert!(low <= known.min && known.min <= known.max && known.max <= high, "{}", known.name);
-        }
-    }
-
-    #[test]
     fn types_are_those_of_the_manuals() {
-        for (index, sub, kind, access) in [
-            (0x6040, 0, Type::U16, Access::ReadWrite),
-            (0x6041, 0, Type::U16, Access::ReadOnly),
-            (0x6060, 0, Type::I8, Access::ReadWrite),
-            (0x6064, 0, Type::I32, Access::ReadOnly),
-            (0x606B, 0, Type::I32, Access::ReadWrite),
-            (0x6077, 0, Type::I16, Access::ReadOnly),
-            (0x60C1, 1, Type::I32, Access::ReadWrite),
-            (0x60C2, 1, Type::U8, Access::ReadWrite),
-            (0x60C2, 2, Type::I8, Access::ReadWrite),
-            (0x1002, 0, Type::U32, Access::ReadOnly),
-            (0x1C12, 1, Type::U16, Access::PreOp),
+        for (kind, access, objects) in [
+            (Type::U16, Access::ReadWrite, "0x6040:0"),
+            (Type::U16, Access::ReadOnly, "0x6041:0"),
+            (Type::I8, Access::ReadWrite, "0x6060:0 0x60C2:2"),
+            (Type::I32, Access::ReadOnly, "0x6064:0"),
+            (Type::I32, Access::ReadWrite, "0x606B:0 0x60C1:1"),
+            (Type::I16, Access::ReadOnly, "0x6077:0"),
+            (Type::U8, Access::ReadWrite, "0x60C2:1"),
+            (Type::U32, Access::ReadOnly, "0x1002:0"),
+            (Type::U16, Access::PreOp, "0x1C12:1"),
         ] {
-            let known = find(Object::new(index, sub)).unwrap();
-            assert_eq!((known.kind, known.access), (kind, access), "{}", known.name);
+            for known in objects.split(' ').map(|text| find(Object::parse(text).unwrap()).unwrap()) {
+                assert_eq!((known.kind, known.access), (kind, access), "{}", known.name);
+            }
         }
     }
 }

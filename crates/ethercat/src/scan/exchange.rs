@@ -172,30 +172,8 @@ impl<'a> Exchange<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::other::tests::Interface;
     use crate::wire::frame::FRAME_MIN;
-    use fieldbeat_core::net::frames::Unsent;
-    use fieldbeat_core::rt::Regions;
-
-    struct Nobody;
-
-    impl Frames for Nobody {
-        fn fd(&self) -> Option<i32> {
-            None
-        }
-        fn send(&mut self, _: &[u8]) -> Result<Time, Unsent> {
-            Ok(Time(0))
-        }
-        fn receive(&mut self, _: &mut [u8]) -> Option<(Time, usize)> {
-            None
-        }
-        fn now(&mut self) -> Time {
-            Time(7)
-        }
-        fn mac(&self) -> Mac {
-            [0x10; 6]
-        }
-        fn memory(&self, _: &mut Regions) {}
-    }
 
     /// A frame that begins with `mark`, and the answers to `asks`.
     fn frame(mark: &[u8], asks: &[Ask]) -> Vec<u8> {
@@ -211,50 +189,35 @@ mod tests {
 
     #[test]
     fn a_reply_counts_by_its_mark_and_its_shape() {
-        let mut nobody = Nobody;
+        let mut nobody = Interface::new(Vec::new(), None);
         let mut exchange = Exchange::new(&mut nobody, &|| true);
         exchange.mark.number = 3;
         let asks = [Ask::read(Command::Brd(0), 2)];
         let mark = exchange.mark.bytes();
         let good = frame(&mark, &asks);
+        let changed = |at: usize, byte: u8| {
+            let mut frame = good.clone();
+            frame[at] = byte;
+            frame
+        };
+        let (mut late, mut other) = (mark, mark);
+        (late[4], other[0]) = (2, mark[0] ^ 1);
+        let foreign = || Delivery::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]);
         let answer = Answer { data: vec![0, 0], count: 0 };
-        assert_eq!(exchange.judge(&good, &asks), Delivery::Answers(vec![answer]));
-        // Late, of another shape, circulated, broken, or no datagrams at all.
-        let mut late = mark;
-        late[4] = 2;
-        let other = [Ask::read(Command::Brd(0x0130), 2)];
-        let mut circulated = good.clone();
-        circulated[16 + 20 + 7] |= 1 << 6;
-        let mut broken = good.clone();
-        broken[14] = 0xFF;
-        let mut gateway = good.clone();
-        gateway[15] = 0x50;
-        for nothing in [
-            &frame(&late, &asks),
-            &frame(&mark, &other),
-            &frame(&mark, &[]),
-            &circulated,
-            &broken,
-            &gateway,
-            &vec![0; FRAME_MIN],
-            &vec![],
+        for (what, received, expected) in [
+            ("good", good.clone(), Delivery::Answers(vec![answer])),
+            ("late", frame(&late, &asks), Delivery::Nothing),
+            ("of another shape", frame(&mark, &[Ask::read(Command::Brd(0x0130), 2)]), Delivery::Nothing),
+            ("of none", frame(&mark, &[]), Delivery::Nothing),
+            ("circulated", changed(16 + 20 + 7, good[16 + 20 + 7] | 1 << 6), Delivery::Nothing),
+            ("broken", changed(14, 0xFF), Delivery::Nothing),
+            ("of a gateway", changed(15, 0x50), Delivery::Nothing),
+            ("zeros", vec![0; FRAME_MIN], Delivery::Nothing),
+            ("empty", vec![], Delivery::Nothing),
+            ("with another mark", frame(&other, &asks), foreign()),
+            ("with no mark", frame(&[0; 4], &asks), foreign()),
         ] {
-            assert_eq!(exchange.judge(nothing, &asks), Delivery::Nothing, "{nothing:02x?}");
-        }
-    }
-
-    #[test]
-    fn whoever_does_not_bear_the_mark_is_another_master() {
-        let mut nobody = Nobody;
-        let exchange = Exchange::new(&mut nobody, &|| true);
-        let asks = [Ask::read(Command::Brd(0), 2)];
-        let mut other = exchange.mark.bytes();
-        other[0] ^= 1;
-        for frame in [frame(&other, &asks), frame(&[0; 4], &asks)] {
-            assert_eq!(
-                exchange.judge(&frame, &asks),
-                Delivery::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12])
-            );
+            assert_eq!(exchange.judge(&received, &asks), expected, "{what}");
         }
     }
 }

@@ -284,10 +284,11 @@ pub fn set_index(frame: &mut [u8], place: Place, index: u8) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn bytes(hex: &str) -> Vec<u8> {
+    /// Of hexadecimal digits; all else is left out.
+    pub(in crate::wire) fn bytes(hex: &str) -> Vec<u8> {
         let digits: Vec<u8> = hex.bytes().filter(u8::is_ascii_hexdigit).collect();
         let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
         digits.chunks(2).map(byte).collect()
@@ -400,36 +401,5 @@ mod tests {
         }
         assert_eq!(known, 15);
         assert_eq!([0, 1, 2].map(position), [0, 0xFFFF, 0xFFFE]);
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_bytes_panic_and_places_stay_within(bytes: Vec<u8>) {
-            if let Ok(read) = datagrams(&bytes) {
-                for datagram in read.flatten() {
-                    assert!(datagram.place.end() <= bytes.len());
-                }
-            }
-        }
-
-        #[test]
-        fn what_was_built_is_read(
-            parts in proptest::collection::vec((0_u8..15, proptest::num::u32::ANY, 0_usize..90), 0..15),
-        ) {
-            let mut out = [0; FRAME_MAX];
-            let mut frame = Builder::new(&mut out, BROADCAST, [0x10; 6]).unwrap();
-            let commands: Vec<_> = parts.iter().map(|(number, address, length)| {
-                (Command::new(*number, *address).unwrap(), *length)
-            }).collect();
-            let places: Vec<_> = commands.iter().enumerate().map(|(index, (command, length))| {
-                frame.push(*command, index as u8, *length).unwrap()
-            }).collect();
-            let length = frame.finish();
-            let read: Vec<_> = datagrams(&out[..length]).unwrap().map(Result::unwrap).collect();
-            assert_eq!(read.len(), places.len());
-            for ((read, place), (command, _)) in read.iter().zip(&places).zip(&commands) {
-                assert_eq!((read.place, read.command()), (*place, Some(*command)));
-            }
-        }
     }
 }

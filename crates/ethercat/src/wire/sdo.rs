@@ -328,65 +328,72 @@ impl fmt::Display for AbortCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::frame::tests::bytes;
 
-    fn bytes(request: Request<'_>) -> Vec<u8> {
+    fn sent(request: Request<'_>) -> Vec<u8> {
         let mut out = vec![0xEE; request.size()];
         request.emit(&mut out);
         out
     }
 
     #[test]
-    fn values_of_one_to_four_bytes_are_written_as_the_drive_has_it() {
-        let object = Object::new(0x1C12, 1);
+    fn requests_are_those_of_the_sheet_to_the_byte() {
         let value = 0x1704_u32.to_le_bytes();
-        let first = |length| bytes(Request::Download { object, value, length });
-        assert_eq!(first(2), [0x2B, 0x12, 0x1C, 1, 4, 0x17, 0, 0]);
-        assert_eq!([1, 2, 3, 4].map(|length| first(length)[0]), [0x2F, 0x2B, 0x27, 0x23]);
+        let select = |length| Request::Download { object: Object::new(0x1C12, 1), value, length };
+        let [object, own, types] = [0x1C12, 0x2000, 0x1C00].map(|index| Object::new(index, 0));
+        let begin = |object, complete, size, data| Request::DownloadBegin { object, complete, size, data };
+        for (request, expected) in [
+            (select(2), "2B 121C 01 04170000"),
+            // Complete access to a real slave.
+            (Request::Upload { object: types, complete: true }, "50 001C 00 00000000"),
+            (begin(object, true, 4, &[1, 0, 4, 0x17]), "31 121C 00 04000000 01000417"),
+            (begin(own, false, 12, &[1, 2]), "21 0020 00 0C000000 0102"),
+            (Request::DownloadSegment { toggle: true, last: true, data: &[3, 4, 5] }, "19 03040500000000"),
+            (Request::UploadSegment { toggle: true }, "70 00000000000000"),
+        ] {
+            assert_eq!(sent(request), bytes(expected));
+        }
+        assert_eq!([1, 2, 3, 4].map(|length| sent(select(length))[0]), [0x2F, 0x2B, 0x27, 0x23]);
     }
 
     #[test]
-    fn values_of_one_to_four_bytes_are_read_without_what_lies_behind() {
+    fn answers_are_read_as_far_as_they_go_and_nothing_else_is_one() {
+        let [name, types, assigned] = [0x1008, 0x1C00, 0x1C12].map(|index| Object::new(index, 0));
+        let value = |object, data| Some(Response::Value { object, data });
+        let begun = |object, size, data| Some(Response::Begun { object, size, data });
+        for (message, expected) in [
+            // Complete access: of a real slave, and a short one.
+            ("51 001C 00 06000000 04 00 01020304", begun(types, Some(6), &[4, 0, 1, 2, 3, 4][..])),
+            ("53 121C 00 01000417", value(assigned, &[1, 0, 4, 0x17])),
+            // The size may be missing.
+            ("40 0810 00 EEEEEEEE 53", begun(name, None, b"S")),
+            ("30 00000000000000", Some(Response::SegmentTaken { toggle: true })),
+            ("19 03040500000000", Some(Response::Segment { toggle: true, last: true, data: &[3, 4, 5] })),
+            ("", None),
+            ("43 0016", None),
+            ("43 0016 01 020304", None),
+            ("00 0102", None),
+            ("C0 0000 00 00000000", None),
+            ("84 0000 00 00000000", None),
+        ] {
+            assert_eq!(Response::parse(&bytes(message)), expected, "{message}");
+        }
+        // What lies behind a value is left out.
         for (first, length) in [(0x4F, 1), (0x4B, 2), (0x47, 3), (0x43, 4), (0x42, 4)] {
             let message = [first, 0x00, 0x16, 1, 0x10, 0x00, 0x40, 0x60];
-            let data = &message[4..4 + length];
-            let object = Object::new(0x1600, 1);
-            assert_eq!(Response::parse(&message), Some(Response::Value { object, data }));
+            let expected = Response::Value { object: Object::new(0x1600, 1), data: &message[4..4 + length] };
+            assert_eq!(Response::parse(&message), Some(expected));
         }
     }
 
     #[test]
-    fn complete_access_is_that_of_a_real_slave() {
-        let object = Object::new(0x1C00, 0);
-        assert_eq!(bytes(Request::Upload { object, complete: true }), [0x50, 0, 0x1C, 0, 0, 0, 0, 0]);
-        let message = [0x51, 0, 0x1C, 0, 6, 0, 0, 0, 4, 0, 1, 2, 3, 4];
-        let begun = Response::Begun { object, size: Some(6), data: &[4, 0, 1, 2, 3, 4] };
-        assert_eq!(Response::parse(&message), Some(begun));
-    }
-
-    #[test]
-    fn complete_access_is_written_by_its_own_command_and_read_short() {
-        let object = Object::new(0x1C12, 0);
-        let data = [1, 0, 4, 0x17];
-        let begin = Request::DownloadBegin { object, complete: true, size: 4, data: &data };
-        assert_eq!(bytes(begin), [0x31, 0x12, 0x1C, 0, 4, 0, 0, 0, 1, 0, 4, 0x17]);
-        let short = [0x53, 0x12, 0x1C, 0, 1, 0, 4, 0x17];
-        assert_eq!(Response::parse(&short), Some(Response::Value { object, data: &data }));
-    }
-
-    #[test]
-    fn a_longer_value_need_not_say_its_size() {
-        let message = [0x40, 0x08, 0x10, 0, 0xEE, 0xEE, 0xEE, 0xEE, b'S'];
-        let begun = Response::Begun { object: Object::new(0x1008, 0), size: None, data: b"S" };
-        assert_eq!(Response::parse(&message), Some(begun));
-    }
-
-    #[test]
     fn every_size_of_a_segment_has_its_own_command() {
-        for length in 0..10_usize {
+        for length in 0..=10_usize {
             let data = &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10][..length];
-            let sent = bytes(Request::DownloadSegment { toggle: false, last: false, data });
+            let sent = sent(Request::DownloadSegment { toggle: false, last: false, data });
             let unused = 7_usize.saturating_sub(length);
-            assert_eq!((sent.len(), usize::from(sent[0])), (1 + length.max(7), unused << 1));
+            let expected = [&[(unused << 1) as u8], data, &[0; 7][..unused]].concat();
+            assert_eq!(sent, expected);
             let read = Response::Segment { toggle: false, last: false, data };
             assert_eq!(Response::parse(&sent), Some(read), "an answer has the same form");
         }
@@ -394,88 +401,15 @@ mod tests {
 
     #[test]
     fn all_codes_of_the_sheet_have_names() {
-        let codes = [
-            0x0503_0000,
-            0x0504_0000,
-            0x0504_0001,
-            0x0504_0005,
-            0x0601_0000,
-            0x0601_0001,
-            0x0601_0002,
-            0x0601_0003,
-            0x0601_0004,
-            0x0601_0005,
-            0x0601_0006,
-            0x0602_0000,
-            0x0604_0041,
-            0x0604_0042,
-            0x0604_0043,
-            0x0604_0047,
-            0x0606_0000,
-            0x0607_0010,
-            0x0607_0012,
-            0x0607_0013,
-            0x0609_0011,
-            0x0609_0030,
-            0x0609_0031,
-            0x0609_0032,
-            0x0609_0036,
-            0x060A_0023,
-            0x0800_0000,
-            0x0800_0020,
-            0x0800_0021,
-            0x0800_0022,
-            0x0800_0023,
-            0x0800_0024,
-        ];
-        for code in codes {
+        let codes = "05030000 05040000 05040001 05040005 06010000 06010001 06010002 06010003 06010004 06010005 \
+            06010006 06020000 06040041 06040042 06040043 06040047 06060000 06070010 06070012 06070013 06090011 \
+            06090030 06090031 06090032 06090036 060A0023 08000000 08000020 08000021 08000022 08000023 08000024";
+        for code in codes.split_whitespace() {
+            let code = u32::from_str_radix(code, 16).unwrap();
             assert!(AbortCode(code).name().is_some(), "{code:#010x}");
         }
-    }
-
-    #[test]
-    fn segments_go_both_ways() {
-        let object = Object::new(0x2000, 0);
-        let begin = Request::DownloadBegin { object, complete: false, size: 12, data: &[1, 2] };
-        assert_eq!(bytes(begin), [0x21, 0, 0x20, 0, 12, 0, 0, 0, 1, 2]);
-        let short = Request::DownloadSegment { toggle: true, last: true, data: &[3, 4, 5] };
-        assert_eq!(bytes(short), [0x19, 3, 4, 5, 0, 0, 0, 0]);
-        let long = [9; 10];
-        let segment = Request::DownloadSegment { toggle: false, last: false, data: &long };
-        assert_eq!(bytes(segment), [&[0x00][..], &long].concat());
-        assert_eq!(bytes(Request::UploadSegment { toggle: true })[0], 0x70);
-
-        let filled = [0x19, 3, 4, 5, 0, 0, 0, 0];
-        let read = Response::Segment { toggle: true, last: true, data: &[3, 4, 5] };
-        assert_eq!(Response::parse(&filled), Some(read));
-        let full = [&[0x00][..], &long].concat();
-        let read = Response::Segment { toggle: false, last: false, data: &long };
-        assert_eq!(Response::parse(&full), Some(read));
-        let taken = [0x30, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(Response::parse(&taken), Some(Response::SegmentTaken { toggle: true }));
-    }
-
-    #[test]
-    fn what_ends_too_early_or_begins_wrong_is_told() {
-        assert_eq!(Response::parse(&[]), None);
-        assert_eq!(Response::parse(&[0x43, 0, 0x16]), None);
-        assert_eq!(Response::parse(&[0x43, 0, 0x16, 1, 2, 3, 4]), None);
-        assert_eq!(Response::parse(&[0x00, 1, 2]), None);
-        assert_eq!(Response::parse(&[0xC0, 0, 0, 0, 0, 0, 0, 0]), None);
-        assert_eq!(Response::parse(&[0x84, 0, 0, 0, 0, 0, 0, 0]), None);
-    }
-
-    #[test]
-    fn codes_have_names() {
         assert_eq!(AbortCode::NO_OBJECT.to_string(), "0x06020000 no such object");
         assert_eq!(AbortCode(0x1234).to_string(), "0x00001234");
         assert_eq!(Object::new(0x6041, 0).to_string(), "0x6041:0");
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_bytes_panic(bytes: Vec<u8>) {
-            let _ = Response::parse(&bytes);
-        }
     }
 }
