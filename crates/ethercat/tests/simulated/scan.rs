@@ -3,8 +3,7 @@
 use std::cell::Cell;
 use std::collections::VecDeque;
 
-use proptest::prelude::*;
-
+use crate::{foreign, only};
 use fieldbeat_core::net::Frames;
 use fieldbeat_core::net::frames::Unsent;
 use fieldbeat_core::rt::Regions;
@@ -13,13 +12,12 @@ use fieldbeat_ethercat::object::Family;
 use fieldbeat_ethercat::plan::Area;
 use fieldbeat_ethercat::scan::information::Unread;
 use fieldbeat_ethercat::scan::*;
-use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, FRAME_MAX, datagrams, position};
-use fieldbeat_ethercat::wire::frame::{Command, Mac};
+use fieldbeat_ethercat::wire::frame::{Command, Mac, datagrams, position};
 use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, SyncManager, address};
 use fieldbeat_ethercat::wire::sii::{Identity, Use};
 use fieldbeat_sim::ethercat::coupler::Terminals;
 use fieldbeat_sim::ethercat::sii::{Access, Contents, Mailboxes};
-use fieldbeat_sim::ethercat::{Coupler, Drive, DriveSettings, Esc, Segment, Settings};
+use fieldbeat_sim::ethercat::{Application, Coupler, Drive, DriveSettings, Esc, Segment, Settings};
 
 const S700: Identity = Identity { vendor: 0x6A, product: 0x0300_0600, revision: 3 };
 const IO: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x11 };
@@ -55,19 +53,12 @@ impl Wire {
 
     /// Another master does this.
     fn master(&mut self, command: Command, data: &[u8]) -> (Vec<u8>, u16) {
-        let frame = self.pass(command, data);
-        let back = datagrams(&frame).unwrap().next().unwrap().unwrap();
-        (back.data.to_vec(), back.working_counter)
+        only(&self.pass(command, data))
     }
 
     fn pass(&mut self, command: Command, data: &[u8]) -> Vec<u8> {
-        let mut room = [0; FRAME_MAX];
-        let mut frame = Builder::new(&mut room, BROADCAST, [0x30; 6]).unwrap();
-        frame.push_with(command, 9, data).unwrap();
-        let length = frame.finish();
         self.now = self.now + 10 * US;
-        self.line.pass(self.now, &mut room[..length]);
-        room[..length].to_vec()
+        foreign(self.now, command, data, |now, frame| self.line.pass(now, frame))
     }
 
     fn go(&mut self, place: u16, state: AlState) {
@@ -184,18 +175,6 @@ fn all_of_a_line_is_told() {
     assert_eq!(sii.process_data(), (3, 2));
 }
 
-#[test]
-fn an_eeprom_may_read_eight_bytes_and_take_its_time() {
-    for eight in [false, true] {
-        let access = Access { eight, busy_ns: 2 * MS, emulated: !eight, ..Access::default() };
-        let mut wire = Wire::new(vec![drive(Settings { sii_access: access, ..Settings::default() })]);
-        let slaves = wire.scan(Options::default()).unwrap();
-        let sii = slaves[0].sii.as_ref().unwrap();
-        assert_eq!((sii.identity, sii.name.as_str()), (S700, "S700"), "{eight}");
-        assert_eq!(sii.process_data(), (6, 8));
-    }
-}
-
 /// A drive whose master has brought it to SAFEOP.
 fn running() -> Wire {
     let mut wire = line();
@@ -240,6 +219,12 @@ fn a_drive_that_works_is_told_as_it_is_set_and_left_alone() {
         }
     }
     assert_eq!(wire.line.slave(1).unwrap().state(), AlState::SafeOp);
+    // Of one that has refused a state its error and the code.
+    let control = AlStatus::request(AlState::Op).0.to_le_bytes();
+    wire.master(Command::Apwr(position(2), address::AL_CONTROL), &control);
+    wire.master(Command::Brd(address::TYPE), &[0; 2]);
+    let refused = &wire.scan(Options::default()).unwrap()[2];
+    assert_eq!((refused.status, refused.code), (AlStatus(0x11), AlCode::INVALID_REQUEST));
 }
 
 #[test]
@@ -262,63 +247,62 @@ fn its_sii_is_read_when_asked_for_and_given_back() {
 }
 
 #[test]
-fn an_error_and_its_code_are_told() {
-    let mut wire = line();
-    let control = AlStatus::request(AlState::Op).0.to_le_bytes();
-    wire.master(Command::Apwr(position(1), address::AL_CONTROL), &control);
-    wire.master(Command::Brd(address::TYPE), &[0; 2]);
-    let slaves = wire.scan(Options::default()).unwrap();
-    assert!(slaves[1].status.error());
-    assert_eq!((slaves[1].status.state(), slaves[1].code), (Some(AlState::Init), AlCode::INVALID_REQUEST));
-}
-
-#[test]
-fn a_blank_or_endless_eeprom_is_no_obstacle() {
+fn an_eeprom_may_take_its_time_or_be_of_no_use() {
+    let answer = |settings: Settings, application: Box<dyn Application>| {
+        let mut wire = Wire::new(vec![Esc::new(settings, application), coupler()]);
+        let mut slaves = wire.scan(Options::default()).unwrap();
+        assert!(slaves[1].sii.is_ok());
+        slaves.swap_remove(0).sii
+    };
+    let usual = Access::default;
+    let with = |sii_access| {
+        let settings = Settings { sii_access, sii: contents().image(), ..Settings::default() };
+        answer(settings, Box::new(Drive::new(DriveSettings::new(Family::S700))))
+    };
+    for access in [
+        Access { eight: true, busy_ns: 2 * MS, ..usual() },
+        Access { emulated: true, busy_ns: 2 * MS, ..usual() },
+    ] {
+        let sii = with(access).unwrap();
+        assert_eq!(
+            (sii.identity, sii.name.as_str(), sii.process_data()),
+            (S700, "S700", (6, 8)),
+            "{access:?}"
+        );
+    }
+    assert_eq!(with(Access { busy_ns: u64::MAX / 2, ..usual() }), Err(Unread::Busy));
     // Zeros: categories without an end. Nothing at all: erased.
     for (sii, vendor) in [(vec![0; 0x400], 0), (Vec::new(), u32::MAX)] {
-        let io = Coupler::default();
-        let mut wire = Wire::new(vec![Esc::new(Settings { sii, ..Settings::default() }, Box::new(io))]);
-        let slaves = wire.scan(Options::default()).unwrap();
-        let sii = slaves[0].sii.as_ref().unwrap();
+        let settings = Settings { sii, ..Settings::default() };
+        let sii = answer(settings, Box::new(Coupler::default())).unwrap();
         assert_eq!((sii.sound, sii.identity.vendor, sii.name.as_str()), (false, vendor, ""));
         assert_eq!((sii.mailbox, sii.managers.len()), (None, 0));
     }
 }
 
 #[test]
-fn an_eeprom_that_is_busy_for_good_is_told_as_such() {
-    let access = Access { busy_ns: u64::MAX / 2, ..Access::default() };
-    let mut wire = Wire::new(vec![drive(Settings { sii_access: access, ..Settings::default() }), coupler()]);
-    let slaves = wire.scan(Options::default()).unwrap();
-    assert_eq!((&slaves[0].sii, slaves[1].sii.is_ok()), (&Err(Unread::Busy), true));
-}
-
-#[test]
-fn lost_frames_are_sent_again() {
-    let mut wire = line();
-    wire.lost = (0..200).filter(|n| n % 3 != 0).collect();
-    assert_eq!(wire.scan(Options::default()).unwrap().len(), 3);
-}
-
-#[test]
-fn what_does_not_work_is_told_by_its_name() {
+fn lost_frames_are_sent_again_and_what_does_not_work_is_told_by_its_name() {
     let none = Options::default();
+    let with = |change: fn(&mut Wire)| {
+        let mut wire = line();
+        change(&mut wire);
+        (wire.scan(none).map(|slaves| slaves.len()), wire.sent.len())
+    };
+    assert_eq!(with(|wire| wire.lost = (0..200).filter(|n| n % 3 != 0).collect()).0, Ok(3));
+    assert_eq!(with(|wire| wire.lost = (0..9).collect()), (Err(ScanError::Silent), 3));
+    assert_eq!(with(|wire| wire.down = true).0, Err(ScanError::Unsent(Unsent::Down)));
+    let cut = with(|wire| wire.event = Some((20, |wire| wire.line.cut(Some(1))))).0;
+    assert_eq!(cut, Err(ScanError::Lost { place: 1, count: 3 }));
     assert_eq!(Wire::new(Vec::new()).scan(none), Err(ScanError::Loop));
-    let mut wire = line();
-    wire.lost = (0..9).collect();
-    assert_eq!(wire.scan(none), Err(ScanError::Silent));
-    assert_eq!(wire.sent.len(), 3);
-    let mut wire = line();
-    wire.down = true;
-    assert_eq!(wire.scan(none), Err(ScanError::Unsent(Unsent::Down)));
-    let mut wire = line();
-    wire.event = Some((20, |wire| wire.line.cut(Some(1))));
-    assert_eq!(wire.scan(none), Err(ScanError::Lost { place: 1, count: 3 }));
     // Behind the last question to the second slave.
     let mut wire = Wire::new(vec![coupler(), coupler()]);
     wire.line.cut(Some(1));
     wire.event = Some((5, |wire| wire.line.cut(None)));
     assert_eq!(wire.scan(none), Err(ScanError::Changed { before: 1, after: 2 }));
+    // Its caller may end it.
+    let left = Cell::new(30);
+    let go_on = || left.replace(left.get() - 1) > 0;
+    assert_eq!(scan(&mut line(), none, &go_on), Err(ScanError::Interrupted));
 }
 
 #[test]
@@ -338,14 +322,6 @@ fn another_master_ends_it_even_before_its_first_frame() {
 }
 
 #[test]
-fn it_ends_when_its_caller_wants_so() {
-    let mut wire = line();
-    let left = Cell::new(30);
-    let go_on = || left.replace(left.get() - 1) > 0;
-    assert_eq!(scan(&mut wire, Options::default(), &go_on), Err(ScanError::Interrupted));
-}
-
-#[test]
 fn error_counters_stand_where_the_standard_has_them() {
     let mut bytes = [0; ERRORS];
     for (n, byte) in (0..).zip(&mut bytes) {
@@ -360,43 +336,6 @@ fn error_counters_stand_where_the_standard_has_them() {
         lost_links: [16, 17, 18, 19],
     };
     assert_eq!(Errors::new(&bytes), errors);
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
-    #[test]
-    fn no_eeprom_panics_or_takes_for_ever(
-        head in proptest::collection::vec(any::<u16>(), 0x40),
-        categories in proptest::collection::vec((0_u16..64, 0_u16..40, any::<[u16; 3]>()), 0..12),
-    ) {
-        let flat = categories.into_iter().flat_map(|(kind, words, content)| {
-            [kind, words].into_iter().chain(content)
-        });
-        let sii = head.into_iter().chain(flat).collect();
-        let io = Coupler::default();
-        let mut wire = Wire::new(vec![Esc::new(Settings { sii, ..Settings::default() }, Box::new(io))]);
-        let slaves = wire.scan(Options::default()).unwrap();
-        prop_assert!(slaves[0].sii.is_ok());
-        prop_assert!(slaves[0].sii.as_ref().unwrap().name.chars().all(|c| c == ' ' || c.is_ascii_graphic()));
-        // Each piece takes three frames; a category is read up to 1024 words of it.
-        prop_assert!(wire.sent.len() < 3 * 64 * 512);
-    }
-
-    #[test]
-    fn whatever_comes_in_is_no_answer(frame in proptest::collection::vec(any::<u8>(), 0..200)) {
-        let mut wire = Wire::new(Vec::new());
-        wire.line.cut(Some(0));
-        wire.lost = (0..9).collect();
-        let mut frame = frame;
-        // As if it were EtherCAT.
-        if let Some(place) = frame.get_mut(12..16) {
-            place.copy_from_slice(&[0x88, 0xA4, place[2], 0x10]);
-        }
-        wire.waiting.push_back(frame);
-        let end = wire.scan(Options::default());
-        prop_assert!(matches!(end, Err(ScanError::Silent | ScanError::Foreign(_))), "{end:?}");
-    }
 }
 
 #[test]

@@ -8,24 +8,24 @@ mod managers;
 mod refused;
 mod sii;
 
+use crate::{foreign, only};
 use fieldbeat_core::axis::FoundRunning;
 use fieldbeat_core::bus::Cycle;
 use fieldbeat_core::inputs::InputLog;
-use fieldbeat_core::time::Time;
-use fieldbeat_core::time::{MS, S, US};
+use fieldbeat_core::time::{MS, S, Time, US};
 use fieldbeat_ethercat::counters::Own;
 use fieldbeat_ethercat::image::{Image, Mark, Read};
 use fieldbeat_ethercat::object::Family;
-use fieldbeat_ethercat::plan::{Area, Device, Expected, FIRST_STATION, KollmorgenDrive, SlavePlan};
-use fieldbeat_ethercat::plan::{EthercatPlan, Owner, Start};
+use fieldbeat_ethercat::plan::{
+    Area, Device, EthercatPlan, Expected, FIRST_STATION, KollmorgenDrive, Owner, SlavePlan, Start,
+};
 use fieldbeat_ethercat::segment::note::Note;
 use fieldbeat_ethercat::segment::slave::Slave;
 use fieldbeat_ethercat::segment::*;
 use fieldbeat_ethercat::service::Service;
 use fieldbeat_ethercat::slot::Answers;
-use fieldbeat_ethercat::wire::frame::{Builder, Command, datagrams, position};
-use fieldbeat_ethercat::wire::registers::AlState;
-use fieldbeat_ethercat::wire::registers::{Features, address};
+use fieldbeat_ethercat::wire::frame::{Command, datagrams, position};
+use fieldbeat_ethercat::wire::registers::{AlState, Features, address};
 use fieldbeat_ethercat::wire::sii::Identity;
 use fieldbeat_sim::SimSegment;
 use fieldbeat_sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
@@ -210,24 +210,33 @@ impl Rig {
         self.sim.slave(place).unwrap()
     }
 
-    /// Another master writes to a register.
+    /// A datagram of another master, and its data as they come back.
+    fn pass(&mut self, command: Command, data: &[u8]) -> Vec<u8> {
+        let sim = &mut self.sim;
+        let pass = |now, frame: &mut [u8]| _ = sim.pass(now, frame);
+        only(&foreign(self.cycle.grid, command, data, pass)).0
+    }
+
     fn poke(&mut self, place: u16, register: u16, data: &[u8]) {
-        let mut frame = vec![0; 64];
-        let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
-        builder.push_with(Command::Apwr(position(place), register), 0, data).unwrap();
-        builder.finish();
-        let now = self.cycle.grid;
-        self.sim.pass(now, &mut frame);
+        self.pass(Command::Apwr(position(place), register), data);
     }
 
     fn peek(&mut self, place: u16, register: u16, length: usize) -> Vec<u8> {
-        let mut frame = vec![0; 64];
-        let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
-        let at = builder.push(Command::Aprd(position(place), register), 0, length).unwrap();
-        builder.finish();
-        let now = self.cycle.grid;
-        self.sim.pass(now, &mut frame);
-        frame[at.data()].to_vec()
+        self.pass(Command::Aprd(position(place), register), &vec![0; length])
+    }
+
+    fn assert_own_addresses(&mut self) {
+        for place in 0..self.line.slaves.len() as u16 {
+            assert_eq!(self.peek(place, address::STATION, 2), (FIRST_STATION + place).to_le_bytes());
+        }
+    }
+
+    /// Lets the segment go, within so many cycles.
+    fn down(&mut self, most: usize) {
+        self.until("all down", most, |rig| {
+            let now = rig.cycle.grid;
+            rig.line.shut_down(now)
+        });
     }
 
     /// How far its time is from ours.
@@ -259,19 +268,48 @@ fn drives(count: u16) -> EthercatPlan {
     EthercatPlan::new("local:test", (0..count).map(drive).collect())
 }
 
+/// A byte either way.
 fn coupler(place: u16) -> Device {
-    Device {
-        name: "io".into(),
-        slave: SlavePlan {
-            outputs: vec![Area { start: 0x1000, length: 1 }],
-            inputs: vec![Area { start: 0x1003, length: 1 }],
-            identity: Expected::default(),
-            ..SlavePlan::new(place)
-        },
-    }
+    let area = |start| vec![Area { start, length: 1 }];
+    let slave = SlavePlan {
+        outputs: area(0x1000),
+        inputs: area(0x1100),
+        identity: Expected::default(),
+        ..SlavePlan::new(place)
+    };
+    Device { name: "io".into(), slave }
 }
 
+/// Of terminals with a byte either way, and nothing else.
+fn terminals() -> EthercatPlan {
+    EthercatPlan { devices: vec![coupler(0)], ..drives(0) }
+}
+
+const IO: Identity = Identity { vendor: 2, product: 0, revision: 0 };
+
 impl Rig {
+    /// The terminals of this plan, with these settings of their controllers.
+    fn io(plan: &EthercatPlan, settings: Settings) -> Rig {
+        let settings = Settings { features: Features(0x0180), ..settings };
+        let slave = |device| Coupler::of(device).slave("I/O", IO, settings.clone());
+        Rig::of(plan, plan.devices.iter().map(slave).collect())
+    }
+
+    fn of(plan: &EthercatPlan, slaves: Vec<Esc>) -> Rig {
+        let mut rig = Rig::new(plan);
+        *rig.sim.segment() = ethercat::Segment::new(slaves);
+        rig
+    }
+
+    /// Drives of which the one at this place is another product than the configured one.
+    fn with_other(count: u16, place: usize) -> Rig {
+        let mut plan = drives(count);
+        plan.drives[place].slave.identity.product = Some(7);
+        let mut whole = EthercatSegment::from(&plan);
+        whole.drives[place].identity.product = 8;
+        Rig::on(&plan, whole)
+    }
+
     /// Runs so many cycles, and how often each drive answered in them.
     fn receive(&mut self, cycles: usize) -> Vec<usize> {
         self.reported.taken.clear();
@@ -287,25 +325,42 @@ impl Rig {
     fn note(&self, index: usize) -> Note {
         self.line.notes.get(index)
     }
+
+    /// Gives the terminals at this place a value.
+    fn put_out(&mut self, place: usize, value: u8) {
+        let offsets = self.line.slaves[place].offsets.clone();
+        self.image.frames_mut()[0].outputs(&offsets.outputs).unwrap().copy_from_slice(&[value]);
+    }
 }
 
 #[test]
 fn a_segment_comes_up_to_op_and_every_frame_counts() {
-    let mut rig = Rig::new(&drives(3));
-    rig.all_up(3_000);
-    assert!((0..3).all(|place| rig.al(place) == AlState::Op));
-    assert_eq!(rig.receive(500), [500; 3]);
-    assert!(rig.reported.passed_by.is_empty() && rig.reported.restarted.is_empty());
-    assert_eq!(rig.wrong_counts(), 0);
-    assert!((0..3).all(|index| rig.note(index) == Note::None));
-}
-
-#[test]
-fn a_segment_comes_up_though_frames_are_lost() {
-    let mut rig = Rig::new(&drives(2));
-    rig.lossy = true;
-    rig.all_up(4_000);
-    assert_eq!(rig.wrong_counts(), 0);
+    let mut mixed = drives(2);
+    mixed.drives[1].slave.place = 2;
+    mixed.devices = vec![coupler(1)];
+    for (what, plan, lossy) in [
+        ("by one datagram", drives(3), false),
+        ("without LRW by two", EthercatPlan { lrw: false, ..drives(3) }, false),
+        ("with terminals in between", mixed, false),
+        ("though frames are lost", drives(2), true),
+    ] {
+        let (count, slaves) = (plan.drives.len(), plan.drives.len() + plan.devices.len());
+        let mut rig = Rig::new(&plan);
+        rig.lossy = lossy;
+        rig.all_up(if lossy { 4_000 } else { 3_000 });
+        assert!((0..slaves).all(|place| rig.al(place) == AlState::Op), "{what}");
+        assert!((0..slaves).all(|index| rig.note(index) == Note::None), "{what}");
+        if !lossy {
+            assert_eq!(rig.receive(500), vec![500; count], "{what}");
+            assert_eq!(rig.reported.taken.len(), 500 * slaves, "{what}");
+            assert!(rig.reported.passed_by.is_empty() && rig.reported.restarted.is_empty(), "{what}");
+        }
+        for place in count..slaves {
+            rig.put_out(place - 1, 0xA5);
+            rig.run(2);
+        }
+        assert_eq!(rig.wrong_counts(), 0, "{what}");
+    }
 }
 
 #[test]
@@ -322,58 +377,35 @@ fn a_drive_that_receives_nothing_costs_no_other_one_a_frame_and_comes_back() {
     let cycles = rig.all_up(4_000);
     assert_eq!(rig.reported.taken.len() - frames, 4 * cycles, "the others went on");
     assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
+    // One that is switched off and on is reported, and comes back, too.
+    let now = rig.cycle.grid;
+    rig.sim.restart(now, 1);
+    let answers = rig.receive(10);
+    assert_eq!([0, 2, 3, 4].map(|place| answers[place]), [10; 4]);
+    rig.all_up(4_000);
+    assert_eq!(rig.reported.restarted, [Owner::Drive(1)]);
+    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
 }
 
 #[test]
 fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
-    let mut rig = Rig::new(&drives(5));
-    rig.all_up(4_000);
-    rig.sim.cut(Some(2));
-    assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 0, 0]);
-    rig.sim.cut(None);
-    rig.reported.taken.clear();
-    let cycles = rig.all_up(6_000);
-    let upstream = rig.reported.taken.iter().filter(|owner| matches!(owner, Owner::Drive(0 | 1))).count();
-    assert_eq!(upstream, 2 * cycles, "they went on while the others came back");
-    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
-    assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
-}
-
-#[test]
-fn a_drive_that_was_switched_off_and_on_is_reported_and_comes_back() {
-    let mut rig = Rig::new(&drives(3));
-    rig.all_up(4_000);
-    let now = rig.cycle.grid;
-    rig.sim.restart(now, 1);
-    let [first, _, last] = rig.receive(10)[..] else { panic!() };
-    assert_eq!((first, last), (10, 10));
-    rig.all_up(4_000);
-    assert_eq!(rig.reported.restarted, [Owner::Drive(1)]);
-    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 3]));
-}
-
-#[test]
-fn a_coupler_takes_part_with_its_bytes() {
-    let mut plan = drives(2);
-    plan.drives[1].slave.place = 2;
-    plan.devices = vec![coupler(1)];
-    let mut rig = Rig::new(&plan);
-    rig.all_up(4_000);
-    rig.receive(10);
-    assert_eq!(rig.reported.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
-    let offsets = rig.line.slaves[1].offsets.clone();
-    rig.image.frames_mut()[0].outputs(&offsets.outputs).unwrap().copy_from_slice(&[0xA5]);
-    rig.run(2);
-    assert_eq!((rig.wrong_counts(), rig.al(1)), (0, AlState::Op));
-}
-
-#[test]
-fn a_segment_without_lrw_goes_by_two_datagrams() {
-    let mut plan = drives(3);
-    plan.lrw = false;
-    let mut rig = Rig::new(&plan);
-    rig.all_up(4_000);
-    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 3]));
+    for (count, from, cycles) in [(5, 2, 1_000), (2, 0, 50)] {
+        let mut rig = Rig::new(&drives(count));
+        rig.all_up(4_000);
+        assert!(rig.line.timed);
+        rig.sim.cut(Some(from));
+        let answers = (0..usize::from(count)).map(|place| if place < from { cycles } else { 0 });
+        assert_eq!(rig.receive(cycles), answers.collect::<Vec<_>>());
+        rig.sim.cut(None);
+        rig.reported.taken.clear();
+        let cycles = rig.all_up(6_000);
+        let is_before = |owner: &&Owner| matches!(owner, Owner::Drive(index) if *index < from);
+        let upstream = rig.reported.taken.iter().filter(is_before).count();
+        assert_eq!(upstream, from * cycles, "they went on while the others came back");
+        rig.until("one time for all", 500, |rig| rig.line.timed);
+        assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; count.into()]));
+        assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
+    }
 }
 
 #[test]
@@ -388,16 +420,20 @@ fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
 }
 
 #[test]
-fn a_drive_of_another_make_is_refused_by_name_and_the_others_run() {
-    let mut plan = drives(3);
-    plan.drives[1].slave.identity.product = Some(7);
-    let mut whole = EthercatSegment::from(&plan);
-    whole.drives[1].identity.product = 8;
-    let mut rig = Rig::on(&plan, whole);
-    rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
-    assert_eq!(rig.note(1), Note::Product(8));
-    rig.run(500);
-    assert_eq!((rig.al(1), rig.receive(50)), (AlState::Init, vec![50, 0, 50]));
+fn a_drive_of_another_make_is_refused_by_name_each_time_and_the_others_run() {
+    for (place, others, answers) in [(0, [1, 2], vec![0, 50, 50]), (1, [0, 2], vec![50, 0, 50])] {
+        let mut rig = Rig::with_other(3, place);
+        // Another master has given it the address of the second place: it gives that back.
+        rig.poke(place as u16, address::STATION, &0x1002_u16.to_le_bytes());
+        rig.until("the others in OP", 4_000, |rig| {
+            others.iter().all(|other| rig.line.is_operational(*other))
+        });
+        for _ in 0..3_000 {
+            assert_eq!((rig.note(place), rig.note(2)), (Note::Product(8), Note::None), "{place}");
+            rig.run(1);
+        }
+        assert_eq!((rig.al(place), rig.receive(50)), (AlState::Init, answers));
+    }
 }
 
 #[test]
@@ -411,50 +447,9 @@ fn drives_in_op_with_the_addresses_of_other_places_are_taken_by_their_places() {
     }
     rig.reported.taken.clear();
     rig.all_up(2_000);
-    for place in 0..3 {
-        assert_eq!(rig.peek(place, address::STATION, 2), (FIRST_STATION + place).to_le_bytes());
-    }
+    rig.assert_own_addresses();
     assert_eq!(rig.receive(100), [100; 3]);
     assert_eq!((0..3).map(|place| rig.al(place)).min(), Some(AlState::Op));
-}
-
-#[test]
-fn a_segment_that_is_let_go_comes_down_to_init() {
-    let mut rig = Rig::new(&drives(2));
-    rig.all_up(4_000);
-    let done = |rig: &mut Rig| {
-        let now = rig.cycle.grid;
-        rig.line.shut_down(now)
-    };
-    rig.until("all down", 200, done);
-    assert_eq!([rig.al(0), rig.al(1)], [AlState::Init; 2]);
-}
-
-#[test]
-fn a_slave_that_is_refused_gives_back_an_address_that_is_anothers() {
-    let mut plan = drives(2);
-    plan.drives[0].slave.identity.product = Some(7);
-    let mut whole = EthercatSegment::from(&plan);
-    whole.drives[0].identity.product = 8;
-    let mut rig = Rig::on(&plan, whole);
-    // It stood at the second place before.
-    rig.poke(0, address::STATION, &0x1002_u16.to_le_bytes());
-    rig.until("the other one in OP", 4_000, |rig| rig.line.is_operational(1));
-    assert_eq!((rig.note(0), rig.note(1)), (Note::Product(8), Note::None));
-}
-
-#[test]
-fn a_slave_that_is_tried_again_still_says_why_it_was_refused() {
-    let mut plan = drives(1);
-    plan.drives[0].slave.identity.product = Some(7);
-    let mut whole = EthercatSegment::from(&plan);
-    whole.drives[0].identity.product = 8;
-    let mut rig = Rig::on(&plan, whole);
-    rig.until("refused", 500, |rig| rig.note(0) == Note::Product(8));
-    for _ in 0..3_000 {
-        rig.run(1);
-        assert_eq!(rig.note(0), Note::Product(8));
-    }
 }
 
 #[test]
@@ -466,29 +461,19 @@ fn what_was_requested_before_the_end_is_not_taken_for_the_answer_to_it() {
         rig.late = true;
         rig.step();
         rig.late = false;
-        let done = |rig: &mut Rig| {
-            let now = rig.cycle.grid;
-            rig.line.shut_down(now)
-        };
-        done(&mut rig);
+        let now = rig.cycle.grid;
+        rig.line.shut_down(now);
         rig.deliver();
-        rig.until("down", 300, done);
+        rig.down(300);
         assert_eq!(rig.al(0), AlState::Init, "after {cycles} cycles");
     }
 }
 
 #[test]
 fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
-    let mut plan = drives(0);
-    plan.devices = vec![coupler(0)];
-    plan.devices[0].slave.inputs[0].start = 0x1100;
-    let mut rig = Rig::new(&plan);
     // Two FMMUs, and none to spare.
-    let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
-    let io = Coupler::of(&plan.devices[0]).slave("I/O", Identity::default(), settings);
-    *rig.sim.segment() = ethercat::Segment::new(vec![io]);
-    let offsets = rig.line.slaves[0].offsets.clone();
-    rig.image.frames_mut()[0].outputs(&offsets.outputs).unwrap().copy_from_slice(&[0xA5]);
+    let mut rig = Rig::io(&terminals(), Settings { fmmus: 2, ..Settings::default() });
+    rig.put_out(0, 0xA5);
     rig.all_up(4_000);
     assert!(!rig.line.slaves[0].has_al);
     rig.run(200);
@@ -508,19 +493,6 @@ fn an_address_of_ours_is_taken_from_whoever_has_it() {
     rig.all_up(4_000);
     assert_eq!(rig.peek(1, address::STATION, 2), [0; 2]);
     assert_eq!(rig.receive(100), [100]);
-}
-
-#[test]
-fn a_segment_that_was_cut_off_as_a_whole_has_its_time_again() {
-    let mut rig = Rig::new(&drives(2));
-    rig.all_up(4_000);
-    assert!(rig.line.timed);
-    rig.sim.cut(Some(0));
-    rig.run(50);
-    rig.sim.cut(None);
-    rig.all_up(6_000);
-    rig.until("one time for all", 500, |rig| rig.line.timed);
-    assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
 }
 
 #[test]

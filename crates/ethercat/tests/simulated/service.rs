@@ -8,25 +8,18 @@ mod server;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proptest::prelude::*;
-
 use self::server::{Server, coe, message};
+use crate::{foreign, only};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::{Acyclic, CallTicket, Commanding};
-use fieldbeat_core::axis::acyclic::{Call, CallError};
+use fieldbeat_core::axis::acyclic::{Acyclic, Call, CallError, CallTicket, Commanding};
 use fieldbeat_core::bus::Counters;
 use fieldbeat_core::rt::Regions;
-use fieldbeat_core::time::Time;
-use fieldbeat_core::time::{MS, S};
+use fieldbeat_core::time::{MS, S, Time};
 use fieldbeat_ethercat::counters::Own;
-use fieldbeat_ethercat::object::number::DEVICE_TYPE;
-use fieldbeat_ethercat::object::number::{DEVICE_NAME as NAME, MODE, STATUS_WORD};
-use fieldbeat_ethercat::object::{self, Target, long};
-use fieldbeat_ethercat::object::{READ, WRITE};
-use fieldbeat_ethercat::plan::Area;
-use fieldbeat_ethercat::plan::SlavePlan;
-use fieldbeat_ethercat::service::active::ATTEMPTS;
-use fieldbeat_ethercat::service::active::{SdoFailure, Transfer};
+use fieldbeat_ethercat::object::number::{DEVICE_NAME as NAME, DEVICE_TYPE, MODE, STATUS_WORD};
+use fieldbeat_ethercat::object::{self, READ, Target, WRITE, long};
+use fieldbeat_ethercat::plan::{Area, SlavePlan};
+use fieldbeat_ethercat::service::active::{ATTEMPTS, SdoFailure, Transfer};
 use fieldbeat_ethercat::service::sdo::KEPT;
 use fieldbeat_ethercat::service::*;
 use fieldbeat_ethercat::slot;
@@ -131,12 +124,8 @@ impl Bench {
     }
 
     fn write(&mut self, command: Command, data: &[u8]) {
-        let mut frame = [0; FRAME_MAX];
-        let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
-        builder.push_with(command, 7, data).unwrap();
-        let length = builder.finish();
-        self.line.pass(self.now, &mut frame[..length]);
-        assert_eq!(datagrams(&frame[..length]).unwrap().next().unwrap().unwrap().working_counter, 1);
+        let frame = foreign(self.now, command, data, |now, frame| self.line.pass(now, frame));
+        assert_eq!(only(&frame).1, 1);
     }
 
     /// One slot.
@@ -244,46 +233,38 @@ fn a_drive_is_read_and_written_in_both_dialects() {
         assert_eq!((bench.read(MODE), bench.call(READ, "0x6060:0", 0)), (Ok(7), Ok(7)));
         assert_eq!(bench.call(WRITE, "0x6060:0", 3), Ok(3));
         assert_eq!(bench.read(MODE), Ok(3));
-        let counted: Vec<u64> =
-            [Own::MailboxStrays, Own::MailboxBroken, Own::MailboxSilent, Own::MailboxRepeats]
-                .map(|own| bench.own(own))
-                .to_vec();
-        assert_eq!(counted, [0; 4], "{dialect:?}");
+        let faults = [Own::MailboxStrays, Own::MailboxBroken, Own::MailboxSilent, Own::MailboxRepeats];
+        assert_eq!(faults.map(|own| bench.own(own)), [0; 4], "{dialect:?}");
+        // A refusal names its code.
+        let code = AbortCode::NO_OBJECT;
+        assert_eq!(bench.read(Object::new(0x5FFF, 1)), Err(SdoFailure::Abort(code)));
+        assert_eq!(bench.call(READ, "0x5FFF:1", 0), Err(CallError::Refused(code.0)));
+        assert_eq!(bench.own(Own::Aborts), 2);
+        let not_complete = Err(CallError::Refused(AbortCode::NOT_COMPLETE.0));
+        assert_eq!(bench.call(READ, "0x1C12:ca", 0), not_complete);
     }
 }
 
 #[test]
-fn an_sdo_of_a_drive_takes_three_slots_of_one_datagram() {
-    let mut bench = Bench::drive(|_| {});
-    bench.read(MODE).unwrap();
-    bench.frames.clear();
-    bench.read(MODE).unwrap();
-    let status = Command::Fprd(STATION, 0x080D);
-    let [first, second, third] = &bench.frames[..] else { panic!("{:?}", bench.frames) };
-    assert_eq!(first, &[Command::Fpwr(STATION, 0x1800)]);
-    assert_eq!((second, third), (&vec![status], &vec![Command::Fprd(STATION, 0x1C00)]));
-}
-
-#[test]
-fn a_longer_mailbox_is_closed_by_its_last_byte_in_the_same_slot() {
-    let (mut bench, _server) = Bench::server(1_024, &[(MODE, &[7])]);
-    bench.read(MODE).unwrap();
-    bench.frames.clear();
-    assert_eq!(bench.read(MODE), Ok(7));
-    let [first, second, third] = &bench.frames[..] else { panic!("{:?}", bench.frames) };
-    assert_eq!(first, &[Command::Fpwr(STATION, 0x1800), Command::Fpwr(STATION, 0x1BFF)]);
-    assert_eq!(second, &[Command::Fprd(STATION, 0x080D), Command::Fprd(STATION, 0x1C00)]);
-    assert_eq!(third, &[Command::Fprd(STATION, 0x1FFF)]);
-}
-
-#[test]
-fn a_refusal_names_its_code_for_the_master_and_the_application() {
-    let mut bench = Bench::drive(|_| {});
-    let code = AbortCode::NO_OBJECT;
-    assert_eq!(bench.read(Object::new(0x5FFF, 1)), Err(SdoFailure::Abort(code)));
-    assert_eq!(bench.call(READ, "0x5FFF:1", 0), Err(CallError::Refused(code.0)));
-    assert_eq!(bench.own(Own::Aborts), 2);
-    assert_eq!(bench.call(READ, "0x1C12:ca", 0), Err(CallError::Refused(AbortCode::NOT_COMPLETE.0)));
+fn an_sdo_takes_three_slots_and_a_longer_mailbox_is_closed_by_its_last_byte_in_the_same_one() {
+    use Command::{Fprd, Fpwr};
+    for (length, expected) in [
+        (16, [&[Fpwr(STATION, 0x1800)][..], &[Fprd(STATION, 0x080D)], &[Fprd(STATION, 0x1C00)]]),
+        (
+            1_024,
+            [
+                &[Fpwr(STATION, 0x1800), Fpwr(STATION, 0x1BFF)],
+                &[Fprd(STATION, 0x080D), Fprd(STATION, 0x1C00)],
+                &[Fprd(STATION, 0x1FFF)],
+            ],
+        ),
+    ] {
+        let (mut bench, _server) = Bench::server(length, &[(MODE, &[7])]);
+        bench.read(MODE).unwrap();
+        bench.frames.clear();
+        assert_eq!(bench.read(MODE), Ok(7));
+        assert_eq!(bench.frames, expected);
+    }
 }
 
 /// Each of the first frames of a transfer returns, or is lost on either way, in all combinations.
@@ -314,15 +295,14 @@ fn no_lost_frame_changes_what_comes_of_a_transfer() {
 fn an_answer_whose_frame_was_lost_is_asked_for_again() {
     let mut bench = Bench::drive(|_| {});
     bench.read(MODE).unwrap();
-    bench.frames.clear();
-    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
-    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
-    assert!(bench.frames.contains(&vec![Command::Fpwr(STATION, 0x080E)]), "{:?}", bench.frames);
-    assert_eq!(bench.own(Own::MailboxRepeats), 1);
-    // The next time the toggle goes back.
-    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
-    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
-    assert_eq!((bench.own(Own::MailboxRepeats), bench.own(Own::MailboxStrays)), (2, 0));
+    // The second time the toggle goes back.
+    for repeats in 1..3 {
+        bench.frames.clear();
+        bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
+        assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
+        assert!(bench.frames.contains(&vec![Command::Fpwr(STATION, 0x080E)]), "{:?}", bench.frames);
+        assert_eq!((bench.own(Own::MailboxRepeats), bench.own(Own::MailboxStrays)), (repeats, 0));
+    }
 }
 
 #[test]
@@ -332,74 +312,6 @@ fn all_memory_is_reported() {
     service.memory(&mut regions);
     let mut mailbox = service.mailbox;
     assert!(regions.covers(mailbox.as_mut().unwrap().received().0));
-}
-
-/// What came of a datagram, whatever it requested.
-fn any_answer() -> impl Strategy<Value = Option<(u16, Vec<u8>)>> {
-    let data = prop_oneof![
-        proptest::collection::vec(any::<u8>(), 0..80),
-        // Often enough what is looked for: a full mailbox, and a message of a likely form.
-        Just(vec![0x09, 0x01, 0x00]),
-        (0_u8..20, 0_u8..4, 0_u8..4, any::<u8>(), any::<[u8; 7]>()).prop_map(
-            |(length, kind, service, command, rest)| {
-                // Never the requested object.
-                let [low, high, sub, a, b, c, d] = rest;
-                vec![length, 0, 0, 0, 0, kind, 0, service << 4, command, low, high & 0x1F, sub, a, b, c, d]
-            }
-        ),
-    ];
-    proptest::option::weighted(0.9, (0_u16..3, data))
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
-
-    #[test]
-    fn whatever_comes_back_a_call_ends_and_never_with_another_value(
-        length in prop_oneof![Just(16_u16), Just(64), Just(128), Just(1_024)],
-        answers in proptest::collection::vec([any_answer(), any_answer()], 1..40),
-        writes: bool,
-    ) {
-        let (acyclic, port) = Acyclic::alone(4, Commanding::none(), Arc::new(object::Objects));
-        let mut service = Service::new(&plan(length), Some(port), 0);
-        service.open(true);
-        let target = Target::parse("0x6041:0.u32").unwrap();
-        let call = if writes { target.write(5) } else { target.read() };
-        let mut ticket = acyclic.post(call, Duration::from_millis(100)).unwrap();
-        let mut counters = Counters::default();
-        let mut end = None;
-        for step in 0..110_u64 {
-            let now = Time(S + step * MS);
-            service.advance(now, Link::Online, false);
-            end = end.or(ticket.poll());
-            let mut ask = Ask::default();
-            service.request(now, &mut ask);
-            let mut received: Answers<'_> = [None; slot::DATAGRAMS];
-            let came = &answers[step as usize % answers.len()];
-            let mut fitted: Vec<Option<(u16, Vec<u8>)>> = Vec::new();
-            for ((_, requested), came) in ask.datagrams().zip(came) {
-                fitted.push(came.clone().map(|(count, mut data)| {
-                    // Most often as long as requested.
-                    if step % 7 != 0 { data.resize(requested.len(), 0xEE) }
-                    (count, data)
-                }));
-            }
-            for (place, came) in received.iter_mut().zip(&fitted) {
-                *place = came.as_ref().map(|(counter, data)| slot::Answer { working_counter: *counter, data });
-            }
-            service.receive(now, &received, &mut counters);
-        }
-        let Some(end) = end else { panic!("it has no end") };
-        prop_assert!(end.is_err(), "{:?}", end);
-    }
-
-    #[test]
-    fn every_length_fits_every_mailbox(length in 16_u16..1_025, bytes in 0..600_usize) {
-        let data = vec![7; bytes];
-        let (mut bench, _server) = Bench::server(length, &[(NAME, &data)]);
-        let raw = bench.call(READ, "device-name", 0);
-        prop_assert_eq!(raw, Ok(long::raw(&data)));
-    }
 }
 
 #[test]

@@ -3,10 +3,9 @@
 
 mod rig;
 
-use self::rig::{Rig, planned, position, velocity};
-use fieldbeat_core::axis::State;
+use self::rig::{Rig, planned, planned_for, position, velocity};
 use fieldbeat_core::axis::command::NativeOwner;
-use fieldbeat_core::axis::{Command, Failure, Profile};
+use fieldbeat_core::axis::{Command, Failure, Profile, State};
 use fieldbeat_core::bus::{Exchange, Slot};
 use fieldbeat_core::time::{MS, Time};
 use fieldbeat_ethercat::faults::Fault;
@@ -15,8 +14,7 @@ use fieldbeat_ethercat::native::Native;
 use fieldbeat_ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
 use fieldbeat_ethercat::object::pdo::Layout;
 use fieldbeat_ethercat::object::{Family, Object, Type, pdo};
-use fieldbeat_ethercat::plan::KollmorgenDrive;
-use fieldbeat_ethercat::plan::{Mapping, Watchdog};
+use fieldbeat_ethercat::plan::{KollmorgenDrive, Mapping, Watchdog};
 use fieldbeat_ethercat::profile::capabilities;
 use fieldbeat_ethercat::station::*;
 use fieldbeat_ethercat::wire::registers::AlState;
@@ -78,6 +76,10 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     };
     let mut rig = Rig::enabled(velocity());
     assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Command::Follow));
+    rig.drive.provoke(Fault::EARTH);
+    rig.turns(200);
+    let reset = rig.run(Command::ResetFault);
+    assert!(matches!(reset, Err(Failure::Unsupported(why)) if why.contains("cold start")));
     let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
     assert!(unsupported(&mut rig, Rig::jog(1.0)) && unsupported(&mut rig, Rig::by(1.0)));
     let mut plan = velocity();
@@ -217,11 +219,7 @@ fn homing_is_done_by_the_drive_in_its_own_mode_and_without_a_leap_of_the_velocit
 
 #[test]
 fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
-    let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
-    let fixed = |number| pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == number).unwrap();
-    (plan.outputs, plan.inputs) = (fixed(0x1701), fixed(0x1B01));
-    plan.fit();
-    plan.slave.watchdog = Watchdog::After(100 * MS);
+    let mut plan = planned_for(Family::Akd, 0x1701, 0x1B01);
     plan.slave.mailbox = position().slave.mailbox;
     let mut rig = Rig::enabled(plan);
     assert_eq!(rig.control(), 0x1F);
@@ -380,16 +378,6 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
     assert!(matches!(rig.run(Command::Home), Err(Failure::Unsupported(why)) if why.contains("homing error")));
     rig.assert_standing();
     rig.done(Rig::by(0.1));
-}
-
-#[test]
-fn a_fault_that_needs_a_cold_start_is_not_reset() {
-    let mut rig = Rig::enabled(velocity());
-    rig.drive.provoke(Fault::EARTH);
-    rig.turns(200);
-    assert!(
-        matches!(rig.run(Command::ResetFault), Err(Failure::Unsupported(why)) if why.contains("cold start"))
-    );
 }
 
 #[test]

@@ -5,29 +5,15 @@ use fieldbeat_ethercat::wire::registers::AlStatus;
 
 /// A coupler, and terminals of a byte either way.
 fn simple() -> Rig {
-    let mut plan = drives(0);
-    plan.devices = vec![coupler(0), coupler(1)];
+    let mut plan = EthercatPlan { devices: vec![coupler(0), coupler(1)], ..drives(0) };
     (plan.devices[0].slave.outputs, plan.devices[0].slave.inputs) = (Vec::new(), Vec::new());
-    plan.devices[1].slave.inputs[0].start = 0x1100;
-    let mut rig = Rig::new(&plan);
-    let settings = || Settings { features: Features(0x0180), emulated: true, ..Settings::default() };
-    let slave = |device| Coupler::of(device).slave("I/O", Identity::default(), settings());
-    *rig.sim.segment() = ethercat::Segment::new(plan.devices.iter().map(slave).collect());
-    rig
+    Rig::io(&plan, Settings { emulated: true, ..Settings::default() })
 }
 
 impl Rig {
     fn al_status(&mut self, place: u16) -> AlStatus {
         let [low, high] = self.peek(place, address::AL_STATUS, 2)[..] else { panic!() };
         AlStatus(u16::from_le_bytes([low, high]))
-    }
-
-    fn down(&mut self) {
-        let done = |rig: &mut Rig| {
-            let now = rig.cycle.grid;
-            rig.line.shut_down(now)
-        };
-        self.until("all down", 200, done);
     }
 }
 
@@ -48,7 +34,7 @@ fn a_slave_without_a_processor_comes_up_and_goes_down_and_never_shows_an_acknowl
         }
         assert_eq!([rig.al_status(0), rig.al_status(1)], [AlStatus(8); 2], "{left:#04x}: {:?}", rig.note(0));
         assert!((0..2).all(|index| rig.line.is_operational(index)));
-        rig.down();
+        rig.down(200);
         assert_eq!([rig.al_status(0), rig.al_status(1)], [AlStatus(1); 2]);
     }
 }
@@ -70,14 +56,6 @@ fn an_error_is_acknowledged_in_the_state_that_shows_it_before_init_is_requested(
     }
     assert_eq!(written, [8, 0x11, 1, 2]);
     rig.all_up(2_000);
-    rig.down();
+    rig.down(200);
     assert_eq!((rig.al_status(0), rig.peek(0, address::AL_CONTROL, 1)[0]), (AlStatus(1), 1));
-}
-
-#[test]
-fn the_size_of_the_receive_fifo_stays_and_no_alias_does() {
-    let mut rig = Rig::new(&drives(1));
-    rig.poke(0, 0x0100, &[1, 0x04, 0x07, 0x01]);
-    rig.all_up(3_000);
-    assert_eq!(rig.peek(0, 0x0100, 4), [1, 0, 7, 0]);
 }

@@ -3,12 +3,12 @@
 use super::*;
 use fieldbeat_ethercat::wire::registers::Fmmu;
 
-/// Drives of which those at these places run as another master has left them, and the first so many of them.
-fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, EthercatSegment) {
+/// Drives of which those at these places run as another master has left them.
+fn running(count: u16, places: &[usize]) -> (EthercatPlan, EthercatSegment) {
     let plan = drives(count);
     let mut whole = EthercatSegment::from(&plan);
     places.iter().for_each(|place| whole.drives[*place].running_rpm = Some(60.0));
-    (EthercatPlan { drives: plan.drives[..known].to_vec(), ..plan }, whole)
+    (plan, whole)
 }
 
 /// A clock that runs is not adjusted to the grid, only kept where it is.
@@ -33,93 +33,99 @@ impl Rig {
     }
 }
 
+/// Whatever is done with those that run, they stay in OP and keep their time.
 #[test]
-fn the_time_of_the_segment_goes_to_nobody_while_a_drive_that_is_left_alone_runs_on_another() {
-    let (mut plan, whole) = running(3, &[1, 2], 3);
-    plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
-    let mut rig = Rig::on(&plan, whole);
-    rig.set_apart(2);
-    let before = [rig.time_off(1), rig.time_off(2)];
-    rig.run(3_000);
-    assert_eq!([0, 2].map(|index| rig.note(index)), [Note::OtherTime(2), Note::None]);
-    assert_eq!([rig.time_off(1), rig.time_off(2)], before);
-    assert_eq!([rig.al(1), rig.al(2)], [AlState::Op; 2]);
-    // It is switched off and on, and has none then.
-    let now = rig.cycle.grid;
-    rig.sim.restart(now, 2);
-    rig.all_up(4_000);
-    rig.run(1_500);
-    let off = rig.time_off(1) - before[0];
-    assert!(off.abs() < KEPT_NS, "the other one keeps its time: {off} ns");
-}
-
-#[test]
-fn a_drive_that_is_refused_and_runs_keeps_its_time() {
-    let (mut plan, whole) = running(3, &[1], 3);
-    plan.drives[1].slave.identity.product = Some(7);
-    let mut rig = Rig::on(&plan, whole);
-    let before = rig.time_off(1);
-    rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
-    assert!(matches!(rig.note(1), Note::Product(_)), "{:?}", rig.note(1));
-    rig.run(1_500);
-    assert!((rig.time_off(1) - before).abs() < KEPT_NS);
-    assert_eq!(rig.al(1), AlState::Op);
-}
-
-#[test]
-fn the_time_of_a_drive_that_is_refused_stays_the_segments_though_another_one_is_joined() {
-    let (mut plan, whole) = running(3, &[0, 1], 3);
-    plan.drives[0].slave.identity.product = Some(7);
-    let mut rig = Rig::on(&plan, whole);
-    rig.set_apart(1);
-    let before = [rig.time_off(0), rig.time_off(1)];
-    rig.run(2_000);
-    assert!(matches!(rig.note(0), Note::Product(_)), "{:?}", rig.note(0));
-    assert_eq!([1, 2].map(|index| rig.note(index)), [Note::None, Note::OtherTime(1)]);
-    for (place, before) in before.into_iter().enumerate() {
-        let off = rig.time_off(place) - before;
-        assert!(off.abs() < KEPT_NS, "{place} by {off} ns");
+fn the_times_of_drives_found_running_are_kept_and_the_others_wait_where_they_are_not_one() {
+    let refuse: fn(&mut EthercatPlan, &mut EthercatSegment) =
+        |plan, _| plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
+    let other_product = Note::Product(0x0300_0600);
+    // Those that run, the one of them on another time, what the drives are said to be, and whether the time goes to
+    // all or to nobody.
+    for (what, places, apart, change, notes, goes) in [
+        (
+            "left alone on another time",
+            &[1, 2][..],
+            Some(2),
+            refuse,
+            &[Note::OtherTime(2), Note::None, Note::None][..],
+            false,
+        ),
+        (
+            "refused",
+            &[1],
+            None,
+            |plan, _| plan.drives[1].slave.identity.product = Some(7),
+            &[Note::None, other_product, Note::None],
+            true,
+        ),
+        (
+            "refused, and another one joined on another time",
+            &[0, 1],
+            Some(1),
+            |plan, _| plan.drives[0].slave.identity.product = Some(7),
+            &[other_product, Note::None, Note::OtherTime(1)],
+            true,
+        ),
+        (
+            "of no use, so that its time is not read",
+            &[1],
+            None,
+            |_, whole| whole.settings.fmmus = vec![8, 1],
+            &[Note::OtherTime(1), Note::Fmmus(1)],
+            false,
+        ),
+        ("both joined on two times", &[0, 1], Some(1), refuse, &[Note::None; 2], true),
+        ("both joined on one time", &[0, 1], None, refuse, &[Note::None; 2], true),
+    ] {
+        let (mut plan, mut whole) = running(notes.len() as u16, places);
+        change(&mut plan, &mut whole);
+        let mut rig = Rig::on(&plan, whole);
+        match apart {
+            Some(place) => rig.set_apart(place),
+            None => rig.run(1),
+        }
+        let before: Vec<_> = places.iter().map(|place| rig.time_off(*place)).collect();
+        rig.run(4_000);
+        let said: Vec<_> = (0..notes.len()).map(|index| rig.note(index)).collect();
+        assert_eq!(said, notes, "{what}");
+        for (place, before) in places.iter().zip(before) {
+            let off = rig.time_off(*place) - before;
+            assert!(off.abs() < if goes { KEPT_NS } else { 1 }, "{what}: {place} by {off} ns");
+            assert_eq!(rig.al(*place), AlState::Op, "{what}");
+        }
+        let waits = notes.iter().any(|note| matches!(note, Note::OtherTime(_)));
+        assert_eq!(rig.line.timed, apart.is_none() && !waits, "{what}");
     }
 }
 
 #[test]
-fn a_drive_that_runs_and_cannot_be_used_keeps_a_time_that_is_not_read() {
-    let (plan, mut whole) = running(2, &[1], 2);
-    whole.settings.fmmus = vec![8, 1];
-    let mut rig = Rig::on(&plan, whole);
-    rig.run(1);
-    let before = rig.time_off(1);
-    rig.run(3_000);
-    assert_eq!([rig.note(0), rig.note(1)], [Note::OtherTime(1), Note::Fmmus(1)]);
-    assert_eq!((rig.time_off(1), rig.al(1)), (before, AlState::Op));
-}
-
-#[test]
-fn two_drives_found_on_two_times_are_both_joined_and_neither_is_dragged() {
-    for apart in [false, true] {
-        let (mut plan, whole) = running(2, &[0, 1], 2);
+fn a_drive_that_waits_for_one_time_comes_up_once_the_other_one_is_switched_off_and_on() {
+    // The clocks of all are as fast as the master's, or faster; those that run stay together.
+    for (places, apart, drift, waits) in [([1, 2], 2, 0.0, 0), ([0, 1], 1, 100.0, 2)] {
+        let (mut plan, mut whole) = running(3, &places);
         plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
+        whole.settings.drift_ppm = vec![drift];
         let mut rig = Rig::on(&plan, whole);
-        if apart {
-            rig.set_apart(1);
-        } else {
-            rig.run(1);
-        }
-        let before = [rig.time_off(0), rig.time_off(1)];
-        rig.run(2_000);
-        assert_eq!([rig.note(0), rig.note(1)], [Note::None; 2], "apart: {apart}");
-        assert_eq!(rig.line.timed, !apart);
-        for (place, before) in before.into_iter().enumerate() {
-            let off = rig.time_off(place) - before;
-            assert!(off.abs() < KEPT_NS, "{place} by {off} ns");
-        }
-        assert_eq!([rig.al(0), rig.al(1)], [AlState::Op; 2]);
+        rig.set_apart(apart);
+        let gives = places[0];
+        let before = rig.time_off(gives);
+        rig.run(5_000);
+        let note = |index| if index == waits { Note::OtherTime(apart) } else { Note::None };
+        assert_eq!([0, 1, 2].map(|index| rig.note(index)), [0, 1, 2].map(note));
+        // It has no time then.
+        let now = rig.cycle.grid;
+        rig.sim.restart(now, apart.into());
+        rig.all_up(6_000);
+        rig.run(1_500);
+        assert_eq!(rig.al(gives), AlState::Op, "the one that gave its time");
+        let off = rig.time_off(gives) - before;
+        assert!(off.abs() < KEPT_NS || drift > 0.0, "the other one keeps its time: {off} ns");
     }
 }
 
 #[test]
 fn an_fmmu_by_which_another_master_writes_is_left_alone() {
-    let (mut plan, whole) = running(1, &[0], 1);
+    let (mut plan, whole) = running(1, &[0]);
     plan.drives[0].axis.on_found_running = FoundRunning::Refuse;
     let mut rig = Rig::on(&plan, whole);
     rig.run(1);
@@ -135,7 +141,7 @@ fn the_watchdog_of_a_drive_found_in_op_is_compared_with_what_its_sii_arms() {
     for (control, ticks, watched) in
         [(0x64, 1_000_u16, true), (0x64, 0, false), (0x64, 0xFFFF, false), (0x24, 1_000, false)]
     {
-        let (plan, whole) = running(1, &[0], 1);
+        let (plan, whole) = running(1, &[0]);
         let mut rig = Rig::on(&plan, whole);
         // What it has, with another control byte: one that is on does not take it.
         let mut manager = rig.peek(0, address::sync_manager(2), 8);
@@ -152,8 +158,7 @@ fn the_watchdog_of_a_drive_found_in_op_is_compared_with_what_its_sii_arms() {
 
 #[test]
 fn a_device_found_in_op_is_set_up_from_init() {
-    let mut plan = drives(0);
-    plan.devices = vec![coupler(0)];
+    let plan = terminals();
     let mut rig = Rig::new(&plan);
     rig.all_up(2_000);
     // Another master, with an image of its own.
@@ -162,20 +167,4 @@ fn a_device_found_in_op_is_set_up_from_init() {
     rig.until("it leaves OP", 500, |rig| rig.al(0) == AlState::Init);
     rig.all_up(2_000);
     assert!(rig.line.outputs_count(0) && rig.line.slaves[0].wants_nothing());
-}
-
-#[test]
-fn a_time_that_goes_to_nobody_is_still_known() {
-    // The clocks of all are faster than the master's, and those that run stay together.
-    let (mut plan, mut whole) = running(3, &[0, 1], 3);
-    plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
-    whole.settings.drift_ppm = vec![100.0];
-    let mut rig = Rig::on(&plan, whole);
-    rig.set_apart(1);
-    rig.run(5_000);
-    assert_eq!([0, 1, 2].map(|index| rig.note(index)), [Note::None, Note::None, Note::OtherTime(1)]);
-    let now = rig.cycle.grid;
-    rig.sim.restart(now, 1);
-    rig.all_up(6_000);
-    assert_eq!(rig.al(0), AlState::Op, "the one that gave its time");
 }

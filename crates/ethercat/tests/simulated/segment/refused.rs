@@ -4,13 +4,6 @@ use super::*;
 use fieldbeat_ethercat::wire::registers::AlCode;
 use fieldbeat_sim::ethercat::Application;
 
-/// A drive of another product than the configured one, behind another drive.
-fn other() -> Rig {
-    let mut plan = drives(2);
-    plan.drives[1].slave.identity.product = Some(7);
-    Rig::on(&plan, drives(2))
-}
-
 impl Rig {
     /// Whether the SII of the last slave is taken in this cycle, as each attempt begins.
     fn begins(&mut self) -> bool {
@@ -25,24 +18,15 @@ impl Rig {
     }
 }
 
-#[test]
-fn the_pauses_of_a_slave_that_is_refused_grow_to_half_a_minute() {
-    let mut rig = other();
-    let begins: Vec<u64> = (0..100_000).filter(|_| rig.begins()).collect();
-    let pauses: Vec<u64> = begins.windows(2).map(|pair| (pair[1] - pair[0]) / 1_000).collect();
-    assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30]);
-    assert!(matches!(rig.note(1), Note::Product(_)));
-}
-
 /// Terminals that enter a state never, or stay in OP for so long only.
-#[derive(Debug)]
-struct Unwilling {
-    refuses: Option<AlState>,
-    stays_ns: u64,
-    code: AlCode,
+#[derive(Debug, Default)]
+pub(super) struct Unwilling {
+    pub(super) refuses: Option<AlState>,
+    pub(super) stays_ns: Option<u64>,
+    pub(super) code: AlCode,
     /// When they came to OP, and whether that is over.
-    up: Option<Time>,
-    falls: bool,
+    pub(super) up: Option<Time>,
+    pub(super) falls: bool,
 }
 
 impl Application for Unwilling {
@@ -59,7 +43,7 @@ impl Application for Unwilling {
     }
 
     fn advance(&mut self, now: Time) {
-        self.falls = self.up.is_some_and(|up| now.since(up) > self.stays_ns);
+        self.falls = self.up.zip(self.stays_ns).is_some_and(|(up, stays)| now.since(up) > stays);
     }
 
     fn dropped(&mut self) -> Option<AlCode> {
@@ -69,52 +53,49 @@ impl Application for Unwilling {
     fn process(&mut self, _now: Time, _outputs: &[u8], _inputs: &mut [u8]) {}
 }
 
-fn unwilling(refuses: Option<AlState>, stays_ns: u64, code: AlCode) -> Rig {
-    let mut plan = drives(0);
-    plan.devices = vec![coupler(0)];
-    plan.devices[0].slave.inputs[0].start = 0x1100;
-    let identity = Identity { vendor: 2, ..Identity::default() };
-    let sii = Coupler::of(&plan.devices[0]).contents("I/O", identity).image();
+fn unwilling(refuses: Option<AlState>, stays_ns: Option<u64>, code: AlCode) -> Rig {
+    let plan = terminals();
+    let sii = Coupler::of(&plan.devices[0]).contents("I/O", IO).image();
     let settings = Settings { features: Features(0x0180), sii, ..Settings::default() };
-    let mut rig = Rig::new(&plan);
-    let terminals = Unwilling { refuses, stays_ns, code, up: None, falls: false };
-    *rig.sim.segment() = ethercat::Segment::new(vec![Esc::new(settings, Box::new(terminals))]);
-    rig
+    let unwilling = Unwilling { refuses, stays_ns, code, ..Unwilling::default() };
+    Rig::of(&plan, vec![Esc::new(settings, Box::new(unwilling))])
 }
 
-/// The seconds between the attempts, how often it came to OP, and what was said of it, in a row.
+/// The seconds between the attempts of the last slave, how often it came to OP, and what was said of it, in a row.
 fn attempts(rig: &mut Rig, cycles: u64) -> (Vec<u64>, usize, Vec<Note>) {
+    let last = rig.line.slaves.len() - 1;
     let (mut begins, mut ups, mut was_up, mut notes) = (Vec::new(), 0, false, Vec::new());
     for cycle in 0..cycles {
         if rig.begins() {
             begins.push(cycle);
         }
-        let is_up = rig.al(0) == AlState::Op;
+        let is_up = rig.al(last) == AlState::Op;
         ups += usize::from(is_up && !std::mem::replace(&mut was_up, is_up));
         was_up = is_up;
-        let note = rig.note(0);
-        if notes.last() != Some(&note) {
-            notes.push(note);
+        if notes.last() != Some(&rig.note(last)) {
+            notes.push(rig.note(last));
         }
     }
     (begins.windows(2).map(|pair| (pair[1] - pair[0]) / 1_000).collect(), ups, notes)
 }
 
 #[test]
-fn the_pauses_grow_whichever_state_is_refused_and_its_reason_is_named_once() {
-    for (to, code) in [(AlState::PreOp, 0x16), (AlState::SafeOp, 0x1D), (AlState::Op, 0x30)] {
+fn the_pauses_of_a_slave_that_is_refused_grow_to_half_a_minute_and_its_reason_is_named_once() {
+    let states = [(AlState::PreOp, 0x16), (AlState::SafeOp, 0x1D), (AlState::Op, 0x30)].map(|(to, code)| {
         let code = AlCode(code);
-        let mut rig = unwilling(Some(to), 0, code);
+        (unwilling(Some(to), None, code), Note::State { to, code })
+    });
+    for (mut rig, named) in [(Rig::with_other(2, 1), Note::Product(8))].into_iter().chain(states) {
         let (pauses, _, notes) = attempts(&mut rig, 100_000);
-        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30], "{to}");
-        assert_eq!(notes, [Note::Starting, Note::State { to, code }], "{to}");
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 30, 30], "{named:?}");
+        assert_eq!(notes, [Note::Starting, named]);
     }
 }
 
 #[test]
 fn a_slave_that_falls_right_after_op_again_and_again_has_to_wait() {
     let (to, code) = (AlState::Op, AlCode(0x1A));
-    let mut rig = unwilling(None, 100 * MS, code);
+    let mut rig = unwilling(None, Some(100 * MS), code);
     let (pauses, ups, notes) = attempts(&mut rig, 100_000);
     // The first time it is brought back at once, by way of SAFEOP; each further one begins with its SII.
     assert_eq!((pauses, ups), (vec![2, 4, 8, 16, 30, 30], 8));
@@ -125,7 +106,7 @@ fn a_slave_that_falls_right_after_op_again_and_again_has_to_wait() {
 
 #[test]
 fn a_slave_that_falls_now_and_then_is_brought_back_at_once() {
-    let mut rig = unwilling(None, 2_500 * MS, AlCode(0x1A));
+    let mut rig = unwilling(None, Some(2_500 * MS), AlCode(0x1A));
     let (pauses, ups, _) = attempts(&mut rig, 40_000);
     // From SAFEOP on: its SII is not read again.
     assert!(pauses.is_empty() && (12..=16).contains(&ups), "{pauses:?}, {ups} times");
@@ -133,7 +114,7 @@ fn a_slave_that_falls_now_and_then_is_brought_back_at_once() {
 
 #[test]
 fn a_refused_slave_that_was_away_or_looks_otherwise_is_tried_at_once() {
-    let mut rig = other();
+    let mut rig = Rig::with_other(2, 1);
     rig.attempts(40_000);
     assert_eq!(rig.attempts(5_000), 0, "it waits for half a minute");
     rig.sim.cut(Some(1));
@@ -154,18 +135,9 @@ fn a_slow_slave_has_the_time_of_its_description() {
     for (takes, limit, within_ms) in
         [(2 * S, 5 * S, 0), (3 * S, 5 * S, 5_000), (3 * S, 7 * S, 0), (S, 500 * MS, 500)]
     {
-        let mut plan = drives(0);
-        plan.devices = vec![coupler(0)];
-        plan.devices[0].slave.inputs[0].start = 0x1100;
+        let mut plan = terminals();
         plan.devices[0].slave.state_timeout_ns = limit;
-        let mut rig = Rig::new(&plan);
-        let settings = Settings { features: Features(0x0180), reaction_ns: takes, ..Settings::default() };
-        let io = Coupler::of(&plan.devices[0]).slave(
-            "I/O",
-            Identity { vendor: 2, ..Identity::default() },
-            settings,
-        );
-        *rig.sim.segment() = ethercat::Segment::new(vec![io]);
+        let mut rig = Rig::io(&plan, Settings { reaction_ns: takes, ..Settings::default() });
         if within_ms == 0 {
             rig.all_up(40_000);
         } else {
@@ -181,10 +153,6 @@ fn a_slave_that_is_gone_does_not_hold_up_the_end() {
     rig.all_up(4_000);
     // Too late to be noticed before.
     rig.sim.deafen(1, true);
-    let done = |rig: &mut Rig| {
-        let now = rig.cycle.grid;
-        rig.line.shut_down(now)
-    };
-    rig.until("down", 100, done);
+    rig.down(100);
     assert_eq!([rig.al(0), rig.al(1)], [AlState::Init, AlState::Op]);
 }

@@ -4,17 +4,9 @@ use super::*;
 use fieldbeat_ethercat::wire::sii::Fault;
 use fieldbeat_sim::ethercat::sii::Access;
 
-/// Terminals whose SII is accessed like this, and their configuration.
-fn with(access: Access) -> (EthercatPlan, Rig) {
-    let mut plan = drives(0);
-    plan.devices = vec![coupler(0)];
-    plan.devices[0].slave.inputs[0].start = 0x1100;
-    let mut rig = Rig::new(&plan);
-    let settings = Settings { features: Features(0x0180), sii_access: access, ..Settings::default() };
-    let io =
-        Coupler::of(&plan.devices[0]).slave("I/O", Identity { vendor: 2, ..Identity::default() }, settings);
-    *rig.sim.segment() = ethercat::Segment::new(vec![io]);
-    (plan, rig)
+/// Terminals whose SII is accessed like this.
+fn with(access: Access) -> Rig {
+    Rig::io(&terminals(), Settings { sii_access: access, ..Settings::default() })
 }
 
 #[test]
@@ -36,20 +28,14 @@ fn the_sii_is_taken_from_the_processor_and_given_back_before_preop() {
 
 #[test]
 fn a_slave_that_is_refused_or_left_has_its_sii_back() {
-    let mut plan = drives(1);
-    plan.drives[0].slave.identity.product = Some(7);
-    let mut rig = Rig::on(&plan, drives(1));
+    let mut rig = Rig::with_other(1, 0);
     rig.until("refused", 500, |rig| matches!(rig.note(0), Note::Product(_)));
     assert_eq!(rig.peek(0, address::SII_OWNER, 1), [1]);
     // The orderly end comes while it is read.
     for cycles in 3..40 {
         let mut rig = Rig::new(&drives(1));
         rig.run(cycles);
-        let done = |rig: &mut Rig| {
-            let now = rig.cycle.grid;
-            rig.line.shut_down(now)
-        };
-        rig.until("done", 100, done);
+        rig.down(100);
         // Force and give are the second and the third request.
         assert_eq!(rig.peek(0, address::SII_OWNER, 1), [1], "after {cycles} cycles");
     }
@@ -58,9 +44,9 @@ fn a_slave_that_is_refused_or_left_has_its_sii_back() {
 #[test]
 fn an_sii_that_its_processor_keeps_is_named_unless_nothing_of_it_is_needed() {
     for is_needed in [true, false] {
-        let (mut plan, mut rig) = with(Access::default());
+        let mut plan = terminals();
         plan.devices[0].slave.check_sii = is_needed;
-        rig.line = Rig::new(&plan).line;
+        let mut rig = Rig::io(&plan, Settings::default());
         for _ in 0..1_000 {
             rig.poke(0, address::SII_OWNER, &[1]);
             rig.run(1);
@@ -72,60 +58,51 @@ fn an_sii_that_its_processor_keeps_is_named_unless_nothing_of_it_is_needed() {
 }
 
 #[test]
-fn a_command_is_written_to_an_idle_sii_only() {
-    // Commands of 40 ms: one of another master is under way.
-    let (_, mut rig) = with(Access { busy_ns: 40 * MS, ..Access::default() });
-    rig.poke(0, address::SII_CONTROL, &[0x00, 0x01, 0x40, 0, 0, 0]);
-    rig.all_up(2_000);
-    assert_eq!(rig.note(0), Note::None);
-}
-
-#[test]
-fn a_command_that_fails_is_acknowledged_and_repeated() {
-    // One of so many reads: never twice in a row, and in the end each of them.
-    for fails_every in [2, 3, 5] {
-        let (_, mut rig) = with(Access { fails_every, ..Access::default() });
-        rig.all_up(2_000);
-        assert_eq!(rig.note(0), Note::None, "1 of {fails_every}");
-    }
-    // Another master's has failed.
-    let (_, mut rig) = with(Access::default());
-    rig.poke(0, address::SII_CONTROL, &[0x00, 0x07, 0, 0, 0, 0]);
-    assert_eq!(rig.peek(0, address::SII_CONTROL, 2)[1] & 0x20, 0x20);
-    rig.all_up(2_000);
-    assert_eq!(rig.note(0), Note::None);
-}
-
-#[test]
-fn an_sii_that_always_fails_or_is_not_loaded_is_named() {
-    for (access, fault) in [
-        (Access { fails_every: 1, ..Access::default() }, Fault::Refused),
-        (Access { unloaded: true, ..Access::default() }, Fault::Unloaded),
+fn a_command_is_written_to_an_idle_sii_and_repeated_if_it_fails() {
+    let usual = Access::default;
+    let failing = |fails_every| (Access { fails_every, ..usual() }, None);
+    for (access, left) in [
+        // Commands of 40 ms: one of another master is under way.
+        (Access { busy_ns: 40 * MS, ..usual() }, Some([0x00, 0x01, 0x40, 0, 0, 0])),
+        // One of so many reads fails: never twice in a row, and in the end each of them.
+        failing(2),
+        failing(3),
+        failing(5),
+        // Another master's has failed.
+        (usual(), Some([0x00, 0x07, 0, 0, 0, 0])),
     ] {
-        let (_, mut rig) = with(access);
+        let what = format!("{access:?}");
+        let mut rig = with(access);
+        if let Some(command) = left {
+            rig.poke(0, address::SII_CONTROL, &command);
+            let shown = rig.peek(0, address::SII_CONTROL, 2)[1];
+            assert_ne!(shown & if command[1] == 7 { 0x20 } else { 0x80 }, 0, "{what}");
+        }
+        rig.all_up(2_000);
+        assert_eq!(rig.note(0), Note::None, "{what}");
+    }
+}
+
+#[test]
+fn an_sii_that_always_fails_or_is_not_loaded_or_not_written_is_named() {
+    let named = |mut rig: Rig, fault| {
         rig.until("named", 1_000, |rig| rig.note(0) == Note::Sii(fault));
         rig.run(500);
         assert_eq!((rig.al(0), rig.note(0)), (AlState::Init, Note::Sii(fault)));
-    }
+    };
+    named(with(Access { fails_every: 1, ..Access::default() }), Fault::Refused);
+    named(with(Access { unloaded: true, ..Access::default() }), Fault::Unloaded);
+    let mut plan = terminals();
+    plan.devices[0].slave.identity.vendor = Some(2);
+    let settings = Settings { sii: vec![0xFFFF; 64], features: Features(0x0180), ..Settings::default() };
+    let blank = Esc::new(settings, Box::new(Coupler::of(&plan.devices[0])));
+    named(Rig::of(&plan, vec![blank]), Fault::Checksum);
 }
 
 #[test]
 fn eight_bytes_a_read_are_taken_and_save_time() {
-    let cycles = [false, true].map(|eight| {
-        let (_, mut rig) = with(Access { busy_ns: 10 * MS, eight, ..Access::default() });
-        rig.all_up(1_000)
-    });
+    let cycles = [false, true]
+        .map(|eight| with(Access { busy_ns: 10 * MS, eight, ..Access::default() }).all_up(1_000));
     // Six reads of four bytes, four of eight; and the categories.
     assert!(cycles[1] + 30 < cycles[0], "{cycles:?}");
-}
-
-#[test]
-fn an_sii_that_was_never_written_is_named() {
-    let (mut plan, mut rig) = with(Access::default());
-    plan.devices[0].slave.identity.vendor = Some(2);
-    rig.line = Rig::new(&plan).line;
-    let settings = Settings { sii: vec![0xFFFF; 64], features: Features(0x0180), ..Settings::default() };
-    let blank = Esc::new(settings, Box::new(Coupler::of(&plan.devices[0])));
-    *rig.sim.segment() = ethercat::Segment::new(vec![blank]);
-    rig.until("named", 1_000, |rig| matches!(rig.note(0), Note::Sii(Fault::Checksum | Fault::Blank)));
 }

@@ -2,6 +2,17 @@
 
 use super::*;
 
+/// A series of calls, and how each of them ended.
+fn series(bench: &mut Bench, calls: &[Call]) -> Vec<Result<u64, CallError>> {
+    let tickets = bench.acyclic.post_series(calls, LIMIT).unwrap();
+    tickets.into_iter().map(|ticket| bench.wait(ticket)).collect()
+}
+
+/// The pieces of a write of the device name.
+fn naming(name: &[u8]) -> Vec<Call> {
+    long::write(Target::parse("device-name").unwrap().pack(), name)
+}
+
 #[test]
 fn objects_of_every_length_are_read_and_counted_whole_in_every_mailbox() {
     for length in [16, 20, 64, 65, 128, 300, 1_024] {
@@ -14,8 +25,7 @@ fn objects_of_every_length_are_read_and_counted_whole_in_every_mailbox() {
                 .chain((1..KEPT as u64 / 8).map(|part| (object::PART, 8 * part)))
                 .map(|(service, value)| Call { service, address, value })
                 .collect();
-            let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
-            let ends: Vec<_> = tickets.into_iter().map(|ticket| bench.wait(ticket)).collect();
+            let ends = series(&mut bench, &calls);
             assert_eq!(ends[1], Ok(bytes as u64), "{length} {bytes}");
             let parts = ends.iter().enumerate().filter(|(place, _)| *place != 1);
             let read: Vec<u8> = parts.map_while(|(_, end)| end.ok()).flat_map(u64::to_le_bytes).collect();
@@ -44,12 +54,6 @@ fn a_whole_text_and_a_whole_object_come_through_the_carrier() {
     assert_eq!(text.as_deref(), Ok(&name[..]));
     assert_eq!((all.as_deref(), mode.as_deref()), (Ok(&assignment[..]), Ok(&[7][..])));
     assert_eq!(none, Err(CallError::Refused(AbortCode::NO_OBJECT.0)));
-}
-
-/// A series of calls, and how each of them ended.
-fn series(bench: &mut Bench, calls: &[Call]) -> Vec<Result<u64, CallError>> {
-    let tickets = bench.acyclic.post_series(calls, LIMIT).unwrap();
-    tickets.into_iter().map(|ticket| bench.wait(ticket)).collect()
 }
 
 #[test]
@@ -85,20 +89,20 @@ fn a_longer_value_is_written_at_once_or_in_segments_as_the_mailbox_holds_it() {
 fn a_mailbox_of_one_sdo_takes_no_longer_value() {
     let (mut bench, server) = Bench::server(16, &[(NAME, b"")]);
     let refused = CallError::Refused(object::EXPEDITED);
-    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghi"));
+    let ends = series(&mut bench, &naming(b"abcdefghi"));
     assert_eq!(ends, [Ok(long::raw(b"abcdefgh")), Ok(u64::from(b'i')), Err(refused)]);
     bench.service.begin_long(NAME, b"abcde");
     assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Unusable(object::EXPEDITED))));
     bench.steps(20);
     assert!(server.shared().requests.is_empty(), "nothing of it was sent");
-    let ends = series(&mut bench, &long::write(Target::parse("device-name").unwrap().pack(), b"abcd"));
+    let ends = series(&mut bench, &naming(b"abcd"));
     assert_eq!((ends.last(), &server.shared().objects[0].1[..]), (Some(&Ok(4)), &b"abcd"[..]));
 }
 
 #[test]
 fn a_value_that_was_not_handed_over_whole_is_not_written() {
     let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
-    let calls = long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghijkl");
+    let calls = naming(b"abcdefghijkl");
     let not_loaded = Err(CallError::Refused(object::NOT_LOADED));
     // The pieces of another series, of another object, too few of them, too many.
     series(&mut bench, &calls[..2]);
@@ -108,25 +112,10 @@ fn a_value_that_was_not_handed_over_whole_is_not_written() {
     assert_eq!(series(&mut bench, &[calls[0], calls[2]])[1], not_loaded);
     assert_eq!(series(&mut bench, &[calls[0], calls[0], calls[0], calls[2]])[3], not_loaded);
     assert_eq!(bench.wait(bench.acyclic.post(calls[2], LIMIT).unwrap()), not_loaded);
-    assert!(server.shared().requests.is_empty());
-}
-
-#[test]
-fn a_long_write_that_commands_waits_for_power_like_any_other() {
-    let (mut bench, server) = Bench::server(64, &[(NAME, b"")]);
-    let calls = long::write(Target::parse("device-name").unwrap().pack(), b"abcdefghijkl");
-    let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
+    // Nor is one that commands, with power, like any other.
     bench.guarded = true;
-    let ends: Vec<_> = tickets.into_iter().map(|ticket| bench.wait(ticket)).collect();
-    assert_eq!(ends[2], Err(CallError::Commands));
+    assert_eq!(series(&mut bench, &calls)[2], Err(CallError::Commands));
     assert!(server.shared().requests.is_empty());
-}
-
-#[test]
-fn a_short_signed_value_keeps_its_sign_in_a_longer_type() {
-    let (mut bench, _server) = Bench::server(16, &[(MODE, &[0xFB, 0xFF])]);
-    assert_eq!(bench.call(READ, "0x6060:0.i32", 0), Ok(0xFFFF_FFFB));
-    assert_eq!(bench.call(READ, "0x6060:0.u32", 0), Ok(0xFFFB));
 }
 
 #[test]
@@ -145,12 +134,7 @@ fn the_master_goes_before_the_application() {
 #[test]
 fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
     let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (STATUS_WORD, &[1, 2])]);
-    let held = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-    let hold = std::sync::Arc::clone(&held);
-    server.shared().twist = Some(Box::new(move |answer| {
-        hold.lock().unwrap().push(answer);
-        Vec::new()
-    }));
+    let held = super::late::hold(&server, usize::MAX);
     let mut ticket = bench.post(READ, "mode", 0);
     bench.steps(5);
     ticket.cancel();
@@ -239,11 +223,13 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
 }
 
 #[test]
-fn what_is_no_call_is_refused() {
-    let (mut bench, _server) = Bench::server(16, &[(MODE, &[7])]);
+fn what_is_no_call_is_refused_and_a_short_signed_value_keeps_its_sign_in_a_longer_type() {
+    let (mut bench, _server) = Bench::server(16, &[(MODE, &[0xFB, 0xFF])]);
+    assert_eq!(bench.call(READ, "0x6060:0.i32", 0), Ok(0xFFFF_FFFB));
+    assert_eq!(bench.call(READ, "0x6060:0.u32", 0), Ok(0xFFFB));
     let no_call = Err(CallError::Refused(object::NO_CALL));
     assert_eq!(bench.call(99, "mode", 0), no_call);
     assert_eq!(bench.call(WRITE, "0x2F00:3", 0), no_call);
     assert_eq!(bench.call(WRITE, "0x1C12:ca", 0), no_call);
-    assert_eq!(bench.call(object::PART, "mode", 0), Err(CallError::Refused(object::NOT_READ)));
+    assert_eq!(bench.call(object::PART, "device-name", 0), Err(CallError::Refused(object::NOT_READ)));
 }

@@ -1,13 +1,15 @@
 //! Answers that are lost, late, or never come: an SDO is repeated, and nothing of before is taken for its answer.
 
+use std::sync::Mutex;
+
 use super::*;
 
 const SERIAL: Object = Object::new(0x1018, 1);
 
 /// So many answers are held back.
-fn hold(server: &Server, count: usize) -> std::sync::Arc<std::sync::Mutex<Vec<Vec<u8>>>> {
-    let held = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-    let (kept, mut left) = (std::sync::Arc::clone(&held), count);
+pub(super) fn hold(server: &Server, count: usize) -> Arc<Mutex<Vec<Vec<u8>>>> {
+    let held = Arc::new(Mutex::new(Vec::new()));
+    let (kept, mut left) = (Arc::clone(&held), count);
     server.shared().twist = Some(Box::new(move |answer| {
         if left == 0 {
             return vec![answer];

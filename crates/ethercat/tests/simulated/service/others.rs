@@ -47,16 +47,9 @@ fn what_answers_something_else_is_a_stray_and_never_a_value() {
         counted[5] = (((answer[5] >> 4) % 7 + 1) << 4) | 3;
         counted[12] = 0x55;
         // Another index, subindex, command, count; and the answer twice.
-        vec![
-            other(9, 0x61),
-            other(10, 0x5F),
-            other(11, 1),
-            other(8, 0x60),
-            other(8, 0x20),
-            counted,
-            answer.clone(),
-            answer,
-        ]
+        let others = [(9, 0x61), (10, 0x5F), (11, 1), (8, 0x60), (8, 0x20)];
+        let others = others.map(|(place, byte)| other(place, byte));
+        others.into_iter().chain([counted, answer.clone(), answer]).collect()
     }));
     assert_eq!(bench.read(MODE), Ok(7));
     assert_eq!(bench.own(Own::MailboxStrays), 6);
@@ -67,62 +60,30 @@ fn what_answers_something_else_is_a_stray_and_never_a_value() {
 #[test]
 fn what_cannot_be_used_ends_a_call_by_its_name() {
     let text: Vec<u8> = (b'a'..=b'z').collect();
-    type Change = fn(Vec<u8>) -> Vec<u8>;
+    let of_segments = |change: fn(&mut u8)| {
+        move |answer: &mut Vec<u8>| {
+            if answer[8] < 0x20 {
+                change(&mut answer[8]);
+            }
+        }
+    };
+    type Change = Box<dyn Fn(&mut Vec<u8>) + Send>;
     let cases: [(Change, u32); 7] = [
-        (|answer| message(0, 0, &[1, 0, 2, 0, answer[0]]), object::MAILBOX + 2),
-        (
-            |mut answer| {
-                answer[0] = 4;
-                answer
-            },
-            object::BROKEN,
-        ),
-        (
-            |mut answer| {
-                answer[8] = 0xA0;
-                answer
-            },
-            object::BROKEN,
-        ),
-        (
-            |mut answer| {
-                answer[0] = 200;
-                answer
-            },
-            object::BROKEN,
-        ),
+        (Box::new(|answer| *answer = message(0, 0, &[1, 0, 2, 0, answer[0]])), object::MAILBOX + 2),
+        (Box::new(|answer| answer[0] = 4), object::BROKEN),
+        (Box::new(|answer| answer[8] = 0xA0), object::BROKEN),
+        (Box::new(|answer| answer[0] = 200), object::BROKEN),
         // Segments: the wrong toggle, an early end, and none.
-        (
-            |mut answer| {
-                if answer[8] < 0x20 {
-                    answer[8] ^= 0x10
-                }
-                answer
-            },
-            object::TOGGLE,
-        ),
-        (
-            |mut answer| {
-                if answer[8] < 0x20 {
-                    answer[8] |= 1
-                }
-                answer
-            },
-            object::TRUNCATED,
-        ),
-        (
-            |mut answer| {
-                if answer[8] < 0x20 {
-                    answer[8] = answer[8] & 0x10 | 0x0E
-                }
-                answer
-            },
-            object::ENDLESS,
-        ),
+        (Box::new(of_segments(|command| *command ^= 0x10)), object::TOGGLE),
+        (Box::new(of_segments(|command| *command |= 1)), object::TRUNCATED),
+        (Box::new(of_segments(|command| *command = *command & 0x10 | 0x0E)), object::ENDLESS),
     ];
     for (number, (change, status)) in cases.into_iter().enumerate() {
         let (mut bench, server) = Bench::server(20, &[(NAME, &text)]);
-        server.shared().twist = Some(Box::new(move |answer| vec![change(answer)]));
+        server.shared().twist = Some(Box::new(move |mut answer| {
+            change(&mut answer);
+            vec![answer]
+        }));
         assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(status)), "{number}");
         bench.steps(5);
         let is_aborted = server.shared().requests.iter().any(|request| request[8] == 0x80);

@@ -26,26 +26,25 @@ pub(super) struct Rig {
     pub(super) al: AlState,
     pub(super) inputs: Vec<u8>,
     pub(super) outputs: Vec<u8>,
-    /// What waits in the drive's mailbox, and what was put into the other one.
-    pub(super) mail: VecDeque<Vec<u8>>,
-    pub(super) posted: [u8; SDO_SIZE],
+    /// What waits in the drive's mailbox.
+    mail: VecDeque<Vec<u8>>,
     /// Demands of positions, as they went out.
     pub(super) steepest: i32,
 }
 
-/// A drive of the S700 with these PDOs.
-pub(super) fn planned(outputs: u16, inputs: u16) -> KollmorgenDrive {
-    let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
-    for layout in pdo::fixed(Family::S700) {
-        match layout.pdo {
-            number if number == outputs => plan.outputs = layout,
-            number if number == inputs => plan.inputs = layout,
-            _ => {}
-        }
-    }
+/// A drive with these PDOs.
+pub(super) fn planned_for(family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {
+    let mut plan = KollmorgenDrive::new("x", 0, family);
+    let fixed = |number| pdo::fixed(family).into_iter().find(|layout| layout.pdo == number).unwrap();
+    (plan.outputs, plan.inputs) = (fixed(outputs), fixed(inputs));
     plan.fit();
     plan.slave.watchdog = Watchdog::After(100 * MS);
     plan
+}
+
+/// The same of the S700.
+pub(super) fn planned(outputs: u16, inputs: u16) -> KollmorgenDrive {
+    planned_for(Family::S700, outputs, inputs)
 }
 
 pub(super) fn position() -> KollmorgenDrive {
@@ -79,7 +78,6 @@ impl Rig {
             inputs: vec![0; plan.inputs.size()],
             outputs: vec![0; plan.outputs.size()],
             mail: VecDeque::new(),
-            posted: [0; SDO_SIZE],
             steepest: 0,
             plan,
         };
@@ -89,7 +87,7 @@ impl Rig {
     }
 
     /// What the segment does until the drive is in OP.
-    pub(super) fn bring_up(&mut self) {
+    fn bring_up(&mut self) {
         self.station.operational(None, &mut self.slot);
         self.station.service.open(false);
         self.mail.clear();
@@ -151,14 +149,10 @@ impl Rig {
     pub(super) fn send(&mut self) {
         let deadline = self.now + PERIOD / 2;
         self.station.sent(self.now, deadline, &mut self.slot);
-        self.commit();
-        self.mails();
-    }
-
-    pub(super) fn commit(&mut self) {
         if let Some(grid) = self.slot.gone.grid.take() {
             self.machine.commit(grid);
         }
+        self.mails();
     }
 
     pub(super) fn receive(&mut self) {
@@ -167,9 +161,8 @@ impl Rig {
         self.station.take(at, &inputs, self.al, &mut self.slot);
         assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         self.machine.observe(self.now, self.slot.notices.restarted, &self.slot);
-        self.slot.notices.fresh = false;
-        self.slot.notices.restarted = false;
-        self.slot.notices.emergency = None;
+        let notices = &mut self.slot.notices;
+        (notices.fresh, notices.restarted, notices.emergency) = (false, false, None);
         self.now = self.now + PERIOD;
         let (none, outputs) = (Vec::new(), self.outputs.clone());
         let driven = self.al == AlState::Op;
@@ -184,55 +177,41 @@ impl Rig {
     }
 
     /// The acyclic slot of a frame.
-    pub(super) fn mails(&mut self) {
+    fn mails(&mut self) {
         let mut ask = Ask::default();
         self.station.service.advance(self.now, self.slot.link, self.slot.guarded);
         self.station.service.request(self.now, &mut ask);
         let mut message = Vec::new();
         if self.mail.is_empty() && self.drive.message(&mut message) {
-            self.mail.push_back(message.clone());
+            self.mail.push_back(message);
         }
         let came: Vec<_> = ask.datagrams().map(|(command, data)| self.carry(command, data)).collect();
         let answer = |place: usize| {
             let (working_counter, data) = came.get(place)?;
             Some(Answer { working_counter: *working_counter, data })
         };
-        let answers = [answer(0), answer(1)];
-        self.station.service.receive(self.now, &answers, &mut self.slot.counters);
+        self.station.service.receive(self.now, &[answer(0), answer(1)], &mut self.slot.counters);
         self.station.mailbox_received(&mut self.slot);
     }
 
-    pub(super) fn carry(&mut self, command: DatagramCommand, data: &[u8]) -> (u16, Vec<u8>) {
+    /// A message has the size of the mailbox.
+    fn carry(&mut self, command: DatagramCommand, data: &[u8]) -> (u16, Vec<u8>) {
         let [out, input] = self.plan.slave.mailbox.unwrap();
-        let mut data = data.to_vec();
         match command {
-            DatagramCommand::Fpwr(_, at) if (out.start..out.start + out.length).contains(&at) => {
-                let at = usize::from(at - out.start);
-                self.posted[at..at + data.len()].copy_from_slice(&data);
-                if at + data.len() == SDO_SIZE {
-                    let mut reply = Vec::new();
-                    if self.drive.mailbox(&self.posted, &mut reply) {
-                        self.mail.push_back(reply);
-                    }
+            DatagramCommand::Fpwr(_, at) if at == out.start => {
+                let mut reply = Vec::new();
+                if self.drive.mailbox(data, &mut reply) {
+                    self.mail.push_back(reply);
                 }
-                (1, data)
+                (1, data.to_vec())
             }
-            DatagramCommand::Fprd(_, at) if (input.start..input.start + input.length).contains(&at) => {
-                let at = usize::from(at - input.start);
-                let Some(message) = self.mail.front() else { return (0, data) };
-                for (place, byte) in data.iter_mut().zip(message.iter().skip(at)) {
-                    *place = *byte;
-                }
-                if at + data.len() == SDO_SIZE {
-                    self.mail.pop_front();
-                }
-                (1, data)
+            DatagramCommand::Fprd(_, at) if at == input.start => {
+                self.mail.pop_front().map_or((0, data.to_vec()), |message| (1, message))
             }
             DatagramCommand::Fprd(_, 0x080D) => {
-                data[0] = if self.mail.is_empty() { 0 } else { 1 << 3 };
-                (1, data)
+                (1, [&[u8::from(!self.mail.is_empty()) << 3], &data[1..]].concat())
             }
-            _ => (1, data),
+            _ => (1, data.to_vec()),
         }
     }
 
