@@ -155,10 +155,7 @@ impl Application for Coupler {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::Bench;
     use super::*;
-    use fieldbeat_ethercat::wire::frame::Command;
-    use fieldbeat_ethercat::wire::registers::{Fmmu, address};
 
     const IDENTITY: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 1 };
 
@@ -192,32 +189,5 @@ mod tests {
         coupler.process(Time(0), &[], &mut inputs);
         assert_eq!(inputs, [0; 4], "no outputs count");
         coupler.process(Time(0), &[1], &mut []);
-    }
-
-    #[test]
-    fn on_the_line_its_outputs_work_in_op_only_and_until_the_watchdog() {
-        let mut bench = Bench::with(vec![coupler().slave("EK", IDENTITY, Settings::default())]);
-        for (n, (manager, _)) in coupler().managers().into_iter().enumerate() {
-            bench.write(0, address::sync_manager(n as u16), &manager.to_bytes());
-        }
-        bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 6, 0x1000, true).to_bytes());
-        bench.write(0, address::fmmu(1), &Fmmu::bytes(6, 4, 0x1100, false).to_bytes());
-        let sent = [0xFF, 0x0F, 1, 0, 2, 0, 9, 9, 9, 9];
-        let inputs = |bench: &mut Bench| {
-            let (data, count) = bench.send(Command::Lrw(0), &sent);
-            (data[6..].to_vec(), count)
-        };
-        assert_eq!(bench.go(0, AlState::PreOp), (AlState::PreOp, None), "without a mailbox");
-        assert_eq!(inputs(&mut bench), (vec![9; 4], 0));
-        bench.go(0, AlState::SafeOp);
-        inputs(&mut bench);
-        assert_eq!(inputs(&mut bench), (vec![0; 4], 3));
-        bench.go(0, AlState::Op);
-        inputs(&mut bench);
-        assert_eq!(inputs(&mut bench), (vec![0xFF, 3, 1, 0], 3));
-        bench.wait(100_000_000);
-        inputs(&mut bench);
-        assert_eq!(inputs(&mut bench), (vec![0; 4], 3));
-        assert_eq!(bench.state(0), (AlState::SafeOp, Some(AlCode::WATCHDOG)));
     }
 }

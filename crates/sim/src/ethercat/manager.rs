@@ -171,29 +171,6 @@ mod tests {
     }
 
     #[test]
-    fn a_mailbox_is_written_and_read_by_its_last_byte_alone() {
-        let memory = vec![0; 0x1_0000];
-        let mut out = manager(SyncManager::MAILBOX_OUT, AlState::PreOp);
-        assert!(!out.has_written(&(0x1800..0x1BFF), &memory));
-        assert!(out.may_write() && !out.is_full() && !out.may_read());
-        assert!(out.has_written(&(0x1BFF..0x1C00), &memory));
-        assert_eq!((out.registers(), out.may_write()), ((0x09, 0), false));
-        assert!(!out.has_written(&(0x1BFF..0x1C00), &memory), "full");
-        out.take();
-        assert_eq!((out.registers(), out.may_write()), ((0x02, 0), true));
-
-        let mut input = manager(SyncManager::MAILBOX_IN, AlState::PreOp);
-        assert!(!input.may_read());
-        input.has_read(&(0x1800..0x1C00));
-        assert_eq!(input.registers(), (0, 0), "it was empty");
-        input.put();
-        input.has_read(&(0x1800..0x1BFF));
-        assert_eq!((input.registers(), input.may_read()), ((0x09, 0), true));
-        input.has_read(&(0x1BFF..0x1C00));
-        assert_eq!((input.registers(), input.may_read()), ((0x02, 0), false));
-    }
-
-    #[test]
     fn what_a_state_has_no_use_for_is_locked_and_says_so() {
         let mut mailbox = manager(SyncManager::MAILBOX_OUT, AlState::Init);
         let mut outputs = manager(SyncManager::OUTPUTS, AlState::PreOp);
@@ -217,21 +194,5 @@ mod tests {
         assert_eq!((outputs.taken().len(), outputs.taken()[0x3FF]), (0x400, 7));
         outputs.enter(AlState::PreOp);
         assert!(outputs.taken().is_empty());
-    }
-
-    #[test]
-    fn a_repeat_is_asked_for_by_a_change_and_acknowledged_by_the_same() {
-        let mut input = manager(SyncManager::MAILBOX_IN, AlState::PreOp);
-        let ask = |activate| SyncManager { activate, ..input.clone().setting() };
-        let (on, toggled) = (ask(1), ask(3));
-        assert!(!input.takes_repeat());
-        input.put();
-        input.set(toggled);
-        assert!(input.is_full(), "it is not switched off by it");
-        assert!(input.takes_repeat() && !input.takes_repeat());
-        assert_eq!(input.registers().1, REPEAT);
-        input.set(on);
-        assert!(input.takes_repeat());
-        assert_eq!(input.registers().1, 0);
     }
 }

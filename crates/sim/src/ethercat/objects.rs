@@ -178,26 +178,21 @@ mod tests {
     }
 
     #[test]
-    fn what_there_is_not_is_told_from_a_missing_subindex() {
-        let s700 = objects(Family::S700);
-        assert_eq!(s700.read(object("0x5FFF:1")), Err(AbortCode::NO_OBJECT));
-        assert_eq!(s700.read(object("0x6041:1")), Err(AbortCode::NO_SUB));
-        assert_eq!(s700.read(object("0x60F4:0")), Err(AbortCode::NO_OBJECT), "an AKD has it");
-        assert_eq!(objects(Family::Akd).read(object("0x60F4:0")), Ok(vec![0; 4]));
-        assert_eq!(objects(Family::Akd).read(object("0x606B:0")), Err(AbortCode::NO_OBJECT));
-    }
-
-    #[test]
-    fn values_have_the_length_of_their_type() {
-        let s700 = objects(Family::S700);
-        assert_eq!(s700.read(object("0x1018:1")), Ok(vec![0x6A, 0, 0, 0]));
-        assert_eq!(s700.read(object("0x1C12:1")), Ok(vec![0x02, 0x17]));
-        assert_eq!(s700.read(object("0x60C2:2")), Ok(vec![0xFD]));
-        assert_eq!(s700.read(object("device-name")), Ok(b"S700".to_vec()));
-        assert_eq!(s700.written(object("control-word"), &[1, 2, 3, 4], AlState::Op), Err(AbortCode::LENGTH));
-        assert_eq!(s700.written(object("control-word"), &[0x0F], AlState::Op), Err(AbortCode::LENGTH));
-        assert_eq!(s700.written(object("control-word"), &[0x0F, 0], AlState::Op), Ok(0x0F));
-        assert_eq!(s700.written(object("0x60C2:2"), &[0xFC], AlState::PreOp), Ok(-4));
+    fn values_have_the_length_of_their_type_and_what_is_missing_says_so() {
+        let [s700, akd] = [Family::S700, Family::Akd].map(objects);
+        for (drive, text, expected) in [
+            (&s700, "0x1018:1", Ok(vec![0x6A, 0, 0, 0])),
+            (&s700, "0x1C12:1", Ok(vec![0x02, 0x17])),
+            (&s700, "0x60C2:2", Ok(vec![0xFD])),
+            (&s700, "device-name", Ok(b"S700".to_vec())),
+            (&s700, "0x5FFF:1", Err(AbortCode::NO_OBJECT)),
+            (&s700, "0x6041:1", Err(AbortCode::NO_SUB)),
+            (&s700, "0x60F4:0", Err(AbortCode::NO_OBJECT)),
+            (&akd, "0x60F4:0", Ok(vec![0; 4])),
+            (&akd, "0x606B:0", Err(AbortCode::NO_OBJECT)),
+        ] {
+            assert_eq!(drive.read(object(text)), expected, "{text}");
+        }
     }
 
     #[test]
@@ -213,15 +208,21 @@ mod tests {
     }
 
     #[test]
-    fn access_and_range_are_kept() {
-        let s700 = objects(Family::S700);
-        let write = |text, data: &[u8], state| s700.written(object(text), data, state);
-        assert_eq!(write("status-word", &[0, 0], AlState::Op), Err(AbortCode::READ_ONLY));
-        assert_eq!(write("0x1C12:0", &[0], AlState::SafeOp), Err(AbortCode::STATE));
-        assert_eq!(write("0x1C12:0", &[0], AlState::PreOp), Ok(0));
-        assert_eq!(write("0x1C12:0", &[2], AlState::PreOp), Err(abort::HIGH));
-        assert_eq!(write("0x60C2:1", &[0], AlState::PreOp), Err(abort::LOW));
-        assert_eq!(write("0x60C2:2", &[0xF9], AlState::PreOp), Err(abort::LOW));
+    fn length_access_and_range_are_kept() {
+        for (text, data, state, expected) in [
+            ("control-word", &[1, 2, 3, 4][..], AlState::Op, Err(AbortCode::LENGTH)),
+            ("control-word", &[0x0F], AlState::Op, Err(AbortCode::LENGTH)),
+            ("control-word", &[0x0F, 0], AlState::Op, Ok(0x0F)),
+            ("status-word", &[0, 0], AlState::Op, Err(AbortCode::READ_ONLY)),
+            ("0x1C12:0", &[0], AlState::SafeOp, Err(AbortCode::STATE)),
+            ("0x1C12:0", &[0], AlState::PreOp, Ok(0)),
+            ("0x1C12:0", &[2], AlState::PreOp, Err(abort::HIGH)),
+            ("0x60C2:1", &[0], AlState::PreOp, Err(abort::LOW)),
+            ("0x60C2:2", &[0xF9], AlState::PreOp, Err(abort::LOW)),
+            ("0x60C2:2", &[0xFC], AlState::PreOp, Ok(-4)),
+        ] {
+            assert_eq!(objects(Family::S700).written(object(text), data, state), expected, "{text} {data:?}");
+        }
     }
 
     #[test]

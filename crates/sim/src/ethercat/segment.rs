@@ -129,21 +129,13 @@ mod tests {
     use super::super::Settings;
     use super::super::testing::{Bench, bytes};
     use fieldbeat_core::time::{MS, US};
-    use fieldbeat_ethercat::wire::frame::{Command, datagrams};
+    use fieldbeat_ethercat::wire::frame::Command;
     use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, Links, address};
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
         let mut frame = bytes(sent);
         bench.segment.pass(bench.now, &mut frame);
         frame
-    }
-
-    #[test]
-    fn the_type_of_one_slave_is_read_as_in_a_capture() {
-        let mut bench = Bench::new(vec![Settings::default()]);
-        let back =
-            pass(&mut bench, "FFFFFFFFFFFF 010101010101 88A4 0E10 07 04 0000 0000 0200 0000 0000 0000");
-        assert_eq!(back, bytes("FFFFFFFFFFFF 030101010101 88A4 0E10 07 04 0100 0000 0200 0000 0402 0100"));
     }
 
     #[test]
@@ -177,58 +169,49 @@ mod tests {
     fn a_line_that_others_used_is_cleared_as_a_real_master_does() {
         let mut bench = Bench::drives(|_| {});
         bench.all_to(&[AlState::SafeOp, AlState::Op]);
-        let mut all = |at: u16, data: &[u8]| {
+        for (at, data) in [
+            (0x0101, &[0][..]),
+            (0x0120, &[0x11, 0]),
+            (0x0200, &[4, 0]),
+            (0x0300, &[0; 8]),
+            (0x0600, &[0; 256]),
+            (0x0800, &[0; 256]),
+            (0x0981, &[0]),
+            (0x0910, &[0; 8]),
+            (0x0930, &[0x00, 0x10]),
+            (0x0934, &[0x00, 0x0C]),
+            (0x0500, &[2]),
+            (0x0500, &[0]),
+        ] {
             assert_eq!(bench.send(Command::Bwr(at), data).1, 2, "{at:#06x}");
-        };
-        all(0x0101, &[0]);
-        all(0x0120, &[0x11, 0]);
-        all(0x0200, &[4, 0]);
-        all(0x0300, &[0; 8]);
-        all(0x0600, &[0; 256]);
-        all(0x0800, &[0; 256]);
-        all(0x0981, &[0]);
-        all(0x0910, &[0; 8]);
-        all(0x0930, &[0x00, 0x10]);
-        all(0x0934, &[0x00, 0x0C]);
-        all(0x0500, &[2]);
-        all(0x0500, &[0]);
-        assert_eq!(bench.send(Command::Brd(address::TYPE), &[0; 2]), (vec![4, 2], 2));
-        assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 6]), (vec![1, 0, 0, 0, 0, 0], 2));
-        assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 0);
-        let managers = bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]).0;
+        }
+        let mut shown = |at, length| bench.send(Command::Brd(at), &vec![0; length]);
+        assert_eq!(shown(address::TYPE, 2), (vec![4, 2], 2));
+        assert_eq!(shown(address::AL_STATUS, 6), (vec![1, 0, 0, 0, 0, 0], 2));
+        let managers = shown(address::SYNC_MANAGER, 64).0;
         assert!(managers.chunks(8).all(|manager| manager[6] == 0), "they were on: that alone has changed");
+        assert_eq!(shown(address::FMMU, 64), (vec![0; 64], 2));
+        assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 0);
         assert_eq!(bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 64]).1, 2);
         assert_eq!(bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]), (vec![0; 64], 2));
-        assert_eq!(bench.send(Command::Brd(address::FMMU), &[0; 64]), (vec![0; 64], 2));
     }
 
     #[test]
-    fn a_message_fits_into_two_datagrams_of_one_frame() {
-        let mut bench = Bench::drives(|_| {});
-        let header = "FFFFFFFFFFFF 101010101010 88A4";
-        let request = "0A000000001300204000 1C0000000000";
-        let write = format!(
-            "{header} 2910 05 01 0110 0018 1080 0000 {request} 0000 05 02 0110 FF1B 0100 0000 00 0000"
-        );
-        let counts = |frame: &[u8]| {
-            let counts = datagrams(frame).unwrap().map(|datagram| datagram.unwrap().working_counter);
-            counts.collect::<Vec<_>>()
-        };
-        assert_eq!(counts(&pass(&mut bench, &write)), [1, 1]);
-        let read = format!(
-            "{header} 2910 04 01 0110 001C 1080 0000 {} 0000 04 02 0110 FF1F 0100 0000 00 0000",
-            "00".repeat(16)
-        );
-        let answer = pass(&mut bench, &read);
-        assert_eq!(counts(&answer), [1, 1]);
-        let reversed: Vec<u8> = bytes(request).into_iter().rev().collect();
-        assert_eq!(answer[26..42], reversed);
-        assert_eq!(counts(&pass(&mut bench, &read)), [0, 0], "it is empty");
-    }
-
-    #[test]
-    fn what_is_no_sound_frame_stays_as_far_as_it_is_not() {
+    fn a_sound_frame_is_answered_as_in_a_capture_and_another_stays_as_far_as_it_is_not() {
         let mut bench = Bench::new(vec![Settings::default()]);
+        for (sent, back) in [
+            (
+                "FFFFFFFFFFFF 010101010101 88A4 0E10 07 04 0000 0000 0200 0000 0000 0000",
+                "FFFFFFFFFFFF 030101010101 88A4 0E10 07 04 0100 0000 0200 0000 0402 0100",
+            ),
+            // One datagram is sound, and the one that it says follows it is not.
+            (
+                "FFFFFFFFFFFF 010101010101 88A4 1410 07 04 0000 0000 0280 0000 0000 0000 070500000000",
+                "FFFFFFFFFFFF 030101010101 88A4 1410 07 04 0100 0000 0280 0000 0402 0100 070500000000",
+            ),
+        ] {
+            assert_eq!(pass(&mut bench, sent), bytes(back));
+        }
         for other in [
             "FFFFFFFFFFFF 010101010101 0800 0E10 07 04 0000 0000 0200 0000 0000 0000",
             "FFFFFFFFFFFF 010101010101 88A4 0E40 07 04 0000 0000 0200 0000 0000 0000",
@@ -238,10 +221,6 @@ mod tests {
         ] {
             assert_eq!(pass(&mut bench, other), bytes(other));
         }
-        // One datagram is sound, and the one that it says follows it is not.
-        let half = "FFFFFFFFFFFF 010101010101 88A4 1410 07 04 0000 0000 0280 0000 0000 0000 070500000000";
-        let back = "FFFFFFFFFFFF 030101010101 88A4 1410 07 04 0100 0000 0280 0000 0402 0100 070500000000";
-        assert_eq!(pass(&mut bench, half), bytes(back));
     }
 
     /// Four slaves; from one to the next it takes 100, 200, 300 and 400 ns.
@@ -319,11 +298,6 @@ mod tests {
     }
 
     #[test]
-    fn a_master_finds_the_delays_out() {
-        assert_eq!(delays(&mut four()), [200, 300, 400]);
-    }
-
-    #[test]
     fn clocks_with_offsets_and_delays_go_together_over_the_wrap_of_one() {
         let slaves = [(0, 50.0, 0x018C), (1, -100.0, 0x018C), (2, 100.0, 0x0184), (3, 0.0, 0x018C)];
         let settings = slaves.map(|(n, drift_ppm, features)| Settings {
@@ -334,7 +308,7 @@ mod tests {
             ..Settings::default()
         });
         let mut bench = Bench::new(settings.to_vec());
-        delays(&mut bench);
+        assert_eq!(delays(&mut bench), [200, 300, 400]);
         let received = [0, 1, 2, 3].map(|n| u64::from_le_bytes(bench.read(n, address::DC_RECEIVED).unwrap()));
         for (n, delay) in [(1, 200_u64), (2, 500), (3, 900)] {
             let offset = (received[0] + delay).wrapping_sub(received[usize::from(n)]);
@@ -358,48 +332,6 @@ mod tests {
         assert!(times[0] > 1 << 32, "it has gone round");
         for (n, time) in times.into_iter().enumerate() {
             assert!((time as u32).wrapping_sub(times[0] as u32).cast_signed().abs() <= 3, "slave {n}");
-        }
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_bytes_panic(frames: Vec<Vec<u8>>, cut in proptest::option::of(0_usize..4)) {
-            let mut bench = four();
-            bench.segment.cut(cut);
-            for (n, mut frame) in frames.into_iter().enumerate() {
-                if let Some(header) = frame.get_mut(12..16).filter(|_| n % 2 == 0) {
-                    // EtherCAT; as long as it likes.
-                    header[..2].copy_from_slice(&[0x88, 0xA4]);
-                    header[3] = header[3] & 0x07 & n as u8 | 0x10;
-                }
-                bench.wait(US);
-                bench.segment.pass(bench.now, &mut frame);
-            }
-        }
-
-        #[test]
-        fn no_command_panics_and_nothing_moves(
-            datagrams in proptest::collection::vec(
-                (
-                    0_u8..16,
-                    proptest::num::u16::ANY,
-                    0_u16..0x2100,
-                    proptest::collection::vec(proptest::num::u8::ANY, 0..40),
-                ),
-                1..60,
-            ),
-        ) {
-            let mut bench = Bench::drives(|_| {});
-            for (number, first, at, data) in datagrams {
-                let first = if first & 1 == 0 { 0x1001 + (first >> 1 & 1) } else { first >> 14 };
-                let address = u32::from(first) | u32::from(at) << 16;
-                let Some(command) = Command::new(number, address) else { continue };
-                bench.wait(MS);
-                // The frame is read again behind the segment: it must be intact.
-                let (back, count, _) = bench.send_whole(command, &data);
-                assert_eq!(back.len(), data.len());
-                assert!(count <= 6);
-            }
         }
     }
 }

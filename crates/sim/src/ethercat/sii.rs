@@ -335,7 +335,7 @@ impl Eeprom {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fieldbeat_ethercat::wire::sii::{Protocols, sync_manager};
+    use fieldbeat_ethercat::wire::sii::sync_manager;
 
     const T: Time = Time(5);
 
@@ -360,19 +360,6 @@ mod tests {
     fn read(eeprom: &mut Eeprom, address: u32) -> [u8; 8] {
         eeprom.command(T, Status::READ, address, 0);
         eeprom.data()
-    }
-
-    #[test]
-    fn an_image_is_found_again_word_by_word() {
-        let mut eeprom = Eeprom::new(contents().image(), Access { eight: true, ..Access::default() });
-        assert_eq!(eeprom.alias(), 7);
-        assert_eq!(read(&mut eeprom, word::VENDOR.into()), [0x6A, 0, 0, 0, 0x00, 0x06, 0x00, 0x03]);
-        assert_eq!(read(&mut eeprom, word::REVISION.into()), [2, 0, 0, 0, 0x78, 0x56, 0x34, 0x12]);
-        assert_eq!(
-            read(&mut eeprom, word::MAILBOX_OUT.into()),
-            [0x00, 0x18, 0x00, 0x04, 0x00, 0x1C, 0x00, 0x04]
-        );
-        assert!(Protocols(eeprom.word(word::PROTOCOLS.into())).coe());
     }
 
     #[test]

@@ -27,6 +27,18 @@ fn bytes_are_mapped_where_both_overlap() {
     assert_eq!(data, [8, 9, 0xEE, 0xEE]);
     assert!(!chip.read_logical(0x1_0000, &mut data[..4]), "outputs are not read");
     assert!(!chip.write_logical(0x1_0004, &data));
+    // Of two that map one byte the first counts.
+    map(&mut chip, 0, Fmmu { bits: (0, 3), ..Fmmu::bytes(0x40, 1, 0x0F00, true) });
+    map(&mut chip, 1, Fmmu { bits: (4, 7), ..Fmmu::bytes(0x40, 2, 0x0F01, true) });
+    assert!(chip.write_logical(0x40, &[0xFF, 0xFF]));
+    assert_eq!(chip.bytes(0x0F00_u16), [0x0F, 0xF0, 0x0F], "of the second one only the other byte");
+    // At the end of both spaces there is what there is.
+    let mut chip = self::chip(|settings| settings.ram_kib = 60);
+    map(&mut chip, 0, Fmmu::bytes(u32::MAX - 1, 0xFFFF, 0xFFFE, true));
+    assert!(chip.write_logical(u32::MAX - 1, &[1, 2, 3, 4]));
+    assert_eq!(chip.bytes(0xFFFE_u16), [1, 2]);
+    map(&mut chip, 0, Fmmu { bits: (7, 0), length: 1, ..Fmmu::bytes(0, 1, 0x1000, true) });
+    assert!(!chip.write_logical(0, &[0xFF]), "it ends before it begins");
 }
 
 #[test]
@@ -56,29 +68,6 @@ fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
 }
 
 #[test]
-fn of_two_fmmus_that_map_one_logical_byte_the_first_counts() {
-    let mut chip = chip(|_| {});
-    map(&mut chip, 0, Fmmu { bits: (0, 3), ..Fmmu::bytes(0x40, 1, 0x0F00, true) });
-    map(&mut chip, 1, Fmmu { bits: (4, 7), ..Fmmu::bytes(0x40, 2, 0x0F01, true) });
-    assert!(chip.write_logical(0x40, &[0xFF, 0xFF]));
-    assert_eq!(chip.bytes(0x0F00_u16), [0x0F, 0xF0, 0x0F], "of the second one only the other byte");
-}
-
-#[test]
-fn a_single_bit_shows_that_the_mailbox_is_full() {
-    let mut chip = chip(|_| {});
-    let mailbox = SyncManager { start: 0x1C00, length: 16, control: SyncManager::MAILBOX_IN, activate: 1 };
-    assert!(chip.write(address::sync_manager(1), &mailbox.to_bytes()));
-    map(&mut chip, 2, Fmmu::bit(0x0900_0000, 0x080D, 0));
-    let mut flag = [0xF0];
-    assert!(chip.read_logical(0x0900_0000, &mut flag));
-    assert_eq!(flag, [0xF0]);
-    chip.put_message(&[1; 16]);
-    assert!(chip.read_logical(0x0900_0000, &mut flag));
-    assert_eq!(flag, [0xF1]);
-}
-
-#[test]
 fn the_state_stands_in_the_image_by_a_spare_fmmu_and_counts_in_every_state() {
     for state in [AlState::Init, AlState::PreOp, AlState::SafeOp, AlState::Op] {
         let mut chip = chip(|_| {});
@@ -89,11 +78,16 @@ fn the_state_stands_in_the_image_by_a_spare_fmmu_and_counts_in_every_state() {
         let error = if state == AlState::SafeOp { 0x10 } else { 0 };
         assert_eq!(data, [0xEE, 0xEE, state.number() | error, 0, 0xEE, 0xEE]);
     }
-}
-
-#[test]
-fn a_device_id_stands_in_the_al_status_in_place_of_no_error() {
+    // A single bit shows that the mailbox is full.
     let mut chip = chip(|settings| settings.device_id = Some(0x1234));
+    let mailbox = SyncManager { start: 0x1C00, length: 16, control: SyncManager::MAILBOX_IN, activate: 1 };
+    assert!(chip.write(address::sync_manager(1), &mailbox.to_bytes()));
+    map(&mut chip, 2, Fmmu::bit(0x0900_0000, 0x080D, 0));
+    let mut flag = [0xF0];
+    assert!(chip.read_logical(0x0900_0000, &mut flag) && flag == [0xF0]);
+    chip.put_message(&[1; 16]);
+    assert!(chip.read_logical(0x0900_0000, &mut flag) && flag == [0xF1]);
+    // A device id stands in place of no error.
     assert_eq!(chip.bytes(address::AL_STATUS), [0x24, 0, 0, 0, 0x34, 0x12]);
     chip.show_state(AlState::SafeOp, true, AlCode::WATCHDOG);
     assert_eq!(chip.bytes(address::AL_STATUS), [0x14, 0, 0, 0, 0x1B, 0]);
@@ -121,16 +115,6 @@ fn a_pulse_that_runs_has_no_other_start_and_no_other_cycle() {
 }
 
 #[test]
-fn an_fmmu_at_the_end_of_both_spaces_maps_what_there_is() {
-    let mut chip = chip(|settings| settings.ram_kib = 60);
-    map(&mut chip, 0, Fmmu::bytes(u32::MAX - 1, 0xFFFF, 0xFFFE, true));
-    assert!(chip.write_logical(u32::MAX - 1, &[1, 2, 3, 4]));
-    assert_eq!(chip.bytes(0xFFFE_u16), [1, 2]);
-    map(&mut chip, 0, Fmmu { bits: (7, 0), length: 1, ..Fmmu::bytes(0, 1, 0x1000, true) });
-    assert!(!chip.write_logical(0, &[0xFF]), "it ends before it begins");
-}
-
-#[test]
 fn registers_that_are_not_there_are_neither_read_nor_written() {
     let mut chip = chip(|settings| {
         settings.features = Features(0x0180);
@@ -155,19 +139,13 @@ fn registers_that_are_not_there_are_neither_read_nor_written() {
 }
 
 #[test]
-fn resources_and_links_stand_as_a_master_reads_them() {
+fn a_changed_link_is_told_with_each_datagram_until_it_was_read() {
     let mut chip = chip(|_| {});
     assert_eq!(chip.bytes(address::TYPE), [4, 2, 0, 0, 8, 8, 8, 0x0F, 0xCC, 0x01]);
     chip.link([true, true, false, false]);
     assert_eq!(chip.word(address::LINKS), 0b0101_1010_0011_0000);
     chip.link([true, false, false, false]);
     assert_eq!(chip.word(address::LINKS), 0b0101_0110_0001_0000);
-}
-
-#[test]
-fn a_changed_link_is_told_with_each_datagram_until_it_was_read() {
-    let mut chip = chip(|_| {});
-    chip.link([true, false, false, false]);
     assert_eq!(chip.interrupts(), 0, "masked");
     assert!(chip.write(address::EVENT_MASK, &[4, 0]));
     assert_eq!(chip.interrupts(), 4);

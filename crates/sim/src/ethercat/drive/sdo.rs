@@ -148,107 +148,29 @@ impl Drive {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fieldbeat_core::time::S;
-
-    fn drive(family: Family) -> Drive {
-        let mut drive = Drive::new(DriveSettings::new(family));
-        drive.advance(Time(S));
-        drive.may_enter(Time(S), AlState::PreOp).unwrap();
-        drive
-    }
-
-    fn write(drive: &mut Drive, index: u16, sub: u8, data: &[u8]) -> Result<(), AbortCode> {
-        drive.write(Object::new(index, sub), data)
-    }
-
-    /// Maps position setpoint and control word, and selects that.
-    fn map(drive: &mut Drive) -> Result<(), AbortCode> {
-        write(drive, 0x1C12, 0, &[0])?;
-        write(drive, 0x1600, 0, &[0])?;
-        write(drive, 0x1600, 1, &[16, 0, 0x40, 0x60])?;
-        write(drive, 0x1600, 2, &[32, 1, 0xC1, 0x60])?;
-        write(drive, 0x1600, 0, &[2])?;
-        write(drive, 0x1C12, 1, &[0x00, 0x16])?;
-        write(drive, 0x1C12, 0, &[1])
-    }
-
-    #[test]
-    fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
-        let mut drive = drive(Family::S700);
-        assert_eq!(write(&mut drive, 0x1C12, 0, &[0]), Ok(()));
-        assert_eq!(write(&mut drive, 0x1C12, 1, &[0x00, 0x16]), Err(AbortCode::RANGE), "it is empty");
-        assert_eq!(write(&mut drive, 0x1600, 1, &[16, 0, 0x41, 0x60]), Err(abort::NOT_MAPPABLE), "read only");
-        map(&mut drive).unwrap();
-        assert_eq!(drive.sizes(), (6, 8));
-        assert_eq!(write(&mut drive, 0x1600, 0, &[0]), Err(abort::INCOMPATIBLE), "it is selected");
-        assert_eq!(drive.read(Object::new(0x1600, 2)), Ok(vec![32, 1, 0xC1, 0x60]));
-        drive.may_enter(Time(S), AlState::SafeOp).unwrap();
-        assert_eq!(write(&mut drive, 0x1A00, 0, &[0]), Err(AbortCode::STATE));
-        assert_eq!(write(&mut drive, 0x60C1, 1, &[0; 4]), Err(abort::MAPPED));
-        let mut now = Time(S);
-        for _ in 0..200 {
-            now = now + MS;
-            drive.process(now, &[], &mut [0; 8]);
-        }
-        drive.may_enter(now, AlState::Op).unwrap();
-        for word in [6, 7] {
-            now = now + MS;
-            drive.process(now, &[word, 0, 0, 0, 0, 0], &mut [0; 8]);
-        }
-        assert_eq!(drive.axis_state(), State::SwitchedOn, "the control word stands first");
-        drive.restart(now);
-        assert_eq!((drive.sizes(), drive.read(Object::new(0x1600, 0))), ((6, 8), Ok(vec![0])));
-    }
 
     #[test]
     fn all_subindices_are_read_and_written_at_once() {
-        let mut drive = drive(Family::Akd);
-        assert_eq!(drive.read_all(Object::new(0x1C00, 0)), Ok(vec![4, 0, 1, 2, 3, 4]), "as in a capture");
-        assert_eq!(drive.read_all(Object::new(0x1C00, 1)), Ok(vec![1, 2, 3, 4]));
+        let mut drive = Drive::new(DriveSettings::new(Family::Akd));
+        drive.may_enter(Time(5), AlState::PreOp).unwrap();
+        let object = |index| Object::new(index, 0);
+        let types = Object::new(0x1C00, 1);
+        assert_eq!(drive.read_all(object(0x1C00)), Ok(vec![4, 0, 1, 2, 3, 4]), "as in a capture");
+        assert_eq!(drive.read_all(types), Ok(vec![1, 2, 3, 4]));
         assert_eq!(drive.read_all(Object::new(0x1C00, 2)), Err(AbortCode::NOT_COMPLETE));
-        assert_eq!(drive.read_all(Object::new(0x5FFF, 0)), Err(AbortCode::NO_OBJECT));
-        assert_eq!(drive.read_all(Object::new(0x1000, 0)).unwrap().len(), 4);
-        assert_eq!(drive.write_all(Object::new(0x1C12, 0), &[1, 0, 0x02, 0x17]), Ok(()));
-        assert_eq!(drive.read_all(Object::new(0x1C12, 0)), Ok(vec![1, 0, 0x02, 0x17]));
-        assert_eq!(drive.write_all(Object::new(0x1C12, 0), &[1, 0, 0x02]), Err(AbortCode::LENGTH));
-        assert_eq!(drive.write_all(Object::new(0x1C12, 0), &[1]), Err(AbortCode::LENGTH));
-        assert_eq!(
-            drive.write_all(Object::new(0x60C2, 0), &[2, 0, 20, 0xFC]),
-            Ok(()),
-            "its count is read only"
-        );
+        assert_eq!(drive.read_all(object(0x5FFF)), Err(AbortCode::NO_OBJECT));
+        assert_eq!(drive.read_all(object(0x1000)).unwrap().len(), 4);
+        assert_eq!(drive.write_all(object(0x1C12), &[1, 0, 0x02]), Err(AbortCode::LENGTH));
+        assert_eq!(drive.write_all(object(0x1C12), &[1]), Err(AbortCode::LENGTH));
+        // The count of 60C2 is read only.
+        for (index, entries) in [
+            (0x1C12, &[1, 0, 0x02, 0x17][..]),
+            (0x60C2, &[2, 0, 20, 0xFC]),
+            (0x1601, &[2, 0, 32, 1, 0xC1, 0x60, 16, 0, 0x40, 0x60]),
+        ] {
+            assert_eq!(drive.write_all(object(index), entries), Ok(()), "{index:#06x}");
+            assert_eq!(drive.read_all(object(index)).unwrap()[..entries.len()], *entries);
+        }
         assert_eq!(drive.interpolation_ns(), Some(2 * MS));
-        let entries = [2, 0, 32, 1, 0xC1, 0x60, 16, 0, 0x40, 0x60];
-        assert_eq!(drive.write_all(Object::new(0x1601, 0), &entries), Ok(()));
-        assert_eq!(drive.read_all(Object::new(0x1601, 0)).unwrap()[..10], entries);
-    }
-
-    #[test]
-    fn a_long_name_is_read_by_its_mailbox_whole() {
-        let mut drive = drive(Family::Akd);
-        let mut reply = Vec::new();
-        let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
-        assert!(drive.mailbox(&request, &mut reply));
-        assert_eq!(reply[..16], [50, 0, 0, 0, 0, 0x13, 0, 0x30, 0x41, 0x08, 0x10, 0, 40, 0, 0, 0]);
-        assert_eq!(&reply[16..], drive.settings.name.as_bytes());
-        let mut short = self::drive(Family::S700);
-        assert!(short.mailbox(&request, &mut reply));
-        assert_eq!(reply[8..], [0x43, 0x08, 0x10, 0, b'S', b'7', b'0', b'0']);
-    }
-
-    #[test]
-    fn what_nobody_asked_for_comes_in_its_pauses_and_holds_up_no_answer() {
-        let settings = DriveSettings { unrequested_ns: Some(10 * MS), ..DriveSettings::new(Family::Akd) };
-        let mut drive = Drive::new(settings);
-        let mut reply = Vec::new();
-        drive.advance(Time(S));
-        assert!(!drive.message(&mut reply), "not in INIT");
-        drive.may_enter(Time(S), AlState::PreOp).unwrap();
-        assert!(drive.message(&mut reply) && reply[5] == 2);
-        assert!(!drive.message(&mut reply));
-        drive.advance(Time(S + 10 * MS));
-        let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0, 0x10, 0, 0, 0, 0, 0];
-        assert!(drive.mailbox(&request, &mut reply) && reply[8] == 0x43, "the answer first");
-        assert!(drive.message(&mut reply) && reply[5] == 2);
     }
 }

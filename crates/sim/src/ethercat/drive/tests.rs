@@ -3,11 +3,9 @@
 mod messages;
 mod motion;
 
-use proptest::prelude::*;
-
 use super::*;
+use crate::ethercat::Dialect;
 use crate::ethercat::objects::abort;
-use crate::ethercat::{Dialect, MotorSettings};
 use fieldbeat_core::time::US;
 use fieldbeat_ethercat::wire::mailbox::{Counter, Message, SDO_SIZE, emit, parse};
 use fieldbeat_ethercat::wire::sdo::{AbortCode, Request, Response};
@@ -83,6 +81,14 @@ impl Bench {
         bench.put(INTERPOLATION, bench.drive.position());
         bench.put(TARGET_POSITION, bench.drive.position());
         bench.enable();
+        bench
+    }
+
+    /// The same by velocity setpoints, with this one for so many cycles.
+    fn turning(setpoint: i64, cycles: u32) -> Bench {
+        let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+        bench.put(VELOCITY_SETPOINT, setpoint);
+        bench.cycles(cycles);
         bench
     }
 
@@ -183,21 +189,18 @@ impl Bench {
 
 #[test]
 fn states_of_the_bus_come_one_after_the_other_and_go_at_once() {
+    use AlState::{Boot, Init, Op, PreOp, SafeOp};
     let mut bench = Bench::new(|_| {});
-    let refused = Err(AlCode::INVALID_REQUEST);
-    assert_eq!(bench.enter(AlState::SafeOp), refused);
-    assert_eq!(bench.enter(AlState::Op), refused);
-    assert_eq!(bench.enter(AlState::PreOp), Ok(()));
-    assert_eq!(bench.enter(AlState::Op), refused);
-    assert_eq!(bench.enter(AlState::Boot), refused);
+    for (to, taken) in [(SafeOp, false), (Op, false), (PreOp, true), (Op, false), (Boot, false)] {
+        assert_eq!(bench.enter(to), if taken { Ok(()) } else { Err(AlCode::INVALID_REQUEST) }, "{to}");
+    }
     bench.go_to_op();
-    assert_eq!(bench.enter(AlState::Boot), refused);
-    assert_eq!(bench.enter(AlState::PreOp), Ok(()));
-    assert!(!bench.drive.is_synchronous());
-    assert_eq!(bench.enter(AlState::Init), Ok(()));
-    assert_eq!(bench.enter(AlState::Boot), Ok(()));
-    assert_eq!(bench.enter(AlState::PreOp), refused);
-    assert_eq!(bench.enter(AlState::Init), Ok(()));
+    for (to, taken) in
+        [(Boot, false), (PreOp, true), (Init, true), (Boot, true), (PreOp, false), (Init, true)]
+    {
+        assert_eq!(bench.enter(to), if taken { Ok(()) } else { Err(AlCode::INVALID_REQUEST) }, "{to}");
+        assert!(to == Boot || !bench.drive.is_synchronous());
+    }
 }
 
 #[test]
@@ -257,9 +260,7 @@ fn a_cycle_of_another_length_than_60c2_never_makes_it_synchronous() {
 
 #[test]
 fn two_cycles_that_fail_in_a_row_stop_it_and_drop_it_to_safe_op() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 1_000);
-    bench.cycles(200);
+    let mut bench = Bench::turning(1_000, 200);
     let rpm = bench.drive.rpm();
     assert!(rpm > 200.0, "{rpm}");
     bench.now = bench.now + MS;
@@ -274,15 +275,9 @@ fn two_cycles_that_fail_in_a_row_stop_it_and_drop_it_to_safe_op() {
     bench.cycles(200);
     assert_eq!(bench.drive.axis_state(), State::Fault);
     assert!(bench.drive.rpm().abs() < 1.0);
-}
-
-#[test]
-fn a_master_that_dies_is_noticed_without_another_cycle() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 1_000);
-    bench.cycles(200);
-    bench.now = bench.now + 10 * S;
-    bench.drive.advance(bench.now);
+    // A master that dies is noticed without another cycle.
+    let mut bench = Bench::turning(1_000, 200);
+    bench.drive.advance(bench.now + 10 * S);
     assert_eq!(bench.drive.dropped(), Some(AlCode::SYNCHRONISATION));
     assert_eq!(bench.drive.axis_state(), State::Fault);
     assert!(bench.drive.rpm().abs() < 1.0);
@@ -291,16 +286,11 @@ fn a_master_that_dies_is_noticed_without_another_cycle() {
 #[test]
 fn the_status_words_of_the_sheet_are_those_on_the_way_up() {
     let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.control(0x00);
-    assert_eq!(bench.status(), StatusWord(0x0240));
-    bench.control(0x0F);
-    assert_eq!(bench.status(), StatusWord(0x0240), "no step is left out");
-    bench.control(0x06);
-    assert_eq!(bench.status(), StatusWord(0x0221));
-    bench.control(0x07);
-    assert_eq!(bench.status(), StatusWord(0x0633));
-    bench.control(0x0F);
-    assert_eq!(bench.status(), StatusWord(0x0637));
+    // No step is left out.
+    for (control, status) in [(0, 0x0240), (0x0F, 0x0240), (6, 0x0221), (7, 0x0633), (0x0F, 0x0637)] {
+        bench.control(control);
+        assert_eq!(bench.status(), StatusWord(status));
+    }
     bench.control(0x02);
     bench.cycle();
     assert_eq!(bench.status().state(), State::SwitchOnDisabled, "it stood: the quick stop was short");
@@ -321,9 +311,7 @@ fn outputs_count_in_op_only() {
 
 #[test]
 fn leaving_op_stops_quickly_and_switches_off() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 2_000);
-    bench.cycles(200);
+    let mut bench = Bench::turning(2_000, 200);
     bench.enter(AlState::SafeOp).unwrap();
     bench.cycle();
     assert_eq!(bench.status().state(), State::QuickStopActive);
@@ -337,9 +325,7 @@ fn leaving_op_stops_quickly_and_switches_off() {
 
 #[test]
 fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 4_000);
-    bench.cycles(300);
+    let mut bench = Bench::turning(4_000, 300);
     bench.put(CONTROL_WORD, 0x8F);
     bench.drive.provoke(Fault::MOTOR_TEMPERATURE);
     bench.cycle();
@@ -357,7 +343,7 @@ fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
 }
 
 #[test]
-fn a_reset_bit_that_stands_when_op_is_reached_is_no_edge() {
+fn a_reset_bit_that_stands_when_op_is_reached_is_no_edge_and_an_earth_fault_outlives_one() {
     let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
     bench.drive.provoke(Fault::MAINS);
     bench.enter(AlState::SafeOp).unwrap();
@@ -369,25 +355,19 @@ fn a_reset_bit_that_stands_when_op_is_reached_is_no_edge() {
     bench.control(0x00);
     bench.control(0x80);
     assert_eq!(bench.status().state(), State::SwitchOnDisabled);
-}
-
-#[test]
-fn a_fault_that_needs_a_cold_start_outlives_a_reset() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
+    bench.enable();
     bench.drive.provoke(Fault::EARTH);
     assert_eq!(bench.drive.axis_state(), State::Fault, "power is off at once");
     bench.control(0x00);
     bench.control(0x80);
     assert_eq!(bench.status().state(), State::Fault);
     bench.drive.restart(bench.now);
-    assert_eq!((bench.drive.fault(), bench.drive.al_state()), (None, AlState::Init));
+    assert_eq!((bench.drive.fault(), bench.drive.al_state()), (None, AlState::Init), "by a cold start");
 }
 
 #[test]
 fn without_its_hardware_enable_it_has_no_power() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 1_000);
-    bench.cycles(100);
+    let mut bench = Bench::turning(1_000, 100);
     bench.drive.inhibit(bench.now + 50 * MS);
     bench.cycle();
     assert_eq!(bench.status().state(), State::SwitchOnDisabled);
@@ -397,12 +377,7 @@ fn without_its_hardware_enable_it_has_no_power() {
     bench.cycles(50);
     [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));
     assert_eq!(bench.status().state(), State::OperationEnabled);
-}
-
-#[test]
-fn a_restart_loses_what_was_written_and_goes_on_turning() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 1_000);
+    // A restart loses what was written, and the motor goes on turning.
     bench.cycles(200);
     bench.drive.restart(bench.now);
     assert_eq!((bench.drive.al_state(), bench.drive.axis_state()), (AlState::Init, State::SwitchOnDisabled));
@@ -422,53 +397,4 @@ fn areas_that_are_too_short_are_left_alone() {
     let mut inputs = [0xEE; 9];
     bench.drive.process(now + MS, &[0, 0, 0, 0, 6, 0, 0xFF], &mut inputs);
     assert_eq!((inputs[8], bench.drive.axis_state()), (0xEE, State::ReadyToSwitchOn));
-}
-
-#[test]
-fn torque_limits_and_inertia_are_those_of_the_settings() {
-    let heavy = MotorSettings { inertia_kgm2: 0.2, ..MotorSettings::default() };
-    let mut bench = Bench::pre_op(|settings| settings.motor = heavy);
-    bench.go_to_op();
-    bench.enable();
-    bench.put(VELOCITY_SETPOINT, 4_096);
-    bench.cycles(100);
-    // 15 N m on 0.2 kg m^2: 75 rad/s^2.
-    let speed = bench.drive.rpm() * RPM;
-    assert!((5.0..8.0).contains(&speed), "{speed}");
-    assert_eq!(bench.got(TORQUE), 3_000);
-}
-
-proptest! {
-    #[test]
-    fn no_mailbox_message_panics(messages: Vec<Vec<u8>>) {
-        let mut bench = Bench::pre_op(|_| {});
-        let mut reply = Vec::new();
-        for message in messages {
-            let _ = bench.drive.mailbox(&message, &mut reply);
-        }
-    }
-
-    #[test]
-    fn no_sdo_and_no_outputs_panic(
-        rounds in proptest::collection::vec(
-            (0_usize..80, any::<[u8; 4]>(), any::<[u8; 6]>(), 0_u64..3 * MS),
-            1..60,
-        ),
-        mode in proptest::sample::select(vec![1_u8, 3, 4, 6, 7, 0x80, 0x82, 0x85]),
-    ) {
-        let mut bench = Bench::enabled(Mode(mode as i8), 0x1701, 0x1B03);
-        let known: Vec<_> = fieldbeat_ethercat::object::catalogue::all().collect();
-        for (place, value, outputs, wait_ns) in rounds {
-            let known = known[place % known.len()];
-            let length = known.kind.bytes().min(4) as u8;
-            let _ = bench.ask(&Request::Download { object: known.object, value, length });
-            bench.outputs.copy_from_slice(&outputs);
-            // Commands, so that it moves.
-            bench.outputs[4] = [0x06, 0x07, 0x0F, 0x1F, 0x80][usize::from(outputs[4]) % 5];
-            bench.cycle_ns = wait_ns;
-            bench.cycle();
-            let _ = bench.enter([AlState::SafeOp, AlState::Op][usize::from(outputs[0]) % 2]);
-        }
-        prop_assert!(bench.drive.rpm().is_finite());
-    }
 }

@@ -1,9 +1,7 @@
-use super::super::testing::{Bench, with_mailbox};
+use super::super::testing::Bench;
 use super::*;
-use crate::ethercat::sii::Access;
 use fieldbeat_ethercat::wire::frame::position;
 use fieldbeat_ethercat::wire::registers::Features;
-use fieldbeat_ethercat::wire::sii;
 
 /// Memory that nothing guards.
 const FREE: u16 = 0x0F80;
@@ -15,25 +13,34 @@ fn three() -> Bench {
 }
 
 #[test]
-fn each_command_counts_as_often_as_it_is_carried_out() {
+fn each_command_counts_as_often_as_it_is_carried_out_and_only_positions_are_counted_on() {
     let mut bench = three();
     let second = position(1);
+    let of = |address: u16| u32::from(address) | u32::from(FREE) << 16;
+    for (command, count, back) in [
+        (Command::Nop, 0, 0),
+        (Command::Aprd(second, FREE), 1, of(2)),
+        (Command::Apwr(second, FREE), 1, of(2)),
+        (Command::Aprw(second, FREE), 3, of(2)),
+        (Command::Aprd(position(3), FREE), 0, of(0)),
+        (Command::Fprd(0x1002, FREE), 1, of(0x1002)),
+        (Command::Fpwr(0x1002, FREE), 1, of(0x1002)),
+        (Command::Fprw(0x1002, FREE), 3, of(0x1002)),
+        (Command::Fprd(0x2000, FREE), 0, of(0x2000)),
+        (Command::Brd(FREE), 3, of(3)),
+        (Command::Bwr(FREE), 3, of(3)),
+        (Command::Brw(FREE), 9, of(3)),
+        (Command::Armw(second, FREE), 3, of(2)),
+        (Command::Frmw(0x1002, FREE), 3, of(0x1002)),
+        (Command::Frmw(0x2000, FREE), 3, of(0x2000)),
+        (Command::Lrd(5), 0, 5),
+        (Command::Lwr(5), 0, 5),
+        (Command::Lrw(5), 0, 5),
+    ] {
+        let (_, counted, address) = bench.send_whole(command, &[0; 4]);
+        assert_eq!((counted, address), (count, back), "{command:?}");
+    }
     for (command, count) in [
-        (Command::Nop, 0),
-        (Command::Aprd(second, FREE), 1),
-        (Command::Apwr(second, FREE), 1),
-        (Command::Aprw(second, FREE), 3),
-        (Command::Aprd(position(3), FREE), 0),
-        (Command::Fprd(0x1002, FREE), 1),
-        (Command::Fpwr(0x1002, FREE), 1),
-        (Command::Fprw(0x1002, FREE), 3),
-        (Command::Fprd(0x2000, FREE), 0),
-        (Command::Brd(FREE), 3),
-        (Command::Bwr(FREE), 3),
-        (Command::Brw(FREE), 9),
-        (Command::Armw(second, FREE), 3),
-        (Command::Frmw(0x1002, FREE), 3),
-        (Command::Frmw(0x2000, FREE), 3),
         // What the slave without a clock has of it, and what it does not have.
         (Command::Bwr(address::DC_PORTS), 3),
         (Command::Bwr(address::DC_TIME), 2),
@@ -43,35 +50,8 @@ fn each_command_counts_as_often_as_it_is_carried_out() {
         (Command::Bwr(address::TYPE), 0),
         (Command::Brw(address::TYPE), 3),
         (Command::Brd(0x4000), 0),
-        (Command::Lrd(0), 0),
-        (Command::Lwr(0), 0),
-        (Command::Lrw(0), 0),
     ] {
         assert_eq!(bench.send(command, &[0; 4]).1, count, "{command:?}");
-    }
-}
-
-#[test]
-fn positions_are_counted_and_other_addresses_stay() {
-    let mut bench = three();
-    let at = |first: u16| u32::from(first) | u32::from(FREE) << 16;
-    for (command, back) in [
-        (Command::Aprd(0xFFFF, FREE), at(2)),
-        (Command::Apwr(0, FREE), at(3)),
-        (Command::Aprw(0xFFF0, FREE), at(0xFFF3)),
-        (Command::Armw(0, FREE), at(3)),
-        (Command::Brd(FREE), at(3)),
-        (Command::Bwr(FREE), at(3)),
-        (Command::Brw(FREE), at(3)),
-        (Command::Fprd(0x1001, FREE), at(0x1001)),
-        (Command::Fpwr(0x1001, FREE), at(0x1001)),
-        (Command::Fprw(0x1001, FREE), at(0x1001)),
-        (Command::Frmw(0x1001, FREE), at(0x1001)),
-        (Command::Lrd(5), 5),
-        (Command::Lwr(5), 5),
-        (Command::Lrw(5), 5),
-    ] {
-        assert_eq!(bench.send_whole(command, &[0; 2]).2, back, "{command:?}");
     }
 }
 
@@ -83,40 +63,29 @@ fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
     assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 2]), (vec![0x0C, 0], 2));
     // What the master sends is or-ed too.
     assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0xF0, 0]), (vec![0xFC, 0], 2));
-}
-
-#[test]
-fn a_read_write_brings_what_was_there_and_leaves_what_came() {
-    let mut bench = three();
-    for n in 0..3 {
-        bench.write(n, FREE, &[1 << n]);
-    }
-    assert_eq!(bench.send(Command::Fprw(0x1002, FREE), &[0x80]), (vec![2], 3));
-    assert_eq!(bench.read(1, FREE), Some([0x80]));
-    // Each writes what reaches it: what the ones before it have or-ed.
-    assert_eq!(bench.send(Command::Brw(FREE), &[0x10]), (vec![0x95], 9));
-    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [[0x10], [0x11], [0x91]].map(Some));
-}
-
-#[test]
-fn one_reads_and_those_behind_it_write_that() {
-    let mut bench = three();
-    for n in 0..3 {
-        bench.write(n, FREE, &[n as u8 + 1]);
-    }
-    assert_eq!(bench.send(Command::Frmw(0x1002, FREE), &[9]), (vec![2], 3));
-    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [[9], [2], [2]].map(Some));
-    assert_eq!(bench.send(Command::Armw(position(0), FREE), &[5]), (vec![9], 3));
-    assert_eq!([0, 1, 2].map(|n| bench.read(n, FREE)), [Some([9]); 3]);
-}
-
-#[test]
-fn the_alias_counts_once_it_is_switched_on() {
-    let mut bench = Bench::new(vec![with_mailbox()]);
+    // The alias counts once it is switched on.
     let by_alias = Command::Fprd(0x77, address::STATION);
     assert_eq!(bench.send(by_alias, &[0; 2]).1, 0);
     bench.write(0, 0x0103, &[1]);
     assert_eq!(bench.send(by_alias, &[0; 4]), (vec![0x01, 0x10, 0x77, 0], 1));
+}
+
+#[test]
+fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
+    let values = |bench: &mut Bench| [0, 1, 2].map(|n| bench.read(n, FREE).map(|[byte]| byte).unwrap());
+    for (was, command, sent, back, are) in [
+        ([1, 2, 4], Command::Fprw(0x1002, FREE), 0x80, 2, [1, 0x80, 4]),
+        // Each writes what the ones before it have or-ed.
+        ([1, 0x80, 4], Command::Brw(FREE), 0x10, 0x95, [0x10, 0x11, 0x91]),
+        // One reads, and those behind it write that.
+        ([1, 2, 3], Command::Frmw(0x1002, FREE), 9, 2, [9, 2, 2]),
+        ([9, 2, 2], Command::Armw(position(0), FREE), 5, 9, [9, 9, 9]),
+    ] {
+        let mut bench = three();
+        (0..).zip(was).for_each(|(n, byte)| assert_eq!(bench.write(n, FREE, &[byte]), 1));
+        assert_eq!(bench.send(command, &[sent]).0, [back], "{command:?}");
+        assert_eq!(values(&mut bench), are, "{command:?}");
+    }
 }
 
 #[test]
@@ -150,24 +119,6 @@ fn a_slave_does_not_do_what_its_features_lack() {
     for command in [Command::Brw(FREE), Command::Fprw(0x1001, FREE), Command::Aprw(0, FREE)] {
         assert_eq!(bench.send(command, &[7; 2]), (vec![7; 2], 0));
     }
-}
-
-#[test]
-fn the_eeprom_is_read_by_its_registers_and_by_its_owner_only() {
-    let access = Access { busy_ns: 1_000, ..Access::default() };
-    let mut bench = Bench::new(vec![Settings { sii_access: access, ..with_mailbox() }]);
-    let begin = sii::read(sii::word::MAILBOX_OUT);
-    assert_eq!(bench.write(0, address::SII_OWNER, &[1]), 1);
-    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 0);
-    for owner in [sii::FORCE, sii::MASTER] {
-        assert_eq!(bench.write(0, address::SII_OWNER, &[owner]), 1);
-    }
-    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 1);
-    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0x00, 0x81]));
-    assert_eq!(bench.write(0, address::SII_CONTROL, &begin), 0, "busy");
-    bench.wait(1_000);
-    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0]));
-    assert_eq!(bench.read(0, address::SII_DATA), Some([0x00, 0x18, 0x00, 0x04]));
 }
 
 #[test]

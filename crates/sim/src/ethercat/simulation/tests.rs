@@ -2,12 +2,9 @@ mod slaves;
 
 use super::super::testing::Bench;
 use super::*;
-use crate::Simulated;
-use fieldbeat_core::net::Carriers;
 use fieldbeat_core::time::S;
 use fieldbeat_ethercat::object::Object;
 use fieldbeat_ethercat::object::pdo::Entry;
-use fieldbeat_ethercat::wire::frame::Command;
 use fieldbeat_ethercat::wire::registers::address;
 use fieldbeat_ethercat::wire::sii;
 
@@ -103,6 +100,10 @@ fn a_drive_has_the_pdos_of_its_plan_and_delivers_what_is_left_as_it_is() {
         [plan.outputs.clone()],
         "the master maps it"
     );
+    // A longer mailbox takes normal and segmented downloads.
+    assert_eq!(drive_settings(&plan, usual.clone()).long_sdos, None);
+    plan.slave.mailbox = Some([0x1800, 0x1C00].map(|start| Area { start, length: 64 }));
+    assert_eq!(drive_settings(&plan, usual).long_sdos, Some(64));
     assert_eq!(terminals(70).bytes(), 70);
     assert_eq!(terminals(33).bytes(), 33);
 }
@@ -124,31 +125,4 @@ fn another_ethertype_and_a_line_that_is_cut_off_do_not_come_back() {
     sim.mislabel(&mut wrong);
     assert_eq!(wrong[INDEX], 0x80);
     sim.mislabel(&mut []);
-}
-
-#[test]
-fn a_line_of_a_plan_answers_behind_a_socket_of_this_host() {
-    use crate::server::{ServerOptions, SimServer};
-    use fieldbeat_core::net::Os;
-    use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, datagrams};
-    let mut segment = segment();
-    segment.plan.interface = format!("local:plan-{}", std::process::id());
-    let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(EthercatSim::new(&segment))];
-    let simulated = Simulated { segments, ..Simulated::default() };
-    let _server = SimServer::start(simulated, ServerOptions::default()).unwrap();
-    let mut master = Os::default().frames(&segment.plan.interface, ETHERTYPE).unwrap();
-    let mut frame = [0; 60];
-    let mut builder = Builder::new(&mut frame, BROADCAST, master.mac()).unwrap();
-    builder.push_with(Command::Brd(address::AL_STATUS), 1, &[0; 2]).unwrap();
-    let length = builder.finish();
-    master.send(&frame[..length]).unwrap();
-    let begin = std::time::Instant::now();
-    let back = loop {
-        match master.receive(&mut frame) {
-            Some((_, length)) => break &frame[..length],
-            None => assert!(begin.elapsed().as_secs() < 60),
-        }
-    };
-    let datagram = datagrams(back).unwrap().next().unwrap().unwrap();
-    assert_eq!((datagram.data, datagram.working_counter), (&[1, 0][..], 4), "all in INIT");
 }

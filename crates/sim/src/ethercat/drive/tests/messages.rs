@@ -46,25 +46,8 @@ fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
 }
 
 #[test]
-fn modes_are_those_of_the_can_manual() {
+fn a_mapped_object_is_refused_from_safeop_on_and_complete_access_always() {
     let mut bench = Bench::pre_op(|_| {});
-    for mode in 0..=u8::MAX {
-        let written = bench.write("0x6060:0", &[mode]);
-        let expected = matches!(mode, 1 | 3 | 4 | 6 | 7 | 0x80..=0x88);
-        assert_eq!(written, if expected { Ok(()) } else { Err(AbortCode::RANGE) }, "{mode:#04x}");
-        if expected {
-            assert_eq!(bench.read("0x6061:0"), Ok((mode as i8).into()));
-        }
-    }
-}
-
-#[test]
-fn objects_are_refused_by_the_codes_of_the_manual() {
-    let mut bench = Bench::pre_op(|_| {});
-    assert_eq!(bench.read("0x5FFF:1"), Err(AbortCode::NO_OBJECT));
-    assert_eq!(bench.read("0x6041:7"), Err(AbortCode::NO_SUB));
-    assert_eq!(bench.write("0x6041:0", &[0, 0]), Err(AbortCode::READ_ONLY));
-    assert_eq!(bench.write("0x6040:0", &[0]), Err(AbortCode::LENGTH));
     assert_eq!(bench.write("0x6040:0", &[6, 0]), Ok(()), "it is stored, and obeyed by nobody");
     bench.go_to_op();
     assert_eq!(bench.write("0x6040:0", &[6, 0]), Err(abort::MAPPED));
@@ -86,17 +69,65 @@ fn the_mailbox_is_off_in_init_and_speaks_both_dialects() {
 }
 
 #[test]
-fn an_emergency_comes_in_place_of_the_answer_and_the_answer_behind_it() {
+fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
     let mut bench = Bench::pre_op(|_| {});
-    bench.drive.provoke(Fault::MOTOR_TEMPERATURE);
-    let mut request = [0; SDO_SIZE];
-    let object = Object::new(0x1001, 0);
-    emit(&Request::Upload { object, complete: false }, bench.counter.next(), &mut request);
+    bench.write("0x1C12:0", &[0]).unwrap();
+    assert_eq!(bench.write("0x1C12:1", &[0x00, 0x16]), Err(AbortCode::RANGE), "it is empty");
+    assert_eq!(bench.write("0x1600:1", &[16, 0, 0x41, 0x60]), Err(abort::NOT_MAPPABLE), "read only");
+    bench.write("0x1600:1", &[16, 0, 0x40, 0x60]).unwrap();
+    bench.write("0x1600:2", &[32, 1, 0xC1, 0x60]).unwrap();
+    bench.write("0x1600:0", &[2]).unwrap();
+    bench.select(0x1C12, 0x1600);
+    assert_eq!(bench.drive.sizes(), (6, 8));
+    assert_eq!(bench.write("0x1600:0", &[0]), Err(abort::INCOMPATIBLE), "it is selected");
+    let mapped = |bench: &mut Bench, sub| {
+        bench.ask(&Request::Upload { object: Object::new(0x1600, sub), complete: false })
+    };
+    assert_eq!(mapped(&mut bench, 2), Ok(vec![32, 1, 0xC1, 0x60]));
+    bench.go_to_op();
+    assert_eq!(bench.write("0x1A00:0", &[0]), Err(AbortCode::STATE));
+    assert_eq!(bench.write("0x60C1:1", &[0; 4]), Err(abort::MAPPED));
+    for word in [6, 7] {
+        bench.outputs = vec![word, 0, 0, 0, 0, 0];
+        bench.cycle();
+    }
+    assert_eq!(bench.drive.axis_state(), State::SwitchedOn, "the control word stands first");
+    bench.drive.restart(bench.now);
+    bench.enter(AlState::PreOp).unwrap();
+    assert_eq!((bench.drive.sizes(), mapped(&mut bench, 0)), ((6, 8), Ok(vec![0])));
+}
+
+#[test]
+fn a_long_name_is_read_by_its_mailbox_whole() {
+    let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
+    for (family, head, name) in [
+        (Family::Akd, &[50, 0, 0, 0, 0, 0x13, 0, 0x30, 0x41, 0x08, 0x10, 0, 40, 0, 0, 0], None),
+        (
+            Family::S700,
+            &[10, 0, 0, 0, 0, 0x13, 0, 0x30, 0x43, 0x08, 0x10, 0, b'S', b'7', b'0', b'0'],
+            Some(""),
+        ),
+    ] {
+        let mut bench = Bench::of(family, |_| {});
+        bench.enter(AlState::PreOp).unwrap();
+        let mut reply = Vec::new();
+        assert!(bench.drive.mailbox(&request, &mut reply));
+        assert_eq!(reply[..16], *head);
+        assert_eq!(&reply[16..], name.unwrap_or(&bench.drive.settings.name).as_bytes());
+    }
+}
+
+#[test]
+fn what_nobody_asked_for_comes_in_its_pauses_and_holds_up_no_answer() {
+    let mut drive = Bench::of(Family::Akd, |settings| settings.unrequested_ns = Some(10 * MS)).drive;
     let mut reply = Vec::new();
-    assert!(bench.drive.mailbox(&request, &mut reply));
-    assert!(matches!(parse(&reply), Some(Message::Emergency(Emergency { code: 0x4310, register: 8, .. }))));
-    assert!(bench.drive.message(&mut reply));
-    let response = Response::Value { object, data: &[9] };
-    assert_eq!(parse(&reply), Some(Message::Sdo { counter: 1, response }));
-    assert!(!bench.drive.message(&mut reply));
+    drive.advance(Time(S));
+    assert!(!drive.message(&mut reply), "not in INIT");
+    drive.may_enter(Time(S), AlState::PreOp).unwrap();
+    assert!(drive.message(&mut reply) && reply[5] == 2);
+    assert!(!drive.message(&mut reply));
+    drive.advance(Time(S + 10 * MS));
+    let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0, 0x10, 0, 0, 0, 0, 0];
+    assert!(drive.mailbox(&request, &mut reply) && reply[8] == 0x43, "the answer first");
+    assert!(drive.message(&mut reply) && reply[5] == 2);
 }

@@ -4,9 +4,7 @@ use super::*;
 
 #[test]
 fn velocity_setpoints_are_increments_per_250_us_and_ramped() {
-    let mut bench = Bench::enabled(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.put(VELOCITY_SETPOINT, 4_096);
-    bench.cycles(50);
+    let mut bench = Bench::turning(4_096, 50);
     // 10 000 rpm/s.
     let rpm = bench.drive.rpm();
     assert!((450.0..520.0).contains(&rpm), "{rpm}");

@@ -1,6 +1,6 @@
 //! Slaves that are not like the usual ones, register by register.
 
-use super::super::super::testing::Bench;
+use super::super::super::testing::{Bench, bytes};
 use super::*;
 use crate::ethercat::{Behind, MailboxSettings, Misuse, SiiContent};
 use fieldbeat_ethercat::wire::frame::Command;
@@ -9,12 +9,13 @@ use fieldbeat_ethercat::wire::sii::word;
 
 const DIGITAL_OUTPUT: u16 = 0x0F00;
 
-/// A slave of this kind alone.
-fn alone(own: SlaveSettings) -> Bench {
-    let device = Device { name: "io".into(), slave: SlavePlan::new(0) };
-    let plan = EthercatPlan { devices: vec![device], ..EthercatPlan::new("local:test", Vec::new()) };
+/// Slaves of these kinds in a row.
+fn row<const N: usize>(all: [SlaveSettings; N]) -> Bench {
+    let device = |n| Device { name: format!("t{n}"), slave: SlavePlan::new(n) };
+    let devices = (0..N as u16).map(device).collect();
+    let plan = EthercatPlan { devices, ..EthercatPlan::new("local:test", Vec::new()) };
     let mut segment = EthercatSegment::from(plan);
-    segment.settings.slaves.insert(0, own);
+    segment.settings.slaves.extend((0..).zip(all));
     bench(&segment)
 }
 
@@ -23,11 +24,15 @@ fn model(model: Model) -> SlaveSettings {
 }
 
 /// A drive with these settings; its firmware reacts after a quarter of a millisecond.
-fn drive(own: SlaveSettings) -> Bench {
+fn drive_of(own: SlaveSettings) -> EthercatSegment {
     let plan = EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)]);
     let mut segment = EthercatSegment::from(plan);
     segment.settings.slaves.insert(0, own);
-    bench(&segment)
+    segment
+}
+
+fn drive(own: SlaveSettings) -> Bench {
+    bench(&drive_of(own))
 }
 
 /// Requests a state and waits for the firmware.
@@ -51,7 +56,7 @@ fn manage(bench: &mut Bench, outputs: u8, inputs: u8) {
 
 #[test]
 fn without_a_processor_al_status_is_what_al_control_says() {
-    let mut bench = alone(model(Model::El2008));
+    let mut bench = row([model(Model::El2008)]);
     assert_eq!(bench.read(0, 0x0140), Some([0x04, 0x01]));
     for (control, status) in
         [(0x11, 0x11), (0x01, 0x01), (0x08, 0x08), (0x12, 0x12), (0x02, 0x02), (0x0104, 0x04)]
@@ -68,7 +73,7 @@ fn without_a_processor_al_status_is_what_al_control_says() {
 
 #[test]
 fn a_digital_output_terminal_moves_its_own_bits_in_op_only_and_until_its_watchdog() {
-    let mut bench = alone(model(Model::El2008));
+    let mut bench = row([model(Model::El2008)]);
     assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
     assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 1, DIGITAL_OUTPUT, true).to_bytes()), 1);
     let driven = |bench: &mut Bench, byte: u8| {
@@ -90,31 +95,8 @@ fn a_digital_output_terminal_moves_its_own_bits_in_op_only_and_until_its_watchdo
 }
 
 #[test]
-fn bits_of_two_terminals_share_a_byte_and_one_does_not_move_the_others() {
-    let plan = EthercatPlan {
-        devices: (0..2).map(|n| Device { name: format!("o{n}"), slave: SlavePlan::new(n) }).collect(),
-        ..EthercatPlan::new("local:test", Vec::new())
-    };
-    let mut segment = EthercatSegment::from(plan);
-    segment.settings.slaves.extend((0..2).map(|n| (n, model(Model::El2002))));
-    let mut bench = bench(&segment);
-    for n in 0..2 {
-        assert_eq!(bench.write(n, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
-        let first = 2 * n as u8;
-        let bits = Fmmu { bits: (first, first + 1), ..Fmmu::bytes(0x40, 1, DIGITAL_OUTPUT, true) };
-        assert_eq!(bench.write(n, address::fmmu(0), &bits.to_bytes()), 1);
-        bench.control(n, AlStatus::request(S::Op));
-    }
-    assert_eq!(bench.send(Command::Lwr(0x40), &[0b0110]).1, 2);
-    let driven = |n: usize, bench: &mut Bench| bench.segment.slave(n).unwrap().driven().to_vec();
-    assert_eq!([driven(0, &mut bench), driven(1, &mut bench)], [[0b10], [0b01]]);
-    assert_eq!(bench.write(0, DIGITAL_OUTPUT, &[0xFF]), 1);
-    assert_eq!(driven(0, &mut bench), [0b11], "it has two");
-}
-
-#[test]
 fn sixteen_outputs_have_two_sync_managers_and_each_byte_needs_its_own() {
-    let mut bench = alone(model(Model::El2809));
+    let mut bench = row([model(Model::El2809)]);
     let manager = |at| [at, 0x0F, 1, 0, 0x44, 0, 1, 0];
     assert_eq!(bench.write(0, address::sync_manager(0), &manager(0)), 1);
     assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 2, DIGITAL_OUTPUT, true).to_bytes()), 1);
@@ -127,38 +109,25 @@ fn sixteen_outputs_have_two_sync_managers_and_each_byte_needs_its_own() {
     // Only the second one is written.
     assert_eq!(bench.write(0, 0x0F01, &[7]), 1);
     assert_eq!(bench.segment.slave(0).unwrap().driven(), [3, 7]);
-    // With a processor that compares, both have to be right.
-    let strict = SlaveSettings { emulated: Some(false), exact_managers: true, ..model(Model::El2809) };
-    let mut bench = alone(strict);
-    assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
-    assert_eq!(bench.write(0, address::sync_manager(0), &manager(0)), 1);
-    assert_eq!(go(&mut bench, S::SafeOp), (S::PreOp, Some(AlCode(0x001D))));
-    bench.control(0, AlStatus(0x12));
-    bench.wait(MS);
-    assert_eq!(bench.write(0, address::sync_manager(1), &manager(1)), 1);
-    assert_eq!(go(&mut bench, S::SafeOp), (S::SafeOp, None));
 }
 
 #[test]
 fn a_strict_processor_compares_each_byte_of_its_sync_managers() {
     let strict =
         |output_control| SlaveSettings { exact_managers: true, output_control, ..SlaveSettings::default() };
-    for (control, set, code) in [
-        (Some(0x24), 0x64, Some(0x001D)),
-        (Some(0x24), 0x24, None),
-        (None, 0x24, Some(0x001D)),
-        (None, 0x64, None),
+    for (control, set, inputs, code) in [
+        (Some(0x24), 0x64, 0x20, Some(0x001D)),
+        (Some(0x24), 0x24, 0x20, None),
+        (None, 0x24, 0x20, Some(0x001D)),
+        (None, 0x64, 0x20, None),
+        (None, 0x64, 0x00, Some(0x001E)),
     ] {
         let mut bench = drive(strict(control));
-        manage(&mut bench, set, 0x20);
+        manage(&mut bench, set, inputs);
         assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
         let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(AlCode(code))));
-        assert_eq!(go(&mut bench, S::SafeOp), expected, "{control:?} {set:#x}");
+        assert_eq!(go(&mut bench, S::SafeOp), expected, "{control:?} {set:#x} {inputs:#x}");
     }
-    let mut bench = drive(strict(None));
-    manage(&mut bench, 0x64, 0x00);
-    go(&mut bench, S::PreOp);
-    assert_eq!(go(&mut bench, S::SafeOp), (S::PreOp, Some(AlCode(0x001E))));
     let mut bench = drive(strict(None));
     manage(&mut bench, 0x64, 0x20);
     // With an interrupt.
@@ -177,9 +146,9 @@ fn terminals_have_the_process_data_and_the_identity_of_the_real_ones() {
         let contents = own.contents();
         let image = contents.image();
         assert_eq!(contents.identity, Identity { vendor: 2, product, ..contents.identity });
-        let bytes: Vec<u8> = image.iter().flat_map(|word| word.to_le_bytes()).collect();
-        let entries = super::super::super::testing::bytes(&entries.concat());
-        assert!(bytes.windows(entries.len()).any(|window| window == entries), "{own:?}");
+        let content: Vec<u8> = image.iter().flat_map(|word| word.to_le_bytes()).collect();
+        let entries = bytes(&entries.concat());
+        assert!(content.windows(entries.len()).any(|window| window == entries), "{own:?}");
         assert_eq!(
             Model::ALL.iter().find(|(name, _)| *name == own.name()).map(|(_, model)| *model),
             Some(own)
@@ -204,7 +173,7 @@ fn own_sii(change: impl FnOnce(&mut SiiSettings)) -> SlaveSettings {
 }
 
 #[test]
-fn a_processor_that_has_the_sii_lets_go_of_it_by_force_only() {
+fn an_sii_that_the_processor_has_or_needs_is_given_by_force_or_back() {
     let mut bench = drive(own_sii(|sii| sii.owned_by_slave = true));
     assert_eq!(words(&mut bench, word::VENDOR), None);
     bench.write(0, address::SII_OWNER, &[sii::MASTER]);
@@ -212,10 +181,7 @@ fn a_processor_that_has_the_sii_lets_go_of_it_by_force_only() {
     bench.write(0, address::SII_OWNER, &[sii::FORCE]);
     bench.write(0, address::SII_OWNER, &[sii::MASTER]);
     assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
-}
 
-#[test]
-fn one_that_reads_its_sii_in_preop_needs_it_back() {
     let mut bench = drive(own_sii(|sii| sii.read_in_preop = true));
     manage(&mut bench, 0x64, 0x20);
     assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
@@ -251,17 +217,21 @@ fn an_sii_is_busy_at_first_slips_once_and_may_be_wrong() {
     let shown: Vec<u8> = (0..4).map(|_| read(&mut bench).unwrap()[1]).collect();
     assert_eq!(shown, [0, 0, 0x20, 0]);
 
-    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::Unloaded));
-    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x10]));
-    assert_eq!(read(&mut bench).map(|read| read[1]), Some(0x30));
-
-    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::WrongCheck));
-    assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, 0x08]));
-    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
-
-    let mut bench = drive(own_sii(|sii| sii.content = SiiContent::Garbage));
-    assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
-    assert_eq!(words(&mut bench, word::CATEGORIES), Some(0x0002_2545), "noise");
+    for (content, status, after) in [
+        (SiiContent::Unloaded, 0x10, 0x30),
+        (SiiContent::WrongCheck, 0x08, 0x08),
+        (SiiContent::Garbage, 0x00, 0x00),
+    ] {
+        let mut bench = drive(own_sii(|sii| sii.content = content));
+        assert_eq!(bench.read(0, address::SII_CONTROL), Some([0, status]), "{content:?}");
+        assert_eq!(read(&mut bench).map(|read| read[1]), Some(after), "{content:?}");
+        if content != SiiContent::Unloaded {
+            assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A), "{content:?}");
+        }
+        if content == SiiContent::Garbage {
+            assert_eq!(words(&mut bench, word::CATEGORIES), Some(0x0002_2545), "noise");
+        }
+    }
 }
 
 #[test]
@@ -277,10 +247,7 @@ fn a_slave_that_another_master_left_has_all_that_it_set() {
         sii_given: true,
         sii_failed: true,
     };
-    let plan = EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)]);
-    let mut segment = EthercatSegment::from(plan);
-    segment.settings.slaves.insert(0, SlaveSettings { left: Some(left), ..SlaveSettings::default() });
-    let mut sim = EthercatSim::new(&segment);
+    let mut sim = EthercatSim::new(&drive_of(SlaveSettings { left: Some(left), ..SlaveSettings::default() }));
     assert_eq!(sim.drive(0).unwrap().al_state(), S::SafeOp);
     let mut bench = Bench::left(std::mem::replace(sim.segment(), Segment::new(Vec::new())));
     let at = |bench: &mut Bench, ado| bench.send(Command::Fprd(0x1003, ado), &[0; 8]);
@@ -310,7 +277,7 @@ fn the_inputs_of_a_drive_are_valid_as_soon_as_it_is_in_safeop() {
 
 /// Writes a message to its mailbox.
 fn post(bench: &mut Bench, message: &str) {
-    assert_eq!(bench.write(0, 0x1800, &super::super::super::testing::bytes(message)), 1);
+    assert_eq!(bench.write(0, 0x1800, &bytes(message)), 1);
 }
 
 /// The message in its mailbox.
@@ -365,30 +332,14 @@ fn sdo_information_is_answered_by_an_abort_of_the_size_of_the_mailbox() {
     let mut bench = mailbox(MailboxSettings::default());
     // The list of all objects.
     post(&mut bench, "0800 0000 00 43 0080 01 00 0000 0100 0000");
-    let answer = super::super::super::testing::bytes("0A00 0000 00 43 0080 07 00 0000 23000008");
+    let answer = bytes("0A00 0000 00 43 0080 07 00 0000 23000008");
     assert_eq!(fetch(&mut bench).map(Vec::from), Some(answer));
 }
 
 #[test]
-fn a_longer_mailbox_takes_normal_and_segmented_downloads() {
-    let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
-    let usual = DriveSettings::new(plan.family);
-    assert_eq!(drive_settings(&plan, usual.clone()).long_sdos, None);
-    plan.slave.mailbox = Some([Area { start: 0x1800, length: 64 }, Area { start: 0x1C00, length: 64 }]);
-    assert_eq!(drive_settings(&plan, usual).long_sdos, Some(64));
-}
-
-#[test]
 fn outputs_are_seen_at_the_inputs_that_they_are_wired_to() {
-    let places = [Model::El1004, Model::El2008];
-    let plan = EthercatPlan {
-        devices: (0..2).map(|n| Device { name: format!("t{n}"), slave: SlavePlan::new(n) }).collect(),
-        ..EthercatPlan::new("local:test", Vec::new())
-    };
-    let mut segment = EthercatSegment::from(plan);
-    segment.settings.slaves.extend((0..).zip(places.map(model)));
-    segment.settings.slaves.entry(1).and_modify(|outputs| outputs.wired_to = Some(0));
-    let mut bench = bench(&segment);
+    let outputs = SlaveSettings { wired_to: Some(0), ..model(Model::El2008) };
+    let mut bench = row([model(Model::El1004), outputs]);
     assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x10, 1, 0, 0x00, 0, 1, 0]), 1);
     assert_eq!(bench.write(1, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
     bench.control(1, AlStatus::request(S::Op));
@@ -404,7 +355,7 @@ fn outputs_are_seen_at_the_inputs_that_they_are_wired_to() {
 
 #[test]
 fn an_analogue_terminal_has_objects_and_inputs_that_live() {
-    let mut bench = alone(model(Model::El3102));
+    let mut bench = row([model(Model::El3102)]);
     for (n, bytes) in (0..).zip([
         [0x00, 0x10, 128, 0, 0x26, 0, 1, 0],
         [0x80, 0x10, 128, 0, 0x22, 0, 1, 0],
@@ -415,7 +366,7 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
     }
     assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
     let mut ask = |request: &str| {
-        let mut message = super::super::super::testing::bytes(request);
+        let mut message = bytes(request);
         message.resize(128, 0);
         assert_eq!(bench.write(0, 0x1000, &message), 1);
         bench.wait(MS);
@@ -423,17 +374,22 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
         let answer: [u8; 128] = bench.read(0, 0x1080).unwrap();
         answer[8..22].to_vec()
     };
-    let answer = |hex: &str| super::super::super::testing::bytes(hex);
-    assert_eq!(ask("0A00 0000 00 13 0020 40 1810 02 00000000")[..8], answer("43 1810 02 5230 1E0C"));
-    assert_eq!(ask("0A00 0000 00 23 0020 40 131C 01 00000000")[..6], answer("4B 131C 01 001A"));
-    assert_eq!(ask("0A00 0000 00 33 0020 40 131C 02 00000000")[..6], answer("4B 131C 02 021A"));
-    assert_eq!(ask("0A00 0000 00 43 0020 40 021A 09 00000000")[..8], answer("43 021A 09 1011 1060"));
-    assert_eq!(ask("0A00 0000 00 53 0020 40 1060 07 00000000")[..5], answer("4F 1060 07 00"));
-    assert_eq!(ask("0A00 0000 00 63 0020 40 0810 00 00000000"), answer("41 0810 00 06000000 454C33313032"));
-    assert_eq!(ask("0A00 0000 00 73 0020 2B 0080 13 34120000")[..4], answer("60 0080 13"));
-    assert_eq!(ask("0A00 0000 00 13 0020 40 0080 13 00000000")[..6], answer("4B 0080 13 3412"));
-    assert_eq!(ask("0A00 0000 00 23 0020 2F 0010 00 01000000")[..8], answer("80 0010 00 02000106"));
-    assert_eq!(ask("0A00 0000 00 33 0020 40 0020 00 00000000")[..8], answer("80 0020 00 00000206"));
+    for (count, request, answer) in [
+        (1, "40 1810 02 00000000", "43 1810 02 5230 1E0C"),
+        (2, "40 131C 01 00000000", "4B 131C 01 001A"),
+        (3, "40 131C 02 00000000", "4B 131C 02 021A"),
+        (4, "40 021A 09 00000000", "43 021A 09 1011 1060"),
+        (5, "40 1060 07 00000000", "4F 1060 07 00"),
+        (6, "40 0810 00 00000000", "41 0810 00 06000000 454C33313032"),
+        (7, "2B 0080 13 34120000", "60 0080 13"),
+        (1, "40 0080 13 00000000", "4B 0080 13 3412"),
+        (2, "2F 0010 00 01000000", "80 0010 00 02000106"),
+        (3, "40 0020 00 00000000", "80 0020 00 00000206"),
+    ] {
+        let answer = bytes(answer);
+        let came = ask(&format!("0A00 0000 00 {count}3 0020 {request}"));
+        assert_eq!(came[..answer.len()], answer, "{request}");
+    }
     assert_eq!(go(&mut bench, S::SafeOp), (S::SafeOp, None));
     let first: [u8; 8] = bench.read(0, 0x1180).unwrap();
     bench.idle(3);
@@ -448,16 +404,9 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
 
 #[test]
 fn a_branch_shows_its_links_and_when_a_frame_was_at_each_port() {
-    let places = [Model::Ek1100, Model::El2008, Model::Ek1100];
-    let plan = EthercatPlan {
-        devices: (0..3).map(|n| Device { name: format!("t{n}"), slave: SlavePlan::new(n) }).collect(),
-        ..EthercatPlan::new("local:test", Vec::new())
-    };
-    let mut segment = EthercatSegment::from(plan);
-    segment.settings.slaves.extend((0..).zip(places.map(model)));
-    let branch = Behind { place: 0, port: 2 };
-    segment.settings.slaves.entry(2).and_modify(|far| far.behind = Some(branch));
-    let mut bench = bench(&segment);
+    let behind = Some(Behind { place: 0, port: 2 });
+    let far = SlaveSettings { behind, ..model(Model::Ek1100) };
+    let mut bench = row([model(Model::Ek1100), model(Model::El2008), far]);
     assert_eq!(bench.read(0, 0x0007), Some([0x3B]), "MII, EBUS, EBUS or MII, none");
     assert_eq!(bench.read(0, address::LINKS).map(u16::from_le_bytes), Some(0b0110_1010_0111_0000));
     bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
@@ -469,7 +418,7 @@ fn a_branch_shows_its_links_and_when_a_frame_was_at_each_port() {
 
 #[test]
 fn what_a_master_should_not_do_is_counted() {
-    let mut bench = alone(model(Model::El2008));
+    let mut bench = row([model(Model::El2008)]);
     let misuse = |bench: &mut Bench| bench.segment.slave(0).unwrap().misuse();
     bench.write(0, 0x0101, &[0]);
     bench.write(0, 0x0103, &[0]);
