@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use libc::SIGTERM;
 
-use super::support::{Machine, Program, assert_sums, period};
-use super::{ask, await_status, master, simulation};
+use super::support::{Machine, Program, assert_sums};
+use super::{ask, await_status, master, patient_cycle, simulation};
 
 /// How long, s, unless `CHURN_SECONDS` says otherwise.
 const SECONDS: u64 = 20 * 60;
@@ -30,16 +30,14 @@ fn config(machine: &Machine) -> PathBuf {
     machine.write(
         "churn.toml",
         format!(
-            "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\n\
-             max_skip_rate = 1.0\nrealtime = \"off\"\n\
-             [[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{bind}\"\n[bus.defaults]\n{health}\n\
+            "{}[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{bind}\"\n[bus.defaults]\n{health}\n\
              [[bus.drive]]\nname = \"a\"\naddress = \"{a}\"\n[[bus.drive]]\nname = \"b\"\naddress = \"{b}\"\n\
              [[bus]]\nprotocol = \"modbus-tcp\"\n[bus.defaults]\ndivisor = 4\n{health}\n\
              [[bus.drive]]\nname = \"c\"\naddress = \"{c}:1502\"\nphase = 1\n\
              [[bus.drive]]\nname = \"d\"\naddress = \"{d}:1502\"\nphase = 3\n\
              [[bus]]\nprotocol = \"ethercat\"\ninterface = \"{line}\"\n[bus.defaults]\n{health}\n\
              [[bus.drive]]\nname = \"e\"\n[[bus.drive]]\nname = \"f\"\n",
-            period()
+            patient_cycle()
         ),
     )
 }

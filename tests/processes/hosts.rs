@@ -143,7 +143,8 @@ struct Hosted {
 }
 
 impl Hosted {
-    fn start(machine: Machine, what: &str) -> Hosted {
+    fn start(test: u8, what: &str) -> Hosted {
+        let machine = Machine::new(test);
         let config = config(&machine, "m.toml", 2, "", "stop.group = \"all\"");
         let sim = simulation(&config);
         let onlooker = Onlooker::new(&machine);
@@ -163,25 +164,42 @@ impl Hosted {
         let after = [0, 1].map(|index| onlooker.look(machine.drive(index)));
         (ended, after)
     }
+}
 
-    /// It ends with its axes at rest, down their ramps from where they were at least.
-    #[track_caller]
-    fn ends_in_order(self, code: Option<i32>, signal: Option<i32>) -> Ended {
-        let (ended, after) = self.end();
-        assert_eq!((ended.code, ended.signal), (code, signal), "{ended:?}");
-        for sight in after {
-            assert!(!sight.moving && !sight.powered, "{sight:?}");
-            assert!(sight.position > 10.0 + 0.9 * RAMP && sight.position < TARGET, "{sight:?}");
-        }
-        ended
-    }
+/// Down its ramp from where it was at least, and off.
+fn rests(sight: &Sight) -> bool {
+    let way = 10.0 + 0.9 * RAMP..TARGET;
+    !sight.moving && !sight.powered && way.contains(&sight.position)
+}
 
-    /// It ends, and its drives go on to the end of their move: nobody is left to stop them.
-    #[track_caller]
-    fn ends_at_once(self, code: Option<i32>, signal: Option<i32>) {
-        let (ended, after) = self.end();
-        assert_eq!((ended.code, ended.signal), (code, signal), "{ended:?}");
-        assert!(after.iter().all(|sight| sight.moving && sight.operating), "{after:?}");
+/// How a process ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum End {
+    Code(i32),
+    Signal(i32),
+}
+
+/// Each row: what a host does, a signal to it, how it ends, and whether its axes are at rest then, or go on to the end
+/// of their move, since nobody is left to stop them. Three at a time.
+fn end_so(first: u8, rows: &[(&str, Option<i32>, End, bool)]) {
+    for (chunk, rows) in rows.chunks(3).enumerate() {
+        std::thread::scope(|scope| {
+            for (index, (what, signal, end, stops)) in rows.iter().enumerate() {
+                let test = first + (3 * chunk + index) as u8;
+                scope.spawn(move || {
+                    let hosted = Hosted::start(test, what);
+                    signal.iter().for_each(|signal| hosted.host.signal(*signal));
+                    let (ended, after) = hosted.end();
+                    let by = ended.signal.map(End::Signal).or(ended.code.map(End::Code));
+                    assert_eq!(by, Some(*end), "{what} {signal:?}: {ended:?}");
+                    let goes_on = |sight: &Sight| sight.moving && sight.operating;
+                    let is_right = |sight: &Sight| if *stops { rests(sight) } else { goes_on(sight) };
+                    assert!(after.iter().all(is_right), "{what} {signal:?}: {after:?}");
+                    let is_left_alone = what.starts_with("fork") || *what == "caught-own";
+                    assert!(!is_left_alone || ended.out.contains("[None, None]"), "{what}: {ended:?}");
+                });
+            }
+        });
     }
 }
 
@@ -190,84 +208,60 @@ fn a_host_that_returns_ends_its_static_master_in_order() {
     if let Some(role) = role() {
         return play(&role);
     }
-    Hosted::start(Machine::new(134), "return").ends_in_order(Some(0), None);
+    end_so(134, &[("return", None, End::Code(0), true), ("drop-master", None, End::Code(0), true)]);
 }
 
 #[test]
-fn a_host_that_calls_exit_ends_its_master_in_order() {
-    Hosted::start(Machine::new(135), "exit").ends_in_order(Some(3), None);
+fn an_exit_wherever_it_comes_from_ends_the_master_in_order_but_on_its_loop() {
+    end_so(
+        52,
+        &[
+            ("exit", None, End::Code(3), true),
+            ("exit-in-call", None, End::Code(3), true),
+            ("exit-twice", None, End::Code(3), true),
+            ("exit-in-hook", None, End::Code(4), true),
+            ("exit-in-task", None, End::Code(5), false),
+            // It finds nothing to do, and that of a forked child stops nothing.
+            ("exit-after", None, End::Code(3), true),
+            ("fork", None, End::Code(0), true),
+            ("panic", None, End::Code(101), true),
+        ],
+    );
 }
 
+/// Caught ones end the master in order, and then the process as ever; one that the host handles is left to it.
 #[test]
-fn an_exit_during_a_blocking_call_ends_the_master_in_order() {
-    Hosted::start(Machine::new(136), "exit-in-call").ends_in_order(Some(3), None);
-}
-
-#[test]
-fn two_exits_at_once_end_the_master_in_order() {
-    Hosted::start(Machine::new(137), "exit-twice").ends_in_order(Some(3), None);
-}
-
-#[test]
-fn an_exit_in_a_panic_hook_ends_the_master_in_order() {
-    Hosted::start(Machine::new(138), "exit-in-hook").ends_in_order(Some(4), None);
-}
-
-#[test]
-fn an_exit_on_the_loop_itself_ends_the_process_and_nothing_else() {
-    Hosted::start(Machine::new(139), "exit-in-task").ends_at_once(Some(5), None);
-}
-
-#[test]
-fn an_exit_after_the_end_of_the_master_finds_nothing_to_do() {
-    Hosted::start(Machine::new(145), "exit-after").ends_in_order(Some(3), None);
-}
-
-#[test]
-fn the_exit_of_a_forked_child_stops_nothing() {
-    let ended = Hosted::start(Machine::new(146), "fork").ends_in_order(Some(0), None);
-    assert!(ended.out.contains("[None, None]"), "{ended:?}");
-}
-
-#[test]
-fn a_panic_that_unwinds_ends_the_master_in_order() {
-    Hosted::start(Machine::new(147), "panic").ends_in_order(Some(101), None);
-}
-
-#[test]
-fn a_dropped_master_ends_in_order() {
-    Hosted::start(Machine::new(148), "drop-master").ends_in_order(Some(0), None);
+fn a_signal_or_an_abort_stops_the_axes_only_where_signals_are_caught() {
+    end_so(
+        205,
+        &[
+            ("caught-wait", Some(SIGINT), End::Signal(SIGINT), true),
+            ("caught-wait", Some(SIGTERM), End::Signal(SIGTERM), true),
+            ("caught-wait", Some(SIGHUP), End::Signal(SIGHUP), true),
+            ("caught-own", Some(SIGTERM), End::Code(0), true),
+            ("caught-abort", None, End::Signal(SIGABRT), true),
+            ("caught-wait", Some(SIGKILL), End::Signal(SIGKILL), false),
+            ("wait", Some(SIGTERM), End::Signal(SIGTERM), false),
+            ("abort", None, End::Signal(SIGABRT), false),
+        ],
+    );
 }
 
 #[test]
 fn dropped_axes_and_groups_come_to_rest_while_their_host_goes_on() {
-    for (machine, what) in [(Machine::new(149), "drop-axes"), (Machine::new(217), "drop-group")] {
-        let mut hosted = Hosted::start(machine, what);
+    for (test, what) in [(148, "drop-axes"), (149, "drop-group")] {
+        let mut hosted = Hosted::start(test, what);
         hosted.host.await_text("at rest");
-        let rests = hosted.look();
-        for sight in rests {
-            assert!(!sight.moving && !sight.powered, "{sight:?}");
-            assert!(sight.position > 10.0 + 0.9 * RAMP && sight.position < TARGET, "{sight:?}");
-        }
+        let sights = hosted.look();
+        assert!(sights.iter().all(rests), "{what}: {sights:?}");
         hosted.host.signal(SIGKILL);
         hosted.end();
     }
 }
 
 #[test]
-fn caught_signals_end_the_master_in_order_and_then_the_process_as_ever() {
-    for (machine, signal) in
-        [(Machine::new(218), SIGINT), (Machine::new(219), SIGTERM), (Machine::new(177), SIGHUP)]
-    {
-        let hosted = Hosted::start(machine, "caught-wait");
-        hosted.host.signal(signal);
-        hosted.ends_in_order(None, Some(signal));
-    }
-}
-
-#[test]
 fn a_second_signal_shortens_the_stop() {
-    let hosted = Hosted::start(Machine::new(178), "caught-wait");
+    let hosted = Hosted::start(178, "caught-wait");
     hosted.host.signal(SIGTERM);
     sleep(100 * MS);
     let before = hosted.look();
@@ -278,32 +272,4 @@ fn a_second_signal_shortens_the_stop() {
         assert!(before.operating && !after.moving && !after.powered, "{before:?} {after:?}");
         assert!(after.position - before.position < 0.8 * RAMP, "{before:?} {after:?}");
     }
-}
-
-#[test]
-fn a_signal_that_the_host_handles_is_left_to_it() {
-    let hosted = Hosted::start(Machine::new(220), "caught-own");
-    hosted.host.signal(SIGTERM);
-    let ended = hosted.ends_in_order(Some(0), None);
-    assert!(ended.out.contains("[None, None]"), "{ended:?}");
-}
-
-#[test]
-fn a_signal_that_is_not_caught_ends_the_process_at_once() {
-    let hosted = Hosted::start(Machine::new(221), "wait");
-    hosted.host.signal(SIGTERM);
-    hosted.ends_at_once(None, Some(SIGTERM));
-}
-
-#[test]
-fn a_killed_host_stops_nothing() {
-    let hosted = Hosted::start(Machine::new(186), "caught-wait");
-    hosted.host.signal(SIGKILL);
-    hosted.ends_at_once(None, Some(SIGKILL));
-}
-
-#[test]
-fn an_abort_stops_the_axes_only_where_signals_are_caught() {
-    Hosted::start(Machine::new(187), "abort").ends_at_once(None, Some(SIGABRT));
-    Hosted::start(Machine::new(188), "caught-abort").ends_in_order(None, Some(SIGABRT));
 }

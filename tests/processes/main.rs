@@ -9,7 +9,7 @@
 //! | `init` | a first configuration by questions, and the drives that it finds |
 //! | `links` | drives that are lost, come back, or were never there |
 //! | `churn` | drives that die and come back for long: memory and descriptors |
-//! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
+//! | `deaths` | controllers that die in mid-motion, and who comes after them |
 //! | `hosts` | the ends of programs with a master of their own |
 //! | `stuck` | loops whose cycle does not end, and the watch that stops their drives |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
@@ -21,15 +21,11 @@
 //! | `recordings` | recordings of a run, and what `export` makes of them |
 //! | `soak` | soak tests: checkpoints, what is resumed, criteria that fail |
 //! | `params` | parameters of the drives, alone and beside a running master |
-//! | `linmot` | curves, command table, error log and software of a LinMot drive |
-//! | `unidrive` | Unidrives beside LinMots, and their parameters |
-//! | `kollmorgen` | a line of Kollmorgens, and their objects |
-//! | `ethercat` | the scan of an EtherCAT line |
-//! | `ethernet_ip` | the scan of EtherNet/IP devices |
-//! | `moons` | MOONS' drives, and their parameters |
+//! | `linmot` | curves, command table and motion commands of a LinMot drive |
+//! | `wires` | drives of each other protocol: how they come, are asked, are lost and come back |
+//! | `scans` | the scans of a line, of devices and of a wire |
 //! | `operate` | masters that let others operate their axes, and those who do |
 //! | `jog` | the panel in a pseudo-terminal |
-//! | `lenze` | Lenze drives on a wire, their parameters, and the scan of it |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -39,21 +35,16 @@
 mod churn;
 mod deaths;
 mod doctor;
-mod ethercat;
-mod ethernet_ip;
 #[path = "../support/fuse.rs"]
 mod fuse;
 mod hosts;
 mod init;
 mod jog;
-mod kollmorgen;
-mod lenze;
 mod links;
 mod linmot;
 mod masters;
 mod metrics;
 mod mistakes;
-mod moons;
 mod operate;
 mod params;
 mod program;
@@ -61,14 +52,15 @@ mod recordings;
 mod replay;
 mod report;
 mod rights;
+mod scans;
 mod signals;
 mod soak;
 mod stuck;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;
-mod unidrive;
 mod unmatched;
+mod wires;
 
 use std::ffi::OsStr;
 use std::net::{SocketAddrV4, UdpSocket};
@@ -76,24 +68,46 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::time::Duration;
 
+use fieldbeat::Plan;
+use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
-use support::{Ended, LONG, PROGRAM, Program, bound, served, simulated, until};
+use support::{Ended, LONG, PROGRAM, Program, assert_sums, bound, period, served, simulated, until};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// `command` on a disk that is full: none of its files may grow beyond so many bytes.
-fn limit_files(command: &mut Command, bytes: u64) -> &mut Command {
+/// `command` with at most so much of a resource.
+fn limit(command: &mut Command, resource: libc::__rlimit_resource_t, most: u64) -> &mut Command {
     // SAFETY: between fork and exec, system calls only.
     unsafe {
         command.pre_exec(move || {
-            let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
-            match libc::setrlimit(libc::RLIMIT_FSIZE, &limit) {
+            let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
+            match libc::setrlimit(resource, &limit) {
                 0 => Ok(()),
                 _ => Err(std::io::Error::last_os_error()),
             }
         })
     }
+}
+
+/// `command` on a disk that is full: none of its files may grow beyond so many bytes.
+fn limit_files(command: &mut Command, bytes: u64) -> &mut Command {
+    limit(command, libc::RLIMIT_FSIZE, bytes)
+}
+
+/// `[cycle]` of a machine that is patient with a busy host.
+fn patient_cycle() -> String {
+    format!(
+        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\n\
+         realtime = \"off\"\n",
+        period()
+    )
+}
+
+/// Takes the LinUDP bus out of a plan, for one around it.
+fn linudp(plan: &mut Plan) -> LinUdpPlan {
+    let bus = plan.buses.remove(0);
+    (&*bus as &dyn std::any::Any).downcast_ref::<LinUdpPlan>().unwrap().clone()
 }
 
 fn serve(config: &std::path::Path) -> SimServer {
@@ -103,6 +117,23 @@ fn serve(config: &std::path::Path) -> SimServer {
 fn master(config: &std::path::Path, arguments: &[&str]) -> Program {
     let own = [OsStr::new("run"), config.as_os_str()];
     Program::start(own.into_iter().chain(arguments.iter().map(OsStr::new)))
+}
+
+/// A master whose drives are online.
+#[track_caller]
+fn online(config: &std::path::Path, arguments: &[&str]) -> Program {
+    let mut master = master(config, arguments);
+    master.await_text("all drives online");
+    master
+}
+
+/// Ends a run that has not failed. Its summary, whose sums are right.
+#[track_caller]
+fn finish(master: Program) -> Value {
+    master.signal(libc::SIGTERM);
+    let summary = master.end().expect(0).json();
+    assert_sums(&summary);
+    summary
 }
 
 /// `fieldbeat WHAT CONFIG REST` under way; words of `what` and `rest` are told apart by spaces.

@@ -3,24 +3,13 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::time::Duration;
 
-use fieldbeat::axis::Link;
-use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::sim::SimPlan;
-use fieldbeat::sim::modbus::Unidrives;
-use fieldbeat::telemetry::Status;
-use fieldbeat::telemetry::Summary;
+use fieldbeat::Master;
 use fieldbeat::telemetry::metrics::Endpoint;
-use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Overrun, Plan, Realtime};
-use fieldbeat_modbus::counters::OWN;
-use libc::SIGINT;
+use fieldbeat::telemetry::{Status, Summary};
 
-use super::support::{LONG, Machine, Program, assert_sums, carried, patient, served, until};
-use super::{assert_silent, master, serve, socket};
+use super::support::{LONG, Machine, Program, carried, until};
+use super::{assert_silent, finish, master, online, serve, socket};
 
 /// Where the endpoint is, by what the program says.
 pub fn endpoint(program: &mut Program) -> SocketAddr {
@@ -101,6 +90,11 @@ impl Page {
         page
     }
 
+    /// How many samples have this in their keys.
+    pub fn count(&self, part: &str) -> usize {
+        self.samples.keys().filter(|key| key.contains(part)).count()
+    }
+
     pub fn value(&self, key: &str) -> f64 {
         *self.samples.get(key).unwrap_or_else(|| panic!("no {key}: {:?}", self.samples.keys()))
     }
@@ -130,8 +124,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     let machine = Machine::new(70);
     let config = machine.plain(2);
     let _sim = serve(&config);
-    let mut program = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
-    program.await_text("all drives online");
+    let mut program = online(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
     let address = endpoint(&mut program);
     assert_eq!(address.ip(), machine.ip(1));
     assert!(!program.err().contains("anyone on that network"), "{}", program.err());
@@ -156,11 +149,9 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     for stage in ["send", "receive", "evaluate", "commands", "prepare", "publish"] {
         second.buckets("fieldbeat_stage_seconds", &format!("stage=\"{stage}\""));
     }
-    program.signal(SIGINT);
-    let ended = program.end();
-    ended.expect(0);
-    let summary = ended.json();
-    assert_sums(&summary);
+    // LinMots have neither connections nor counters of their own.
+    assert_eq!((second.count("_not_connected"), second.count("_protocol_events")), (0, 0));
+    let summary = finish(program);
     for (drive, name) in ["d0", "d1"].into_iter().enumerate() {
         let label = format!("drive=\"{name}\"");
         let rtt = *second.buckets("fieldbeat_drive_round_trip_seconds", &label).last().unwrap();
@@ -178,50 +169,11 @@ fn a_scrape_tells_what_the_summary_tells_later() {
 }
 
 #[test]
-fn what_a_drive_shows_besides_has_a_gauge_while_it_does() {
-    let machine = Machine::new(76);
-    let config = machine.showing();
-    let sim = serve(&config);
-    let mut program = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
-    program.await_text("all drives online");
-    let address = endpoint(&mut program);
-    let key = |family: &str, variable: &str, unit: &str| {
-        format!("fieldbeat_drive_monitor{family}{{drive=\"d1\",variable=\"{variable}\",unit=\"{unit}\"}}")
-    };
-    let mut page = Page::default();
-    let mut scraped = |done: &dyn Fn(&Page) -> bool| {
-        let passed = until(LONG, || {
-            page = Page::parse(&scrape(address));
-            done(&page)
-        });
-        assert!(passed, "{:?}", page.samples.keys());
-        std::mem::take(&mut page)
-    };
-    let timer = ["_min", "", "_max"].map(|family| key(family, "drive-timer", "us"));
-    let page = scraped(&|page| page.samples.contains_key(&timer[1]));
-    assert!(timer.iter().is_sorted_by_key(|key| page.value(key)), "{page:?}");
-    for family in ["_min", "", "_max"] {
-        assert_eq!(page.value(&key(family, "core-temperature", "C")), 40.0);
-        assert_eq!(page.types[&format!("fieldbeat_drive_monitor{family}")], "gauge");
-    }
-    let shown = |page: &Page| page.samples.keys().filter(|key| key.contains("_monitor")).count();
-    assert_eq!(shown(&page), 6, "neither the other drive nor a variable that there is not");
-    // A drive that was lost shows nothing, and what it has shown stays true.
-    sim.stop();
-    let page = scraped(&|page| page.value("fieldbeat_axes_online") == 0.0);
-    assert_eq!(shown(&page), 4, "{page:?}");
-    assert_eq!(page.value(&key("_max", "core-temperature", "C")), 40.0);
-    program.signal(SIGINT);
-    program.end().expect(1);
-}
-
-#[test]
 fn clients_that_say_nothing_or_nonsense_harm_nobody() {
     let machine = Machine::new(71);
     let config = machine.plain(1);
     let _sim = serve(&config);
-    let mut program = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
-    program.await_text("all drives online");
+    let mut program = online(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
     let address = endpoint(&mut program);
     for (request, status) in [
         (&b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"[..], "404"),
@@ -245,11 +197,7 @@ fn clients_that_say_nothing_or_nonsense_harm_nobody() {
     gone.shutdown(std::net::Shutdown::Both).unwrap();
     Page::parse(&scrape(address));
     drop(silent);
-    assert!(program.is_running());
-    program.signal(SIGINT);
-    let ended = program.end();
-    ended.expect(0);
-    assert_sums(&ended.json());
+    finish(program);
 }
 
 #[test]
@@ -271,36 +219,24 @@ fn a_taken_or_foreign_address_is_refused_before_anything_is_sent() {
 }
 
 #[test]
-fn whoever_opens_it_to_the_network_is_told() {
+fn nothing_listens_unless_it_is_asked_to_and_whoever_opens_it_to_the_network_is_told() {
     let machine = Machine::new(73);
     let config = machine.plain(1);
     let _sim = serve(&config);
-    let mut program = master(&config, &["--metrics", "0.0.0.0:0"]);
-    let port = endpoint(&mut program).port();
-    program.await_text("fieldbeat: anyone on that network can read the metrics");
-    Page::parse(&scrape((machine.ip(9), port).into()));
-    program.signal(SIGINT);
-    program.end().expect(0);
-}
-
-#[test]
-fn nothing_listens_unless_it_is_asked_to() {
-    let machine = Machine::new(74);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
-    let threads = |program: &Program| -> Vec<String> {
-        let tasks = std::fs::read_dir(format!("/proc/{}/task", program.pid())).unwrap();
-        let names = tasks.map(|task| std::fs::read_to_string(task.unwrap().path().join("comm")).unwrap());
-        names.map(|name| name.trim().to_owned()).collect()
+    let has_thread = |program: &Program| {
+        let mut tasks = std::fs::read_dir(format!("/proc/{}/task", program.pid())).unwrap();
+        let comm = |task: std::io::Result<std::fs::DirEntry>| task.unwrap().path().join("comm");
+        tasks.any(|task| std::fs::read_to_string(comm(task)).is_ok_and(|name| name == "fb-metrics\n"))
     };
-    for (arguments, listening) in [(&[][..], false), (&["--metrics", ":0"], true)] {
-        let mut program = master(&config, arguments);
-        program.await_text("all drives online");
-        let names = threads(&program);
-        assert_eq!(names.iter().any(|name| name == "fb-metrics"), listening, "{names:?}");
-        program.signal(SIGINT);
-        program.end().expect(0);
-    }
+    let closed = online(&config, &["--json"]);
+    assert!(!has_thread(&closed));
+    finish(closed);
+    let mut open = online(&config, &["--json", "--metrics", "0.0.0.0:0"]);
+    assert!(has_thread(&open));
+    let port = endpoint(&mut open).port();
+    open.await_text("fieldbeat: anyone on that network can read the metrics");
+    Page::parse(&scrape((machine.ip(9), port).into()));
+    finish(open);
 }
 
 #[test]
@@ -331,81 +267,4 @@ fn a_program_of_its_own_watches_its_machine_and_closes_the_endpoint() {
     assert_eq!(counts(monitor.status()), counts(run.end.status));
     let woken = monitor.measured(|measured| measured.histograms.wake.len());
     assert!(woken == run.end.status.planned || run.end.status.lost_records > 0, "{woken}: {run:?}");
-}
-
-#[test]
-fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_its_name() {
-    let machine = Machine::new(77);
-    let drives = [0, 1].map(|index| {
-        let mut drive = UnidriveDrive::new(format!("d{index}"), *machine.drive(index).ip());
-        drive.address.set_port(1502);
-        drive.axis.health = patient();
-        (drive.reply_within_ns, drive.watchdog.timeout_ns) = (5_000 * MS, Some(20_000 * MS));
-        drive
-    });
-    let bus = ModbusPlan::new(drives.to_vec());
-    let plan = |bus: Box<dyn BusPlan>| Plan {
-        source: None,
-        cycle: CyclePlan {
-            period_ns: carried(),
-            realtime: Realtime::Off,
-            overrun: Overrun::Skip { max_skip: u64::MAX },
-            max_skip_rate: 1.0,
-            ..CyclePlan::default()
-        },
-        buses: vec![bus],
-        groups: Vec::new(),
-    };
-    let simulate = |count| {
-        served(|| {
-            let mut there = SimPlan::from(Unidrives::of(&bus)).build();
-            there.drives.truncate(count);
-            there
-        })
-    };
-    // Only the first one is there.
-    let sim = simulate(1);
-    let master = Master::from_plan(plan(Box::new(bus.clone()))).start().unwrap();
-    let online = |index: usize| master.observers()[index].1.feedback().link == Link::Online;
-    assert!(until(LONG, || online(0) && master.not_connected(1).is_some()));
-    let why = master.not_connected(1).unwrap();
-    assert!(why.starts_with("refused: nobody listens at "), "{why}");
-    let error = master.wait_online(Duration::ZERO).unwrap_err().to_string();
-    assert!(error.contains(&format!(": d1 (not connected: {why}); look at")), "{error}");
-
-    let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
-    let address = endpoint.address();
-    let _server = endpoint.serve(master.monitor()).unwrap();
-    let sample = |metric: &str, labels: &str| {
-        let text = scrape(address);
-        assert!(!text.contains("NaN"), "{text}");
-        Page::parse(&text).value(&format!("fieldbeat_drive_{metric}{{{labels}}}"))
-    };
-    let not_connected = || ["d0", "d1"].map(|drive| sample("not_connected", &format!("drive=\"{drive}\"")));
-    assert_eq!(not_connected(), [0.0, 1.0]);
-    let summary = Summary::from(&*master);
-    assert_eq!(
-        (&summary.drives[0].not_connected, summary.drives[1].not_connected.as_deref()),
-        (&None, Some(why.as_str()))
-    );
-    assert_eq!((summary.drives[0].position, summary.drives[0].protocol_counters.0.len()), (None, OWN.len()));
-    // It is reported as long as it is so.
-    drop(sim);
-    let _sim = simulate(2);
-    assert!(until(LONG, || online(1) && not_connected() == [0.0, 0.0]));
-    let reopened =
-        |drive: &str| sample("protocol_events_total", &format!("drive=\"{drive}\",what=\"reopened\""));
-    assert!(until(LONG, || reopened("d0") > 0.0));
-    assert_eq!(reopened("d1"), 0.0);
-    assert_eq!(master.finish().end.drives[1].not_connected, None);
-
-    // Drives without connections and counters of their own have no samples of them.
-    let linmots = vec![LinUdpDrive::new("x", *machine.drive(2).ip())];
-    let master = Master::from_plan(plan(Box::new(LinUdpPlan::new(machine.ip(1), linmots)))).start().unwrap();
-    let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
-    let address = endpoint.address();
-    let _server = endpoint.serve(master.monitor()).unwrap();
-    let text = scrape(address);
-    assert!(!text.contains("fieldbeat_drive_protocol_events_total{"), "{text}");
-    assert!(!text.contains("fieldbeat_drive_not_connected{"), "{text}");
 }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::support::{
     Ended, Machine, NOBODY, Program, as_ordinary_user, assert_sums, checkout, drive, is_root, run,
 };
-use super::{ask, asking, assert_silent, master, serve, simulation, socket};
+use super::{ask, asking, assert_silent, finish, online, serve, simulation, socket};
 
 /// A value of what the program says of drive `d0` with `--json`.
 fn value(ended: &Ended, key: &str) -> Value {
@@ -18,17 +18,14 @@ fn value(ended: &Ended, key: &str) -> Value {
 }
 
 #[test]
-fn every_value_of_a_parameter_is_read_under_every_name() {
+fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_its_reason() {
     let machine = Machine::new(80);
     let config = machine.plain(1);
     let _sim = serve(&config);
     for (address, text) in [
         ("0x20A8", "7695 (0x1E0F)"),
-        ("20A8h", "7695 (0x1E0F)"),
         ("0x20a8.ram", "7695 (0x1E0F)"),
         ("monitor-source-1", "7695 (0x1E0F)"),
-        ("monitor-source-1.rom", "7695 (0x1E0F)"),
-        ("monitor-source-1.both", "7695 (0x1E0F)"),
         ("monitor-source-1.min", "0 (0x0)"),
         ("20A8h.max", "65535 (0xFFFF)"),
         ("0x20A8.default", "7695 (0x1E0F)"),
@@ -48,16 +45,27 @@ fn every_value_of_a_parameter_is_read_under_every_name() {
         said,
         json!({ "drive": "d0", "address": "minimum-position", "raw": raw, "value": -50_000, "text": text })
     );
+    // What the drive refuses; its own limits are narrower than those of the type.
+    for (what, rest, parts) in [
+        ("get", "0x9999", ["drive d0: read 0x9999: ", "no such UPID"]),
+        ("get", "demand-velocity.default", ["drive d0: read demand-velocity.default: ", ""]),
+        ("set", "run-mode 17", ["drive d0: write run-mode = 17: ", ""]),
+        ("set", "demand-velocity 1", ["drive d0: write demand-velocity = 1: ", ""]),
+    ] {
+        ask(&format!("param {what}"), &config, &format!("d0 {rest}")).failed(&parts);
+    }
+    ask("param set", &config, "d0 run-mode 16").expect(0);
 }
 
 #[test]
-fn what_is_written_holds_as_long_as_the_memory_that_it_was_written_to() {
+fn what_is_written_holds_as_long_as_its_memory_or_until_the_defaults_are_set() {
     let machine = Machine::new(81);
     let config = machine.plain(1);
     let _sim = simulation(&config);
     let get = |address: &str| value(&ask("param get", &config, &format!("d0 {address} --json")), "value");
     let set = |words: &str| value(&ask("param set", &config, &format!("d0 {words} --json")), "value");
 
+    let was = get("predefined-deceleration");
     let ended = ask("param set", &config, "d0 predefined-velocity 123456");
     assert_eq!(ended.expect(0).out, "d0 predefined-velocity: 123456 (0x1E240) = 123.456 mm/s\n");
     assert_eq!(set("minimum-position -70000"), -70_000);
@@ -79,6 +87,18 @@ fn what_is_written_holds_as_long_as_the_memory_that_it_was_written_to() {
     ] {
         assert_eq!(get(address), now, "{address}");
     }
+
+    // Its software is stopped and runs again, and the defaults of its motion control are set.
+    let does = |what: &str, rest: &str| ask(&format!("linmot {what}"), &config, &format!("d0{rest}"));
+    assert_eq!(does("software stop", "").expect(0).out, "drive d0: its software is stopped\n");
+    assert_eq!(does("software start", "").expect(0).out, "drive d0: its software runs; home it\n");
+    assert_eq!(set("0x3100.both 8"), 8);
+    let said = "drive d0: the defaults take effect after a restart; home it\n";
+    assert_eq!(does("defaults", " mc").expect(0).out, said);
+    assert_eq!((get("predefined-deceleration"), get("predefined-deceleration.rom")), (888.into(), was.clone()));
+    assert_eq!(get("0x3100.rom"), 8);
+    does("restart", "").expect(0);
+    assert_eq!((get("predefined-deceleration"), get("0x3100")), (was, 8.into()));
 }
 
 #[test]
@@ -109,12 +129,8 @@ fn the_lists_say_what_there_is_how_it_is_used_and_what_was_changed() {
         with_values[0],
         json!({ "address": "0x20A8", "name": "monitor-source-1", "usage": "rw rw live", "raw": 7695, "value": 7695 })
     );
-    assert!(
-        list("--from 20A8h --values")
-            .expect(0)
-            .out
-            .contains("0x20AB  rw rw live   7505 (0x1D51)  monitor-source-4")
-    );
+    let printed = list("--from 20A8h --values").expect(0).out.clone();
+    assert!(printed.contains("0x20AB  rw rw live   7505 (0x1D51)  monitor-source-4"), "{printed}");
 
     let changed = |options: &str| list(&format!("--modified {options}")).expect(0).out.clone();
     let before = changed("");
@@ -134,16 +150,14 @@ fn an_interrupted_list_is_none() {
     let machine = Machine::new(106);
     let config = machine.config("slow.toml", 1, "", "simulate = { config_time = \"100ms\" }");
     let _sim = simulation(&config);
-    for (options, under_way) in [("--json", "fieldbeat: list "), ("--json --values", "fieldbeat: read ")] {
-        let mut listing = asking("param list", &config, &format!("d0 {options}"));
-        // It tells every few seconds how far it is.
-        listing.await_text(under_way);
-        listing.signal(SIGINT);
-        let ended = listing.end();
-        assert_eq!(ended.expect(1).out, "");
-        let last = ended.err.lines().last().unwrap();
-        assert!(last.contains("drive d0: ") && last.contains("its parameters was interrupted"), "{last}");
-    }
+    let mut listing = asking("param list", &config, "d0 --json --values");
+    // It tells every few seconds how far it is.
+    listing.await_text("fieldbeat: list ");
+    listing.signal(SIGINT);
+    let ended = listing.end();
+    assert_eq!(ended.expect(1).out, "");
+    let last = ended.err.lines().last().unwrap();
+    assert!(last.contains("drive d0: ") && last.contains("its parameters was interrupted"), "{last}");
 }
 
 /// Exit code 2 says that nothing was sent.
@@ -166,86 +180,55 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
     get("d7 0x20A8").refused(&["has no drive d7", "it has d0, d1"]);
     get("d0").refused(&["ADDRESS", "--help"]);
     set("d0 0x20A8").refused(&["VALUE", "--help"]);
-    for address in ["0x", "20A8", "0x120A8", "speed", "0x20A8.eeprom", ""] {
-        if !address.is_empty() {
-            get(&format!("d0 {address}"))
-                .refused(&[&format!("drive d0: read {address}: not an address"), "write 0x20A8"]);
-            set(&format!("d0 {address} 1"))
-                .refused(&[&format!("drive d0: write {address}"), "not an address"]);
-        }
+    for address in ["0x", "20A8", "0x120A8", "speed", "0x20A8.eeprom"] {
+        get(&format!("d0 {address}"))
+            .refused(&[&format!("drive d0: read {address}: not an address"), "write 0x20A8"]);
     }
-    for variant in ["min", "max", "default"] {
-        set(&format!("d0 0x20A8.{variant} 1")).refused(&[
-            &format!("write 0x20A8.{variant}: "),
-            "cannot be written; write to the UPID itself, .rom or .both",
-        ]);
-    }
-    for (address, value, range) in [
-        ("home-position", "1.5", "-2147483648 ... 2147483647"),
-        ("home-position", "12mm", "a whole number"),
-        ("0x3100", "99999999999999999999", "or its bits as 0x..."),
+    for (rest, parts) in [
+        ("speed 1", ["drive d0: write speed", "not an address"]),
+        ("0x20A8.min 1", ["write 0x20A8.min: ", "cannot be written; write to the UPID itself, .rom or .both"]),
+        ("home-position 1.5", ["drive d0: write home-position", "-2147483648 ... 2147483647"]),
+        ("home-position 12mm", ["12mm", "a whole number"]),
+        ("0x3100 99999999999999999999", ["99999999999999999999", "or its bits as 0x..."]),
     ] {
-        set(&format!("d0 {address} {value}")).refused(&[&format!("drive d0: write {address}"), value, range]);
+        set(&format!("d0 {rest}")).refused(&parts);
     }
-    for (address, value, range) in [
-        ("monitor-source-1", "65536", "0 ... 65535"),
-        ("monitor-source-1", "0x11E0F", "0 ... 65535"),
-        ("monitor-source-1", "-1", "0 ... 65535"),
-        ("0x3100", "4294967296", "-2147483648 ... 4294967295"),
-        ("0x3100", "0x1FFFFFFFF", "-2147483648 ... 4294967295"),
+    for (rest, range) in [
+        ("monitor-source-1 65536", "0 ... 65535"),
+        ("monitor-source-1 -1", "0 ... 65535"),
+        ("0x3100 0x1FFFFFFFF", "-2147483648 ... 4294967295"),
     ] {
-        set(&format!("d0 {address} {value}")).failed(&[&format!("drive d0: write {address}"), value, range]);
+        let (address, value) = rest.split_once(' ').unwrap();
+        set(&format!("d0 {rest}")).failed(&[&format!("drive d0: write {address}"), value, range]);
     }
     ask("param list", &config, "d0 --from speed").refused(&["--from speed: not a UPID"]);
     ask("param", &config, "").refused(&["--help"]);
     drives.iter().for_each(assert_silent);
 }
 
+/// Whoever has switched it on: what commands it, or what it may be using, is not changed, by a master of the program's
+/// own or through one that runs.
 #[test]
-fn what_the_drive_refuses_comes_with_its_reason() {
-    let machine = Machine::new(84);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
-    ask("param get", &config, "d0 0x9999").failed(&["drive d0: read 0x9999: ", "no such UPID"]);
-    ask("param get", &config, "d0 demand-velocity.default")
-        .failed(&["drive d0: read demand-velocity.default: "]);
-    // Its own limits are narrower than those of the type.
-    ask("param set", &config, "d0 run-mode 17").failed(&["drive d0: write run-mode = 17: "]);
-    ask("param set", &config, "d0 demand-velocity 1").failed(&["drive d0: write demand-velocity = 1: "]);
-    ask("param set", &config, "d0 run-mode 16").expect(0);
-}
-
-/// Whoever has switched it on: a parameter that commands it is not written, by a master of the program's own or through
-/// one that runs.
-#[test]
-fn what_may_command_a_drive_that_is_switched_on_is_refused_with_the_remedy() {
+fn what_a_drive_that_is_switched_on_may_use_or_obey_is_not_changed() {
     let machine = Machine::new(226);
     let config =
         machine.config("on.toml", 1, "", "on_found_running = \"refuse\"\nsimulate = { running = true }");
     let _sim = simulation(&config);
     let set = |words: &str| ask("param set", &config, &format!("d0 {words}"));
-    let one_line = |ended: &Ended| {
-        assert_eq!((ended.err.lines().count(), ended.out.as_str()), (1, ""), "{ended:?}");
-    };
-    let alone = set("run-mode 16");
-    alone.failed(&[
+    set("run-mode 16").failed(&[
         "drive d0: write run-mode = 16: it may command the drive, which another master, ",
         "disable it",
     ]);
-    one_line(&alone);
     // What moves nothing is written all the same.
     assert_eq!(value(&set("p-gain-a 30 --json"), "value"), 30);
 
-    let mut master = master(&config, &["--json"]);
-    master.await_text("all drives online");
+    let master = online(&config, &["--json"]);
     for words in ["run-mode 16", "0x1E72 5", "0x3100 1"] {
-        let refused = set(words);
         let (address, number) = words.split_once(' ').unwrap();
-        refused.failed(&[
+        set(words).failed(&[
             &format!("drive d0: write {address} = {number}: it may command the drive, whose power is on"),
             "disable the axis first, or use native mode",
         ]);
-        one_line(&refused);
     }
     set("run-mode.rom 16")
         .failed(&["drive d0: write run-mode.rom = 16: the drive is switched on: disable it first"]);
@@ -254,6 +237,20 @@ fn what_may_command_a_drive_that_is_switched_on_is_refused_with_the_remedy() {
     master.signal(SIGTERM);
     // It was only read, and still moves.
     assert_sums(&master.end().expect(1).json());
+
+    let [curve, table] = ["curve.csv", "table.toml"].map(|file| checkout(&format!("rt-config/linmot-{file}")));
+    for (what, rest, doing) in [
+        ("curve put", curve.to_str().unwrap(), "writing a curve"),
+        ("curve delete", "", "deleting its curves"),
+        ("curve save", "", "saving to flash"),
+        ("table put", table.to_str().unwrap(), "writing its command table"),
+        ("table delete", "", "deleting its command table"),
+        ("restart", "", "a restart"),
+        ("software stop", "", "stopping its software"),
+    ] {
+        let why = format!("drive d0: {doing} needs a drive that is switched off: disable it first");
+        ask(&format!("linmot {what}"), &config, &format!("d0 {rest}")).failed(&[&why]);
+    }
 }
 
 #[test]
@@ -271,17 +268,6 @@ fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
     waiting.end().failed(&["interrupted; nothing was written"]);
     // Only the drive that was meant was asked.
     assert_silent(&silent);
-}
-
-#[test]
-fn a_port_that_somebody_else_holds_is_named() {
-    let machine = Machine::new(86);
-    let config = machine.plain(1);
-    let drive = socket(machine.drive(0));
-    let _other = socket(machine.master());
-    let bind = format!("cannot bind {}: Address already in use", machine.master());
-    ask("param get", &config, "d0 0x20A8").refused(&[&bind, "end it", "ss -ulpn"]);
-    assert_silent(&drive);
 }
 
 /// Its socket is there, and closed to this user. No other way is taken: the drive has an owner.
@@ -315,10 +301,8 @@ fn a_running_master_is_asked_and_keeps_every_count() {
     let machine = Machine::new(88);
     let config = machine.plain(2);
     let _sim = simulation(&config);
-    let mut master = master(&config, &["--json"]);
-    master.await_text("all drives online");
-    for round in 0..5_i64 {
-        let position = round * 1_000 - 2_000;
+    let master = online(&config, &["--json"]);
+    for position in [-2_000, 2_000] {
         let said = ask("param set", &config, &format!("d1 minimum-position {position} --json"));
         assert_eq!(value(&said, "value"), position);
         let said = ask("param get", &config, "d1 minimum-position --json");
@@ -330,11 +314,7 @@ fn a_running_master_is_asked_and_keeps_every_count() {
     ask("param get", &config, "d0 0x9999").failed(&["drive d0: read 0x9999: "]);
     ask("param set", &config, "d0 monitor-source-1 65536").failed(&["65536"]);
     ask("param get", &config, "d2 0x20A8").refused(&["has no drive d2"]);
-    assert!(master.is_running());
-    master.signal(SIGTERM);
-    let ended = master.end();
-    let summary = ended.expect(0).json();
-    assert_sums(&summary);
+    let summary = finish(master);
     for name in ["d0", "d1"] {
         let drive = drive(&summary, name);
         assert_eq!((&drive["link"], &drive["losses"]), (&json!("online"), &json!(0)), "{drive}");
@@ -360,8 +340,7 @@ fn the_help_says_how_to_write_everything() {
         ("linmot defaults", &["os, mc, interface or application"]),
     ] {
         let ended = run(words.split(' ').chain(["--help"]));
-        ended.expect(0);
-        assert_eq!(ended.err, "");
+        assert_eq!(ended.expect(0).err, "");
         for part in parts {
             assert!(ended.out.contains(part), "{words}: no \"{part}\":\n{}", ended.out);
         }

@@ -23,12 +23,12 @@ fn files(directory: &Path) -> BTreeSet<String> {
     entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
 }
 
-fn read(directory: &Path, file: &str) -> String {
+pub fn read(directory: &Path, file: &str) -> String {
     std::fs::read_to_string(directory.join(file)).unwrap()
 }
 
 /// Every text of a page, in its order.
-fn texts(html: &str) -> Vec<String> {
+pub fn texts(html: &str) -> Vec<String> {
     let options = roxmltree::ParsingOptions { allow_dtd: true, ..Default::default() };
     let document =
         roxmltree::Document::parse_with_options(html, options).unwrap_or_else(|error| panic!("{error}"));
@@ -54,27 +54,24 @@ fn total(hgrm: &str) -> u64 {
 }
 
 #[test]
-fn a_report_holds_summary_histograms_and_a_page() {
+fn a_report_holds_summary_histograms_and_a_page_and_is_compared_with_an_earlier_one() {
     let machine = Machine::new(60);
-    let config = machine.plain(2);
+    let config = machine.plain(12);
     let _sim = serve(&config);
     let place = machine.path("reports/first");
     let ended = end_once_measured(master(&config, &["--json", "--report", place.to_str().unwrap()]), &config);
-    ended.expect(0);
-    let summary = ended.json();
+    let summary = ended.expect(0).json();
     assert_sums(&summary);
 
     let mut expected: BTreeSet<String> = FILES.map(String::from).into();
     let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
     let of_the_loop = ["wake", "jitter"].map(String::from).into_iter();
     let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}"))))
-        .chain(["rtt", "send-jitter", "age"].iter().flat_map(|what| [0, 1].map(|d| format!("{what}-d{d}"))));
+        .chain(["rtt", "send-jitter", "age"].iter().flat_map(|what| (0..12).map(move |d| format!("{what}-d{d}"))));
     expected.extend(histograms.map(|name| format!("{name}.hgrm")));
     assert_eq!(files(&place), expected);
 
-    let json = read(&place, "summary.json");
-    assert_eq!(json, ended.out, "the very object that was printed");
-
+    assert_eq!(read(&place, "summary.json"), ended.out, "the very object that was printed");
     assert_eq!(total(&read(&place, "wake.hgrm")), summary["wake_ns"]["count"]);
     for (place_of, name) in ["d0", "d1"].iter().enumerate() {
         let drive = &summary["drives"][place_of];
@@ -107,13 +104,12 @@ fn a_report_holds_summary_histograms_and_a_page() {
         &in_cycle,
         "percentile (log scale)",
         "round trip of d",
-        ", the worst of 2 by p",
+        ", the worst of 12 by p",
         "50 %",
         "max",
         "receive deadline",
         "round trip (us)",
-        "d0: p50",
-        "d1: p50",
+        "the other 7 drives, none of them worse",
         "time (s)",
         "largest (us)",
         "missed: ",
@@ -121,60 +117,40 @@ fn a_report_holds_summary_histograms_and_a_page() {
         "position (mm)",
         "velocity (mm/s)",
         // The configuration, and what the doctor knows.
-        "2 drives, 1 bus",
+        "12 drives, 1 bus",
         "this host: ",
     ] {
         assert!(has(label), "no \"{label}\": {texts:?}");
     }
+    // The plot of many drives names the worst of them.
+    let named = texts.iter().filter(|text| text.starts_with('d') && text.contains(": p50 ")).count();
+    assert_eq!(named, 5, "{texts:?}");
+    let by = texts.iter().find(|text| text.starts_with("Worst first: 12 drives compared by p")).unwrap();
+    assert!(by.ends_with(", the highest quantile that each of them supports."), "{by}");
     // Nothing is loaded from elsewhere.
     let html = read(&place, "index.html").replace("http://www.w3.org/2000/svg", "");
     assert!(!html.contains("http") && !html.contains("<script") && !html.contains("src="));
-}
 
-#[test]
-fn a_run_is_compared_with_an_earlier_one() {
-    let machine = Machine::new(130);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
-    let [first, second] = ["first", "second"].map(|name| machine.path(name));
-    let report = |place: &Path, more: &[&str]| {
-        let arguments = [&["--report", place.to_str().unwrap()], more].concat();
-        end_once_measured(master(&config, &arguments), &config)
+    // The next run is compared with this one.
+    let (second, earlier) = (machine.path("second"), place.join("run.json"));
+    let compared = |file: &Path| {
+        let files = [second.to_str().unwrap(), "--compare", file.to_str().unwrap()];
+        master(&config, &[&["--report"], &files[..]].concat())
     };
-    report(&first, &[]).expect(0);
-    let earlier = first.join("run.json");
-    report(&second, &["--compare", earlier.to_str().unwrap()]).expect(0);
-    let texts = texts(&read(&second, "index.html"));
+    end_once_measured(compared(&earlier), &config).expect(0);
+    let texts = self::texts(&read(&second, "index.html"));
     assert!(texts.iter().any(|text| text == "Compared with first"), "{texts:?}");
     assert!(texts.iter().any(|text| text.starts_with("first: p50 ")), "{texts:?}");
-
     // What is no earlier run is refused before anything is sent.
-    let broken = machine.write("broken.json", &read(&first, "run.json")[..1_000]);
+    let broken = machine.write("broken.json", &read(&place, "run.json")[..1_000]);
     for (file, expected) in [
         (machine.path("none.json"), "cannot read"),
-        (first.join("summary.json"), "is no run.json of a report, or is damaged: missing field `format`"),
+        (place.join("summary.json"), "is no run.json of a report, or is damaged: missing field `format`"),
         (broken, "is no run.json of a report, or is damaged: EOF"),
     ] {
-        let arguments = ["--report", second.to_str().unwrap(), "--compare", file.to_str().unwrap()];
-        master(&config, &arguments).end().refused(&[expected]);
+        compared(&file).end().refused(&[expected]);
     }
     master(&config, &["--compare", earlier.to_str().unwrap()]).end().refused(&["--report"]);
-}
-
-#[test]
-fn the_plots_of_many_drives_name_the_worst_of_them() {
-    let machine = Machine::new(61);
-    let config = machine.plain(12);
-    let _sim = serve(&config);
-    let place = machine.path("report");
-    let ended = end_once_measured(master(&config, &["--json", "--report", place.to_str().unwrap()]), &config);
-    ended.expect(0);
-    let texts = texts(&read(&place, "index.html"));
-    let named = texts.iter().filter(|text| text.starts_with('d') && text.contains(": p50 ")).count();
-    assert_eq!(named, 5, "{texts:?}");
-    assert!(texts.iter().any(|text| text == "the other 7 drives, none of them worse"), "{texts:?}");
-    let by = texts.iter().find(|text| text.starts_with("Worst first: 12 drives compared by p")).unwrap();
-    assert!(by.ends_with(", the highest quantile that each of them supports."), "{by}");
 }
 
 #[test]
@@ -201,63 +177,35 @@ fn an_interrupted_run_is_reported_and_an_old_report_replaced() {
     );
 }
 
-/// A machine without any drive to answer still has a report: of nothing measured, no curve is drawn.
 #[test]
-fn a_run_without_answers_is_reported() {
-    let machine = Machine::new(63);
-    let config = machine.plain(1);
-    let place = machine.path("report");
-    let ended = master(&config, &["--for", "100ms", "--json", "--report", place.to_str().unwrap()]).end();
-    ended.expect(1);
-    assert!(ended.err.contains("never answered: d0"), "{}", ended.err);
-    assert!(texts(&read(&place, "index.html")).iter().any(|text| text == "never answered: d0"));
-    assert!(read(&place, "rtt-d0.hgrm").contains("Total count    =            0]"));
-}
-
-#[test]
-fn a_file_in_the_way_is_refused_before_anything_is_sent() {
+fn a_place_that_cannot_be_written_to_is_refused_before_anything_is_sent() {
     let machine = Machine::new(64);
     let config = machine.plain(1);
     let drive = socket(machine.drive(0));
     let file = machine.write("file", "mine");
-    let below = file.join("report");
-    for (place, what) in [(&file, "is not a directory"), (&below, "cannot write there: Not a directory")] {
-        let ended = master(&config, &["--for", "1s", "--report", place.to_str().unwrap()]).end();
-        ended.refused(&["fieldbeat: report ", place.to_str().unwrap(), what]);
-    }
-    assert_silent(&drive);
-    assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
-}
-
-#[test]
-fn a_place_of_others_is_refused_before_anything_is_sent() {
-    let machine = Machine::new(65);
-    let config = machine.plain(1);
-    let drive = socket(machine.drive(0));
     let locked = machine.path("locked");
     std::fs::create_dir(&locked).unwrap();
     std::fs::set_permissions(&locked, PermissionsExt::from_mode(0o555)).unwrap();
-    for place in [locked.clone(), locked.join("report")] {
+    let no_right = ["cannot write there: Permission denied", "name a directory that this user may write to"];
+    for (place, parts) in [
+        (file.clone(), &["fieldbeat: report ", "is not a directory"][..]),
+        (file.join("report"), &["cannot write there: Not a directory"]),
+        (locked.clone(), &no_right),
+        (locked.join("report"), &no_right),
+    ] {
         let mut command = as_ordinary_user(&machine);
-        command.arg("run").arg(&config).args(["--for", "1s", "--report"]).arg(place);
-        Program::spawn(&mut command).end().refused(&[
-            "cannot write there: Permission denied",
-            "name a directory that this user may write to",
-        ]);
+        command.arg("run").arg(&config).args(["--for", "1s", "--report"]).arg(&place);
+        let ended = Program::spawn(&mut command).end();
+        ended.refused(&[&[place.to_str().unwrap()], parts].concat());
     }
     assert_silent(&drive);
-    assert_eq!(files(&locked), BTreeSet::new());
+    assert_eq!((std::fs::read_to_string(&file).unwrap().as_str(), files(&locked).len()), ("mine", 0));
     // So that it can be removed.
     std::fs::set_permissions(&locked, PermissionsExt::from_mode(0o755)).unwrap();
-}
 
-#[test]
-fn a_run_that_does_not_start_leaves_no_directory() {
-    let machine = Machine::new(66);
-    let config = machine.plain(1);
+    // A run that does not start leaves no directory.
     let _taken = socket(machine.master());
-    let place = machine.path("a/b");
-    let ended = master(&config, &["--for", "1s", "--report", place.to_str().unwrap()]).end();
+    let ended = master(&config, &["--for", "1s", "--report", machine.path("a/b").to_str().unwrap()]).end();
     ended.refused(&["Address already in use"]);
     assert!(!machine.path("a").exists());
 }

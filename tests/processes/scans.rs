@@ -1,0 +1,270 @@
+//! The scans: of a line and of a wire on this host, without any right, of devices, and of addresses where nobody is.
+
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::thread::{self, JoinHandle};
+
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
+use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::{FaultPlan, SimPlan};
+use fieldbeat::time::MS;
+use libc::{SIGINT, SIGTERM};
+use serde_json::Value;
+
+use super::init::{check, init_by};
+use super::support::{CABLE_NET, Cable, Ended, LONG, Machine, PROGRAM, Program, run};
+use super::wires::{lenzes, wire};
+use super::{bound, finish, online, simulation};
+
+/// The words of each row of a table.
+fn rows(table: &Ended) -> Vec<Vec<&str>> {
+    table.expect(0).out.lines().map(|row| row.split_whitespace().collect()).collect()
+}
+
+/// A scan under way is interrupted.
+#[track_caller]
+fn interrupted(scan: Program) {
+    scan.await_handler(SIGINT);
+    scan.signal(SIGINT);
+    scan.end().failed(&["interrupted"]);
+}
+
+/// A segment on this host: a coupler and two drives.
+struct Line {
+    interface: String,
+    server: SimServer,
+}
+
+impl Line {
+    fn start(test: u8, faults: FaultPlan) -> Line {
+        let interface = format!("local:tests-{}-{test}", std::process::id());
+        let drives = [1, 2].map(|place| {
+            let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+            drive.slave.watchdog = Watchdog::After(100 * MS);
+            drive
+        });
+        let mut plan = EthercatPlan::new(&interface, drives.into());
+        let slave = SlavePlan { inputs: vec![Area { start: 0x1000, length: 2 }], ..SlavePlan::new(0) };
+        plan.devices.push(Device { name: "io".into(), slave });
+        let segment = EthercatSegment {
+            settings: SegmentSettings { faults, ..SegmentSettings::default() },
+            // Without terminals.
+            devices: vec![Coupler::default()],
+            ..plan.into()
+        };
+        let simulated = SimPlan::from(segment).build();
+        Line { interface, server: SimServer::start(simulated, ServerOptions::default()).unwrap() }
+    }
+
+    /// A scan of it takes seconds.
+    fn slow(test: u8) -> Line {
+        Line::start(test, FaultPlan { delay: 1.0, delay_ns: 10 * MS, ..FaultPlan::default() })
+    }
+
+    fn scan(&self, options: &[&str]) -> Program {
+        let words = ["ethercat", "scan", &self.interface];
+        Program::start(words.iter().chain(options))
+    }
+}
+
+#[test]
+fn a_segment_is_printed_as_a_table_and_as_json() {
+    let line = Line::start(1, FaultPlan::default());
+    let ended = line.scan(&[]).end();
+    let rows = rows(&ended);
+    assert_eq!(ended.err, "");
+    assert_eq!(rows[0][..5], ["place", "station", "state", "name", "vendor"]);
+    assert_eq!(rows[2][..6], ["1", "0x0000", "INIT", "S700", "0x0000006a", "0x03000600"]);
+    assert_eq!(rows[2][8..], ["CoE", "16", "0", "0", "64", "bit", "0", "1", "8/8"]);
+    assert!(ended.out.contains("place 2: by default 6 bytes of outputs, 8 of inputs\n"), "{}", ended.out);
+    assert!(ended.out.lines().all(|line| line == line.trim_end()), "{}", ended.out);
+
+    let json = line.scan(&["--json"]).end().expect(0).json();
+    assert_eq!(json["interface"], line.interface);
+    let places: Vec<_> = json["slaves"].as_array().unwrap().iter().map(|slave| &slave["place"]).collect();
+    assert_eq!(places, [0, 1, 2]);
+    let drive = &json["slaves"][1];
+    assert_eq!(
+        (&drive["state"], &drive["error"], &drive["clock_bits"]),
+        (&"INIT".into(), &false.into(), &64.into())
+    );
+    assert_eq!(drive["sii"]["mailbox"]["protocols"][0], "CoE");
+    assert_eq!((&drive["sii"]["outputs"], &drive["sii"]["inputs"]), (&6.into(), &8.into()));
+    assert_eq!(json["slaves"][0]["sii"]["mailbox"], serde_json::Value::Null);
+    assert_eq!(json["slaves"][0]["clock_bits"], serde_json::Value::Null);
+    assert_eq!(json["slaves"][2]["ports"][1]["link"], false);
+}
+
+#[test]
+fn a_segment_that_is_silent_goes_away_or_is_not_waited_for_is_reported_in_one_line() {
+    let silent = Line::start(2, FaultPlan { drop: 1.0, ..FaultPlan::default() });
+    silent.scan(&[]).end().failed(&["no slave answers; check power and cable"]);
+    let line = Line::slow(3);
+    interrupted(line.scan(&[]));
+    let scan = line.scan(&["--json"]);
+    scan.await_handler(SIGINT);
+    drop(line.server);
+    scan.end().failed(&["nothing serves this segment"]);
+}
+
+/// A device that answers each of so many ListIdentity requests, twice.
+fn device(at: SocketAddrV4, serial: u32, requests: usize) -> JoinHandle<()> {
+    let socket = bound(|| UdpSocket::bind(at));
+    answering(socket.try_clone().unwrap(), vec![(socket, serial)], requests)
+}
+
+/// Each device, by its socket and serial number, answers each of so many requests that come to `asked`, twice.
+fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) -> JoinHandle<()> {
+    thread::spawn(move || {
+        let mut request = [0; 64];
+        for _ in 0..requests {
+            let (size, from) = asked.recv_from(&mut request).unwrap();
+            assert_eq!((size, &request[..4]), (24, &[0x63, 0, 0, 0][..]), "ListIdentity without data");
+            for (socket, serial) in &devices {
+                let SocketAddr::V4(at) = socket.local_addr().unwrap() else { panic!("{from}") };
+                let name = b"STF10-IP";
+                let mut item = vec![1, 0, 0, 2, 0xAF, 0x12];
+                item.extend(at.ip().octets());
+                item.extend([0; 8]);
+                item.extend([60, 0, 43, 0, 0xB0, 0, 251, 3, 0, 0]);
+                item.extend(serial.to_le_bytes());
+                item.push(name.len() as u8);
+                item.extend(name);
+                item.push(3);
+                let mut answer = request[..24].to_vec();
+                answer[2] = item.len() as u8 + 6;
+                answer.extend([1, 0, 0x0C, 0, item.len() as u8, 0]);
+                answer.extend(item);
+                for _ in 0..2 {
+                    socket.send_to(&answer, from).unwrap();
+                }
+            }
+        }
+    })
+}
+
+#[test]
+fn devices_are_told_as_a_table_and_as_json() {
+    let machine = Machine::new(162);
+    let [first, second] = [40, 41].map(|host| SocketAddrV4::new(machine.ip(host), 44_818));
+    let targets = [first.ip(), second.ip()].map(ToString::to_string);
+    // The second one comes first: the table is in the order of addresses.
+    let words = ["ethernet-ip", "scan", &targets[1], &targets[0], "--bind", "127.0.0.1"];
+
+    let devices = [device(first, 0xC0FFEE, 2), device(second, 7, 2)];
+    let ended = run(words);
+    let rows = rows(&ended);
+    assert_eq!(ended.err, "");
+    assert_eq!(rows.len(), 3, "{}", ended.out);
+    assert_eq!(rows[0], ["address", "name", "vendor", "type", "product", "revision", "serial", "state"]);
+    assert_eq!(rows[1][..3], [targets[0].as_str(), "STF10-IP", "60"]);
+    assert_eq!(rows[1][6..], ["43", "176", "251.3", "0x00c0ffee", "operational"]);
+    assert_eq!(rows[2][0], targets[1]);
+
+    let json = run(words.iter().chain(&["--json"])).json();
+    let found = json["devices"].as_array().unwrap();
+    assert_eq!(found.len(), 2);
+    assert_eq!((&found[0]["address"], &found[0]["serial"]), (&targets[0].clone().into(), &0xC0FFEE.into()));
+    assert_eq!((&found[1]["state_name"], &found[1]["revision"]), (&"operational".into(), &"251.3".into()));
+    for device in devices {
+        device.join().unwrap();
+    }
+}
+
+#[test]
+fn who_does_not_answer_is_named() {
+    let machine = Machine::new(163);
+    let one = SocketAddrV4::new(machine.ip(40), 44_818);
+    let nobody = machine.ip(41).to_string();
+    let device = device(one, 1, 1);
+    let ended = run(["ethernet-ip", "scan", &one.ip().to_string(), &nobody]);
+    ended.expect(1);
+    assert_eq!(ended.out.lines().count(), 2, "{}", ended.out);
+    let silent = format!("fieldbeat: no answer from {nobody}:44818; check power, cable and address\n");
+    assert_eq!(ended.err, silent);
+    device.join().unwrap();
+    run(["ethernet-ip", "scan", &nobody]).failed(&["no device answers; check power, cable and address"]);
+
+    interrupted(Program::start(["ethernet-ip", "scan", &nobody]));
+}
+
+#[test]
+#[ignore = "needs root and network namespaces (iproute2)"]
+fn a_broadcast_finds_the_drives_on_a_cable() {
+    let machine = Machine::new(224).on(CABLE_NET);
+    let cable = Cable::new(224, &[40, 41]);
+    let (asked, devices) = cable.among_drives(|| {
+        let open = |ip| UdpSocket::bind(SocketAddrV4::new(ip, 44_818)).unwrap();
+        (open(Ipv4Addr::BROADCAST), vec![(open(machine.ip(41)), 7), (open(machine.ip(40)), 0xC0FFEE)])
+    });
+    // A broadcast that was lost would not be waited for.
+    asked.set_read_timeout(Some(LONG)).unwrap();
+    // Each search asks twice.
+    let devices = answering(asked, devices, 4);
+    let bind = machine.ip(1).to_string();
+    let program = || Cable::command(&cable.master, PROGRAM);
+
+    let scan = Program::spawn(program().args(["ethernet-ip", "scan", "--bind", &bind, "--json"])).end();
+    let json = scan.expect(0).json();
+    let found: Vec<(&Value, &Value)> = (json["devices"].as_array().unwrap().iter())
+        .map(|device| (&device["address"], &device["serial"]))
+        .collect();
+    let [first, second] = [40, 41].map(|host| Value::from(machine.ip(host).to_string()));
+    assert_eq!(found, [(&first, &0xC0FFEE.into()), (&second, &7.into())]);
+
+    let file = machine.path("machine.toml");
+    let answers = format!("{bind}\nyes\n{}", "\n".repeat(30));
+    let ended = init_by(program(), &file, &["--protocol", "ethernet-ip"], answers);
+    ended.expect(0);
+    let lines: Vec<&str> = ended.out.lines().filter(|line| line.starts_with("  STF10-IP")).collect();
+    let expected = [40, 41].map(|host| format!("  STF10-IP at {}", machine.ip(host)));
+    assert_eq!(lines, expected, "{}", ended.out);
+    devices.join().unwrap();
+    let plan = fieldbeat::config::load(&file).unwrap_or_else(|why| panic!("{why}")).plan;
+    assert_eq!(plan.axes().len(), 2);
+    let text = std::fs::read_to_string(&file).unwrap();
+    let addresses: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("address = ")).collect();
+    assert_eq!(addresses, [first.to_string(), second.to_string()], "{text}");
+    check(&file).expect(0);
+}
+
+#[test]
+fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone() {
+    let machine = Machine::new(204);
+    let device = wire(&machine);
+    let config = machine.write("lenze.toml", lenzes(&device, ""));
+    let scan = |options: &[&str]| Program::start(["profibus", "scan", &device].iter().chain(options));
+    let sim = simulation(&config);
+    // Nobody has parametrised them, and the scan has not either.
+    for _ in 0..2 {
+        let found = scan(&["--json"]).end().expect(0).json();
+        assert_eq!((&found["device"], &found["rate"]), (&device.as_str().into(), &1_500_000.into()));
+        let stations = found["stations"].as_array().unwrap();
+        let addresses: Vec<&Value> = stations.iter().map(|station| &station["address"]).collect();
+        assert_eq!(addresses, [3, 4], "{found}");
+        for station in stations {
+            let read = (&station["ident"], &station["master"], &station["watchdog"]);
+            assert_eq!(read, (&0x82.into(), &Value::Null, &false.into()), "{station}");
+            let status = station["status"].as_array().unwrap();
+            assert!(status.contains(&"parametrisation requested".into()), "{station}");
+        }
+    }
+    let table = scan(&[]).end();
+    let rows = rows(&table);
+    assert_eq!(rows[0], ["address", "ident", "master", "watchdog", "state"]);
+    assert_eq!((rows.len(), &rows[1][..4]), (3, &["3", "0x0082", "-", "off"][..]));
+    interrupted(scan(&[]));
+
+    // Next to a master of this host.
+    let master = online(&config, &["--json"]);
+    scan(&[]).end().refused(&[&device, "is in use by another master"]);
+    finish(master);
+    sim.signal(SIGTERM);
+    sim.end().expect(0);
+    scan(&[]).end().refused(&["nobody simulates the wire", "start `fieldbeat sim`"]);
+
+    // Next to one that this host does not know: nothing is sent.
+    let foreign = "simulate = { second_master = 1, second_master_every = \"100ms\" }";
+    let _sim = simulation(&machine.write("foreign.toml", lenzes(&device, foreign)));
+    scan(&[]).end().failed(&[&device, "another master, address 1,", "end that one first"]);
+}
