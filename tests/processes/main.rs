@@ -68,8 +68,6 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::time::Duration;
 
-use fieldbeat::Plan;
-use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
 use support::{Ended, LONG, PROGRAM, Program, assert_sums, bound, period, served, simulated, until};
@@ -102,12 +100,6 @@ fn patient_cycle() -> String {
          realtime = \"off\"\n",
         period()
     )
-}
-
-/// Takes the LinUDP bus out of a plan, for one around it.
-fn linudp(plan: &mut Plan) -> LinUdpPlan {
-    let bus = plan.buses.remove(0);
-    (&*bus as &dyn std::any::Any).downcast_ref::<LinUdpPlan>().unwrap().clone()
 }
 
 fn serve(config: &std::path::Path) -> SimServer {

@@ -45,49 +45,20 @@ pub fn scrape(address: SocketAddr) -> String {
     body.to_owned()
 }
 
-/// A page by the rules of the format: the type of each family, and the value of each sample.
+/// The value of each sample of a page. Its form is held by the parsers of Prometheus.
 #[derive(Debug, Default)]
 pub struct Page {
-    types: BTreeMap<String, String>,
     samples: BTreeMap<String, f64>,
 }
 
 impl Page {
     pub fn parse(text: &str) -> Page {
         let body = text.strip_suffix("# EOF\n").expect("whole");
-        let mut page = Page::default();
-        let mut family = String::new();
-        for line in body.lines() {
-            let words: Vec<&str> = line.splitn(4, ' ').collect();
-            match words[..] {
-                ["#", "HELP", name, help] => {
-                    assert!(name.starts_with("fieldbeat_") && !help.is_empty(), "{line}");
-                    family = name.to_owned();
-                }
-                ["#", "TYPE", name, kind] => {
-                    assert_eq!(name, family);
-                    assert!(page.types.insert(name.to_owned(), kind.to_owned()).is_none(), "twice: {line}");
-                }
-                ["#", "UNIT", name, unit] => {
-                    assert!(name == family && name.ends_with(&format!("_{unit}")), "{line}");
-                }
-                _ => {
-                    let (key, value) = line.rsplit_once(' ').unwrap();
-                    let name = key.split('{').next().unwrap();
-                    let suffixes: &[&str] = match page.types[&family].as_str() {
-                        "counter" => &["_total"],
-                        "gauge" => &[""],
-                        "info" => &["_info"],
-                        "histogram" => &["_sum", "_count", "_bucket"],
-                        other => panic!("{other}"),
-                    };
-                    assert!(suffixes.iter().any(|suffix| name == format!("{family}{suffix}")), "{line}");
-                    let value = value.parse().unwrap_or_else(|_| panic!("{line}"));
-                    assert!(page.samples.insert(key.to_owned(), value).is_none(), "twice: {line}");
-                }
-            }
-        }
-        page
+        let samples = body.lines().filter(|line| !line.starts_with('#')).map(|line| {
+            let (key, value) = line.rsplit_once(' ').unwrap();
+            (key.to_owned(), value.parse().unwrap_or_else(|_| panic!("{line}")))
+        });
+        Page { samples: samples.collect() }
     }
 
     /// How many samples have this in their keys.

@@ -18,13 +18,7 @@ fn an_address_that_is_taken_or_foreign_is_refused_with_the_remedy() {
             "another master holds this port: end it",
             "d0 0x20A8",
         ),
-        (
-            wires::moons(&machine),
-            "ethernet-ip",
-            moons,
-            "another scanner holds this port",
-            "feeder AC",
-        ),
+        (wires::moons(&machine), "ethernet-ip", moons, "another scanner holds this port", "feeder AC"),
     ] {
         let [other, of_drive] = [bind, drive].map(socket);
         let taken = format!("cannot bind {bind}: Address already in use");
@@ -40,7 +34,8 @@ fn an_address_that_is_taken_or_foreign_is_refused_with_the_remedy() {
         let [a, b, c] = machine.ip(0).octets().first_chunk().copied().unwrap();
         let text = std::fs::read_to_string(&config).unwrap();
         let far = machine.write("far.toml", text.replace(&format!("{a}.{b}.{c}."), "192.0.2."));
-        let none = format!("bus {bus}: cannot bind 192.0.2.1:{}: Cannot assign requested address", bind.port());
+        let none =
+            format!("bus {bus}: cannot bind 192.0.2.1:{}: Cannot assign requested address", bind.port());
         master(&far, &["--for", "1s"]).end().refused(&[&none, "this host has no such address"]);
         ask("sim", &far, "").refused(&["cannot bind 192.0.2.", "a simulated drive runs on this computer"]);
     }

@@ -37,20 +37,10 @@ pub fn texts(html: &str) -> Vec<String> {
     texts.map(|node| node.text().unwrap_or_default().trim().to_owned()).collect()
 }
 
-/// The total count of a distribution, after a look at all its lines.
+/// The total count of a distribution. Its form is held by other readers of it.
 fn total(hgrm: &str) -> u64 {
-    let mut lines = hgrm.lines();
-    assert_eq!(lines.next(), Some("       Value     Percentile TotalCount 1/(1-Percentile)"));
-    assert_eq!(lines.next(), Some(""));
-    let (rows, remarks): (Vec<_>, Vec<_>) = lines.partition(|line| !line.starts_with('#'));
-    let rows: Vec<Vec<f64>> = (rows.iter())
-        .map(|row| row.split_whitespace().map(|number| number.parse().unwrap()).collect())
-        .collect();
-    let last = rows.last().expect("something was measured");
-    assert!(rows.is_sorted_by(|a, b| a[..3].iter().zip(&b[..3]).all(|(a, b)| a <= b)), "{hgrm}");
-    assert_eq!((last.len(), last[1]), (3, 1.0), "{hgrm}");
-    assert!(remarks[1].starts_with(&format!("#[Max     = {:12.3}, Total count", last[0])), "{hgrm}");
-    last[2] as u64
+    let total = hgrm.split("Total count    =").nth(1).and_then(|rest| rest.split(']').next());
+    total.and_then(|total| total.trim().parse().ok()).unwrap_or_else(|| panic!("{hgrm}"))
 }
 
 #[test]
@@ -66,8 +56,9 @@ fn a_report_holds_summary_histograms_and_a_page_and_is_compared_with_an_earlier_
     let mut expected: BTreeSet<String> = FILES.map(String::from).into();
     let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
     let of_the_loop = ["wake", "jitter"].map(String::from).into_iter();
-    let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}"))))
-        .chain(["rtt", "send-jitter", "age"].iter().flat_map(|what| (0..12).map(move |d| format!("{what}-d{d}"))));
+    let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}")))).chain(
+        ["rtt", "send-jitter", "age"].iter().flat_map(|what| (0..12).map(move |d| format!("{what}-d{d}"))),
+    );
     expected.extend(histograms.map(|name| format!("{name}.hgrm")));
     assert_eq!(files(&place), expected);
 

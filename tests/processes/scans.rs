@@ -12,9 +12,9 @@ use libc::{SIGINT, SIGTERM};
 use serde_json::Value;
 
 use super::init::{check, init_by};
-use super::support::{CABLE_NET, Cable, Ended, LONG, Machine, PROGRAM, Program, run};
-use super::wires::{lenzes, wire};
-use super::{bound, finish, online, simulation};
+use super::support::{CABLE_NET, Cable, Ended, LONG, Machine, PROGRAM, Program};
+use super::wires::{lenzes, moons, wire};
+use super::{finish, online, serve, simulation};
 
 /// The words of each row of a table.
 fn rows(table: &Ended) -> Vec<Vec<&str>> {
@@ -107,12 +107,6 @@ fn a_segment_that_is_silent_goes_away_or_is_not_waited_for_is_reported_in_one_li
     scan.end().failed(&["nothing serves this segment"]);
 }
 
-/// A device that answers each of so many ListIdentity requests, twice.
-fn device(at: SocketAddrV4, serial: u32, requests: usize) -> JoinHandle<()> {
-    let socket = bound(|| UdpSocket::bind(at));
-    answering(socket.try_clone().unwrap(), vec![(socket, serial)], requests)
-}
-
 /// Each device, by its socket and serial number, answers each of so many requests that come to `asked`, twice.
 fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) -> JoinHandle<()> {
     thread::spawn(move || {
@@ -144,48 +138,31 @@ fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) 
 }
 
 #[test]
-fn devices_are_told_as_a_table_and_as_json() {
+fn devices_are_told_as_a_table_and_as_json_and_who_does_not_answer_is_named() {
     let machine = Machine::new(162);
-    let [first, second] = [40, 41].map(|host| SocketAddrV4::new(machine.ip(host), 44_818));
-    let targets = [first.ip(), second.ip()].map(ToString::to_string);
+    let _sim = serve(&moons(&machine));
+    let [feeder, turret, nobody] = [40, 41, 42].map(|host| machine.ip(host).to_string());
+    let scan = |more: &[&str]| Program::start(["ethernet-ip", "scan"].iter().chain(more));
     // The second one comes first: the table is in the order of addresses.
-    let words = ["ethernet-ip", "scan", &targets[1], &targets[0], "--bind", "127.0.0.1"];
-
-    let devices = [device(first, 0xC0FFEE, 2), device(second, 7, 2)];
-    let ended = run(words);
-    let rows = rows(&ended);
-    assert_eq!(ended.err, "");
-    assert_eq!(rows.len(), 3, "{}", ended.out);
+    let table = scan(&[&turret, &feeder, "--bind", "127.0.0.1"]).end();
+    let rows = rows(&table);
+    assert_eq!(table.err, "");
     assert_eq!(rows[0], ["address", "name", "vendor", "type", "product", "revision", "serial", "state"]);
-    assert_eq!(rows[1][..3], [targets[0].as_str(), "STF10-IP", "60"]);
-    assert_eq!(rows[1][6..], ["43", "176", "251.3", "0x00c0ffee", "operational"]);
-    assert_eq!(rows[2][0], targets[1]);
-
-    let json = run(words.iter().chain(&["--json"])).json();
-    let found = json["devices"].as_array().unwrap();
-    assert_eq!(found.len(), 2);
-    assert_eq!((&found[0]["address"], &found[0]["serial"]), (&targets[0].clone().into(), &0xC0FFEE.into()));
-    assert_eq!((&found[1]["state_name"], &found[1]["revision"]), (&"operational".into(), &"251.3".into()));
-    for device in devices {
-        device.join().unwrap();
+    assert_eq!(rows.len(), 3, "{}", table.out);
+    for (row, address, name) in [(&rows[1], &feeder, "STF10-IP"), (&rows[2], &turret, "SSDC10-IP")] {
+        assert_eq!(row[..2], [address.as_str(), name]);
     }
-}
+    let found = scan(&[&turret, &feeder, "--json"]).end().expect(0).json();
+    let addresses: Vec<&Value> =
+        found["devices"].as_array().unwrap().iter().map(|one| &one["address"]).collect();
+    assert_eq!(addresses, [&feeder, &turret]);
 
-#[test]
-fn who_does_not_answer_is_named() {
-    let machine = Machine::new(163);
-    let one = SocketAddrV4::new(machine.ip(40), 44_818);
-    let nobody = machine.ip(41).to_string();
-    let device = device(one, 1, 1);
-    let ended = run(["ethernet-ip", "scan", &one.ip().to_string(), &nobody]);
-    ended.expect(1);
-    assert_eq!(ended.out.lines().count(), 2, "{}", ended.out);
+    let ended = scan(&[&feeder, &nobody]).end();
+    assert_eq!(ended.expect(1).out.lines().count(), 2, "{}", ended.out);
     let silent = format!("fieldbeat: no answer from {nobody}:44818; check power, cable and address\n");
     assert_eq!(ended.err, silent);
-    device.join().unwrap();
-    run(["ethernet-ip", "scan", &nobody]).failed(&["no device answers; check power, cable and address"]);
-
-    interrupted(Program::start(["ethernet-ip", "scan", &nobody]));
+    scan(&[&nobody]).end().failed(&["no device answers; check power, cable and address"]);
+    interrupted(scan(&[&nobody]));
 }
 
 #[test]

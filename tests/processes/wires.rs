@@ -5,10 +5,8 @@ use std::path::{Path, PathBuf};
 use libc::SIGTERM;
 use serde_json::{Value, json};
 
-use super::support::{LONG, Machine, Program, assert_sums, drive, run, until};
-use super::{
-    ask, assert_left, await_status, end_once_online, master, metrics, patient_cycle, simulation,
-};
+use super::support::{LONG, Machine, assert_sums, drive, run, until};
+use super::{ask, assert_left, await_status, end_once_online, master, metrics, patient_cycle, simulation};
 
 /// A question of the shell, `fieldbeat param WHAT CONFIG REST`: its exit code, and what is said.
 type Asked = (&'static str, &'static str, i32, &'static [&'static str]);
@@ -30,9 +28,9 @@ fn ask_all(config: &Path, asked: &[Asked]) {
 
 /// The life of a machine: its master is there first and says what is missing, its drives come, are asked through it,
 /// are killed, and come back. Then they are asked by masters of the shell's own, each of which leaves them as they
-/// were. Returns the summary of the run, and the drives.
+/// were. Returns the summary of the run.
 #[track_caller]
-fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], asked: &[Asked]) -> (Value, Program) {
+fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], asked: &[Asked]) -> Value {
     let mut master = master(config, &["--json"]);
     master.await_text(missing);
     let sim = simulation(config);
@@ -43,18 +41,22 @@ fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], asked: &[Aske
         protocols.iter().for_each(|(name, _)| master.await_text(&format!("drive {name}: {what}")));
     };
     await_all("lost");
-    let sim = simulation(config);
+    let _sim = simulation(config);
     await_all("back online");
     master.signal(SIGTERM);
     let summary = master.end().expect(1).json();
     assert_sums(&summary);
     for (name, protocol) in protocols {
         let drive = drive(&summary, name);
-        assert_eq!((&drive["protocol"], &drive["stopped"]), (&json!(protocol), &json!("link lost")), "{drive}");
+        assert_eq!(
+            (&drive["protocol"], &drive["stopped"]),
+            (&json!(protocol), &json!("link lost")),
+            "{drive}"
+        );
         assert!(drive["losses"].as_u64() >= Some(1) && drive["fault"].is_null(), "{drive}");
     }
     ask_all(config, asked);
-    (summary, sim)
+    summary
 }
 
 /// One LinMot and two Unidrives of one address.
@@ -81,7 +83,7 @@ fn unidrives_beside_a_linmot_come_are_asked_are_lost_and_come_back() {
     let machine = Machine::new(113);
     let config = unidrives(&machine);
     let missing = format!("drive u: not connected: refused: nobody listens at {}:1502", machine.ip(20));
-    let (summary, _sim) = lives(
+    let summary = lives(
         &config,
         &missing,
         &[("x", "linudp-v2"), ("u", "modbus-tcp"), ("v", "modbus-tcp")],
@@ -132,7 +134,7 @@ pub fn kollmorgens(interface: &str) -> String {
 fn a_line_of_kollmorgens_comes_is_asked_is_lost_and_comes_back() {
     let machine = Machine::new(170);
     let line = line(&machine);
-    let (summary, _sim) = lives(
+    let summary = lives(
         &machine.write("line.toml", kollmorgens(&line)),
         &format!("drive turns: not connected: nothing serves {line}: start it: fieldbeat sim CONFIG"),
         &[("turns", "ethercat"), ("moves", "ethercat")],
@@ -162,7 +164,8 @@ fn a_line_of_kollmorgens_comes_is_asked_is_lost_and_comes_back() {
 #[test]
 fn what_is_wrong_with_a_slave_is_named_once_and_a_device_is_accessed_through_its_master_only() {
     let machine = Machine::new(174);
-    let io = |name| format!("[[bus.device]]\nname = \"{name}\"\noutputs = {{ start = 0x1000, length = 1 }}\n");
+    let io =
+        |name| format!("[[bus.device]]\nname = \"{name}\"\noutputs = {{ start = 0x1000, length = 1 }}\n");
     let lamp = io("lamp") + "simulate.output_control = 0x24\n";
     let good = kollmorgens(&line(&machine)) + &lamp + &io("io");
     let wrong = good.replace("name = \"moves\"", "name = \"moves\"\nproduct = 0x3000700");
@@ -238,12 +241,11 @@ pub fn faulty(machine: &Machine, file: &str) -> PathBuf {
 }
 
 #[test]
-fn moons_drives_come_are_asked_are_lost_come_back_and_are_found_by_a_scan() {
+fn moons_drives_come_are_asked_are_lost_and_come_back() {
     let machine = Machine::new(165);
-    let [feeder, turret] = [40, 41].map(|host| machine.ip(host).to_string());
-    let (_, _sim) = lives(
+    lives(
         &moons(&machine),
-        &format!("drive turret: not connected: refused: nobody listens at {turret}:44818"),
+        &format!("drive turret: not connected: refused: nobody listens at {}:44818", machine.ip(41)),
         &[("feeder", "ethernet-ip"), ("turret", "ethernet-ip")],
         &[
             ("set", "feeder AC 600", 0, &[]),
@@ -257,9 +259,6 @@ fn moons_drives_come_are_asked_are_lost_come_back_and_are_found_by_a_scan() {
             ("get", "turret XY", 2, &["turret", "not an address of this drive"]),
         ],
     );
-    let found = run(["ethernet-ip", "scan", &feeder, &turret, "--json"]).json();
-    let names: Vec<_> = found["devices"].as_array().unwrap().iter().map(|device| &device["name"]).collect();
-    assert_eq!(names, ["STF10-IP", "SSDC10-IP"]);
 }
 
 #[test]
@@ -313,11 +312,9 @@ pub fn wire(machine: &Machine) -> String {
 fn lenzes_come_are_asked_are_lost_and_come_back_and_the_run_says_what_the_wire_did() {
     let machine = Machine::new(201);
     let device = wire(&machine);
-    let (summary, _sim) = lives(
+    let summary = lives(
         &machine.write("lenze.toml", lenzes(&device, "")),
-        &format!(
-            "drive infeed: not connected: nobody simulates the wire {device}: start `fieldbeat sim`"
-        ),
+        &format!("drive infeed: not connected: nobody simulates the wire {device}: start `fieldbeat sim`"),
         &[("infeed", "profibus-dp"), ("outfeed", "profibus-dp")],
         &[
             ("set", "infeed C0039/2 150000", 0, &[]),
@@ -348,11 +345,7 @@ fn what_is_no_wire_is_named_in_one_line_with_the_remedy() {
     for (words, code, parts) in [
         ("ethercat scan eth-none-here", 2, &["there is no network interface eth-none-here", "ip link"][..]),
         ("ethercat scan local:", 2, &["a name has 1 to"]),
-        (
-            "ethercat scan local:nobody",
-            1,
-            &["nothing serves this segment; start it: fieldbeat sim CONFIG"],
-        ),
+        ("ethercat scan local:nobody", 1, &["nothing serves this segment; start it: fieldbeat sim CONFIG"]),
         ("ethercat scan", 2, &["<INTERFACE>; see `fieldbeat ethercat scan --help`"]),
         ("ethernet-ip scan drive", 2, &["an IPv4 address like 192.168.1.40"]),
         ("ethernet-ip scan --bind eth0", 2, &["eth0"]),

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fieldbeat_core::axis::{Command, Failure, Jog, Link, Outcome};
+use fieldbeat_core::axis::{Command, Jog, Link, Outcome};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::MS;
 use fieldbeat_master::Master;
@@ -24,16 +24,6 @@ fn machine(watchdog: Watchdog) -> Simulation {
     let mut machine = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
     assert!(machine.run_until(10_000, |machine| machine.feedback(0).link == Link::Online));
     machine
-}
-
-#[test]
-fn what_nothing_would_stop_is_enabled_only_if_that_is_accepted() {
-    let none = Watchdog { timeout_ns: None, keypad: false, accept_none: false };
-    let enable = |watchdog| machine(watchdog).execute(0, Command::Enable, 5_000).unwrap();
-    assert!(matches!(enable(none), Some(Outcome::Failed(Failure::Unsupported(_)))));
-    assert_eq!(enable(Watchdog { accept_none: true, ..none }), Some(Outcome::Done));
-    assert_eq!(enable(Watchdog { keypad: true, ..none }), Some(Outcome::Done));
-    assert_eq!(enable(Watchdog::default()), Some(Outcome::Done));
 }
 
 /// For four seconds the reference changes with every exchange, and the keypad watchdog is as short as one.

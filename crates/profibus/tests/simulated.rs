@@ -41,21 +41,21 @@ fn stations_are_found_with_their_ident_numbers_and_keep_waiting_for_their_master
 }
 
 #[test]
-fn lost_telegrams_cost_a_station_a_round() {
-    let found = scanned(|segment| segment.faults.drop = 0.05).unwrap();
-    let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
-    assert_eq!(addresses, [3, 9]);
-}
-
-#[test]
-fn a_wire_without_stations_is_named() {
-    assert_eq!(scanned(|segment| segment.drives.clear()), Err(ScanError::Silent));
-}
-
-#[test]
-fn another_master_is_left_alone() {
-    let other = scanned(|segment| {
-        segment.foreign = Some(ForeignSettings { every_ns: 500 * MS, ..ForeignSettings::new(1) });
-    });
-    assert_eq!(other, Err(ScanError::OtherMaster(1)));
+fn what_a_wire_is_like_changes_no_station_or_is_named() {
+    type Change = fn(&mut ProfibusSegment);
+    let wires: [(&str, Change, Result<Vec<u8>, ScanError>); 3] = [
+        ("lost telegrams cost a round", |segment| segment.faults.drop = 0.05, Ok(vec![3, 9])),
+        ("nobody is there", |segment| segment.drives.clear(), Err(ScanError::Silent)),
+        (
+            "another master is left alone",
+            |segment| {
+                segment.foreign = Some(ForeignSettings { every_ns: 500 * MS, ..ForeignSettings::new(1) });
+            },
+            Err(ScanError::OtherMaster(1)),
+        ),
+    ];
+    for (what, change, expected) in wires {
+        let found = scanned(change).map(|found| found.iter().map(|found| found.address).collect());
+        assert_eq!(found, expected, "{what}");
+    }
 }
