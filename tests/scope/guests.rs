@@ -88,7 +88,7 @@ fn follow(socket: &mut Socket, frames: usize) -> Vec<u64> {
 }
 
 #[test]
-fn requests_from_elsewhere_and_for_elsewhere_are_refused_by_their_status() {
+fn requests_from_elsewhere_and_for_elsewhere_are_refused_by_their_status_and_commands_by_a_word() {
     let running = Running::start(1, 1);
     let (address, server) = running.serve();
     let page = ask(address, &format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n"));
@@ -118,6 +118,12 @@ fn requests_from_elsewhere_and_for_elsewhere_are_refused_by_their_status() {
     assert_eq!(get(address, "/", &many), 431);
     assert_eq!(get(address, "/", &format!("x: {}\r\n", "y".repeat(40_000))), 431);
     assert_eq!(get(address, "/ws", ""), 400);
+    // A page that only looks commands nothing.
+    let mut socket = Socket::open(address, "").unwrap();
+    assert_eq!(socket.text("control"), false);
+    socket.say(r#"{"operate":"stop"}"#).unwrap();
+    let answer = socket.text("operated");
+    assert!(answer["error"].as_str().unwrap().contains("--control"), "{answer}");
     drop(server);
     running.end();
 }
@@ -155,18 +161,6 @@ fn a_page_that_may_command_needs_the_token_of_its_address() {
     assert_eq!(socket.text("control"), true);
     socket.say(r#"{"operate":{"take":{"name":"test"}}}"#).unwrap();
     assert_eq!(socket.text("operated"), serde_json::json!({ "error": "it lets nobody" }));
-    running.end();
-}
-
-#[test]
-fn a_page_that_only_looks_commands_nothing() {
-    let running = Running::start(3, 1);
-    let (address, _server) = running.serve();
-    let mut socket = Socket::open(address, "").unwrap();
-    assert_eq!(socket.text("control"), false);
-    socket.say(r#"{"operate":"stop"}"#).unwrap();
-    let answer = socket.text("operated");
-    assert!(answer["error"].as_str().unwrap().contains("--control"), "{answer}");
     running.end();
 }
 
@@ -285,16 +279,41 @@ fn a_flood_ends_for_who_makes_it_and_for_nobody_else() {
     running.end();
 }
 
+/// Reads `quick`, which loses nothing, until the queue of a browser that never reads is full: 128 updates, and what the
+/// kernel keeps.
+fn fill_the_other(quick: &mut Socket) -> Vec<u64> {
+    let mut seen = Vec::new();
+    while seen.len() < (8 * 1000 / (carried() / MS)) as usize {
+        match quick.next().unwrap() {
+            Message::Samples(bytes) => seen.extend(cycles(&bytes)),
+            Message::Text(text) => assert!(text["frames_lost"].is_null(), "{text}"),
+            Message::Close(code) => panic!("closed: {code}"),
+        }
+    }
+    seen
+}
+
 #[test]
-fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does() {
-    let running = Running::start(6, 4);
+fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does_and_its_stop_is_taken_at_once() {
+    struct Axes(Station);
+
+    impl Control for Axes {
+        fn operator(&self) -> Result<Operator, String> {
+            Ok(Operator::local(&self.0))
+        }
+    }
+
+    let running = Running::start(9, 4);
     let all_records = running.master.monitor().tap(1 << 16);
-    let (address, _server) = running.serve();
-    let [mut slow, mut quick] = std::array::from_fn(|_| Socket::open(address, "").unwrap());
+    let names: Vec<String> = running.master.observers().iter().map(|(name, _)| name.to_string()).collect();
+    let axes = names.iter().map(|name| running.master.axis(name).unwrap()).collect();
+    let station = Station::start(axes, running.master.monitor()).unwrap();
+    let (address, token, _server) = running.serve_control(Axes(station.clone()));
+    let protocol = format!("Sec-WebSocket-Protocol: fieldbeat, {token}\r\n");
+    let [mut slow, mut quick] = std::array::from_fn(|_| Socket::open(address, &protocol).unwrap());
     slow.narrow();
     let signals = slow.text("machine")["signals"].as_array().unwrap().len();
-    let all: Vec<usize> = (0..signals).collect();
-    slow.say(&format!(r#"{{"show":{all:?}}}"#)).unwrap();
+    slow.say(&format!(r#"{{"show":{:?}}}"#, (0..signals).collect::<Vec<usize>>())).unwrap();
     quick.say(r#"{"show":[0,11]}"#).unwrap();
     let seen = fill_the_other(&mut quick);
     // The quick one saw each executed cycle, and what is between them the loop has skipped.
@@ -315,49 +334,6 @@ fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does() {
     slots.extend(executed);
     slots.sort_unstable();
     assert!(slots.into_iter().eq(range));
-    // The slow one reads on, and finds out.
-    assert!(slow.text("frames_lost").as_u64().unwrap() > 0);
-    // And is served again.
-    follow(&mut slow, 3);
-    running.end();
-}
-
-/// Reads `quick`, which loses nothing, until the queue of a browser that never reads is full: 128 updates, and what the
-/// kernel keeps.
-fn fill_the_other(quick: &mut Socket) -> Vec<u64> {
-    let mut seen = Vec::new();
-    while seen.len() < (8 * 1000 / (carried() / MS)) as usize {
-        match quick.next().unwrap() {
-            Message::Samples(bytes) => seen.extend(cycles(&bytes)),
-            Message::Text(text) => assert!(text["frames_lost"].is_null(), "{text}"),
-            Message::Close(code) => panic!("closed: {code}"),
-        }
-    }
-    seen
-}
-
-#[test]
-fn a_stop_from_a_browser_that_never_reads_is_taken_at_once() {
-    struct Axes(Station);
-
-    impl Control for Axes {
-        fn operator(&self) -> Result<Operator, String> {
-            Ok(Operator::local(&self.0))
-        }
-    }
-
-    let running = Running::start(9, 4);
-    let names: Vec<String> = running.master.observers().iter().map(|(name, _)| name.to_string()).collect();
-    let axes = names.iter().map(|name| running.master.axis(name).unwrap()).collect();
-    let station = Station::start(axes, running.master.monitor()).unwrap();
-    let (address, token, _server) = running.serve_control(Axes(station.clone()));
-    let protocol = format!("Sec-WebSocket-Protocol: fieldbeat, {token}\r\n");
-    let [mut slow, mut quick] = std::array::from_fn(|_| Socket::open(address, &protocol).unwrap());
-    slow.narrow();
-    let signals = slow.text("machine")["signals"].as_array().unwrap().len();
-    slow.say(&format!(r#"{{"show":{:?}}}"#, (0..signals).collect::<Vec<usize>>())).unwrap();
-    quick.say(r#"{"show":[0]}"#).unwrap();
-    fill_the_other(&mut quick);
     let mut operator = Operator::local(&station);
     operator.take("test").unwrap();
     let end_of = |operator: &mut Operator, id: u64| {
@@ -386,6 +362,8 @@ fn a_stop_from_a_browser_that_never_reads_is_taken_at_once() {
     // The answer is before all that had no room; its queue was full all the time.
     assert_eq!(slow.text("operated"), serde_json::json!({ "ok": "done" }));
     assert!(slow.text("frames_lost").as_u64().unwrap() > 0);
+    // And it is served again.
+    follow(&mut slow, 3);
     drop(operator);
     running.end();
 }
