@@ -5,7 +5,7 @@ use std::path::Path;
 
 use libc::{SIGINT, SIGTERM};
 
-use super::support::controller::{self, RAMP, TARGET, VELOCITY, Way, config, summary};
+use super::support::controller::{self, RAMP, TARGET, Way, config, summary};
 use super::support::onlooker::Onlooker;
 use super::support::{Machine, Program, drive, role};
 use super::{assert_left, online, simulation};

@@ -24,7 +24,7 @@ const DECELERATION: f64 = 25.0;
 /// ... and so many mm.
 pub const RAMP: f64 = VELOCITY * VELOCITY / (2.0 * DECELERATION);
 /// How far a jog runs ahead, mm.
-pub const LEASH: f64 = 20.0;
+const LEASH: f64 = 20.0;
 
 /// A configuration for it; `defaults` are more lines of `[bus.defaults]`.
 pub fn config(machine: &Machine, file: &str, drives: usize, cycle: &str, defaults: &str) -> PathBuf {

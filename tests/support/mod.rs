@@ -20,12 +20,11 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::Health;
 use fieldbeat::config::Configuration;
 use fieldbeat::doctor::glance;
 use fieldbeat::sim::Simulated;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::time::{MS, S};
+use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Plan, Realtime};
 
 /// Nothing takes this long, however busy the machine; whatever does is killed, and its test fails.
@@ -46,12 +45,6 @@ pub fn carried() -> u64 {
 /// The same as a configuration has it.
 pub fn period() -> String {
     format!("{}ms", carried() / MS)
-}
-
-/// Link health of a drive that no busy host loses, in cycles of [`carried`] and with an exchange in each: ten seconds
-/// in which more replies are missed than come.
-pub fn patient() -> Health {
-    Health { bucket: (10 * S / carried()) as u32, leak: 1, ..Health::default() }
 }
 
 /// The program as a user has it.
