@@ -10,7 +10,7 @@ use fieldbeat::axis::{Axis, Observer, StopCause};
 use fieldbeat::{Group, Master};
 use libc::{SIGABRT, SIGHUP, SIGINT, SIGKILL, SIGTERM};
 
-use super::support::controller::{RAMP, TARGET, config, set_out};
+use super::support::controller::{RAMP, TARGET, config, set_all_out};
 use super::support::onlooker::{Onlooker, Sight};
 use super::support::{Ended, LONG, Machine, Program, again, role, until};
 use super::{MS, simulation};
@@ -42,14 +42,7 @@ fn play(role: &str) {
         signal_hook::flag::register(SIGTERM, Arc::clone(&own)).unwrap();
     }
     let master = setup.start().unwrap();
-    master.wait_online(LONG).unwrap();
-    let mut axes: Vec<_> = master.observers().iter().map(|(name, _)| master.axis(name).unwrap()).collect();
-    for axis in &mut axes {
-        axis.enable().unwrap();
-        axis.home().unwrap();
-    }
-    axes.iter_mut().for_each(|axis| set_out(axis, false).unwrap());
-    assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().status.position > 10.0)));
+    let mut axes = set_all_out(&master, false);
     println!("{UNDER_WAY}");
     let observers: Vec<_> = axes.iter().map(Axis::observer).collect();
     match what {

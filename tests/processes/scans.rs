@@ -3,18 +3,14 @@
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::thread::{self, JoinHandle};
 
-use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Watchdog};
-use fieldbeat::sim::ethercat::{Coupler, EthercatSegment, SegmentSettings};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::sim::{FaultPlan, SimPlan};
-use fieldbeat::time::MS;
+use fieldbeat::sim::server::SimServer;
 use libc::{SIGINT, SIGTERM};
 use serde_json::Value;
 
 use super::init::{check, init_by};
 use super::support::{CABLE_NET, Cable, Ended, LONG, Machine, PROGRAM, Program};
-use super::wires::{lenzes, moons, wire};
-use super::{finish, online, serve, simulation};
+use super::wires::{lenzes, line, moons, wire};
+use super::{finish, online, patient_cycle, serve, simulation};
 
 /// The words of each row of a table.
 fn rows(table: &Ended) -> Vec<Vec<&str>> {
@@ -29,48 +25,29 @@ fn interrupted(scan: Program) {
     scan.end().failed(&["interrupted"]);
 }
 
-/// A segment on this host: a coupler and two drives.
-struct Line {
-    interface: String,
-    server: SimServer,
+fn scan(protocol: &str, options: &[&str]) -> Program {
+    Program::start([protocol, "scan"].iter().chain(options))
 }
 
-impl Line {
-    fn start(test: u8, faults: FaultPlan) -> Line {
-        let interface = format!("local:tests-{}-{test}", std::process::id());
-        let drives = [1, 2].map(|place| {
-            let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
-            drive.slave.watchdog = Watchdog::After(100 * MS);
-            drive
-        });
-        let mut plan = EthercatPlan::new(&interface, drives.into());
-        let slave = SlavePlan { inputs: vec![Area { start: 0x1000, length: 2 }], ..SlavePlan::new(0) };
-        plan.devices.push(Device { name: "io".into(), slave });
-        let segment = EthercatSegment {
-            settings: SegmentSettings { faults, ..SegmentSettings::default() },
-            // Without terminals.
-            devices: vec![Coupler::default()],
-            ..plan.into()
-        };
-        let simulated = SimPlan::from(segment).build();
-        Line { interface, server: SimServer::start(simulated, ServerOptions::default()).unwrap() }
-    }
-
-    /// A scan of it takes seconds.
-    fn slow(test: u8) -> Line {
-        Line::start(test, FaultPlan { delay: 1.0, delay_ns: 10 * MS, ..FaultPlan::default() })
-    }
-
-    fn scan(&self, options: &[&str]) -> Program {
-        let words = ["ethercat", "scan", &self.interface];
-        Program::start(words.iter().chain(options))
-    }
+/// A segment on this host: a coupler without terminals and two drives. `simulate` are keys of its wire.
+fn segment(machine: &Machine, simulate: &str) -> (String, SimServer) {
+    let interface = line(machine);
+    let text = format!(
+        "{}[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{interface}\"\n{simulate}\n\
+         [bus.defaults]\nwatchdog = \"100ms\"\n\
+         [[bus.device]]\nname = \"io\"\ninputs = {{ start = 0x1000, length = 2 }}\n\
+         [[bus.drive]]\nname = \"d1\"\n[[bus.drive]]\nname = \"d2\"\n",
+        patient_cycle()
+    );
+    let config = machine.write("segment.toml", text);
+    (interface, serve(&config))
 }
 
 #[test]
 fn a_segment_is_printed_as_a_table_and_as_json() {
-    let line = Line::start(1, FaultPlan::default());
-    let ended = line.scan(&[]).end();
+    let machine = Machine::new(161);
+    let (interface, _sim) = segment(&machine, "");
+    let ended = scan("ethercat", &[&interface]).end();
     let rows = rows(&ended);
     assert_eq!(ended.err, "");
     assert_eq!(rows[0][..5], ["place", "station", "state", "name", "vendor"]);
@@ -79,31 +56,33 @@ fn a_segment_is_printed_as_a_table_and_as_json() {
     assert!(ended.out.contains("place 2: by default 6 bytes of outputs, 8 of inputs\n"), "{}", ended.out);
     assert!(ended.out.lines().all(|line| line == line.trim_end()), "{}", ended.out);
 
-    let json = line.scan(&["--json"]).end().expect(0).json();
-    assert_eq!(json["interface"], line.interface);
+    let json = scan("ethercat", &[&interface, "--json"]).end().expect(0).json();
+    assert_eq!(json["interface"], interface);
     let places: Vec<_> = json["slaves"].as_array().unwrap().iter().map(|slave| &slave["place"]).collect();
     assert_eq!(places, [0, 1, 2]);
-    let drive = &json["slaves"][1];
+    let [coupler, drive, last] = [0, 1, 2].map(|place| &json["slaves"][place]);
     assert_eq!(
         (&drive["state"], &drive["error"], &drive["clock_bits"]),
         (&"INIT".into(), &false.into(), &64.into())
     );
     assert_eq!(drive["sii"]["mailbox"]["protocols"][0], "CoE");
     assert_eq!((&drive["sii"]["outputs"], &drive["sii"]["inputs"]), (&6.into(), &8.into()));
-    assert_eq!(json["slaves"][0]["sii"]["mailbox"], serde_json::Value::Null);
-    assert_eq!(json["slaves"][0]["clock_bits"], serde_json::Value::Null);
-    assert_eq!(json["slaves"][2]["ports"][1]["link"], false);
+    assert!(coupler["sii"]["mailbox"].is_null() && coupler["clock_bits"].is_null(), "{coupler}");
+    assert_eq!(last["ports"][1]["link"], false);
 }
 
 #[test]
 fn a_segment_that_is_silent_goes_away_or_is_not_waited_for_is_reported_in_one_line() {
-    let silent = Line::start(2, FaultPlan { drop: 1.0, ..FaultPlan::default() });
-    silent.scan(&[]).end().failed(&["no slave answers; check power and cable"]);
-    let line = Line::slow(3);
-    interrupted(line.scan(&[]));
-    let scan = line.scan(&["--json"]);
+    let machine = Machine::new(163);
+    let (interface, silent) = segment(&machine, "simulate = { drop = 1.0 }");
+    scan("ethercat", &[&interface]).end().failed(&["no slave answers; check power and cable"]);
+    drop(silent);
+    // A scan of it takes seconds.
+    let (interface, slow) = segment(&machine, "simulate = { delay = 1.0, delay_by = \"10ms\" }");
+    interrupted(scan("ethercat", &[&interface]));
+    let scan = scan("ethercat", &[&interface, "--json"]);
     scan.await_handler(SIGINT);
-    drop(line.server);
+    drop(slow);
     scan.end().failed(&["nothing serves this segment"]);
 }
 
@@ -142,7 +121,7 @@ fn devices_are_told_as_a_table_and_as_json_and_who_does_not_answer_is_named() {
     let machine = Machine::new(162);
     let _sim = serve(&moons(&machine));
     let [feeder, turret, nobody] = [40, 41, 42].map(|host| machine.ip(host).to_string());
-    let scan = |more: &[&str]| Program::start(["ethernet-ip", "scan"].iter().chain(more));
+    let scan = |more: &[&str]| scan("ethernet-ip", more);
     // The second one comes first: the table is in the order of addresses.
     let table = scan(&[&turret, &feeder, "--bind", "127.0.0.1"]).end();
     let rows = rows(&table);
@@ -210,7 +189,7 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone
     let machine = Machine::new(204);
     let device = wire(&machine);
     let config = machine.write("lenze.toml", lenzes(&device, ""));
-    let scan = |options: &[&str]| Program::start(["profibus", "scan", &device].iter().chain(options));
+    let scan = |options: &[&str]| scan("profibus", &[&[device.as_str()], options].concat());
     let sim = simulation(&config);
     // Nobody has parametrised them, and the scan has not either.
     for _ in 0..2 {

@@ -113,7 +113,7 @@ fn unidrives_beside_a_linmot_come_are_asked_are_lost_and_come_back() {
 }
 
 /// The name of a segment that no other test has.
-fn line(machine: &Machine) -> String {
+pub fn line(machine: &Machine) -> String {
     format!("local:processes-{}-{}", std::process::id(), machine.ip(0).octets()[2])
 }
 

@@ -68,17 +68,7 @@ pub fn play(role: &str) {
         signal_hook::flag::register(signal, Arc::clone(&ended)).unwrap();
     }
     let master = Master::from_file(config).unwrap().start().unwrap();
-    master.wait_online(LONG).unwrap();
-    let mut axes: Vec<_> = master.observers().iter().map(|(name, _)| master.axis(name).unwrap()).collect();
-    for axis in &mut axes {
-        axis.enable().unwrap();
-        axis.home().unwrap();
-    }
-    for axis in &mut axes {
-        set_out(axis, way == "Jog").unwrap();
-    }
-    // By then they are as fast as they will be.
-    assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().status.position > 10.0)));
+    let mut axes = set_all_out(&master, way == "Jog");
     println!("{UNDER_WAY}");
 
     let mut reported = vec![false; axes.len()];
@@ -93,6 +83,20 @@ pub fn play(role: &str) {
         sleep(Duration::from_millis(5));
     }
     println!("{}", serde_json::to_string(&Summary::from(&master.finish())).unwrap());
+}
+
+/// Enables, homes and sends all axes of `master` on their long way.
+pub fn set_all_out(master: &Master, jog: bool) -> Vec<Axis> {
+    master.wait_online(LONG).unwrap();
+    let mut axes: Vec<_> = master.observers().iter().map(|(name, _)| master.axis(name).unwrap()).collect();
+    for axis in &mut axes {
+        axis.enable().unwrap();
+        axis.home().unwrap();
+    }
+    axes.iter_mut().for_each(|axis| set_out(axis, jog).unwrap());
+    // By then they are as fast as they will be.
+    assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().status.position > 10.0)));
+    axes
 }
 
 /// Sends `axis` on its long way.
