@@ -237,7 +237,7 @@ fn whoever_dies_while_the_software_is_stopped_leaves_it_running() {
 #[test]
 fn a_motion_command_has_run_when_it_says_so_and_is_no_success_if_it_was_interrupted() {
     let machine = Machine::new(104);
-    let config = machine.config("wide.toml", 1, "period = \"100ms\"", "");
+    let config = machine.config("wide.toml", 1, "period = \"50ms\"", "simulate = { start = 10 }");
     let _sim = serve(&config);
     let command = |what: &str| asking("linmot command", &config, &format!("d0 {what}"));
     let go = |to: &str| format!("vai-go-to {to} acceleration=1000 deceleration=1000");

@@ -235,7 +235,7 @@ fn ending_a_master_that_is_stopping_already_keeps_its_ramp() {
         1,
         "",
         "stop = { deceleration = 50, timeout = \"30s\" }\nlimits = { position = [0, 2000] }\n\
-         profile = { velocity = 200, acceleration = 2000 }",
+         profile = { velocity = 200, acceleration = 2000 }\nsimulate = { start = 10 }",
     );
     let _sim = serve(&config);
     let master = Master::from_file(&config).unwrap().start().unwrap();
