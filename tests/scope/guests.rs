@@ -43,7 +43,7 @@ impl Running {
     /// `cycle` are lines of `[cycle]`.
     fn with(test: u8, drives: usize, cycle: &str) -> Running {
         let machine = Machine::new(test);
-        let config = machine.config("m.toml", drives, cycle, "");
+        let config = machine.config("m.toml", drives, cycle, "simulate = { start = 10 }");
         let drives = served(|| simulated(&config));
         let master = Master::from_file(&config).unwrap().start().unwrap();
         master.wait_online(LONG).unwrap();
