@@ -7,7 +7,7 @@ use fieldbeat::time::Ns;
 use libc::SIGTERM;
 use serde_json::Value;
 
-use super::support::{Machine, PROGRAM, assert_sums, checkout, drive, run};
+use super::support::{Ended, Machine, PROGRAM, assert_sums, checkout, drive, run};
 use super::{assert_powered_off, end_once_measured, end_once_online, master, simulation};
 
 /// All keys of an object, `a.b` for those inside, of the first element in lists.
@@ -27,7 +27,10 @@ fn keys(value: &Value, path: &str, into: &mut Vec<String>) {
 
 #[test]
 fn the_demo_runs_by_itself_and_its_json_has_every_key() {
-    let ended = run(["demo", "--drives", "2", "--json"]);
+    let demo = || run(["demo", "--drives", "2", "--json"]);
+    // Where others take its core meanwhile it says so, and chooses a longer period the next time.
+    let is_judged = |ended: &Ended| ended.code == Some(0) || !ended.err.contains("; this host took ");
+    let ended = (0..3).map(|_| demo()).find(is_judged).unwrap_or_else(demo);
     let summary = ended.expect(0).json();
     assert_sums(&summary);
     assert_powered_off(&summary);

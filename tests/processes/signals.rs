@@ -42,19 +42,21 @@ fn own<'a>(directory: &Path, command: &'a mut process::Command) -> &'a mut proce
     command.env("XDG_RUNTIME_DIR", directory).env("XDG_STATE_HOME", directory).env("TMPDIR", directory)
 }
 
-/// It ended without a failure, or says that a busy host had starved what the demo feeds its axes by: that alone.
-/// Returns whether it was starved.
+/// It ended without a failure, or says that a busy host had starved it, or what the demo feeds its axes by: that alone;
+/// or, if it was hurried, what of its drives has power still. Returns whether there is such a line.
 #[track_caller]
-fn expect_order(ended: &Ended) -> bool {
+fn expect_order(ended: &Ended, hurried: bool) -> bool {
     let is_known = |cause: &str| {
         ["stream underrun)", "setpoint too old)", "jog not renewed)"]
             .iter()
             .any(|known| cause.starts_with(known))
     };
-    let line = ended.err.lines().last().filter(|line| line.starts_with("fieldbeat: stopped: "));
-    let starved = line.is_some_and(|line| line.split('(').skip(1).all(is_known));
-    ended.expect(i32::from(starved));
-    starved
+    let last = ended.err.lines().last().and_then(|line| line.strip_prefix("fieldbeat: ")).unwrap_or_default();
+    let fed = last.starts_with("stopped: ") && last.split('(').skip(1).all(is_known);
+    let late = last.starts_with("answered after the receive deadline: ");
+    let left = hurried && last.starts_with("drive ") && last.contains(" at the end (");
+    ended.expect(i32::from(fed || late || left));
+    fed || late || left
 }
 
 impl Demo {
@@ -106,22 +108,21 @@ impl Demo {
 
     /// It ends in order, whatever it was doing.
     fn ends(self) {
-        assert_powered_off(&self.ends_at_least());
+        assert_powered_off(&self.ends_at_least(false));
     }
 
     /// The same, but that its drives may have power.
-    fn ends_at_least(self) -> Value {
+    fn ends_at_least(self, hurried: bool) -> Value {
         let ended = self.program.end();
-        let starved = expect_order(&ended);
+        let failed = expect_order(&ended, hurried);
         let summary = ended.json();
         assert_sums(&summary);
-        let mut complaints = ended.err.lines().filter(|line| line.starts_with("fieldbeat: "));
-        let known = |line: &str| {
-            let line = line.trim_start_matches("fieldbeat: ");
-            let usual = ["cycle of ", "not real-time: ", "device outputs: "];
-            usual.iter().any(|known| line.starts_with(known)) || starved && line.starts_with("stopped: ")
-        };
-        assert!(complaints.all(known), "{}", ended.err);
+        let mut complaints: Vec<&str> =
+            ended.err.lines().filter_map(|line| line.strip_prefix("fieldbeat: ")).collect();
+        complaints.truncate(complaints.len() - usize::from(failed));
+        let usual = ["cycle of ", "not real-time: ", "not suspended: ", "device outputs: "];
+        let is_usual = |line: &&str| usual.iter().any(|known| line.starts_with(known));
+        assert!(complaints.iter().all(is_usual), "{}", ended.err);
         summary
     }
 }
@@ -188,9 +189,7 @@ fn a_master_in_mid_motion_is_not_suspended_from_its_terminal() {
     let before = executed(&demo);
     assert!(support::until(LONG, || executed(&demo) > before), "its cycle stands");
     demo.program.signal(SIGTERM);
-    let ended = demo.program.end();
-    expect_order(&ended);
-    assert_powered_off(&ended.json());
+    demo.ends();
 }
 
 #[test]
@@ -218,7 +217,7 @@ fn a_second_signal_shortens_the_waits_and_never_skips_the_stop() {
             demo.program.signal(SIGINT);
             sleep(between * MS);
             demo.program.signal(SIGINT);
-            are_powered_off(&demo.ends_at_least())
+            are_powered_off(&demo.ends_at_least(true))
         };
         // 250 ms may be too little for drives of a busy host.
         assert!((0..3).any(|_| are_off()), "{stage:?}");
