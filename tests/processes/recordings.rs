@@ -23,13 +23,22 @@ pub fn count(entries: &[Entry], topic: &str) -> u64 {
 }
 
 #[test]
-fn a_recording_has_every_executed_cycle_and_is_exported() {
+fn a_recording_has_every_executed_cycle_and_what_is_native_of_chosen_drives_and_is_exported() {
     let machine = Machine::new(140);
-    let config = machine.plain(2);
-    let _sim = serve(&config);
+    let config = machine.plain(3);
     let path = machine.path("run.mcap");
     let file = path.to_str().unwrap();
-    let ended = end_once_measured(master(&config, &["--json", "--record", file]), &config);
+    // Before anything is sent, and without a file that would be in the way of the next start.
+    let wrong = master(&config, &["--record", file, "--record-native", "d0,q"]).end();
+    wrong.refused(&[
+        "there is no drive \"q\" whose native process data could be recorded; name all, or some of: d0, d1, d2",
+    ]);
+    assert!(!path.exists());
+    master(&config, &["--record-native", "d0"]).end().refused(&["--record <FILE>"]);
+
+    let _sim = serve(&config);
+    let arguments = ["--json", "--record", file, "--record-native", "d0", "--record-native", "d2,d0"];
+    let ended = end_once_measured(master(&config, &arguments), &config);
     let summary = ended.expect(0).json();
     let [recorded] = &summary["recordings"].as_array().unwrap()[..] else { panic!("{summary}") };
     assert_eq!((&recorded["lost"], &recorded["error"]), (&0.into(), &Value::Null));
@@ -41,11 +50,21 @@ fn a_recording_has_every_executed_cycle_and_is_exported() {
         assert_eq!(count(&entries, topic), executed, "{topic}");
     }
     assert_eq!(summary["late"]["count"], count(&entries, "/late"));
+    for (name, is_chosen) in [("d0", true), ("d1", false), ("d2", true)] {
+        let topic = format!("/axes/{name}/native");
+        let of = entries.iter().filter(|entry| entry.topic.name == topic);
+        let has = |field: &str| of.clone().filter(|entry| !entry.text(field).is_empty()).count() as u64;
+        let [sent, answered] = ["sent", "answered"].map(|key| drive(&summary, name)[key].as_u64().unwrap());
+        let expected = if is_chosen { [sent, answered, answered] } else { [0; 3] };
+        assert_eq!(["outputs", "inputs", "in_status_word"].map(has), expected, "{name}");
+    }
 
     run(["export", file, "--csv"]).expect(0);
     let tables = machine.path("run");
     let table = std::fs::read_to_string(tables.join("axes_d0.csv")).unwrap();
     assert_eq!(table.lines().count() as u64, executed + 1);
+    let table = std::fs::read_to_string(tables.join("axes_d2_native.csv")).unwrap();
+    assert_eq!(table.lines().count() as u64, count(&entries, "/axes/d2/native") + 1);
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     assert_eq!(wide.lines().count() as u64, executed + 1);
     assert!(wide.starts_with("time [s],cycle,d0.position [mm],"), "{wide}");
@@ -167,42 +186,4 @@ fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_i
         assert!(ended.expect(2).err.contains(words) && ended.err.lines().count() == 1, "{ended:?}");
     }
     assert!(!machine.path("no").exists());
-}
-
-#[test]
-fn native_process_data_of_chosen_drives_are_recorded_and_exported() {
-    let machine = Machine::new(197);
-    let config = machine.plain(3);
-    let path = machine.path("run.mcap");
-    let file = path.to_str().unwrap();
-    // Before anything is sent, and without a file that would be in the way of the next start.
-    let wrong = |arguments: &[&str]| run(["run", config.to_str().unwrap()].iter().chain(arguments));
-    let ended = wrong(&["--record", file, "--record-native", "d0,q"]);
-    let words = "there is no drive \"q\" whose native process data could be recorded; name all, or some of: d0, d1, d2";
-    assert!(ended.expect(2).err.contains(words) && ended.err.lines().count() == 1, "{ended:?}");
-    assert!(!path.exists());
-    let ended = wrong(&["--record-native", "d0"]);
-    assert!(ended.expect(2).err.contains("--record <FILE>"), "{ended:?}");
-
-    let _sim = serve(&config);
-    let arguments = ["--json", "--record", file, "--record-native", "d0", "--record-native", "d2,d0"];
-    let ended = end_once_measured(master(&config, &arguments), &config);
-    let summary = ended.expect(0).json();
-    assert_eq!(summary["recordings"][0]["lost"], 0);
-    let (entries, wrong) = read(&path);
-    assert!(wrong.is_none(), "{wrong:?}");
-    for name in ["d0", "d2"] {
-        let topic = format!("/axes/{name}/native");
-        let of = entries.iter().filter(|entry| entry.topic.name == topic);
-        let has = |field: &str| of.clone().filter(|entry| !entry.text(field).is_empty()).count() as u64;
-        let drive = drive(&summary, name);
-        assert_eq!(drive["sent"], has("outputs"), "{name}");
-        assert_eq!(drive["answered"], has("inputs"), "{name}");
-        assert_eq!(has("in_status_word"), has("inputs"), "{name}");
-    }
-    assert_eq!(count(&entries, "/axes/d1/native"), 0);
-
-    run(["export", file, "--csv"]).expect(0);
-    let table = std::fs::read_to_string(machine.path("run").join("axes_d2_native.csv")).unwrap();
-    assert_eq!(table.lines().count() as u64, count(&entries, "/axes/d2/native") + 1);
 }

@@ -21,7 +21,8 @@ const USUAL: [(&str, &str); 7] = [
 ];
 
 /// A drive that is lost at its end is not waited for.
-const LOST_SOON: &str = "health = { bucket = \"1s\", leak = 1 }\nstop.timeout = \"500ms\"";
+const LOST_SOON: &str = "health = { bucket = \"1s\", leak = 1 }\n\
+                         stop = { deceleration = 10000, timeout = \"500ms\" }";
 
 /// A configuration of two drives that any host keeps to, with these criteria in addition.
 fn config(machine: &Machine, defaults: &str, soak: &str) -> PathBuf {
