@@ -89,13 +89,9 @@ fn what_a_killed_controller_left_moving_can_be_left_alone_and_is_named_at_the_en
         &["drive d0 still moves at the end", "drive d1 still moves", "on_found_running = \"refuse\""],
     );
     let alone = onlooker.look(machine.drive(0));
-    for sight in [left, found, alone] {
-        assert!(sight.operating && sight.moving, "{sight:?}");
-    }
-    assert!(
-        left.position < found.position && found.position < alone.position,
-        "{left:?} {found:?} {alone:?}"
-    );
+    let sights = [left, found, alone];
+    assert!(sights.iter().all(|sight| sight.operating && sight.moving), "{sights:?}");
+    assert!(sights.is_sorted_by(|a, b| a.position < b.position), "{sights:?}");
     let summary = ended.json();
     assert_eq!(
         (&drive(&summary, "d0")["stopped"], &drive(&summary, "d0")["link"]),

@@ -317,8 +317,4 @@ fn the_help_says_how_to_write_everything() {
         let long = ended.out.lines().find(|line| line.chars().count() > 100);
         assert_eq!(long, None, "{words}");
     }
-    // Both samples of files are named where files are wanted.
-    let none = checkout("rt-config/none.csv");
-    ask("linmot curve put", &checkout("rt-config/linmot.toml"), &format!("x {}", none.display()))
-        .refused(&["none.csv", "rt-config/linmot-curve.csv"]);
 }

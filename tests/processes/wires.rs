@@ -348,7 +348,6 @@ fn what_is_no_wire_is_named_in_one_line_with_the_remedy() {
         ("ethercat scan local:nobody", 1, &["nothing serves this segment; start it: fieldbeat sim CONFIG"]),
         ("ethercat scan", 2, &["<INTERFACE>; see `fieldbeat ethercat scan --help`"]),
         ("ethernet-ip scan drive", 2, &["an IPv4 address like 192.168.1.40"]),
-        ("ethernet-ip scan --bind eth0", 2, &["eth0"]),
         (
             "ethernet-ip scan 127.0.0.1 --bind 192.0.2.1",
             2,
