@@ -20,10 +20,6 @@ const USUAL: [(&str, &str); 7] = [
     ("warm_up", "\"1s\""),
 ];
 
-/// A drive that is lost at its end is not waited for.
-const LOST_SOON: &str = "health = { bucket = \"1s\", leak = 1 }\n\
-                         stop = { deceleration = 10000, timeout = \"500ms\" }";
-
 /// A configuration of two drives that any host keeps to, with these criteria in addition.
 fn config(machine: &Machine, defaults: &str, soak: &str) -> PathBuf {
     let plain = machine.config("soak.toml", 2, "", defaults);
@@ -175,7 +171,7 @@ fn a_test_that_is_killed_goes_on_from_its_checkpoint_to_one_verdict() {
 #[test]
 fn a_lost_drive_fails_by_name_at_once_if_that_is_wanted() {
     let machine = Machine::new(193);
-    let config = config(&machine, LOST_SOON, "");
+    let config = config(&machine, Machine::LOST_SOON, "");
     let sim = simulation(&config);
     let place = machine.path("soak");
     let program = start(&config, &place, &["--fail-fast"]);
@@ -194,7 +190,7 @@ fn a_lost_drive_fails_by_name_at_once_if_that_is_wanted() {
 #[test]
 fn an_axis_that_was_given_up_is_known_after_a_kill_however_rare_checkpoints_are() {
     let machine = Machine::new(225);
-    let config = config(&machine, LOST_SOON, "");
+    let config = config(&machine, Machine::LOST_SOON, "");
     let sim = simulation(&config);
     let place = machine.path("soak");
     let directory = place.to_str().unwrap();
