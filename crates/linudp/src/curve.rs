@@ -246,7 +246,7 @@ impl Curve {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use proptest::prelude::*;
 
     use super::*;
@@ -263,6 +263,34 @@ mod tests {
             wizard_parameters: [1, 0, 0, 0, 0, 0, 0x0403_0201],
             setpoints: vec![0, 100_000, -1],
         }
+    }
+
+    /// Curves as a drive may hold them, more often than not with a name, and with dimensions that are known.
+    pub(crate) fn any_curve() -> impl Strategy<Value = Curve> {
+        let name = prop_oneof![
+            "[ -~]{0,22}".prop_map(|name| Curve::name_bytes(&name).unwrap()),
+            any::<[u8; NAME_SIZE]>()
+        ];
+        let x_length = prop_oneof![any::<u32>(), 0_u32..100];
+        let dimension = || prop_oneof![Just(5), Just(26), Just(27), any::<u16>()].prop_map(Dimension);
+        let setpoints = prop::collection::vec(any::<i32>(), 2..80);
+        let head = (1_u16..=100, any::<bool>(), name, x_length, dimension(), dimension());
+        (head, any::<u16>(), any::<[u32; 7]>(), setpoints).prop_map(
+            |((id, cam, name, x_length, x_dimension, y_dimension), wizard, wizard_parameters, setpoints)| {
+                let kind = if cam { CurveKind::Cam } else { CurveKind::Time };
+                Curve {
+                    id,
+                    kind,
+                    name,
+                    x_length,
+                    x_dimension,
+                    y_dimension,
+                    wizard,
+                    wizard_parameters,
+                    setpoints,
+                }
+            },
+        )
     }
 
     /// Drive Configuration manual, curve info block.
@@ -284,26 +312,27 @@ mod tests {
 
     #[test]
     fn what_no_drive_could_hold_is_refused_with_its_value() {
-        let broken = |byte: usize, value: u8| {
+        for (byte, value, error) in [
+            (0, 72, CurveError::DataOffset(72)),
+            (2, 4, CurveError::Kind(4)),
+            (4, 4, CurveError::DataSize { found: 12, promised: 16 }),
+            (6, 2, CurveError::SetpointSize(2)),
+            (30, 0, CurveError::Id(0)),
+        ] {
             let (mut info, data) = lift().encode().unwrap();
             info[byte] = value;
-            Curve::decode(&info, &data)
-        };
-        assert_eq!(broken(0, 72), Err(CurveError::DataOffset(72)));
-        assert_eq!(broken(2, 4), Err(CurveError::Kind(4)));
-        assert_eq!(broken(4, 4), Err(CurveError::DataSize { found: 12, promised: 16 }));
-        assert_eq!(broken(6, 2), Err(CurveError::SetpointSize(2)));
-        assert_eq!(broken(30, 0), Err(CurveError::Id(0)));
+            assert_eq!(Curve::decode(&info, &data), Err(error));
+        }
         assert_eq!(Curve::decode(&[0; 69], &[]), Err(CurveError::InfoSize(69)));
-        let check = |change: fn(&mut Curve)| {
-            let mut curve = lift();
-            change(&mut curve);
-            curve.check()
-        };
-        assert_eq!(check(|curve| curve.id = 101), Err(CurveError::Id(101)));
-        assert_eq!(check(|curve| curve.setpoints.truncate(1)), Err(CurveError::Setpoints(1)));
-        assert_eq!(check(|curve| curve.setpoints.resize(65_536, 0)), Err(CurveError::Setpoints(65_536)));
-        assert_eq!(check(|curve| curve.setpoints.resize(65_535, 0)), Ok(()));
+        let (id, of) = (5, |points: usize| vec![0; points]);
+        for (id, setpoints, expected) in [
+            (101, of(3), Err(CurveError::Id(101))),
+            (id, of(1), Err(CurveError::Setpoints(1))),
+            (id, of(65_536), Err(CurveError::Setpoints(65_536))),
+            (id, of(65_535), Ok(())),
+        ] {
+            assert_eq!(Curve { id, setpoints, ..lift() }.check(), expected);
+        }
         assert_eq!(Curve::name_bytes(&"n".repeat(22)), Ok([b'n'; NAME_SIZE]));
         for name in [&*"n".repeat(23), "H\u{f6}he", "zero\0"] {
             assert_eq!(Curve::name_bytes(name), Err(CurveError::Name(name.into())));
@@ -312,16 +341,18 @@ mod tests {
 
     #[test]
     fn a_name_is_one_only_to_the_last_byte() {
-        let named = |name: &[u8]| {
+        for (bytes, name) in [
+            (&b"lift"[..], Some("lift")),
+            (&[b'n'; NAME_SIZE], Some("nnnnnnnnnnnnnnnnnnnnnn")),
+            (&[0; NAME_SIZE], Some("")),
+            // Stale bytes behind the zero, and what is not ASCII.
+            (b"lift\0old", None),
+            (b"l\xF6ft", None),
+        ] {
             let mut curve = lift();
-            curve.name[..name.len()].copy_from_slice(name);
-            curve
-        };
-        assert_eq!(named(b"lift").name(), Some("lift"));
-        assert_eq!(named(&[b'n'; NAME_SIZE]).name(), Some("nnnnnnnnnnnnnnnnnnnnnn"));
-        assert_eq!(named(&[0; NAME_SIZE]).name(), Some(""));
-        assert_eq!(named(b"lift\0old").name(), None, "stale bytes behind the zero");
-        assert_eq!(named(b"l\xF6ft").name(), None, "not ASCII");
+            curve.name[..bytes.len()].copy_from_slice(bytes);
+            assert_eq!(curve.name(), name, "{bytes:x?}");
+        }
     }
 
     #[test]
@@ -356,26 +387,7 @@ mod tests {
         }
 
         #[test]
-        fn any_curve_comes_back(
-            id in 1_u16..=100,
-            cam in any::<bool>(),
-            name in any::<[u8; NAME_SIZE]>(),
-            x_length in any::<u32>(),
-            words in any::<[u16; 3]>(),
-            wizard_parameters in any::<[u32; 7]>(),
-            setpoints in prop::collection::vec(any::<i32>(), 2..50),
-        ) {
-            let curve = Curve {
-                id,
-                kind: if cam { CurveKind::Cam } else { CurveKind::Time },
-                name,
-                x_length,
-                x_dimension: Dimension(words[0]),
-                y_dimension: Dimension(words[1]),
-                wizard: words[2],
-                wizard_parameters,
-                setpoints,
-            };
+        fn any_curve_comes_back(curve in any_curve()) {
             let (info, data) = curve.encode().unwrap();
             prop_assert_eq!(Curve::decode(&info, &data), Ok(curve));
         }

@@ -203,16 +203,21 @@ mod tests {
 
     #[test]
     fn each_variant_has_its_command() {
-        let read = |text: &str| Upids.read(text).map(|call| (call.service, call.address));
-        assert_eq!(read("0x20A8"), Ok((0x11, 0x20A8)));
-        assert_eq!(read("0x20A8.rom"), Ok((0x10, 0x20A8)));
-        assert_eq!(read("0x20A8.min"), Ok((0x15, 0x20A8)));
-        assert_eq!(read("0x20A8.max"), Ok((0x16, 0x20A8)));
-        assert_eq!(read("0x20A8.default"), Ok((0x17, 0x20A8)));
-        let write = |text: &str| Upids.write(text, 7).map(|call| (call.service, call.value));
-        assert_eq!(write("0x20A8"), Ok((0x13, 7)));
-        assert_eq!(write("0x20A8.rom"), Ok((0x12, 7)));
-        assert_eq!(write("0x20A8.both"), Ok((0x14, 7)));
+        for (variant, service) in
+            [("", 0x11), (".rom", 0x10), (".min", 0x15), (".max", 0x16), (".default", 0x17)]
+        {
+            let call = Upids.read(&format!("0x20A8{variant}"));
+            assert_eq!(call.map(|call| (call.service, call.address)), Ok((service, 0x20A8)), "{variant}");
+        }
+        for (variant, service, limit) in
+            [("", 0x13, RAM_LIMIT), (".rom", 0x12, FLASH_LIMIT), (".both", 0x14, FLASH_LIMIT)]
+        {
+            let call = Upids.write(&format!("0x20A8{variant}"), 7).unwrap();
+            assert_eq!((call.service, call.value, Upids.limit(&call)), (service, 7, limit), "{variant}");
+        }
+        // What is written to flash is given its time, and what is read of it needs none.
+        assert_eq!(Upids.read("0x20A8.rom").map(|call| Upids.limit(&call)), Ok(RAM_LIMIT));
+        let write = |text: &str| Upids.write(text, 7);
         assert!(matches!(write("0x20A8.min"), Err(NotationError::ReadOnly { .. })));
         assert!(matches!(Upids.write("0x20A8", 1 << 32), Err(NotationError::Value { .. })));
     }
@@ -229,26 +234,20 @@ mod tests {
         ] {
             assert_eq!(Upids.value(address, text), Ok(raw), "{address} {text}");
         }
-        for (address, text) in [
-            ("monitor-source-1", "65536"),
-            ("monitor-source-1", "-1"),
-            ("monitor-source-1", "0x11E0F"),
-            ("0x3000", "4294967296"),
-            ("0x3000", "0x100000000"),
+        for (address, wrong_range) in [
+            ("monitor-source-1", &["65536", "-1", "0x11E0F"][..]),
+            ("0x3000", &["4294967296", "0x100000000"]),
         ] {
-            let wrong = Upids.value(address, text);
-            assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+            for text in wrong_range {
+                let wrong = Upids.value(address, text);
+                assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+            }
         }
-        for (address, text) in [
-            ("home-position", "1.5"),
-            ("0x3000", ""),
-            ("0x3000", "0x+5"),
-            ("0x3000", "0x-5"),
-            ("0x3000", "12mm"),
-            ("0x3000", "99999999999999999999"),
-        ] {
-            let wrong = Upids.value(address, text);
-            assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+        for text in ["1.5", "", "0x+5", "0x-5", "12mm", "99999999999999999999"] {
+            for address in ["home-position", "0x3000"] {
+                let wrong = Upids.value(address, text);
+                assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+            }
         }
         assert_eq!(Upids.show("home-position", 0xFFFF_FFFB), "-5 (0xFFFFFFFB) = -0.0005 mm");
         assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
@@ -259,15 +258,6 @@ mod tests {
         }
         assert_eq!(Upids.show("motor-temperature", 82), "82 (0x52) = 30.39 C");
         assert!(Upids.reason(0xC0).contains("no such UPID"));
-    }
-
-    #[test]
-    fn what_is_written_to_flash_is_given_its_time() {
-        let limit = |text: &str| Upids.write(text, 7).map(|call| Upids.limit(&call));
-        assert_eq!(limit("0x20A8"), Ok(RAM_LIMIT));
-        assert_eq!(limit("0x20A8.rom"), Ok(FLASH_LIMIT));
-        assert_eq!(limit("0x20A8.both"), Ok(FLASH_LIMIT));
-        assert_eq!(Upids.read("0x20A8.rom").map(|call| Upids.limit(&call)), Ok(RAM_LIMIT));
     }
 
     #[test]

@@ -254,16 +254,18 @@ mod tests {
 
     #[test]
     fn a_name_is_one_only_to_the_last_byte() {
-        let mut entry = Entry::new("x", MotionCommand::no_operation(), None).unwrap();
-        assert_eq!(entry.name(), Some("x"));
-        entry.name[15] = b'y';
-        assert_eq!(entry.name(), None, "stale bytes behind the zero");
-        entry.name = [b'x'; 16];
-        assert_eq!(entry.name(), None, "no zero");
-        entry.name = [0; 16];
-        assert_eq!(entry.name(), Some(""));
-        entry.name[0] = 0xC4;
-        assert_eq!(entry.name(), None, "not ASCII");
+        for (bytes, name) in [
+            (*b"x\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0", Some("x")),
+            ([0; 16], Some("")),
+            // Stale bytes behind the zero, no zero, and what is not ASCII.
+            (*b"x\0\0\0\0\0\0\0\0\0\0\0\0\0\0y", None),
+            ([b'x'; 16], None),
+            (*b"\xC4\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0", None),
+        ] {
+            let mut entry = Entry::new("", MotionCommand::no_operation(), None).unwrap();
+            entry.name = bytes;
+            assert_eq!(entry.name(), name, "{bytes:x?}");
+        }
     }
 
     #[test]

@@ -12,6 +12,14 @@ fn agreed(count: u8) -> MotionChannel {
     channel
 }
 
+/// The same, and a stop has gone out under the next count.
+fn commanded(count: u8) -> MotionChannel {
+    let mut channel = agreed(count);
+    channel.send(STOP);
+    channel.sent();
+    channel
+}
+
 fn count(channel: &MotionChannel) -> Option<u16> {
     channel.block().map(|block| block.header & 0xF)
 }
@@ -55,9 +63,7 @@ fn no_command_gets_the_count_that_the_drive_has() {
 
 #[test]
 fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
-    let mut channel = agreed(3);
-    channel.send(STOP);
-    channel.sent();
+    let mut channel = commanded(3);
     channel.take(4, false, false).unwrap();
     assert!(!channel.is_accepted());
     channel.take(4, true, false).unwrap();
@@ -83,9 +89,7 @@ fn the_command_of_another_master_is_not_answered_by_a_motion_before_it_is_known_
 
 #[test]
 fn a_command_that_another_one_has_replaced_is_sent_again() {
-    let mut channel = agreed(3);
-    channel.send(STOP);
-    channel.sent();
+    let mut channel = commanded(3);
     assert!(!after(&mut channel, &[4, 2]), "an old request was delivered once more");
     assert_eq!((channel.is_accepted(), count(&channel)), (false, Some(5)));
     channel.sent();

@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_quantity_has_the_factor_of_the_manual() {
+    fn every_quantity_has_the_factor_of_the_manual_and_is_rounded() {
         // SG5 manual: 1e7 a metre, 1e6 a m/s, 1e5 a m/s2, 1e4 a m/s3, 1e3 an ampere, 10 a newton, 1e5 and 1e4 a second.
         assert_eq!(Position::from_mm(1_000.0), Ok(Position(10_000_000)));
         assert_eq!(Velocity::from_mm_per_s(1_000.0), Ok(Velocity(1_000_000)));
@@ -218,15 +218,11 @@ mod tests {
         assert_eq!(TimeScale::from_percent(200.0).map(TimeScale::wire), Ok(20_000));
         assert_eq!(AmplitudeScale::from_percent(-2_000.0).map(AmplitudeScale::wire), Ok(-20_000));
         assert_eq!(Position(-57).mm(), -0.0057);
-        assert_eq!(Jerk(5).mm_per_s3(), 0.5);
-    }
-
-    #[test]
-    fn rounds_instead_of_truncating() {
-        // Seen in other masters: 0.57 mm became 5699, 2.01 m/s became 2009999.
+        // Rounded, not truncated as by other masters: 0.57 mm became 5699, 2.01 m/s became 2009999.
         assert_eq!(Position::from_mm(0.57), Ok(Position(5_700)));
         assert_eq!(Position::from_mm(-0.00006), Ok(Position(-1)));
         assert_eq!(Velocity::from_mm_per_s(2_010.0), Ok(Velocity(2_010_000)));
+        assert_eq!(Jerk(5).mm_per_s3(), 0.5);
     }
 
     #[test]

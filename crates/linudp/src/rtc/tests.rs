@@ -67,6 +67,13 @@ impl Bench {
         block
     }
 
+    /// One whose channel knows the drive's count.
+    fn learned() -> Bench {
+        let mut b = Bench::new();
+        b.learn();
+        b
+    }
+
     /// The drive does everything at once.
     fn learn(&mut self) {
         let ticket = self.post(call(RtcCommand::NO_OPERATION, 0, 0));
@@ -105,8 +112,7 @@ fn the_stored_count_is_learned_before_the_first_call() {
 
 #[test]
 fn busy_is_waited_for_and_an_answer_of_another_index_is_not_ours() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut ticket = b.post(READ);
     let mut counts = Vec::new();
     for code in [RtcStatus::RUNNING, RtcStatus::BUSY, RtcStatus::RUNNING] {
@@ -123,8 +129,7 @@ fn busy_is_waited_for_and_an_answer_of_another_index_is_not_ours() {
 
 #[test]
 fn a_command_that_is_not_taken_goes_out_with_another_count_and_is_given_up_in_its_time() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut ticket = b.post(READ);
     let mut counts = Vec::new();
     let begun = b.now;
@@ -139,26 +144,18 @@ fn a_command_that_is_not_taken_goes_out_with_another_count_and_is_given_up_in_it
     assert_eq!(end, Err(CallError::TimedOut));
     assert_eq!(b.now.since(begun) / MS, 1_002);
     counts.dedup();
-    assert_eq!(counts, [3, 4, 5, 6, 7], "a new one each 200 ms");
-    assert!(!counts.contains(&2), "never the one that the drive has stored");
-}
-
-#[test]
-fn without_replies_the_count_stays() {
-    let mut b = Bench::new();
-    b.learn();
+    assert_eq!(counts, [3, 4, 5, 6, 7], "a new one each 200 ms, never the one that the drive has stored");
+    // Without replies the count stays.
+    let mut b = Bench::learned();
     let mut ticket = b.post(READ);
-    for _ in 0..900 {
-        assert_eq!(b.turn(|_| None).map(|block| block.count()), Some(3));
-    }
+    (0..900).for_each(|_| assert_eq!(b.turn(|_| None).map(|block| block.count()), Some(3)));
     b.turn(done);
     assert!(ticket.poll().unwrap().is_ok());
 }
 
 #[test]
 fn a_refusal_is_the_drives_own_and_leaves_the_channel_as_it_is() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut tickets = [b.post(READ), b.post(READ)];
     b.turn(status(0xC2));
     assert_eq!(tickets[0].poll(), Some(Err(CallError::Refused(0xC2))));
@@ -167,18 +164,19 @@ fn a_refusal_is_the_drives_own_and_leaves_the_channel_as_it_is() {
 }
 
 #[test]
-fn a_cancelled_call_is_over_at_once_and_the_channel_is_learned_anew() {
-    let mut b = Bench::new();
-    b.learn();
+fn a_call_that_is_cancelled_or_loses_its_link_is_over_at_once_and_the_channel_is_learned_anew() {
+    let mut b = Bench::learned();
     let mut ticket = b.post(READ);
     b.turn(status(RtcStatus::BUSY));
     ticket.cancel();
     assert_eq!(b.turn(status(RtcStatus::BUSY)), None);
     assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
-    let next = b.post(READ);
+    let mut next = b.post(READ);
     assert_eq!(b.turn(done).map(|block| block.code), Some(RtcCommand::NO_OPERATION.0));
-    assert_eq!(b.turn(done).map(|block| block.code), Some(RtcCommand::READ_RAM.0));
-    drop(next);
+    assert_eq!(b.turn(status(RtcStatus::BUSY)).map(|block| block.code), Some(RtcCommand::READ_RAM.0));
+    b.link = Link::Lost;
+    assert_eq!(b.turn(|_| None), None);
+    assert_eq!(next.poll(), Some(Err(CallError::NotOnline)));
 }
 
 #[test]
@@ -211,8 +209,7 @@ fn a_write_that_commands_the_drive_is_checked_until_its_block_has_gone_out() {
 
 #[test]
 fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later_command() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let ticket = b.post(call(RtcCommand::WRITE_RAM, 0x1450, 1));
     let sent = b.turn(status(RtcStatus::BUSY)).unwrap();
     drop(ticket);
@@ -230,24 +227,15 @@ fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later
 }
 
 #[test]
-fn a_lost_link_ends_what_cannot_be_silent() {
-    let mut b = Bench::new();
-    b.learn();
-    let mut read = b.post(READ);
-    b.turn(status(RtcStatus::BUSY));
-    b.link = Link::Lost;
-    assert_eq!(b.turn(|_| None), None);
-    assert_eq!(read.poll(), Some(Err(CallError::NotOnline)));
-}
-
-#[test]
 fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() {
-    let save = call(RtcCommand::SAVE_CURVES, 0, 0);
-    let post = |b: &Bench| b.acyclic.post(save, Duration::from_secs(180)).unwrap();
+    let saving = || {
+        let b = Bench::learned();
+        let save = call(RtcCommand::SAVE_CURVES, 0, 0);
+        let ticket = b.acyclic.post(save, Duration::from_secs(180)).unwrap();
+        (b, ticket)
+    };
     // A drive that stores the count says busy, then done.
-    let mut b = Bench::new();
-    b.learn();
-    let mut ticket = post(&b);
+    let (mut b, mut ticket) = saving();
     let sent = b.turn(|_| None).unwrap();
     assert_eq!(sent.code, RtcCommand::SAVE_CURVES.0);
     for _ in 0..4 {
@@ -266,9 +254,7 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
     assert!(!b.channel.expects_silence());
 
     // One that does not store it, does what is requested now.
-    let mut b = Bench::new();
-    b.learn();
-    let mut ticket = post(&b);
+    let (mut b, mut ticket) = saving();
     b.turn(|_| None);
     b.link = Link::Lost;
     b.turn(|_| None);
@@ -277,9 +263,7 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
 
     // A request that was lost goes out again, under the same count, however long the drive says that it has another
     // one.
-    let mut b = Bench::new();
-    b.learn();
-    let mut ticket = post(&b);
+    let (mut b, mut ticket) = saving();
     let sent = b.turn(|_| None);
     assert_eq!(b.turn(|_| None), None);
     b.channel.take_none();
@@ -292,8 +276,7 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
 
 #[test]
 fn a_restart_is_done_when_it_is_answered_or_the_drive_is_seen_to_boot() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut ticket = b.post(call(RtcCommand::RESTART, 0, 0));
     let sent = b.turn(|_| None);
     assert_eq!(sent.map(|block| block.code), Some(RtcCommand::RESTART.0));
@@ -309,8 +292,7 @@ fn a_restart_is_done_when_it_is_answered_or_the_drive_is_seen_to_boot() {
 
 #[test]
 fn what_stops_the_drive_or_may_hold_it_up_is_refused_while_its_power_is_on() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     b.powered = true;
     for command in [
         RtcCommand::RESTART,
@@ -350,8 +332,7 @@ fn a_drive_that_does_not_answer_about_its_monitor_holds_up_nobody_else() {
 
 #[test]
 fn stopped_software_is_no_restart_but_running_again_by_itself_is() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut stop = b.post(call(RtcCommand::STOP_SOFTWARE, 0, 0));
     b.turn(done);
     b.channel.drive_restarted();
@@ -376,8 +357,7 @@ fn stopped_software_is_no_restart_but_running_again_by_itself_is() {
 
 #[test]
 fn a_block_that_the_drive_has_forgotten_does_not_go_on() {
-    let mut b = Bench::new();
-    b.learn();
+    let mut b = Bench::learned();
     let mut start = b.post(call(RtcCommand::ADD_CURVE, 5, 70));
     b.turn(done);
     assert!(start.poll().unwrap().is_ok());

@@ -12,6 +12,9 @@ const STATUS_RESPONSE: [u8; 26] = [
     0xE2, 0x01, 0x00, 0x06, 0xFF, 0x00, 0x00, 0x00, 0x00,
 ];
 
+/// The same with control word 003Fh.
+const CONTROL_REQUEST: [u8; 10] = [1, 0, 0, 0, 0x7F, 0, 0, 0, 0x3F, 0];
+
 /// LinUDP V2 manual, 6.1: go to 10 mm with 1 m/s and 10 m/s2, count 1, behind control word 003Fh.
 const GO_TO_REQUEST: [u8; 42] = [
     0x03, 0x00, 0x00, 0x00, 0xFF, 0x00, 0x00, 0x00, 0x3F, 0x00, 0x01, 0x01, 0xA0, 0x86, 0x01, 0x00, 0x40,
@@ -24,18 +27,21 @@ const READ_REQUEST: [u8; 16] = [4, 0, 0, 0, 0, 1, 0, 0, 0x01, 0x11, 0xA8, 0x20, 
 const READ_RESPONSE: [u8; 16] = [4, 0, 0, 0, 0, 1, 0, 0, 0x01, 0x00, 0xA8, 0x20, 0x0F, 0x1E, 0, 0];
 
 fn emitted(request: &Request) -> Vec<u8> {
-    let mut bytes = [0xEE; REQUEST_MAX + 4];
-    let size = request.emit(&mut bytes);
-    assert_eq!(size, request.size());
-    assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "wrote behind its end");
-    bytes[..size].to_vec()
+    written(request.size(), |out| request.emit(out))
 }
 
 fn answered(response: &Response) -> Vec<u8> {
-    let mut bytes = [0xEE; RESPONSE_MAX + 4];
-    let size = response.emit(&mut bytes);
-    assert_eq!(size, response.size());
+    written(response.size(), |out| response.emit(out))
+}
+
+/// What `emit` wrote: just its size, and nothing into a buffer that is too short.
+fn written(size: usize, emit: impl Fn(&mut [u8]) -> usize) -> Vec<u8> {
+    let mut bytes = [0xEE; REQUEST_MAX + 4];
+    assert_eq!(emit(&mut bytes), size);
     assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "wrote behind its end");
+    let mut short = [0xEE; REQUEST_MAX];
+    assert_eq!(emit(&mut short[..size - 1]), 0);
+    assert_eq!(short, [0xEE; REQUEST_MAX], "wrote into a buffer that is too short");
     bytes[..size].to_vec()
 }
 
@@ -70,28 +76,48 @@ fn full_response() -> Response {
 
 /// `full_response`, cut down to what its definitions ask for.
 fn requested(request_def: RequestDef, response_def: ResponseDef) -> Response {
-    let full = full_response();
-    let has = |block| response_def.contains(block);
-    Response {
-        request_def,
-        response_def,
-        status: full.status.filter(|_| has(ResponseDef::STATUS)),
-        state: full.state.filter(|_| has(ResponseDef::STATE)),
-        actual: full.actual.filter(|_| has(ResponseDef::ACTUAL)),
-        demand: full.demand.filter(|_| has(ResponseDef::DEMAND)),
-        current: full.current.filter(|_| has(ResponseDef::CURRENT)),
-        warn: full.warn.filter(|_| has(ResponseDef::WARN)),
-        error: full.error.filter(|_| has(ResponseDef::ERROR)),
-        monitor: full.monitor.filter(|_| has(ResponseDef::MONITOR)),
-        config: full.config.filter(|_| request_def.contains(RequestDef::CONFIG)),
+    let mut cut = Response { request_def, response_def, ..full_response() };
+    macro_rules! only {
+        ($($block:ident $field:ident),+) => {
+            $(cut.$field = cut.$field.filter(|_| response_def.contains(ResponseDef::$block));)+
+        };
     }
+    only!(STATUS status, STATE state, ACTUAL actual, DEMAND demand, CURRENT current, WARN warn, ERROR error);
+    only!(MONITOR monitor);
+    cut.config = cut.config.filter(|_| request_def.contains(RequestDef::CONFIG));
+    cut
 }
 
 #[test]
-fn golden_status_request_and_response() {
-    let request = Request { response_def: ResponseDef::CYCLIC, ..Request::default() };
-    assert_eq!(emitted(&request), STATUS_REQUEST);
-    assert_eq!(Request::parse(&STATUS_REQUEST), Ok(request));
+fn golden_requests() {
+    let cyclic = Request { response_def: ResponseDef::CYCLIC, ..Request::default() };
+    let mut parameters = [0; 30];
+    parameters[..16].copy_from_slice(&GO_TO_REQUEST[12..28]);
+    let go_to = Request {
+        response_def: ResponseDef(0xFF),
+        control: Some(ControlWord::ON),
+        motion: Some(MotionBlock { header: 0x0101, parameters }),
+        ..Request::default()
+    };
+    let read = RtcBlock { words: [0x20A8, 0, 0], ..RtcBlock::command(1, RtcCommand::READ_RAM) };
+    for (what, request, golden) in [
+        ("status only", cyclic, &STATUS_REQUEST[..]),
+        ("a control word", Request { control: Some(ControlWord::ON), ..cyclic }, &CONTROL_REQUEST),
+        ("go to 10 mm", go_to, &GO_TO_REQUEST),
+        (
+            "a parameter",
+            Request { response_def: ResponseDef::CONFIG, config: Some(read), ..Request::default() },
+            &READ_REQUEST,
+        ),
+    ] {
+        assert_eq!(emitted(&request), golden, "{what}");
+        assert_eq!(Request::parse(golden), Ok(request), "{what}");
+    }
+    assert_eq!(go_to.motion.unwrap().parameters[..4], 100_000_i32.to_le_bytes());
+}
+
+#[test]
+fn golden_responses() {
     let response = Response {
         request_def: RequestDef::NONE,
         response_def: ResponseDef::CYCLIC,
@@ -107,36 +133,6 @@ fn golden_status_request_and_response() {
     };
     assert_eq!(Response::parse(&STATUS_RESPONSE), Ok(response));
     assert_eq!(answered(&response), STATUS_RESPONSE);
-}
-
-#[test]
-fn golden_control_word_only() {
-    let request =
-        Request { response_def: ResponseDef::CYCLIC, control: Some(ControlWord::ON), ..Request::default() };
-    let bytes = [1, 0, 0, 0, 0x7F, 0, 0, 0, 0x3F, 0];
-    assert_eq!(emitted(&request), bytes);
-    assert_eq!(Request::parse(&bytes), Ok(request));
-}
-
-#[test]
-fn golden_go_to_request() {
-    let request = Request::parse(&GO_TO_REQUEST).unwrap();
-    assert_eq!(request.control, Some(ControlWord::ON));
-    assert_eq!(request.response_def, ResponseDef(0xFF));
-    let motion = request.motion.unwrap();
-    assert_eq!(motion.header, 0x0101);
-    assert_eq!(motion.parameters[..4], 100_000_i32.to_le_bytes());
-    assert_eq!(emitted(&request), GO_TO_REQUEST);
-}
-
-#[test]
-fn golden_parameter_read() {
-    let request = Request {
-        response_def: ResponseDef::CONFIG,
-        config: Some(RtcBlock { words: [0x20A8, 0, 0], ..RtcBlock::command(1, RtcCommand::READ_RAM) }),
-        ..Request::default()
-    };
-    assert_eq!(emitted(&request), READ_REQUEST);
     let config = Response::parse(&READ_RESPONSE).unwrap().config.unwrap();
     assert_eq!((config.count(), config.code, config.words[0], config.value()), (1, 0, 0x20A8, 0x1E0F));
 }
@@ -246,12 +242,4 @@ fn reserved_bits_are_kept_and_name_no_block() {
         ..Response::default()
     };
     assert_eq!(answered(&response).len(), 26);
-}
-
-#[test]
-fn a_buffer_that_is_too_short_is_left_alone() {
-    let mut short = [0xEE; 49];
-    assert_eq!(full_request().emit(&mut short), 0);
-    assert_eq!(full_response().emit(&mut short), 0);
-    assert_eq!(short, [0xEE; 49]);
 }

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::curve::tests::any_curve;
 
 const SAMPLE: &str = include_str!("../../../files/linmot-curve.csv");
 
@@ -133,20 +134,8 @@ fn a_long_file_of_mistakes_is_a_short_list() {
 
 proptest! {
     #[test]
-    fn any_curve_comes_back(
-        id in 1_u16..=100,
-        cam in any::<bool>(),
-        name in prop_oneof!["[ -~]{0,22}".prop_map(|name| Curve::name_bytes(&name).unwrap()), any::<[u8; NAME_SIZE]>()],
-        x_length in prop_oneof![any::<u32>(), 0_u32..100],
-        x_dimension in prop_oneof![Just(5), Just(26), Just(27), any::<u16>()],
-        y_dimension in prop_oneof![Just(5), any::<u16>()],
-        wizard in any::<u16>(),
-        wizard_parameters in any::<[u32; 7]>(),
-        setpoints in prop::collection::vec(any::<i32>(), 2..80),
-    ) {
-        let kind = if cam { CurveKind::Cam } else { CurveKind::Time };
-        let (x_dimension, y_dimension) = (Dimension(x_dimension), Dimension(y_dimension));
-        same(&Curve { id, kind, name, x_length, x_dimension, y_dimension, wizard, wizard_parameters, setpoints });
+    fn any_curve_comes_back(curve in any_curve()) {
+        same(&curve);
     }
 
     #[test]
