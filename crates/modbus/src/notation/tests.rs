@@ -28,21 +28,9 @@ fn addresses_are_read_in_every_form() {
     ] {
         assert_eq!(target(text), Some((parameter.to_owned(), width)), "{text}");
     }
-    for text in [
-        "",
-        "6.42",
-        "06.042.",
-        "06.042.byte",
-        ".word",
-        "speed",
-        "modbus-timeout",
-        "4.control-word",
-        "5.modbus-timeout",
-        "0.modbus-timeout",
-        "06.042.word.long",
-        "0x20A8",
-        "control-word.",
-    ] {
+    let none = "|6.42|06.042.|06.042.byte|.word|speed|modbus-timeout|4.control-word|5.modbus-timeout|\
+                0.modbus-timeout|06.042.word.long|0x20A8|control-word.";
+    for text in none.split('|') {
         assert_eq!(target(text), None, "{text}");
         assert!(matches!(Parameters.read(text), Err(NotationError::Address { .. })), "{text}");
     }
@@ -50,22 +38,22 @@ fn addresses_are_read_in_every_form() {
 
 #[test]
 fn a_call_carries_width_slot_menu_and_number() {
-    let call = |service, address, value| Ok(Call { service, address, value });
-    assert_eq!(Parameters.read("06.042"), call(READ, 0x0000_062A, 0));
-    assert_eq!(Parameters.read("01.021"), call(READ, 0x0100_0115, 0));
-    assert_eq!(Parameters.read("4.15.009"), call(READ, 0x0004_0F09, 0));
-    assert_eq!(Parameters.write("06.042", 0x0180), call(WRITE, 0x0000_062A, 0x0180));
-    assert_eq!(Parameters.write("01.021", 0xFFFF_FFFF), call(WRITE, 0x0100_0115, 0xFFFF_FFFF));
-    // A number of 16 bits with its sign above them.
-    assert_eq!(Parameters.write("20.001", 0xFFFF_FFFE), call(WRITE, 0x0000_1401, 0xFFFE));
+    for (text, address) in [("06.042", 0x0000_062A), ("01.021", 0x0100_0115), ("4.15.009", 0x0004_0F09)] {
+        assert_eq!(Parameters.read(text), Ok(Call { service: READ, address, value: 0 }), "{text}");
+    }
+    for (text, written, address, value) in [
+        ("06.042", 0x0180, 0x0000_062A, 0x0180),
+        ("01.021", 0xFFFF_FFFF, 0x0100_0115, 0xFFFF_FFFF),
+        // A number of 16 bits with its sign above them.
+        ("20.001", 0xFFFF_FFFE, 0x0000_1401, 0xFFFE),
+    ] {
+        assert_eq!(Parameters.write(text, written), Ok(Call { service: WRITE, address, value }), "{text}");
+    }
     for (address, value) in [("06.042", 0x1_0000), ("06.042", 0xFFFF_0000), ("01.021", 1 << 32)] {
         let wrong = Parameters.write(address, value);
         assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {value:#x}: {wrong:?}");
     }
-}
-
-#[test]
-fn only_a_packed_target_is_one() {
+    // Only a packed target is one.
     for address in [0x0200_0115, 0xFF00_0115, 0x0005_0F09, u32::MAX] {
         assert_eq!(Target::unpack(address), None, "{address:#x}");
     }
@@ -95,42 +83,28 @@ fn values_are_counts_or_scaled_with_a_point() {
     ] {
         assert_eq!(Parameters.value(address, text), Ok(raw), "{address} {text}");
     }
-    for (address, text) in [
-        ("06.042", "65536"),
-        ("06.042", "-1"),
-        ("06.042", "0x10000"),
-        ("20.001", "32768"),
-        ("20.001", "0x10000"),
-        ("01.021", "214748364.8"),
-        ("01.021", "0x100000000"),
-        ("01.021", "0xFFFFFFFFFFFFFFFF"),
+    for (address, texts) in [
+        ("06.042", "65536 -1 0x10000"),
+        ("20.001", "32768 0x10000"),
+        ("01.021", "214748364.8 0x100000000 0xFFFFFFFFFFFFFFFF"),
         ("07.001.word", "65536"),
         ("07.001", "4294967296"),
     ] {
-        let wrong = Parameters.value(address, text);
-        assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+        for text in texts.split(' ') {
+            let wrong = Parameters.value(address, text);
+            assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+        }
     }
-    for (address, text) in [
-        ("01.021", "1500.00"),
-        ("01.021", "1500."),
-        ("01.021", ".5"),
-        ("01.021", "-.5"),
-        ("01.021", "--1.5"),
-        ("01.021", "1.-5"),
-        ("01.021", "1.5.0"),
-        ("01.021", "99999999999999999999.5"),
-        ("01.021", "1500rpm"),
-        ("01.021", "1e3"),
+    for (address, texts) in [
+        ("01.021", "1500.00 1500. .5 -.5 --1.5 1.-5 1.5.0 99999999999999999999.5 1500rpm 1e3"),
         ("06.042", "1.0"),
-        ("07.001", "1.5"),
-        ("07.001", ""),
-        ("07.001", "0x"),
-        ("07.001", "0x+5"),
-        ("07.001", "0x-5"),
-        ("07.001", "99999999999999999999"),
+        // The last one is no text at all.
+        ("07.001", "1.5 0x 0x+5 0x-5 99999999999999999999 "),
     ] {
-        let wrong = Parameters.value(address, text);
-        assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+        for text in texts.split(' ') {
+            let wrong = Parameters.value(address, text);
+            assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+        }
     }
 }
 

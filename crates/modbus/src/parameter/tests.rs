@@ -10,68 +10,45 @@ fn parameter(text: &str) -> Parameter {
 
 #[test]
 fn reference_addresses_of_the_guides_and_of_masters_in_the_field() {
-    for (text, word, long) in [
-        ("00.001", 0x0000, 0x4000),
-        ("01.006", 0x0069, 0x4069),
-        ("01.014", 0x0071, 0x4071),
-        ("01.015", 0x0072, 0x4072),
-        ("01.021", 0x0078, 0x4078),
-        ("02.001", 0x00C8, 0x40C8),
-        ("03.002", 0x012D, 0x412D),
-        ("03.022", 0x0141, 0x4141),
-        ("04.001", 0x0190, 0x4190),
-        ("04.020", 0x01A3, 0x41A3),
-        ("05.001", 0x01F4, 0x41F4),
-        ("05.005", 0x01F8, 0x41F8),
-        ("06.015", 0x0266, 0x4266),
-        ("06.042", 0x0281, 0x4281),
-        ("06.043", 0x0282, 0x4282),
-        ("10.001", 0x03E8, 0x43E8),
-        ("10.002", 0x03E9, 0x43E9),
-        ("10.020", 0x03FB, 0x43FB),
-        ("10.033", 0x0408, 0x4408),
-        ("10.038", 0x040D, 0x440D),
-        ("10.040", 0x040F, 0x440F),
-        ("11.029", 0x0468, 0x4468),
-        ("20.021", 0x07E4, 0x47E4),
-    ] {
-        let parameter = parameter(text);
-        for (width, address) in [(Width::Word, word), (Width::Long, long)] {
+    let golden = "00.001 0000, 01.006 0069, 01.014 0071, 01.015 0072, 01.021 0078, 02.001 00C8, 03.002 012D, \
+                  03.022 0141, 04.001 0190, 04.020 01A3, 05.001 01F4, 05.005 01F8, 06.015 0266, 06.042 0281, \
+                  06.043 0282, 10.001 03E8, 10.002 03E9, 10.020 03FB, 10.033 0408, 10.038 040D, 10.040 040F, \
+                  11.029 0468, 20.021 07E4";
+    for (text, word) in golden.split(", ").map(|pair| pair.split_once(' ').unwrap()) {
+        let word = u16::from_str_radix(word, 16).unwrap();
+        // One of 32 bits has bit 14 besides.
+        for (width, address) in [(Width::Word, word), (Width::Long, 0x4000 + word)] {
+            let parameter = parameter(text);
             assert_eq!(parameter.address(Addressing::Standard, width), Some(address), "{text}");
             assert_eq!(Parameter::from_address(address, Addressing::Standard), Some((parameter, width)));
         }
     }
 }
 
+/// Modified addressing has 256 parameters a menu and 64 menus; the edges of the standard one are those of the
+/// SI-Ethernet guide: 163.84 would be the end of 14 bits, 162.99 is that of the menus.
 #[test]
-fn modified_addressing_has_256_parameters_a_menu_and_64_menus() {
-    let address = |text| parameter(text).address(Addressing::Modified, Width::Word);
-    assert_eq!(address("00.001"), Some(0));
-    assert_eq!(address("06.042"), Some(6 * 256 + 41));
-    assert_eq!(address("06.255"), Some(7 * 256 - 2));
-    assert_eq!(address("63.255"), Some(0x3FFE));
-    assert_eq!(address("64.001"), None);
-    let long = parameter("06.042").address(Addressing::Modified, Width::Long);
-    assert_eq!(long, Some(0x4000 + 6 * 256 + 41));
-}
-
-#[test]
-fn the_edges_of_standard_addressing_are_those_of_the_si_ethernet_guide() {
-    let address = |text| parameter(text).address(Addressing::Standard, Width::Word);
-    assert_eq!(address("162.099"), Some(16298));
-    assert_eq!(address("01.000"), Some(99));
-    assert_eq!(address("06.100"), None);
-    // 163.84 would be the end of 14 bits, 162.99 is that of the menus.
-    assert_eq!(Parameter::from_address(16299, Addressing::Standard), None);
-    assert_eq!(Parameter::from_address(0x3FFF, Addressing::Modified), None);
-    // Nothing is at 00.000.
-    assert_eq!(Parameter::default().address(Addressing::Standard, Width::Word), None);
-    assert_eq!(Parameter::default().address(Addressing::Modified, Width::Long), None);
-}
-
-#[test]
-fn bit_15_is_reserved() {
-    for addressing in [Addressing::Standard, Addressing::Modified] {
+fn the_edges_of_both_addressings_are_those_of_the_guides() {
+    use Addressing::{Modified, Standard};
+    for (addressing, text, address) in [
+        (Standard, "162.099", Some(16298)),
+        (Standard, "01.000", Some(99)),
+        (Standard, "06.100", None),
+        (Modified, "00.001", Some(0)),
+        (Modified, "06.042", Some(6 * 256 + 41)),
+        (Modified, "06.255", Some(7 * 256 - 2)),
+        (Modified, "63.255", Some(0x3FFE)),
+        (Modified, "64.001", None),
+    ] {
+        assert_eq!(parameter(text).address(addressing, Width::Word), address, "{text}");
+        let long = address.map(|address| 0x4000 + address);
+        assert_eq!(parameter(text).address(addressing, Width::Long), long, "{text}");
+    }
+    assert_eq!(Parameter::from_address(16299, Standard), None);
+    assert_eq!(Parameter::from_address(0x3FFF, Modified), None);
+    for addressing in [Standard, Modified] {
+        // Nothing is at 00.000, and bit 15 is reserved.
+        assert_eq!(Parameter::default().address(addressing, Width::Word), None);
         assert!((0x8000..=0xFFFF).all(|address| Parameter::from_address(address, addressing).is_none()));
     }
 }
@@ -94,46 +71,20 @@ fn every_address_is_one_parameter_and_back() {
 
 #[test]
 fn a_parameter_is_written_as_the_manuals_do() {
-    assert_eq!(parameter("06.042"), Parameter::CONTROL_WORD);
-    assert_eq!(parameter("6.042"), Parameter::CONTROL_WORD);
-    assert_eq!(parameter("0.06.042"), Parameter::CONTROL_WORD);
-    assert_eq!(parameter("1.06.042"), Parameter::new(6, 42).in_slot(1));
-    assert_eq!(Parameter::new(6, 42).to_string(), "06.042");
-    assert_eq!(Parameter::new(6, 42).in_slot(1).to_string(), "1.06.042");
-    assert_eq!(Parameter::new(162, 99).to_string(), "162.099");
-}
-
-#[test]
-fn what_could_be_two_parameters_is_none() {
-    for text in [
-        "6.42",
-        "06.42",
-        "06.4",
-        "06.0042",
-        "06",
-        "",
-        ".",
-        "06.",
-        ".042",
-        "06..042",
-        "06.042.",
-        "+6.042",
-        "06.+42",
-        "06.04a",
-        " 06.042",
-        "06.042 ",
-        "5.06.042",
-        "01.06.042",
-        "1.1.06.042",
-        "-1.06.042",
-        "00.000",
-        "163.001",
-        "64.100",
-        "06.256",
-        "0006.042",
-        "06.\u{661}42",
-        "06,042",
+    for text in ["06.042", "6.042", "0.06.042"] {
+        assert_eq!(parameter(text), Parameter::CONTROL_WORD);
+    }
+    for (parameter, text) in [
+        (Parameter::new(6, 42), "06.042"),
+        (Parameter::new(6, 42).in_slot(1), "1.06.042"),
+        (Parameter::new(162, 99), "162.099"),
     ] {
+        assert_eq!((parameter.to_string().as_str(), text.parse()), (text, Ok(parameter)));
+    }
+    // What could be two parameters is none.
+    let none = "6.42|06.42|06.4|06.0042|06||.|06.|.042|06..042|06.042.|+6.042|06.+42|06.04a| 06.042|06.042 |\
+                5.06.042|01.06.042|1.1.06.042|-1.06.042|00.000|163.001|64.100|06.256|0006.042|06.\u{661}42|06,042";
+    for text in none.split('|') {
         assert_eq!(text.parse::<Parameter>(), Err(ParseError), "{text}");
     }
 }

@@ -24,6 +24,13 @@ const READ_WRITE_RESPONSE: [u8; 21] = [
     0x00, 0x00, 0x3A, 0x98,
 ];
 
+/// Modbus Application Protocol v1.1b3, 6.3 and 6.6, behind a header: three registers are read, one is written, and
+/// answered by the same.
+const HEADER_1: Header = Header { transaction: 1, unit: 0xFF };
+const READ_REQUEST: [u8; 12] = [0, 1, 0, 0, 0, 6, 0xFF, 3, 0x00, 0x6B, 0x00, 0x03];
+const READ_RESPONSE: [u8; 15] = [0, 1, 0, 0, 0, 9, 0xFF, 3, 6, 0x02, 0x2B, 0x00, 0x00, 0x00, 0x64];
+const WRITE_ONE: [u8; 12] = [0, 1, 0, 0, 0, 6, 0xFF, 6, 0x00, 0x01, 0x00, 0x03];
+
 /// SI-Ethernet guide: an exception.
 const EXCEPTION: [u8; 9] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x03, 0xFF, 0x90, 0x02];
 
@@ -77,60 +84,32 @@ fn responses(data: Registers<'_>) -> [Response<'_>; 5] {
 }
 
 #[test]
-fn golden_write_of_the_m701_manual() {
-    let data = longs(&[12345, 12345, 12345]);
-    let request = Request::Write { address: 0x47E4, data: data.registers() };
-    assert_eq!(emitted(&request, HEADER_42), WRITE_REQUEST);
-    assert_eq!(Request::parse(&WRITE_REQUEST), Ok((HEADER_42, request)));
-    let response = Response::Written { address: 0x47E4, count: 6 };
-    assert_eq!(answered(&response, HEADER_42), WRITE_RESPONSE);
-    assert_eq!(Response::parse(&WRITE_RESPONSE), Ok((HEADER_42, response)));
-}
-
-#[test]
-fn golden_read_write_of_the_si_ethernet_guide() {
-    let data = longs(&[12345, 12345, 12345]);
-    let request = Request::ReadWrite { read: 0x47E7, count: 6, write: 0x47E4, data: data.registers() };
-    assert_eq!(emitted(&request, HEADER_42), READ_WRITE_REQUEST);
-    assert_eq!(Request::parse(&READ_WRITE_REQUEST), Ok((HEADER_42, request)));
-
-    let data = longs(&[1, -2, 15000]);
-    let response = Response::ReadWritten { data: data.registers() };
-    assert_eq!(answered(&response, HEADER_42), READ_WRITE_RESPONSE);
-    let Ok((HEADER_42, Response::ReadWritten { data })) = Response::parse(&READ_WRITE_RESPONSE) else {
-        panic!("{:?}", Response::parse(&READ_WRITE_RESPONSE));
-    };
-    assert_eq!(
-        [data.long(0), data.long(1), data.long(2), data.long(3)],
-        [Some(1), Some(-2), Some(15000), None]
-    );
-    assert_eq!((data.word(2), data.word(5), data.word(6)), (Some(0xFFFF), Some(0x3A98), None));
-    assert!(data.words().eq([0, 1, 0xFFFF, 0xFFFE, 0, 0x3A98]));
-}
-
-#[test]
-fn golden_read_and_write_of_one_register() {
-    // Modbus Application Protocol v1.1b3, 6.3 and 6.6, behind a header.
-    let read = [0, 1, 0, 0, 0, 6, 0xFF, 3, 0x00, 0x6B, 0x00, 0x03];
-    let header = Header { transaction: 1, unit: 0xFF };
-    assert_eq!(Request::parse(&read), Ok((header, Request::Read { address: 0x006B, count: 3 })));
-    let answer = [0, 1, 0, 0, 0, 9, 0xFF, 3, 6, 0x02, 0x2B, 0x00, 0x00, 0x00, 0x64];
-    let Ok((_, Response::Read { data })) = Response::parse(&answer) else { panic!("{answer:x?}") };
-    assert!(data.words().eq([0x022B, 0x0000, 0x0064]));
-    let write = [0, 1, 0, 0, 0, 6, 0xFF, 6, 0x00, 0x01, 0x00, 0x03];
-    assert_eq!(Request::parse(&write), Ok((header, Request::WriteOne { address: 1, value: 3 })));
-    assert_eq!(Response::parse(&write), Ok((header, Response::WriteOne { address: 1, value: 3 })));
-}
-
-#[test]
-fn an_exception_is_one_even_if_it_does_not_say_of_what() {
+fn golden_messages() {
+    let (written, read) = (longs(&[12345; 3]), longs(&[1, -2, 15000]));
+    let (data, read) = (written.registers(), read.registers());
+    for (golden, header, request) in [
+        (&WRITE_REQUEST[..], HEADER_42, Request::Write { address: 0x47E4, data }),
+        (&READ_WRITE_REQUEST, HEADER_42, Request::ReadWrite { read: 0x47E7, count: 6, write: 0x47E4, data }),
+        (&READ_REQUEST, HEADER_1, Request::Read { address: 0x006B, count: 3 }),
+        (&WRITE_ONE, HEADER_1, Request::WriteOne { address: 1, value: 3 }),
+    ] {
+        assert_eq!(emitted(&request, header), golden);
+        assert_eq!(Request::parse(golden), Ok((header, request)));
+    }
+    let three = Registers::new(&READ_RESPONSE[9..]).unwrap();
     let exception = |function, code| Response::Exception { function, code };
-    let known = exception(function::WRITE, ExceptionCode::ADDRESS);
-    assert_eq!(Response::parse(&EXCEPTION), Ok((HEADER_42, known)));
-    assert_eq!(answered(&known, HEADER_42), EXCEPTION);
-    let unknown = exception(0, ExceptionCode::FUNCTION);
-    assert_eq!(Response::parse(&PYMODBUS_EXCEPTION), Ok((HEADER_42, unknown)));
-    assert_eq!(answered(&unknown, HEADER_42), PYMODBUS_EXCEPTION);
+    for (golden, header, response) in [
+        (&WRITE_RESPONSE[..], HEADER_42, Response::Written { address: 0x47E4, count: 6 }),
+        (&READ_WRITE_RESPONSE, HEADER_42, Response::ReadWritten { data: read }),
+        (&READ_RESPONSE, HEADER_1, Response::Read { data: three }),
+        (&WRITE_ONE, HEADER_1, Response::WriteOne { address: 1, value: 3 }),
+        (&EXCEPTION, HEADER_42, exception(function::WRITE, ExceptionCode::ADDRESS)),
+        // It is one even if it does not say of what.
+        (&PYMODBUS_EXCEPTION, HEADER_42, exception(0, ExceptionCode::FUNCTION)),
+    ] {
+        assert_eq!(answered(&response, header), golden);
+        assert_eq!(Response::parse(golden), Ok((header, response)));
+    }
 }
 
 #[test]
@@ -258,11 +237,15 @@ fn a_buffer_takes_as_many_registers_as_a_drive_and_nothing_halfway() {
 }
 
 #[test]
-fn half_a_register_is_none() {
+fn registers_are_words_and_longs_and_half_a_one_is_none() {
     assert_eq!(Registers::new(&[1, 2, 3]), None);
-    let two = Registers::new(&[0x12, 0x34, 0x56, 0x78]).unwrap();
-    assert_eq!((two.long(0), two.long(1), two.long(usize::MAX)), (Some(0x1234_5678), None, None));
-    assert_eq!((two.word(1), two.word(2), two.word(usize::MAX)), (Some(0x5678), None, None));
+    let data = Registers::new(&READ_WRITE_RESPONSE[9..]).unwrap();
+    assert_eq!(
+        [0, 1, 2, 3, usize::MAX].map(|at| data.long(at)),
+        [Some(1), Some(-2), Some(15000), None, None]
+    );
+    assert_eq!([2, 5, 6, usize::MAX].map(|at| data.word(at)), [Some(0xFFFF), Some(0x3A98), None, None]);
+    assert!(data.words().eq([0, 1, 0xFFFF, 0xFFFE, 0, 0x3A98]));
 }
 
 #[test]
