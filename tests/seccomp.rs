@@ -25,8 +25,8 @@ use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Measured, Numbers};
 use fieldbeat::time::{MS, Time};
-use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Overrun, Plan};
-use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Plan};
+use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::cycle::engine::{Control, Engine};
 use fieldbeat_core::cycle::status::Gauges;
 use fieldbeat_core::cycle::task::Task;
@@ -42,7 +42,7 @@ use libc::{c_int, c_long, sock_filter};
 use nix::sys::socket::{setsockopt, sockopt};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
 use support::counting::{self, Counting, count, watch};
-use support::{Ended, LONG, Machine, Program, again, plan, role, until};
+use support::{Ended, LONG, Machine, Program, again, plan, role, skipping, until};
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
@@ -315,6 +315,19 @@ fn child(name: &str, role: &str, shelter: &Machine) -> Ended {
     Program::spawn(again(name, role).env("TMPDIR", shelter.path(""))).end_within(10 * LONG)
 }
 
+/// A child that has to live to its end.
+fn innocent_child(name: &str, role: &str, shelter: u8) -> Ended {
+    let ended = child(name, role, &Machine::new(shelter));
+    assert_ne!(
+        ended.signal,
+        Some(libc::SIGSYS),
+        "a call that is not listed; strace -f shows which: {ended:?}"
+    );
+    ended.expect(0);
+    assert!(ended.out.contains(LIVED), "{ended:?}");
+    ended
+}
+
 #[test]
 fn a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed() {
     match role().as_deref() {
@@ -327,24 +340,77 @@ fn a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed() {
     }
     let name = "a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed";
     for role in ["innocent", "recorded"] {
-        let ended = child(name, role, &Machine::new(2));
-        assert_ne!(
-            ended.signal,
-            Some(libc::SIGSYS),
-            "a call that is not listed; strace -f shows which: {ended:?}"
-        );
-        ended.expect(0);
+        let ended = innocent_child(name, role, 2);
         let lived = ended.out.lines().find_map(|line| line.strip_prefix(LIVED)).unwrap();
         assert!(lived.split(' ').next().unwrap().parse::<u64>().unwrap() >= CYCLES, "{ended:?}");
         println!("{role}: {LIVED}{lived}");
     }
 }
 
-/// The cycles that the loop of a line has to execute.
-const LINE_CYCLES: u64 = 20_000;
+/// The begin of a loop that records, and its bus: it comes up, is commanded and asked past the loop, lost, and found
+/// again. On a busy computer without real time the drives may be late, or not synchronous for long: that they were
+/// online at all is enough.
+struct Lives<F> {
+    begun: (Confined<LoggedClock<MonotonicClock>>, Vec<Axis>),
+    /// Of the first life, if it is there before the loop.
+    server: Option<SimServer>,
+    serve: F,
+    read: Call,
+    /// That the loop has to execute.
+    cycles: u64,
+}
 
-/// What the child does with a line: it is brought up, asked by mailbox, lost, and found again. On a busy computer
-/// without real time the drives may not be synchronous for long: that they were online at all is enough.
+impl<F: Fn() -> SimServer> Lives<F> {
+    /// The cycles of the silence between two lives.
+    const SILENCE: u64 = 1_000;
+
+    fn live(self, what: &str) {
+        let Lives { begun: (confined, mut axes), mut server, serve, read, cycles } = self;
+        let (mut lives, mut answered) = (0, 0_u32);
+        while confined.executed() < cycles || lives < 2 {
+            server.get_or_insert_with(&serve);
+            assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
+            lives += 1;
+            for axis in &mut axes {
+                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+                    let _ = axis.post(command);
+                }
+                let _ = axis.jog(1.0);
+                while axis.event().is_some() {}
+            }
+            let goal = confined.executed() + cycles / 4;
+            assert!(until(LONG, || {
+                answered +=
+                    u32::from(axes[0].acyclic().post(read, LONG).is_ok_and(|mut call| {
+                        until(LONG / 60, || call.poll().is_some_and(|end| end.is_ok()))
+                    }));
+                confined.executed() > goal
+            }));
+            // Nobody takes what the loop sends, and nothing comes.
+            drop(server.take());
+            let goal = confined.executed() + Self::SILENCE;
+            assert!(until(LONG, || confined.executed() > goal));
+        }
+        confined.control.stop();
+        confined.control.stop();
+        let end = confined.end();
+        let status = end.status;
+        assert_eq!(count(), 0, "allocations in {} cycles", status.executed);
+        assert_eq!(status.planned, status.executed + status.skipped);
+        assert!(answered > 0, "{:?}", end.drives);
+        for drive in &end.drives {
+            assert!(drive.counters.answered > 0 && drive.counters.unsent > 0, "{drive:?}");
+        }
+        println!("{LIVED}{} cycles {what}, {lives} lives, {answered} calls", status.executed);
+    }
+}
+
+/// The simulated side of a bus, on this host.
+fn server(simulated: impl Into<SimPlan>) -> SimServer {
+    SimServer::start(simulated.into().build(), ServerOptions::default()).unwrap()
+}
+
+/// What the child does with a line, and SDOs by mailbox.
 fn live_on_a_line() {
     leave_no_core();
     let drive = |place: u16| {
@@ -363,61 +429,11 @@ fn live_on_a_line() {
     line.devices.push(Device { name: "io".into(), slave });
     // Without terminals.
     let segment = EthercatSegment { devices: vec![Coupler::default()], ..line.clone().into() };
-    let cycle = CyclePlan {
-        reference: Some(line.name.clone()),
-        overrun: Overrun::Skip { max_skip: u64::MAX },
-        max_skip_rate: 1.0,
-        receive_deadline: 0.8,
-        ..CyclePlan::default()
-    };
-    let plan = || Plan {
-        source: None,
-        cycle: cycle.clone(),
-        buses: vec![Box::new(line.clone())],
-        groups: Vec::new(),
-    };
-    let serve =
-        || SimServer::start(SimPlan::from(segment.clone()).build(), ServerOptions::default()).unwrap();
-    let (confined, mut axes) = recorded(plan(), Box::new(|_, _| {}));
+    let cycle =
+        CyclePlan { reference: Some(line.name.clone()), receive_deadline: 0.8, ..CyclePlan::default() };
+    let begun = recorded(skipping(line, cycle), Box::new(|_, _| {}));
     let read = Objects.read("0x6041:0").unwrap();
-    let (mut lives, mut answered) = (0, 0_u32);
-    while confined.executed() < LINE_CYCLES || lives < 2 {
-        let server = serve();
-        assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
-        lives += 1;
-        for axis in &mut axes {
-            for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                let _ = axis.post(command);
-            }
-            let _ = axis.jog(1.0);
-            while axis.event().is_some() {}
-        }
-        let goal = confined.executed() + LINE_CYCLES / 4;
-        assert!(until(LONG, || {
-            answered += u32::from(
-                axes[0]
-                    .acyclic()
-                    .post(read, LONG)
-                    .is_ok_and(|mut call| until(LONG / 60, || call.poll().is_some_and(|end| end.is_ok()))),
-            );
-            confined.executed() > goal
-        }));
-        drop(server);
-        // Nobody takes its frames.
-        let goal = confined.executed() + LINE_CYCLES / 20;
-        assert!(until(LONG, || confined.executed() > goal));
-    }
-    confined.control.stop();
-    confined.control.stop();
-    let end = confined.end();
-    let status = end.status;
-    assert_eq!(counting::count(), 0, "allocations in {} cycles", status.executed);
-    assert_eq!(status.planned, status.executed + status.skipped);
-    assert!(answered > 0, "{:?}", end.drives);
-    for drive in &end.drives {
-        assert!(drive.counters.answered > 0 && drive.counters.unsent > 0, "{drive:?}");
-    }
-    println!("{LIVED}{} cycles on a line, {lives} lives, {answered} SDOs", status.executed);
+    Lives { begun, server: None, serve: || server(segment.clone()), read, cycles: 20_000 }.live("on a line");
 }
 
 #[test]
@@ -426,21 +442,10 @@ fn a_line_needs_no_other_system_call_than_those_listed_and_no_allocation() {
         return live_on_a_line();
     }
     let name = "a_line_needs_no_other_system_call_than_those_listed_and_no_allocation";
-    let ended = child(name, "linked", &Machine::new(6));
-    assert_ne!(
-        ended.signal,
-        Some(libc::SIGSYS),
-        "a call that is not listed; strace -f shows which: {ended:?}"
-    );
-    ended.expect(0);
-    assert!(ended.out.contains(LIVED), "{ended:?}");
+    innocent_child(name, "linked", 6);
 }
 
-/// The cycles that the loop of packets has to execute.
-const PACKET_CYCLES: u64 = 10_000;
-
-/// What the child does with MOONS' drives: their connections are opened, calls go past the loop, the drives are lost,
-/// and found again. On a busy computer they may be late: that they were online at all is enough.
+/// What the child does with MOONS' drives: their connections are opened, too.
 fn live_on_packets() {
     leave_no_core();
     let machine = Machine::new(7);
@@ -454,56 +459,12 @@ fn live_on_packets() {
         drive
     };
     let bus = EthernetIpPlan::new(machine.ip(1), vec![drive(0), drive(1)]);
-    let cycle = CyclePlan {
-        period_ns: 2 * MS,
-        overrun: Overrun::Skip { max_skip: u64::MAX },
-        max_skip_rate: 1.0,
-        ..CyclePlan::default()
-    };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus.clone())], groups: Vec::new() };
-    let serve =
-        || SimServer::start(SimPlan::from(MoonsDrives::of(&bus)).build(), ServerOptions::default()).unwrap();
-    let mut server = Some(serve());
-    let (confined, mut axes) = recorded(plan, Box::new(|_, _| {}));
+    let serve = || server(MoonsDrives::of(&bus));
+    let first = serve();
+    let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
+    let begun = recorded(plan, Box::new(|_, _| {}));
     let read = bus.notation().read("AC").unwrap();
-    let (mut lives, mut answered) = (0, 0_u32);
-    while confined.executed() < PACKET_CYCLES || lives < 2 {
-        server.get_or_insert_with(serve);
-        assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
-        lives += 1;
-        for axis in &mut axes {
-            for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                let _ = axis.post(command);
-            }
-            let _ = axis.jog(1.0);
-            while axis.event().is_some() {}
-        }
-        let goal = confined.executed() + PACKET_CYCLES / 4;
-        assert!(until(LONG, || {
-            answered += u32::from(
-                axes[0]
-                    .acyclic()
-                    .post(read, LONG)
-                    .is_ok_and(|mut call| until(LONG / 60, || call.poll().is_some_and(|end| end.is_ok()))),
-            );
-            confined.executed() > goal
-        }));
-        // Nobody takes its packets, and none come.
-        drop(server.take());
-        let goal = confined.executed() + PACKET_CYCLES / 10;
-        assert!(until(LONG, || confined.executed() > goal));
-    }
-    confined.control.stop();
-    confined.control.stop();
-    let end = confined.end();
-    let status = end.status;
-    assert_eq!(counting::count(), 0, "allocations in {} cycles", status.executed);
-    assert_eq!(status.planned, status.executed + status.skipped);
-    assert!(answered > 0, "{:?}", end.drives);
-    for drive in &end.drives {
-        assert!(drive.counters.answered > 0 && drive.counters.unsent > 0, "{drive:?}");
-    }
-    println!("{LIVED}{} cycles of packets, {lives} lives, {answered} calls", status.executed);
+    Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of packets");
 }
 
 #[test]
@@ -512,18 +473,10 @@ fn packets_need_no_other_system_call_than_those_listed_and_no_allocation() {
         return live_on_packets();
     }
     let name = "packets_need_no_other_system_call_than_those_listed_and_no_allocation";
-    let ended = child(name, "clocked", &Machine::new(8));
-    assert_ne!(
-        ended.signal,
-        Some(libc::SIGSYS),
-        "a call that is not listed; strace -f shows which: {ended:?}"
-    );
-    ended.expect(0);
-    assert!(ended.out.contains(LIVED), "{ended:?}");
+    innocent_child(name, "clocked", 8);
 }
 
-/// What the child does with a wire of Lenze drives: they start up, codes are read in their turns, the wire is lost, and
-/// found again. On a busy computer answers may be late: that the drives were online at all is enough.
+/// What the child does with a wire of Lenze drives: codes are read in their turns.
 fn live_on_a_wire() {
     leave_no_core();
     let drive = |index: u8| {
@@ -539,57 +492,12 @@ fn live_on_a_wire() {
     let mut bus = ProfibusPlan::new(port, 1_500_000, vec![drive(0), drive(1)]);
     // The simulated drives are threads of this host.
     bus.bits.latency_ns = 20 * MS;
-    let cycle = CyclePlan {
-        period_ns: 2 * MS,
-        overrun: Overrun::Skip { max_skip: u64::MAX },
-        max_skip_rate: 1.0,
-        ..CyclePlan::default()
-    };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus.clone())], groups: Vec::new() };
-    let serve = || {
-        let simulated = SimPlan::from(ProfibusSegment::of(&bus)).build();
-        SimServer::start(simulated, ServerOptions::default()).unwrap()
-    };
-    let mut server = Some(serve());
-    let (confined, mut axes) = recorded(plan, Box::new(|_, _| {}));
+    let serve = || server(ProfibusSegment::of(&bus));
+    let first = serve();
+    let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
+    let begun = recorded(plan, Box::new(|_, _| {}));
     let read = bus.notation().read("C0061").unwrap();
-    let (mut lives, mut answered) = (0, 0_u32);
-    while confined.executed() < PACKET_CYCLES || lives < 2 {
-        server.get_or_insert_with(serve);
-        assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
-        lives += 1;
-        for axis in &mut axes {
-            for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                let _ = axis.post(command);
-            }
-            let _ = axis.jog(1.0);
-            while axis.event().is_some() {}
-        }
-        let goal = confined.executed() + PACKET_CYCLES / 4;
-        assert!(until(LONG, || {
-            answered += u32::from(
-                axes[0]
-                    .acyclic()
-                    .post(read, LONG)
-                    .is_ok_and(|mut call| until(LONG / 60, || call.poll().is_some_and(|end| end.is_ok()))),
-            );
-            confined.executed() > goal
-        }));
-        drop(server.take());
-        let goal = confined.executed() + PACKET_CYCLES / 10;
-        assert!(until(LONG, || confined.executed() > goal));
-    }
-    confined.control.stop();
-    confined.control.stop();
-    let end = confined.end();
-    let status = end.status;
-    assert_eq!(counting::count(), 0, "allocations in {} cycles", status.executed);
-    assert_eq!(status.planned, status.executed + status.skipped);
-    assert!(answered > 0, "{:?}", end.drives);
-    for drive in &end.drives {
-        assert!(drive.counters.answered > 0 && drive.counters.unsent > 0, "{drive:?}");
-    }
-    println!("{LIVED}{} cycles of a wire, {lives} lives, {answered} calls", status.executed);
+    Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of a wire");
 }
 
 #[test]
@@ -598,14 +506,7 @@ fn a_wire_needs_no_other_system_call_than_those_listed_and_no_allocation() {
         return live_on_a_wire();
     }
     let name = "a_wire_needs_no_other_system_call_than_those_listed_and_no_allocation";
-    let ended = child(name, "in turn", &Machine::new(9));
-    assert_ne!(
-        ended.signal,
-        Some(libc::SIGSYS),
-        "a call that is not listed; strace -f shows which: {ended:?}"
-    );
-    ended.expect(0);
-    assert!(ended.out.contains(LIVED), "{ended:?}");
+    innocent_child(name, "in turn", 9);
 }
 
 /// Nothing is said on a new connection.
@@ -724,9 +625,7 @@ fn connections_need_no_other_system_call_than_those_listed_and_no_allocation() {
         return live_on_connections();
     }
     let name = "connections_need_no_other_system_call_than_those_listed_and_no_allocation";
-    let ended = child(name, "talking", &Machine::new(5));
-    ended.expect(0);
-    assert!(ended.out.contains(LIVED), "{ended:?}");
+    innocent_child(name, "talking", 5);
 }
 
 /// What the loop's thread must not do, each called often if it were let.

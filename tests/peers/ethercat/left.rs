@@ -5,25 +5,22 @@ use std::time::Duration;
 
 use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Overrun, Plan};
+use fieldbeat::{CyclePlan, Master};
 
 use super::scan::scan;
 use super::{WIRE, at_master, cable, segment, serve, soem};
 use crate::peer::package;
-use crate::support::{Cable, LONG, Machine, Program, until};
+use crate::support::{Cable, LONG, Machine, Program, skipping, until};
 
 /// Cycles of 2 ms until all drives are online on a segment that has just been switched on, or was left.
 fn cycles_to_online(plan: EthercatPlan) -> u64 {
     let cycle = CyclePlan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2_000 },
-        max_skip_rate: 1.0,
         reference: Some(plan.name.clone()),
         ..CyclePlan::default()
     };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
-    let master = Master::from_plan(plan).start().unwrap();
+    let master = Master::from_plan(skipping(plan, cycle)).start().unwrap();
     master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
     let executed = master.numbers().status.executed;
     let mut axis = master.axis("d1").unwrap();

@@ -9,7 +9,7 @@ use std::time::Duration;
 use fieldbeat::axis::ParameterError;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
+use fieldbeat::{CyclePlan, Master, Memory};
 
 use super::dissector::{
     ABORT, APRD, APWR, Address, BRD, BWR, DOWNLOAD, DOWNLOADED, Datagram, FPRD, FPWR, FRMW, Frame, LRW,
@@ -17,7 +17,7 @@ use super::dissector::{
 };
 use super::{at_master, cable, capture, segment, serve};
 use crate::capture;
-use crate::support::{LONG, Machine};
+use crate::support::{LONG, Machine, skipping};
 
 /// rev/s.
 const SPEED: f64 = 5.0;
@@ -140,14 +140,11 @@ fn work(plan: EthercatPlan, leads: bool) -> u64 {
     let cycle = CyclePlan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2_000 },
-        max_skip_rate: 1.0,
         reference: leads.then(|| plan.name.clone()),
         memory: Memory::Own,
         ..CyclePlan::default()
     };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
-    let master = Master::from_plan(plan).start().unwrap();
+    let master = Master::from_plan(skipping(plan, cycle)).start().unwrap();
     master.wait_online(LONG).unwrap();
     let mut axes = ["d1", "d2"].map(|name| master.axis(name).unwrap());
     for axis in &mut axes {

@@ -4,11 +4,11 @@ use std::time::{Duration, Instant};
 
 use fieldbeat::bus::ethercat::{EthercatPlan, Terminals};
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
+use fieldbeat::{CyclePlan, Master, Memory};
 
 use super::dissector::{APWR, Address, BRD, Datagram, FPWR, Frame, LRW, dissect, exchanges};
 use super::{at_master, cable, capture, serve, with_terminals};
-use crate::support::{LONG, Machine};
+use crate::support::{LONG, Machine, skipping};
 
 const PERIOD_NS: u64 = 2 * MS;
 const SLAVES: u64 = 7;
@@ -109,14 +109,11 @@ fn work(plan: EthercatPlan) -> u64 {
     let cycle = CyclePlan {
         period_ns: PERIOD_NS,
         receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2_000 },
-        max_skip_rate: 1.0,
         reference: Some(plan.name.clone()),
         memory: Memory::Own,
         ..CyclePlan::default()
     };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
-    let master = Master::from_plan(plan).start().unwrap();
+    let master = Master::from_plan(skipping(plan, cycle)).start().unwrap();
     master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
     let mut devices: Vec<Terminals> =
         ["out", "in", "wide", "analogue"].map(|name| master.device(name).unwrap()).into();

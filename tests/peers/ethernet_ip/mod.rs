@@ -17,9 +17,9 @@ use std::net::Ipv4Addr;
 
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Overrun, Plan, Realtime};
+use fieldbeat::{CyclePlan, Plan, Realtime};
 
-use crate::support::LONG;
+use crate::support::{LONG, skipping};
 
 /// Command words.
 const ENABLE: i64 = 0x2;
@@ -50,13 +50,8 @@ fn plan(bind: Ipv4Addr, drives: Vec<MoonsDrive>) -> Plan {
     let cycle = CyclePlan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2000 },
-        max_skip_rate: 1.0,
         realtime: Realtime::Off,
         ..CyclePlan::default()
     };
-    let bus = EthernetIpPlan::new(bind, drives);
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: vec![] };
-    plan.check().unwrap();
-    plan
+    skipping(EthernetIpPlan::new(bind, drives), cycle)
 }

@@ -21,10 +21,10 @@ use std::process::Command;
 
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::time::{MS, S};
-use fieldbeat::{CyclePlan, Overrun, Plan, Realtime};
+use fieldbeat::{CyclePlan, Plan, Realtime};
 
 use crate::peer::Peer;
-use crate::support::{LONG, Machine, checkout, command};
+use crate::support::{LONG, Machine, checkout, command, skipping};
 
 /// Anybody may listen here.
 const PORT: u16 = 1502;
@@ -97,13 +97,8 @@ fn plan(drive: UnidriveDrive) -> Plan {
     let cycle = CyclePlan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2000 },
-        max_skip_rate: 1.0,
         realtime: Realtime::Off,
         ..CyclePlan::default()
     };
-    let plan =
-        Plan { source: None, cycle, buses: vec![Box::new(ModbusPlan::new(vec![drive]))], groups: vec![] };
-    plan.check().unwrap();
-    plan
+    skipping(ModbusPlan::new(vec![drive]), cycle)
 }

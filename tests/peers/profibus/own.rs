@@ -6,30 +6,22 @@ use std::process::Command;
 use fieldbeat::axis::{Axis, ParameterError};
 use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Memory, Overrun, Plan};
+use fieldbeat::{CyclePlan, Master, Memory};
 use fieldbeat_profibus::wire::telegram::{Next, Telegram};
 
 use super::cable::{By, Cable};
 use super::telegrams::{TOKEN, global_control, searched, start_up, started};
 use super::{DRIVECOM, OWN, PKW, PLAIN, Slaves, plan};
 use crate::peer::{Peer, package};
-use crate::support::{LONG, Machine, until};
+use crate::support::{LONG, Machine, skipping, until};
 
 /// rev/s.
 const SPEED: f64 = 2.0;
 
 fn work(plan: fieldbeat::bus::profibus::ProfibusPlan) {
-    let cycle = CyclePlan {
-        period_ns: 2 * MS,
-        receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 2_000 },
-        max_skip_rate: 1.0,
-        memory: Memory::Own,
-        ..CyclePlan::default()
-    };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(plan)], groups: Vec::new() };
-    plan.check().unwrap_or_else(|faults| panic!("{faults}"));
-    let master = Master::from_plan(plan).start().unwrap();
+    let cycle =
+        CyclePlan { period_ns: 2 * MS, receive_deadline: 0.8, memory: Memory::Own, ..CyclePlan::default() };
+    let master = Master::from_plan(skipping(plan, cycle)).start().unwrap();
     master.wait_online(LONG).unwrap_or_else(|error| panic!("{error}: {:?}", master.numbers()));
     let mut axes = [DRIVECOM, PKW, PLAIN].map(|address| master.axis(&format!("l{address}")).unwrap());
     for axis in &axes {
