@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link, StopCause};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
@@ -21,7 +22,7 @@ use fieldbeat::sim::{
 };
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
-use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::inputs::recording::LogReader;
 use fieldbeat_ethercat::object::Objects;
@@ -59,15 +60,10 @@ impl SimDrive for Unwatched {
         bytes: &[u8],
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4> {
-        let watched = watch(false);
-        let to = self.0.receive(now, from, bytes, reply);
-        watch(watched);
-        to
+        unwatched(|| self.0.receive(now, from, bytes, reply))
     }
     fn restart(&mut self, now: Time) {
-        let watched = watch(false);
-        self.0.restart(now);
-        watch(watched);
+        unwatched(|| self.0.restart(now));
     }
 }
 
@@ -165,19 +161,18 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
     let count = allocations(|| {
         while sim.status().executed < 1_000_000 {
             // The application may allocate.
-            let watched = watch(false);
-            for (index, calls) in calls.iter_mut().enumerate() {
-                calls.keep_up(sim.axis(index).acyclic());
-            }
-            watch(watched);
+            unwatched(|| {
+                for (index, calls) in calls.iter_mut().enumerate() {
+                    calls.keep_up(sim.axis(index).acyclic());
+                }
+            });
             round(&mut sim, &machine, &mut ends, rounds);
             rounds += 1;
         }
         // On the way down from a fast one.
         let _ = sim.axis(1).post(to(100.0));
         sim.run(1_000);
-        sim.stop();
-        while sim.step() == Flow::Continue {}
+        go_down(&mut sim);
     });
     let executed = sim.status().executed;
     let end = sim.finish();
@@ -288,11 +283,6 @@ const LINE: &str = "local:line";
 const RESTARTED: usize = 1;
 const CUT_OFF: usize = 2;
 
-/// Turns the loop until all drives of the line are online.
-fn line_is_up(sim: &mut Simulation) -> bool {
-    sim.run_until(20_000, |sim| (0..3).all(|index| sim.feedback(index).link == Link::Online))
-}
-
 /// Posts a command and turns the loop until it has ended. [`Simulation::execute`] keeps events, and allocates for them.
 fn end_of(sim: &mut Simulation, index: usize, command: Command) {
     let Ok(posted) = sim.axis(index).post(command) else { return };
@@ -304,6 +294,81 @@ fn end_of(sim: &mut Simulation, index: usize, command: Command) {
             }
         }
     }
+}
+
+/// A machine of this bus, whose loop skips what it has to and records the native process data of all drives; of the
+/// cycle it takes what is not said here.
+fn machine_of(bus: impl BusPlan + 'static, cycle: CyclePlan) -> Plan {
+    let overrun = Overrun::Skip { max_skip: 1_000 };
+    let cycle = CyclePlan { overrun, max_skip_rate: 1.0, record_native: natively(), ..cycle };
+    Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() }
+}
+
+/// Enables an axis, whatever has befallen it, and lets it jog.
+fn enable_and_jog(sim: &mut Simulation, index: usize, velocity: f64) {
+    for command in [Command::Reset, Command::ResetFault, Command::Enable] {
+        end_of(sim, index, command);
+    }
+    let _ = sim.axis(index).post(Command::Jog(Jog { velocity, acceleration: 100.0 }));
+}
+
+/// Calls that go past the loop: how many were answered, and how many refused.
+#[derive(Default)]
+struct Asked {
+    open: Vec<CallTicket>,
+    answered: u32,
+    refused: u32,
+}
+
+impl Asked {
+    /// Turns the loop, and asks three axes in turn for these, axis by axis. The application may allocate.
+    fn turns(&mut self, sim: &mut Simulation, calls: &[[Call; 2]; 3]) {
+        for turn in 0..1_000 {
+            sim.step();
+            unwatched(|| {
+                for call in calls[turn % 3] {
+                    self.open.extend(sim.axis(turn % 3).acyclic().post(call, LONG).ok());
+                }
+                self.open.retain_mut(|ticket| match ticket.poll() {
+                    None => true,
+                    Some(end) => {
+                        *(if end.is_ok() { &mut self.answered } else { &mut self.refused }) += 1;
+                        false
+                    }
+                });
+            });
+        }
+    }
+
+    /// Nobody waits for what is still open.
+    fn forget(&mut self) {
+        unwatched(|| self.open = Vec::new());
+    }
+}
+
+/// Every fiftieth is lost, doubled, late, out of turn, or of somebody else.
+fn bad_weather(seed: u64, delay_ns: u64) -> FaultPlan {
+    FaultPlan {
+        seed,
+        drop: 0.02,
+        duplicate: 0.02,
+        delay: 0.02,
+        delay_ns,
+        reorder: 0.02,
+        wrong_id: 0.02,
+        ..FaultPlan::default()
+    }
+}
+
+/// All three axes are online.
+fn is_up(sim: &Simulation) -> bool {
+    (0..3).all(|index| sim.feedback(index).link == Link::Online)
+}
+
+/// The end of a run, from a motion.
+fn go_down(sim: &mut Simulation) {
+    sim.stop();
+    while sim.step() == Flow::Continue {}
 }
 
 /// A line from INIT to OP, its SDOs, lost and broken frames, a drive that is switched off and on, a cable that is cut.
@@ -320,18 +385,11 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         drive
     };
     let line = EthercatPlan::new(LINE, (0..3).map(drive).collect());
-    let cycle = CyclePlan {
-        record_native: natively(),
-        reference: Some(line.name.clone()),
-        overrun: Overrun::Skip { max_skip: 1_000 },
-        max_skip_rate: 1.0,
-        ..CyclePlan::default()
-    };
+    let cycle = CyclePlan { reference: Some(line.name.clone()), ..CyclePlan::default() };
     let drives = UnwatchedLine(EthercatSim::of(&line));
     let drives = Simulated { segments: vec![Box::new(drives)], ..Simulated::default() };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(line)], groups: Vec::new() };
     let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
-    let mut sim = Master::from_plan(plan).simulate_with(drives, options).unwrap();
+    let mut sim = Master::from_plan(machine_of(line, cycle)).simulate_with(drives, options).unwrap();
     // The telemetry may allocate: it has a thread of its own where time is real.
     sim.run_telemetry_by(|work| unwatched(work));
     // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
@@ -345,50 +403,18 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     sim.run(100);
 
     let [read, refused] = ["0x6041:0", "0x5FFF:7"].map(|object| Objects.read(object));
-    let (read, refused) = (read.unwrap(), refused.unwrap());
-    let (mut answered, mut aborted) = (0_u32, 0_u32);
+    let calls = [[read.unwrap(), refused.unwrap()]; 3];
+    let mut asked = Asked::default();
     // Of this master and of this protocol, and else all ones.
     let mut broken = [0xFF; 1_514];
     broken[6..14].copy_from_slice(&[0x12, 0x10, 0x10, 0x10, 0x10, 0x10, 0x88, 0xA4]);
     let (mut rounds, mut up) = (0_u32, false);
     let count = allocations(|| {
-        up = line_is_up(&mut sim);
+        up = sim.run_until(20_000, is_up);
         while up && sim.status().executed < 100_000 {
-            let enable = |sim: &mut Simulation, index| {
-                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                    end_of(sim, index, command);
-                }
-                let _ = sim.axis(index).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
-            };
-            (0..3).for_each(|index| enable(&mut sim, index));
-            // The application may allocate.
-            let mut tickets: Vec<CallTicket> = Vec::new();
-            for turn in 0..1_000 {
-                sim.step();
-                unwatched(|| {
-                    for call in [read, refused] {
-                        tickets.extend(sim.axis(turn % 3).acyclic().post(call, LONG).ok());
-                    }
-                    tickets.retain_mut(|ticket| match ticket.poll() {
-                        None => true,
-                        Some(end) => {
-                            *(if end.is_ok() { &mut answered } else { &mut aborted }) += 1;
-                            false
-                        }
-                    });
-                });
-            }
-            let faults = FaultPlan {
-                seed: rounds.into(),
-                drop: 0.02,
-                duplicate: 0.02,
-                delay: 0.02,
-                delay_ns: 1_000_000,
-                reorder: 0.02,
-                wrong_id: 0.02,
-                ..FaultPlan::default()
-            };
-            unwatched(|| assert!(sim.world().set_segment_faults(LINE, faults)));
+            (0..3).for_each(|index| enable_and_jog(&mut sim, index, 5.0));
+            asked.turns(&mut sim, &calls);
+            unwatched(|| assert!(sim.world().set_segment_faults(LINE, bad_weather(rounds.into(), MS))));
             // A slave takes no frame with a wrong check sequence: what is broken comes to the master only.
             for length in [20, 64, 600] {
                 sim.world().inject_frame(LINE, &broken[..length], sim.world().now());
@@ -401,22 +427,21 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
             unwatched(|| assert!(sim.world().cut(LINE, Some(CUT_OFF))));
             sim.run(500);
             unwatched(|| assert!(sim.world().cut(LINE, None)));
-            up = line_is_up(&mut sim);
-            unwatched(|| drop(tickets));
+            up = sim.run_until(20_000, is_up);
+            asked.forget();
             rounds += 1;
         }
-        end_of(&mut sim, 0, Command::Enable);
-        let _ = sim.axis(0).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+        enable_and_jog(&mut sim, 0, 5.0);
         sim.run(1_000);
-        sim.stop();
-        while sim.step() == Flow::Continue {}
+        go_down(&mut sim);
     });
     let executed = sim.status().executed;
     let end = sim.finish();
     assert!(up, "round {rounds}: {:?}", end.drives);
     assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
     // All of it really happened.
-    assert!(rounds >= 3 && answered > rounds && aborted > rounds, "{rounds}: {answered}, {aborted}");
+    let Asked { answered, refused, .. } = asked;
+    assert!(rounds >= 3 && answered > rounds && refused > rounds, "{rounds}: {answered}, {refused}");
     for index in [RESTARTED, CUT_OFF] {
         assert!(end.drives[index].losses >= u64::from(rounds), "{:?}", end.drives[index]);
     }
@@ -483,24 +508,17 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
         settings.clock = ClockSettings { drift_ppm: 300, jitter_ns: 200_000, seed: index as u64 };
         Box::new(UnwatchedMoons(MoonsSim::new(settings))) as Box<dyn SimDrive>
     });
-    let cycle = CyclePlan {
-        overrun: Overrun::Skip { max_skip: 1_000 },
-        max_skip_rate: 1.0,
-        record_native: natively(),
-        ..CyclePlan::default()
-    };
     let drives: Vec<_> = drives.collect();
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let plan = machine_of(bus, CyclePlan::default());
     let mut sim = Master::from_plan(plan).simulate_with(drives, WorldOptions::default()).unwrap();
     // The telemetry may allocate: it has a thread of its own where time is real.
     sim.run_telemetry_by(|work| unwatched(work));
-    let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
     assert!(sim.run_until(60_000, is_up), "they are online");
-    let faults = FaultPlan { drop: 0.02, duplicate: 0.02, delay: 0.02, ..FaultPlan::default() };
-    let faults = FaultPlan { delay_ns: 3_000_000, reorder: 0.02, ..faults };
     for index in 0..3 {
         let packets = SocketAddrV4::new(Ipv4Addr::new(10, 0, 6, 2 + index), IO_PORT);
-        assert!(sim.world().set_faults(packets, FaultPlan { seed: index.into(), ..faults.clone() }));
+        assert!(
+            sim.world().set_faults(packets, FaultPlan { wrong_id: 0.0, ..bad_weather(index.into(), 3 * MS) })
+        );
     }
     // Buffers that the simulated network keeps for reuse, more than the faults will ever need at once.
     let (master, stranger) = (Ipv4Addr::new(10, 0, 6, 1), Ipv4Addr::new(10, 0, 6, 200));
@@ -512,11 +530,7 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
         // A silent session asks something after 30 s.
         while sim.status().executed < before + 10_000 {
             for index in 0..3 {
-                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                    end_of(&mut sim, index, command);
-                }
-                let jog = Jog { velocity: 1.0 + f64::from(rounds % 3), acceleration: 100.0 };
-                let _ = sim.axis(index).post(Command::Jog(jog));
+                enable_and_jog(&mut sim, index, 1.0 + f64::from(rounds % 3));
             }
             sim.run(500);
             sim.world().delay_next_wake(3_700_000);
@@ -526,8 +540,7 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
             rounds += 1;
         }
     });
-    sim.stop();
-    while sim.step() == Flow::Continue {}
+    go_down(&mut sim);
     let end = sim.finish();
     assert_eq!(count, 0, "in {} cycles, {rounds} rounds", end.status.executed);
     // All of it really happened.
@@ -589,14 +602,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
     let wire = segment.wire();
     let devices = wire.drives.into_iter().map(|drive| Box::new(UnwatchedDevice(drive)) as Box<dyn SimSerial>);
     let wire = SerialWire { drives: devices.collect(), ..wire };
-    let cycle = CyclePlan {
-        record_native: natively(),
-        receive_deadline: 0.8,
-        overrun: Overrun::Skip { max_skip: 1_000 },
-        max_skip_rate: 1.0,
-        ..CyclePlan::default()
-    };
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let plan = machine_of(bus, CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() });
     let simulated = Simulated { wires: vec![wire], ..Simulated::default() };
     let others = Arc::new(AtomicU64::new(0));
     let seen = Arc::clone(&others);
@@ -607,7 +613,6 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
     let mut sim = setup.simulate_with(simulated, WorldOptions::default()).unwrap();
     // The telemetry may allocate: it has a thread of its own where time is real.
     sim.run_telemetry_by(|work| unwatched(work));
-    let is_up = |sim: &Simulation| (0..3).all(|index| sim.feedback(index).link == Link::Online);
     // Buffers that the simulated wire keeps for reuse, more than the faults will ever need at once.
     let late = FaultPlan { delay: 1.0, delay_ns: 20 * MS, duplicate: 1.0, ..FaultPlan::default() };
     assert!(sim.world().set_wire_faults(PORT, late));
@@ -619,47 +624,14 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
         let notation = sim.axis(index).acyclic().notation().clone();
         ["C0061", "C1999"].map(|code| notation.read(code).unwrap())
     });
-    let (mut answered, mut refused) = (0_u32, 0_u32);
+    let mut asked = Asked::default();
     let (mut rounds, mut up) = (0_u32, false);
     let count = allocations(|| {
         up = sim.run_until(20_000, is_up);
         while up && sim.status().executed < 30_000 {
-            for index in 0..3 {
-                for command in [Command::Reset, Command::ResetFault, Command::Enable] {
-                    end_of(&mut sim, index, command);
-                }
-                let _ = sim.axis(index).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
-            }
-            // The application may allocate.
-            let mut tickets: Vec<CallTicket> = Vec::new();
-            for turn in 0..1_000 {
-                sim.step();
-                unwatched(|| {
-                    let index = turn % 3;
-                    for call in calls[index] {
-                        tickets.extend(sim.axis(index).acyclic().post(call, LONG).ok());
-                    }
-                    tickets.retain_mut(|ticket| match ticket.poll() {
-                        None => true,
-                        Some(end) => {
-                            *(if end.is_ok() { &mut answered } else { &mut refused }) += 1;
-                            false
-                        }
-                    });
-                });
-            }
-            let faults = FaultPlan {
-                seed: rounds.into(),
-                drop: 0.02,
-                duplicate: 0.02,
-                corrupt: 0.02,
-                lost_byte: 0.02,
-                delay: 0.02,
-                delay_ns: MS,
-                reorder: 0.02,
-                wrong_id: 0.02,
-                ..FaultPlan::default()
-            };
+            (0..3).for_each(|index| enable_and_jog(&mut sim, index, 5.0));
+            asked.turns(&mut sim, &calls);
+            let faults = FaultPlan { corrupt: 0.02, lost_byte: 0.02, ..bad_weather(rounds.into(), MS) };
             unwatched(|| assert!(sim.world().set_wire_faults(PORT, faults)));
             sim.run(2_000);
             unwatched(|| assert!(sim.world().set_wire_faults(PORT, FaultPlan::default())));
@@ -673,14 +645,12 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
                 assert!(sim.world().plug_port(PORT));
                 up = sim.run_until(20_000, is_up);
             });
-            unwatched(|| drop(tickets));
+            asked.forget();
             rounds += 1;
         }
-        end_of(&mut sim, 0, Command::Enable);
-        let _ = sim.axis(0).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+        enable_and_jog(&mut sim, 0, 5.0);
         sim.run(1_000);
-        sim.stop();
-        while sim.step() == Flow::Continue {}
+        go_down(&mut sim);
     });
     let executed = sim.status().executed;
     let end = sim.finish();
@@ -688,6 +658,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
     assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
     // All of it really happened.
     assert!(rounds >= 3 && others.load(Ordering::Relaxed) > 0, "{rounds}: {others:?}");
+    let Asked { answered, refused, .. } = asked;
     assert!(answered > 10 * rounds && refused > 10 * rounds, "{rounds}: {answered}, {refused}");
     for drive in &end.drives {
         assert!(drive.losses >= u64::from(rounds), "{drive:?}");
