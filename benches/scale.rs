@@ -161,36 +161,24 @@ fn main() -> ExitCode {
             "steal_ms": on.steal_ms,
         }));
     }
-    for (drives, without) in segments.iter().zip(in_segments) {
-        report.append(json!({
-            "segment_drives": drives,
+    let of_kind = |key: &str, drives: &usize, without: Without| {
+        json!({
+            key: drives,
             "loop_ns": without.back_to_back.value,
             "loop_ns_interval": without.back_to_back.ends(),
             "loop_paced_ns": without.paced.value,
             "loop_paced_ns_interval": without.paced.ends(),
             "carrier_ns": without.carrier,
-        }));
+        })
+    };
+    for (drives, without) in segments.iter().zip(in_segments) {
+        report.append(of_kind("segment_drives", drives, without));
     }
     report.append(reads);
-    for (drives, without) in drives.iter().zip(moons) {
-        report.append(json!({
-            "moons_drives": drives,
-            "loop_ns": without.back_to_back.value,
-            "loop_ns_interval": without.back_to_back.ends(),
-            "loop_paced_ns": without.paced.value,
-            "loop_paced_ns_interval": without.paced.ends(),
-            "carrier_ns": without.carrier,
-        }));
-    }
-    for (drives, without) in drives.iter().zip(on_wires) {
-        report.append(json!({
-            "lenze_drives": drives,
-            "loop_ns": without.back_to_back.value,
-            "loop_ns_interval": without.back_to_back.ends(),
-            "loop_paced_ns": without.paced.value,
-            "loop_paced_ns_interval": without.paced.ends(),
-            "carrier_ns": without.carrier,
-        }));
+    for (key, costs) in [("moons_drives", moons), ("lenze_drives", on_wires)] {
+        for (drives, without) in drives.iter().zip(costs) {
+            report.append(of_kind(key, drives, without));
+        }
     }
     report.append(together);
     report.append(all_kinds);

@@ -388,15 +388,6 @@ impl Clocked {
     }
 }
 
-/// A segment whose drives all follow a velocity, answered from memory.
-struct Linked {
-    bus: Box<dyn Bus>,
-    machines: Vec<Machine>,
-    slots: Vec<Slot>,
-    cycle: Cycle,
-    settled: Settled,
-}
-
 /// The time of the buses in memory.
 static BUS_NOW: AtomicU64 = AtomicU64::new(0);
 
@@ -404,30 +395,34 @@ fn bus_now() -> Time {
     Time(BUS_NOW.load(Ordering::Relaxed))
 }
 
-impl Linked {
-    /// All axes in operation and turning.
-    fn operational(drives: usize) -> Linked {
-        let plan = segment::plan("local:wire", drives, 0);
-        let settled = Settled::default();
-        let segments = NullSegments(plan.clone(), bus_now, Settled::clone(&settled));
-        let segments = CountedNet::over(segments, &Calls::default());
-        let bus = BusPlan::open(&plan, PERIOD_NS, &segments).expect("a segment in memory");
+/// A bus whose drives all follow a velocity, answered from memory.
+struct Following {
+    bus: Box<dyn Bus>,
+    machines: Vec<Machine>,
+    slots: Vec<Slot>,
+    cycle: Cycle,
+}
+
+impl Following {
+    /// All axes in operation and turning; `turn` is a cycle of it.
+    fn operational(plan: &dyn BusPlan, bus: Box<dyn Bus>, turn: fn(&mut Following)) -> Following {
+        let drives = plan.axes().len();
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
-        let machines = (0..drives).map(|index| machine(&plan, index)).collect();
-        let mut linked = Linked { bus, machines, slots: vec![slot; drives], cycle: BEGIN, settled };
-        linked.cycle.grid = Time(1_000 * PERIOD_NS);
-        linked.bus.prepare(&linked.cycle, &mut linked.slots);
-        linked.until("in operation", |slot, _| slot.status.at > Time(0));
-        linked.start(Command::Enable);
-        linked.until("enabled", |_, machine| machine.end() == Some(Ok(())));
-        linked.start(Command::Velocity { acceleration: 100.0 });
-        (0..5_000).for_each(|_| linked.turn());
-        for (slot, machine) in linked.slots.iter().zip(&linked.machines) {
+        let machines = (0..drives).map(|index| machine(plan, index)).collect();
+        let mut following = Following { bus, machines, slots: vec![slot; drives], cycle: BEGIN };
+        following.cycle.grid = Time(1_000 * PERIOD_NS);
+        following.bus.prepare(&following.cycle, &mut following.slots);
+        following.until("in operation", turn, |slot, _| slot.status.at > Time(0));
+        following.start(Command::Enable);
+        following.until("enabled", turn, |_, machine| machine.end() == Some(Ok(())));
+        following.start(Command::Velocity { acceleration: 100.0 });
+        (0..5_000).for_each(|_| turn(&mut following));
+        for (slot, machine) in following.slots.iter().zip(&following.machines) {
             assert_eq!(slot.status.state, State::OperationEnabled);
             assert_eq!(machine.end(), None, "it goes on following");
         }
-        linked.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
-        linked
+        following.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
+        following
     }
 
     fn start(&mut self, command: Command) {
@@ -435,9 +430,9 @@ impl Linked {
         self.machines.iter_mut().for_each(|machine| machine.start(now, Some(command)));
     }
 
-    fn until(&mut self, what: &str, done: impl Fn(&Slot, &Machine) -> bool) {
+    fn until(&mut self, what: &str, turn: fn(&mut Following), done: impl Fn(&Slot, &Machine) -> bool) {
         for _ in 0..100_000 {
-            self.turn();
+            turn(self);
             if self.slots.iter().zip(&self.machines).all(|(slot, machine)| done(slot, machine)) {
                 return;
             }
@@ -445,9 +440,19 @@ impl Linked {
         panic!("the drives are not {what}: {:?}", self.bus.notes().and_then(|notes| notes.get(0)));
     }
 
-    /// One cycle of the bus, with what the loop does to its slots.
+    /// What was sent and answered since the last time.
+    fn take_counters(&mut self) -> Counters {
+        let mut all = Counters::default();
+        for slot in &mut self.slots {
+            let Counters { sent, answered, .. } = std::mem::take(&mut slot.counters);
+            (all.sent, all.answered) = (all.sent + sent, all.answered + answered);
+        }
+        all
+    }
+
+    /// One cycle of a segment, with what the loop does to its slots.
     #[inline]
-    fn turn(&mut self) {
+    fn turn_of_segment(&mut self) {
         let sent_at = advance(&mut self.cycle);
         BUS_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
@@ -469,6 +474,63 @@ impl Linked {
         self.bus.prepare(&next, &mut self.slots);
         black_box(&self.slots);
     }
+
+    /// One cycle of a wire, with what the loop does to its slots, and its window.
+    #[inline]
+    fn turn_of_wire(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
+        self.bus.send(&self.cycle, &mut self.slots);
+        loop {
+            if rig::is_reply_waiting() {
+                BUS_NOW.fetch_add(40 * US, Ordering::Relaxed);
+                self.bus.receive(&self.cycle, &mut self.slots);
+            }
+            match self.bus.poll_at() {
+                Some(at) if at < self.cycle.deadline => {
+                    if rig::is_reply_waiting() {
+                        continue;
+                    }
+                    BUS_NOW.store(at.0, Ordering::Relaxed);
+                    self.bus.poll(&self.cycle, at, &mut self.slots);
+                }
+                _ => break,
+            }
+        }
+        let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        let mut next = self.cycle;
+        advance(&mut next);
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            commit(machine, slot);
+            slot.exchange = Exchange::Idle;
+            observe(machine, self.cycle.grid, slot);
+            // Another velocity each time, as far as the ramp allows.
+            machine.input.level = velocity;
+            machine.propose(next.grid, slot);
+        }
+        self.bus.prepare(&next, &mut self.slots);
+        black_box(&self.slots);
+    }
+}
+
+/// A segment with so many drives, and what its frame has settled to.
+fn segment_of(drives: usize) -> (Following, Settled) {
+    let plan = segment::plan("local:wire", drives, 0);
+    let settled = Settled::default();
+    let segments = NullSegments(plan.clone(), bus_now, Settled::clone(&settled));
+    let segments = CountedNet::over(segments, &Calls::default());
+    let bus = BusPlan::open(&plan, PERIOD_NS, &segments).expect("a segment in memory");
+    (Following::operational(&plan, bus, Following::turn_of_segment), settled)
+}
+
+/// A wire with so many drives, each due in every cycle.
+fn wire_of(drives: usize) -> Following {
+    let plan = lenze::plan("local:wire", 0, drives);
+    let wires = CountedNet::over(NullWires(vec![plan.clone()], bus_now), &Calls::default());
+    let bus = BusPlan::open(&plan, PERIOD_NS, &wires).expect("a wire in memory");
+    let wire = Following::operational(&plan, bus, Following::turn_of_wire);
+    wire.slots.iter().for_each(|slot| assert!(slot.status.velocity > 9.0, "{:?}", slot.status));
+    wire
 }
 
 /// The same cycle without its bus: the segment that takes a frame and gives it back, and the application.
@@ -481,10 +543,10 @@ struct Unlinked {
 }
 
 impl Unlinked {
-    fn new(linked: &Linked) -> Unlinked {
-        let (frame, _) = linked.settled.get().expect("it is in operation");
+    fn new((linked, settled): &(Following, Settled)) -> Unlinked {
+        let (frame, _) = settled.get().expect("it is in operation");
         Unlinked {
-            segment: NullSegment::settled(&linked.settled, bus_now),
+            segment: NullSegment::settled(settled, bus_now),
             frame: frame.clone(),
             room: Box::new([0; FRAME_MAX]),
             slots: linked.slots.clone(),
@@ -577,92 +639,6 @@ impl Addressed {
     }
 }
 
-/// A wire whose drives all follow a velocity, each in every cycle, answered from memory.
-struct Wired {
-    bus: Box<dyn Bus>,
-    machines: Vec<Machine>,
-    slots: Vec<Slot>,
-    cycle: Cycle,
-}
-
-impl Wired {
-    /// All axes in operation and turning.
-    fn operational(drives: usize) -> Wired {
-        let plan = lenze::plan("local:wire", 0, drives);
-        let wires = CountedNet::over(NullWires(vec![plan.clone()], bus_now), &Calls::default());
-        let bus = BusPlan::open(&plan, PERIOD_NS, &wires).expect("a wire in memory");
-        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
-        let machines = (0..drives).map(|index| machine(&plan, index)).collect();
-        let mut wired = Wired { bus, machines, slots: vec![slot; drives], cycle: BEGIN };
-        wired.cycle.grid = Time(1_000 * PERIOD_NS);
-        wired.bus.prepare(&wired.cycle, &mut wired.slots);
-        wired.until("in operation", |slot, _| slot.status.at > Time(0));
-        wired.start(Command::Enable);
-        wired.until("enabled", |_, machine| machine.end() == Some(Ok(())));
-        wired.start(Command::Velocity { acceleration: 100.0 });
-        (0..5_000).for_each(|_| wired.turn());
-        for (slot, machine) in wired.slots.iter().zip(&wired.machines) {
-            assert_eq!(slot.status.state, State::OperationEnabled);
-            assert_eq!(machine.end(), None, "it goes on following");
-            assert!(slot.status.velocity > 9.0, "{:?}", slot.status);
-        }
-        wired.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
-        wired
-    }
-
-    fn start(&mut self, command: Command) {
-        let now = self.cycle.grid;
-        self.machines.iter_mut().for_each(|machine| machine.start(now, Some(command)));
-    }
-
-    fn until(&mut self, what: &str, done: impl Fn(&Slot, &Machine) -> bool) {
-        for _ in 0..100_000 {
-            self.turn();
-            if self.slots.iter().zip(&self.machines).all(|(slot, machine)| done(slot, machine)) {
-                return;
-            }
-        }
-        panic!("the drives are not {what}: {:?}", self.bus.notes().and_then(|notes| notes.get(0)));
-    }
-
-    /// One cycle of the bus, with what the loop does to its slots, and its window.
-    #[inline]
-    fn turn(&mut self) {
-        let sent_at = advance(&mut self.cycle);
-        BUS_NOW.store(sent_at.0, Ordering::Relaxed);
-        self.bus.send(&self.cycle, &mut self.slots);
-        loop {
-            if rig::is_reply_waiting() {
-                BUS_NOW.fetch_add(40 * US, Ordering::Relaxed);
-                self.bus.receive(&self.cycle, &mut self.slots);
-            }
-            match self.bus.poll_at() {
-                Some(at) if at < self.cycle.deadline => {
-                    if rig::is_reply_waiting() {
-                        continue;
-                    }
-                    BUS_NOW.store(at.0, Ordering::Relaxed);
-                    self.bus.poll(&self.cycle, at, &mut self.slots);
-                }
-                _ => break,
-            }
-        }
-        let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
-        let mut next = self.cycle;
-        advance(&mut next);
-        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
-            commit(machine, slot);
-            slot.exchange = Exchange::Idle;
-            observe(machine, self.cycle.grid, slot);
-            // Another velocity each time, as far as the ramp allows.
-            machine.input.level = velocity;
-            machine.propose(next.grid, slot);
-        }
-        self.bus.prepare(&next, &mut self.slots);
-        black_box(&self.slots);
-    }
-}
-
 /// What is counted in place of being measured.
 const SCENARIOS: [Scenario; 6] = [
     Scenario::of(linudp::PROTOCOL, 1),
@@ -699,12 +675,12 @@ fn counted(scenario: Scenario) -> Ran {
             count(&mut || addressed.turn())
         }
         profibus::PROTOCOL => {
-            let mut wired = Wired::operational(scenario.drives);
-            count(&mut || wired.turn())
+            let mut wired = wire_of(scenario.drives);
+            count(&mut || wired.turn_of_wire())
         }
         _ => {
-            let mut linked = Linked::operational(scenario.drives);
-            count(&mut || linked.turn())
+            let (mut linked, _) = segment_of(scenario.drives);
+            count(&mut || linked.turn_of_segment())
         }
     }
 }
@@ -727,8 +703,8 @@ fn main() -> ExitCode {
         (ethernet_ip::PROTOCOL, &ETHERNET_IP[..]),
         (profibus::PROTOCOL, &PROFIBUS[..]),
     ];
-    let mut wired = Wired::operational(lenze::A_WIRE);
-    let mut segments = [SEGMENT, 1].map(Linked::operational);
+    let mut wired = wire_of(lenze::A_WIRE);
+    let mut segments = [SEGMENT, 1].map(segment_of);
     let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
     let mut quickest = [const { Vec::new() }; 5];
     let mut counted = [(0, 0); 5];
@@ -842,20 +818,18 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     requested.slot.counters
 }
 
-fn ethercat(criterion: &mut Criterion, segments: &mut [Linked; 2]) -> Counters {
+fn ethercat(criterion: &mut Criterion, segments: &mut [(Following, Settled); 2]) -> Counters {
     let mut group = criterion.benchmark_group(ethercat::PROTOCOL);
     let names = [["exchange", "drive"], ["exchange of one", "drive of one"]];
     let mut counters = Counters::default();
-    for (linked, [exchange, drive]) in segments.iter_mut().zip(names) {
-        group.throughput(Throughput::Elements(linked.slots.len() as u64));
-        group.bench_function(exchange, |bencher| bencher.iter(|| linked.turn()));
+    for (segment, [exchange, drive]) in segments.iter_mut().zip(names) {
+        group.throughput(Throughput::Elements(segment.0.slots.len() as u64));
+        group.bench_function(exchange, |bencher| bencher.iter(|| segment.0.turn_of_segment()));
         // What of it is no master's.
-        let mut unlinked = Unlinked::new(linked);
+        let mut unlinked = Unlinked::new(segment);
         group.bench_function(drive, |bencher| bencher.iter(|| unlinked.turn()));
-        for slot in &mut linked.slots {
-            let Counters { sent, answered, .. } = std::mem::take(&mut slot.counters);
-            (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
-        }
+        let Counters { sent, answered, .. } = segment.0.take_counters();
+        (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
     }
     group.finish();
     counters
@@ -894,7 +868,7 @@ fn ethernet_ip(criterion: &mut Criterion) -> Counters {
     clocked.slot.counters
 }
 
-fn profibus(criterion: &mut Criterion, wired: &mut Wired) -> Counters {
+fn profibus(criterion: &mut Criterion, wired: &mut Following) -> Counters {
     let mut group = criterion.benchmark_group(profibus::PROTOCOL);
     group.throughput(Throughput::Elements(1));
     let mut addressed = Addressed::operational();
@@ -915,7 +889,7 @@ fn profibus(criterion: &mut Criterion, wired: &mut Wired) -> Counters {
     });
     group.bench_function("decode", |bencher| bencher.iter(|| Next::parse(black_box(&room[..length]))));
     group.throughput(Throughput::Elements(wired.slots.len() as u64));
-    group.bench_function("turn", |bencher| bencher.iter(|| wired.turn()));
+    group.bench_function("turn", |bencher| bencher.iter(|| wired.turn_of_wire()));
     group.bench_function("drive of a turn", |bencher| {
         bencher.iter(|| {
             for request in &requests {
@@ -925,10 +899,8 @@ fn profibus(criterion: &mut Criterion, wired: &mut Wired) -> Counters {
     });
     group.finish();
     let mut counters = addressed.slot.counters;
-    for slot in &mut wired.slots {
-        let Counters { sent, answered, .. } = std::mem::take(&mut slot.counters);
-        (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
-    }
+    let Counters { sent, answered, .. } = wired.take_counters();
+    (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
     counters
 }
 
