@@ -85,18 +85,4 @@ mod tests {
         (0..70_000).for_each(|_| log.record(ErrorCode(1), 0));
         assert_eq!(log.counters(), (21, u16::MAX));
     }
-
-    #[test]
-    fn a_text_is_eight_parts_of_four_characters() {
-        let whole =
-            |code| -> Vec<u8> { (0..8).flat_map(|part| text(ErrorCode(code), part).unwrap()).collect() };
-        let lag = whole(0x000B);
-        assert_eq!(&lag[..12], b"position lag");
-        assert_eq!(lag[12..], [0; 20]);
-        // 35 characters.
-        assert_eq!(whole(0x0005), b"regeneration resistor not connec");
-        assert_eq!(text(ErrorCode(0x000B), 8), None);
-        assert_eq!(text(ErrorCode(0x000B), u16::MAX), None);
-        assert_eq!(text(ErrorCode(0xABCD), 0), None);
-    }
 }

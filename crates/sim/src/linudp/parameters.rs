@@ -235,30 +235,4 @@ mod tests {
         assert_eq!(modified, [0x13C7, 0x13CA, 0x146E, 0x146F, 0x14E6]);
         assert_eq!(Parameters::new(&settings()).modified_from(0), None);
     }
-
-    #[test]
-    fn usage_type_and_range_are_refused_in_this_order() {
-        let mut p = Parameters::new(&settings());
-        for (upid, raw, ram, rom) in [
-            (0x9999, 0, Err(Refusal::NoSuchUpid), Err(Refusal::NoSuchUpid)),
-            (0x1D51, 0x1_0000, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),
-            (0x000C, 0, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),
-            (upids::VARIABLE_1, 1, Ok(()), Err(Refusal::AddressUsage)),
-            (0x13A2, 0x1_0000, Err(Refusal::WrongType), Err(Refusal::WrongType)),
-            (upids::RUN_MODE, 0, Err(Refusal::OutOfRange), Err(Refusal::OutOfRange)),
-            (upids::MONITOR_SOURCE, 0x1E11, Err(Refusal::OutOfRange), Err(Refusal::OutOfRange)),
-            (upids::MONITOR_SOURCE, 0x1E10, Ok(()), Ok(())),
-            (upids::MONITOR_SOURCE, 0, Ok(()), Ok(())),
-        ] {
-            assert_eq!(
-                (p.write_ram(upid, raw), p.write_rom(upid, raw)),
-                (ram, rom),
-                "{upid:04X}h = {raw:X}h"
-            );
-        }
-        assert_eq!(p.rom(0x1D51), Err(Refusal::AddressUsage));
-        assert_eq!(p.bound(0x1D51, Bound::Default), Err(Refusal::AddressUsage));
-        assert_eq!(p.bound(0x1D51, Bound::Maximum), Ok(0xFFFF));
-        assert_eq!(p.bound(upids::MINIMUM_POSITION, Bound::Minimum), Ok(i32::MIN as u32));
-    }
 }

@@ -4,8 +4,15 @@
 use super::*;
 
 #[test]
-fn a_command_runs_once_for_each_new_count() {
-    let mut bench = Bench::homed();
+fn a_command_is_counted_in_every_state_and_runs_once_for_each_new_count() {
+    let mut bench = Bench::new(|_| {});
+    // Below state 5 commands are ignored, but counted.
+    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
+    assert_eq!((response.state.unwrap().sub(), response.error), (0, Some(ErrorCode::NONE)));
+    bench.enable();
+    assert_eq!(bench.count, 9);
+    bench.home();
+    assert!(!bench.exchange(Some(go_to(CM, VAD).block(9))).status.unwrap().motion_active());
     let step = MotionCommand { id: 0x012, ..go_to(CM, VAD) };
     for count in [3, 3, 3, 7, 7, 0, 0] {
         assert_eq!(bench.exchange(Some(step.block(count))).state.unwrap().count(), Some(count));
@@ -14,52 +21,28 @@ fn a_command_runs_once_for_each_new_count() {
 }
 
 #[test]
-fn a_count_is_stored_with_every_command_and_shown_in_state_8_only() {
-    let mut bench = Bench::new(|_| {});
-    bench.control = ControlWord::BASE;
-    // Below state 5 commands are ignored, but counted.
-    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
-    assert_eq!((response.state.unwrap().sub(), response.error), (0, Some(ErrorCode::NONE)));
-    bench.enable();
-    assert_eq!(bench.count, 9);
-    bench.home();
-    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
-    assert!(!response.status.unwrap().motion_active());
-}
-
-#[test]
-fn commands_in_other_states_are_errors() {
+fn a_command_out_of_place_is_an_error_that_stops_the_motor_before_it_switches_off() {
     // State 6.
     let mut bench = Bench::homed();
     bench.state(ControlWord(0x0037));
     bench.command(MotionCommand::no_operation());
     bench.command(MotionCommand::control_word(Bits(0x0037)));
     assert_eq!(bench.exchange(None).error, Some(ErrorCode::NONE));
-    bench.command(go_to(CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode::WRONG_STATE);
+    assert_eq!(bench.fails(go_to(CM, VAD)), ErrorCode::WRONG_STATE);
     // State 9, finished: still not 8.
     let mut bench = Bench::homed();
     bench.control = ControlWord::HOME;
     bench.until(|response| response.state.unwrap().finished());
+    assert_eq!(bench.fails(MotionCommand::vai_stop(Acceleration(1))), ErrorCode::WRONG_STATE);
+    // A move before homing.
+    let mut bench = Bench::new(|_| {});
+    bench.enable();
     bench.command(MotionCommand::vai_stop(Acceleration(1)));
-    assert_eq!(bench.until_error(), ErrorCode::WRONG_STATE);
-}
-
-#[test]
-fn commands_that_this_drive_does_not_know_are_errors() {
-    for (id, code) in [
-        (0x048, ErrorCode::UNKNOWN_COMMAND),
-        (0x040, ErrorCode::CURVE_NOT_DEFINED),
-        (0x200, ErrorCode::ENTRY_MISSING),
-    ] {
-        let mut bench = Bench::homed();
-        bench.command(MotionCommand::new(id));
-        assert_eq!(bench.until_error(), code);
-    }
-}
-
-#[test]
-fn an_error_stops_the_motor_before_it_switches_off() {
+    assert_eq!(bench.fails(go_to(CM, VAD)), ErrorCode::NOT_HOMED);
+    // A demand that the motor cannot follow.
+    let jump = Vad { velocity: 20_000_000, acceleration: 100_000_000, deceleration: 100_000_000 };
+    assert_eq!(Bench::homed().fails(go_to(10 * CM, jump)), ErrorCode::POSITION_LAG);
+    // On the way.
     let mut bench = Bench::homed();
     bench.command(go_to(10 * CM, VAD));
     bench.now = bench.now + 100 * MS;
@@ -67,15 +50,6 @@ fn an_error_stops_the_motor_before_it_switches_off() {
     assert_eq!(response.state.unwrap().main(), MainState::QUICK_STOP);
     assert!(response.status.unwrap().error());
     assert_eq!(bench.until_error(), ErrorCode::UNKNOWN_COMMAND);
-}
-
-#[test]
-fn moves_before_homing_are_errors() {
-    let mut bench = Bench::new(|_| {});
-    bench.enable();
-    bench.command(MotionCommand::vai_stop(Acceleration(1)));
-    bench.command(go_to(CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode::NOT_HOMED);
 }
 
 #[test]
@@ -96,7 +70,7 @@ fn a_move_takes_the_time_of_a_move() {
     let response = bench.command(go_to(10 * CM, VAD));
     assert!(response.status.unwrap().motion_active() && !response.status.unwrap().in_target());
     assert_eq!(response.state.unwrap().motion_active(), Some(true));
-    let took = bench.until(|response| !response.status.unwrap().motion_active());
+    let took = bench.until_stopped();
     assert!((249..=251).contains(&took), "{took} ms");
     assert_eq!(bench.until_standing().actual, Some(10 * CM));
     // Stop on the way: 0.5 m/s with 5 m/s2 is 25 mm.
@@ -138,18 +112,6 @@ fn moves_start_from_demand_or_from_where_the_motor_is() {
 }
 
 #[test]
-fn the_predefined_profile_is_a_live_parameter() {
-    let mut bench = Bench::homed();
-    for (upid, value) in [(0x14BE, 100_000), (0x14BF, 2_000_000), (0x14C0, 1_000_000), (0x9999, 1)] {
-        bench.command(MotionCommand::live_parameter(Upid(upid), Raw(value)));
-    }
-    bench.command(MotionCommand::vai_predefined_go_to(Position(CM)));
-    // 10 mm with 0.1 m/s: 100 ms, + 0.1 / 20 / 2 + 0.1 / 10 / 2 s of ramps.
-    let took = bench.until(|response| !response.status.unwrap().motion_active());
-    assert!((107..=109).contains(&took), "{took} ms");
-}
-
-#[test]
 fn armed_commands_wait_for_their_event() {
     let mut bench = Bench::homed();
     bench.command(go_to(CM, VAD));
@@ -163,7 +125,7 @@ fn armed_commands_wait_for_their_event() {
     let slow = Vad { velocity: 100_000, ..VAD };
     bench.command(go_to(10 * CM, VAD));
     bench.command(MotionCommand { id: 0x01E, ..go_to(5 * CM, slow) });
-    assert!(bench.until(|response| !response.status.unwrap().motion_active()) > 450);
+    assert!(bench.until_stopped() > 450);
     assert_eq!(bench.until_standing().actual, Some(10 * CM));
     // 01Ax: a trigger that never comes, whatever else moves, until it is cleared.
     bench.command(MotionCommand { id: 0x01A, ..go_to(0, VAD) });
@@ -183,13 +145,14 @@ fn armed_commands_wait_for_their_event() {
 
 #[test]
 fn running_into_the_end_of_the_range_is_an_error() {
-    for (positive, code) in [(false, ErrorCode::MIN_POSITION), (true, ErrorCode::MAX_POSITION)] {
-        let mut bench = Bench::homed();
-        bench.command(run(positive));
-        assert_eq!(bench.until_error(), code);
+    for (command, code) in [
+        (MotionCommand::vai_predefined_run_negative(), ErrorCode::MIN_POSITION),
+        (MotionCommand::vai_predefined_run_positive(), ErrorCode::MAX_POSITION),
+    ] {
+        assert_eq!(Bench::homed().fails(command), code);
         // Also when nobody looks for an hour.
         let mut bench = Bench::homed();
-        bench.command(run(positive));
+        bench.command(command);
         bench.now = bench.now + 3_600 * S;
         assert_eq!(bench.until_error(), code);
     }
@@ -212,12 +175,4 @@ fn the_range_counts_only_once_the_drive_is_homed() {
         assert_eq!(response.error, Some(ErrorCode::NONE));
         assert!((response.actual.unwrap() - start) / way >= 1, "{response:?}");
     }
-}
-
-#[test]
-fn a_demand_that_the_motor_cannot_follow_is_a_position_lag() {
-    let mut bench = Bench::homed();
-    let jump = Vad { velocity: 20_000_000, acceleration: 100_000_000, deceleration: 100_000_000 };
-    bench.command(go_to(10 * CM, jump));
-    assert_eq!(bench.until_error(), ErrorCode::POSITION_LAG);
 }

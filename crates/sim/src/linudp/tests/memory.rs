@@ -1,18 +1,11 @@
 //! Curves and command table entries, block by block, and what of them is in flash.
 
 use super::*;
-use crate::linudp::FlashMode;
-use RtcCommand as C;
 use fieldbeat_linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat_linudp::motion::EntryId;
 use fieldbeat_linudp::table::Entry;
 
-const DONE: RtcStatus = RtcStatus::Done;
 const MORE: RtcStatus = RtcStatus::BlockNotFinished;
-
-fn refused(refusal: Refusal) -> RtcStatus {
-    RtcStatus::Refused(refusal)
-}
 
 /// A time curve of one second through these setpoints.
 pub(super) fn curve(id: u16, setpoints: &[i32]) -> Curve {
@@ -35,14 +28,8 @@ pub(super) fn entry(command: MotionCommand, next: Option<u16>) -> Entry {
 
 /// In blocks of four, the last one padded with zeros.
 fn blocks(bytes: &[u8]) -> Vec<[u8; 4]> {
-    bytes
-        .chunks(4)
-        .map(|chunk| {
-            let mut block = [0; 4];
-            block[..chunk.len()].copy_from_slice(chunk);
-            block
-        })
-        .collect()
+    let block = |chunk: &[u8]| std::array::from_fn(|at| chunk.get(at).copied().unwrap_or_default());
+    bytes.chunks(4).map(block).collect()
 }
 
 impl Bench {

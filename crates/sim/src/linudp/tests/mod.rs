@@ -11,6 +11,7 @@ mod telegram;
 
 use super::demand::Vad;
 use super::*;
+use RtcCommand as C;
 use fieldbeat_core::time::{S, US};
 use fieldbeat_linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Velocity};
 use fieldbeat_linudp::wire::{
@@ -25,17 +26,16 @@ const CM: i32 = 100_000;
 /// 0.5 m/s, 10 m/s2.
 const VAD: Vad = Vad { velocity: 500_000, acceleration: 1_000_000, deceleration: 1_000_000 };
 
+const DONE: RtcStatus = RtcStatus::Done;
+
+fn refused(refusal: Refusal) -> RtcStatus {
+    RtcStatus::Refused(refusal)
+}
+
 /// VAI go to position, from which the tests make its relatives.
 fn go_to(position: i32, vad: Vad) -> MotionCommand {
     let [acceleration, deceleration] = [vad.acceleration, vad.deceleration].map(Acceleration);
     MotionCommand::vai_go_to(Position(position), Velocity(vad.velocity), acceleration, deceleration)
-}
-
-fn run(positive: bool) -> MotionCommand {
-    match positive {
-        true => MotionCommand::vai_predefined_run_positive(),
-        false => MotionCommand::vai_predefined_run_negative(),
-    }
 }
 
 fn settings() -> LinMotSettings {
@@ -72,7 +72,11 @@ impl Bench {
 
     /// Switched on and homed, at 0.
     fn homed() -> Bench {
-        let mut bench = Bench::new(|_| {});
+        Bench::homed_with(|_| {})
+    }
+
+    fn homed_with(change: impl FnOnce(&mut LinMotSettings)) -> Bench {
+        let mut bench = Bench::new(change);
         bench.enable();
         bench.home();
         bench
@@ -87,9 +91,19 @@ impl Bench {
     }
 
     fn ask(&mut self, request: &Request) -> Response {
+        self.try_ask(request).expect("no answer")
+    }
+
+    /// The same with a drive that may be silent.
+    fn try_ask(&mut self, request: &Request) -> Option<Response> {
         let mut bytes = [0; 64];
         let size = request.emit(&mut bytes);
-        Response::parse(&self.raw(MASTER, &bytes[..size]).expect("no answer")).unwrap()
+        self.raw(MASTER, &bytes[..size]).map(|reply| Response::parse(&reply).unwrap())
+    }
+
+    /// All blocks, at this instant.
+    fn look(&mut self) -> Response {
+        self.ask(&Request { response_def: ResponseDef(0xFF), ..Request::default() })
     }
 
     /// 1 ms later: one exchange with the control word, and `motion` if there is one.
@@ -114,17 +128,9 @@ impl Bench {
         self.try_configure(block).expect("no answer")
     }
 
-    /// The same with a drive that may be silent.
     fn try_configure(&mut self, block: RtcBlock) -> Option<RtcBlock> {
-        let request = Request {
-            response_def: ResponseDef::CYCLIC.with(ResponseDef::CONFIG),
-            config: Some(block),
-            ..Request::default()
-        };
-        let mut bytes = [0; 64];
-        let size = request.emit(&mut bytes);
-        let reply = self.raw(MASTER, &bytes[..size])?;
-        Response::parse(&reply).unwrap().config
+        let response_def = ResponseDef::CYCLIC.with(ResponseDef::CONFIG);
+        self.try_ask(&Request { response_def, config: Some(block), ..Request::default() })?.config
     }
 
     /// The next command on the channel, and its answer: the status and words 2, 3 and 4.
@@ -163,6 +169,12 @@ impl Bench {
         self.exchange(Some(command.block(self.count)))
     }
 
+    /// The error that a command leads to.
+    fn fails(&mut self, command: MotionCommand) -> ErrorCode {
+        self.command(command);
+        self.until_error()
+    }
+
     /// Exchanges until the drive is there; how many it took.
     fn until(&mut self, what: impl Fn(&Response) -> bool) -> u32 {
         for exchanges in 1..20_000 {
@@ -192,12 +204,29 @@ impl Bench {
         self.until_main(MainState::OPERATION_ENABLED);
     }
 
+    fn until_stopped(&mut self) -> u32 {
+        self.until(|response| !response.status.unwrap().motion_active())
+    }
+
     fn until_standing(&mut self) -> Response {
-        self.until(|response| !response.status.unwrap().motion_active());
+        self.until_stopped();
         self.until(|response| response.status.unwrap().in_target());
         // The last micrometres.
         self.now = self.now + 300 * MS;
         self.exchange(None)
+    }
+
+    /// Out of an error, up to state 0.
+    fn acknowledge(&mut self) {
+        self.state(ControlWord::BASE);
+        self.state(ControlWord::ACKNOWLEDGE);
+    }
+
+    /// Power off and on; until it is back.
+    fn restart(&mut self) {
+        self.sim.restart(self.now);
+        self.now = self.now + BOOT_NS;
+        (self.count, self.config_count) = (0, 0);
     }
 
     /// Quick stop, if any, is over: the error that stands.

@@ -1,13 +1,6 @@
 //! The real-time-config channel: counts, busy answers, parameters, lists, the error log, starts and stops.
 
 use super::*;
-use crate::linudp::FlashMode;
-
-const DONE: RtcStatus = RtcStatus::Done;
-
-fn refused(refusal: Refusal) -> RtcStatus {
-    RtcStatus::Refused(refusal)
-}
 
 #[test]
 fn a_command_runs_if_its_count_is_new_and_else_its_answer_is_repeated() {
@@ -68,65 +61,49 @@ fn a_command_that_takes_its_time_is_busy_and_no_other_is_taken() {
 
 /// What each command of the manual answers on a fresh drive, whose software runs, for index 1 and value 2.
 #[test]
-fn every_command_of_the_manual_is_known() {
-    use RtcCommand as C;
-    for command in C::ALL {
-        let mut bench = Bench::new(|_| {});
-        let (status, words) = bench.rtc(*command, [1, 2, 0]);
-        let expected = match *command {
-            C::NO_OPERATION | C::START_LIST | C::START_MODIFIED_LIST | C::RESTART => (DONE, [0; 3]),
-            C::STOP_SOFTWARE | C::START_SOFTWARE | C::DELETE_CURVES | C::DELETE_TABLE => (DONE, [0; 3]),
-            C::READ_ROM | C::READ_RAM | C::READ_MINIMUM | C::READ_MAXIMUM | C::READ_DEFAULT => {
-                (refused(Refusal::NoSuchUpid), [1, 0, 0])
-            }
-            C::WRITE_ROM | C::WRITE_RAM | C::WRITE_BOTH => (refused(Refusal::NoSuchUpid), [1, 0, 0]),
-            C::NEXT_ITEM | C::NEXT_MODIFIED_ITEM => (refused(Refusal::ListNotStarted), [1, 0, 0]),
-            C::DEFAULT_OS | C::DEFAULT_MC | C::DEFAULT_INTERFACE | C::DEFAULT_APPLICATION => {
-                (refused(Refusal::SoftwareRuns), [1, 0, 0])
-            }
-            C::SAVE_CURVES | C::SAVE_TABLE => (refused(Refusal::SoftwareRuns), [1, 0, 0]),
-            // Two bytes of information; no block without its start.
-            C::ADD_CURVE | C::MODIFY_CURVE => (refused(Refusal::WrongSize), [1, 0, 0]),
-            C::ADD_CURVE_INFO | C::ADD_CURVE_DATA | C::MODIFY_CURVE_INFO | C::MODIFY_CURVE_DATA => {
-                (refused(Refusal::WrongSize), [1, 0, 0])
-            }
-            C::GET_CURVE => (refused(Refusal::CurveDefinition), [1, 0, 0]),
-            C::GET_CURVE_INFO | C::GET_CURVE_DATA => (refused(Refusal::WrongSize), [1, 0, 0]),
-            C::ERROR_COUNTERS => (DONE, [0; 3]),
-            C::ERROR_CODE | C::ERROR_TIME_LOW | C::ERROR_TIME_HIGH => {
-                (refused(Refusal::OutOfRange), [1, 0, 0])
-            }
-            // "logic supply voltage low", characters 8 ... 11.
-            C::ERROR_TEXT => (DONE, [1, u16::from_le_bytes(*b"pp"), u16::from_le_bytes(*b"ly")]),
-            C::DELETE_ENTRY => (DONE, [1, 0, 0]),
-            C::WRITE_ENTRY | C::WRITE_ENTRY_DATA | C::GET_ENTRY | C::GET_ENTRY_DATA => {
-                (refused(Refusal::WrongSize), [1, 0, 0])
-            }
+fn every_command_of_the_manual_is_known_and_no_other_is() {
+    use Refusal as R;
+    let [p, ly] = [b"pp", b"ly"].map(|two| u16::from_le_bytes(*two));
+    let answers: [(Result<[u16; 3], Refusal>, &[C]); 15] = [
+        (Ok([0; 3]), &[C::NO_OPERATION, C::START_LIST, C::START_MODIFIED_LIST, C::RESTART, C::STOP_SOFTWARE]),
+        (Ok([0; 3]), &[C::START_SOFTWARE, C::DELETE_CURVES, C::DELETE_TABLE, C::ERROR_COUNTERS]),
+        (Ok([1, 0, 0]), &[C::DELETE_ENTRY]),
+        // "logic supply voltage low", characters 8 ... 11.
+        (Ok([1, p, ly]), &[C::ERROR_TEXT]),
+        (Err(R::NoSuchUpid), &[C::READ_ROM, C::READ_RAM, C::READ_MINIMUM, C::READ_MAXIMUM, C::READ_DEFAULT]),
+        (Err(R::NoSuchUpid), &[C::WRITE_ROM, C::WRITE_RAM, C::WRITE_BOTH]),
+        (Err(R::ListNotStarted), &[C::NEXT_ITEM, C::NEXT_MODIFIED_ITEM]),
+        (Err(R::SoftwareRuns), &[C::DEFAULT_OS, C::DEFAULT_MC, C::DEFAULT_INTERFACE, C::DEFAULT_APPLICATION]),
+        (Err(R::SoftwareRuns), &[C::SAVE_CURVES, C::SAVE_TABLE]),
+        (Err(R::CurveDefinition), &[C::GET_CURVE]),
+        (Err(R::OutOfRange), &[C::ERROR_CODE, C::ERROR_TIME_LOW, C::ERROR_TIME_HIGH]),
+        // Two bytes of information; no block without its start.
+        (Err(R::WrongSize), &[C::ADD_CURVE, C::MODIFY_CURVE, C::WRITE_ENTRY, C::GET_ENTRY]),
+        (Err(R::WrongSize), &[C::ADD_CURVE_INFO, C::ADD_CURVE_DATA, C::MODIFY_CURVE_INFO]),
+        (Err(R::WrongSize), &[C::MODIFY_CURVE_DATA, C::GET_CURVE_INFO, C::GET_CURVE_DATA]),
+        (Err(R::WrongSize), &[C::WRITE_ENTRY_DATA, C::GET_ENTRY_DATA]),
+    ];
+    for code in 0..=u8::MAX {
+        let answer = answers.iter().find(|(_, commands)| commands.contains(&C(code)));
+        let expected = match (answer, code) {
+            (Some((Ok(words), _)), _) => (DONE, *words),
+            (Some((Err(refusal), _)), _) => (refused(*refusal), [1, 0, 0]),
             // Nothing is used: all bits are 1.
-            C(code) => {
-                assert!((0x87..=0x8E).contains(&code), "{command} is not in this test");
-                (DONE, [u16::from(code - 0x87) * 4, 0xFFFF, 0xFFFF])
-            }
+            (None, 0x87..=0x8E) => (DONE, [u16::from(code - 0x87) * 4, 0xFFFF, 0xFFFF]),
+            // What the manual does not list.
+            (None, _) => (refused(Refusal::NoSuchUpid), [1, 0, 0]),
         };
-        assert_eq!((status, words), expected, "{command}");
-    }
-    // What the manual does not list.
-    for code in (0..=u8::MAX).filter(|code| !C::ALL.contains(&C(*code))) {
-        let answer = Bench::new(|_| {}).rtc(C(code), [1, 2, 3]);
-        assert_eq!(answer, (refused(Refusal::NoSuchUpid), [1, 0, 0]), "{code:02X}h");
+        assert_eq!(Bench::new(|_| {}).rtc(C(code), [1, 2, 0]), expected, "{}", C(code));
+        assert_eq!(answer.is_some() || matches!(code, 0x87..=0x8E), C::ALL.contains(&C(code)), "{}", C(code));
     }
 }
 
 #[test]
 fn parameters_are_read_and_written_in_ram_and_rom() {
-    use RtcCommand as C;
     let mut bench = Bench::new(|_| {});
     let velocity = 0x14BE;
-    assert_eq!(bench.value(C::READ_DEFAULT, velocity), 1_000_000);
-    assert_eq!(
-        (bench.value(C::READ_MINIMUM, velocity), bench.value(C::READ_MAXIMUM, velocity)),
-        (1, 1 << 30)
-    );
+    let bounds = [C::READ_DEFAULT, C::READ_MINIMUM, C::READ_MAXIMUM];
+    assert_eq!(bounds.map(|bound| bench.value(bound, velocity)), [1_000_000, 1, 1 << 30]);
     assert_eq!(bench.write(C::WRITE_RAM, velocity, 70_000), DONE);
     assert_eq!((bench.value(C::READ_RAM, velocity), bench.value(C::READ_ROM, velocity)), (70_000, 1_000_000));
     assert_eq!(bench.write(C::WRITE_ROM, velocity, 80_000), DONE);
@@ -136,65 +113,77 @@ fn parameters_are_read_and_written_in_ram_and_rom() {
     bench.write(C::WRITE_RAM, velocity, 70_000);
     bench.restart();
     assert_eq!(bench.value(C::READ_RAM, velocity), 90_000);
-    for (command, upid, value, refusal) in [
-        (C::WRITE_RAM, 0x1D51, 0, Refusal::AddressUsage),
-        (C::WRITE_ROM, 0x1E72, 0, Refusal::AddressUsage),
-        (C::WRITE_BOTH, 0x1E72, 0, Refusal::AddressUsage),
-        (C::WRITE_BOTH, 0x13A2, 0x1_0000, Refusal::WrongType),
-        (C::WRITE_ROM, 0x14BE, 0, Refusal::OutOfRange),
-        (C::WRITE_BOTH, 0x20A8, 0x1E11, Refusal::OutOfRange),
+    use Refusal::{AddressUsage, NoSuchUpid, OutOfRange, WrongType};
+    // Existence, usage, type and range are looked at in this order.
+    for (upid, value, ram, rom) in [
+        (0x9999, 0, Some(NoSuchUpid), Some(NoSuchUpid)),
+        (0x1D51, 0x1_0000, Some(AddressUsage), Some(AddressUsage)),
+        (0x000C, 0, Some(AddressUsage), Some(AddressUsage)),
+        (0x1E72, 1, None, Some(AddressUsage)),
+        (0x13A2, 0x1_0000, Some(WrongType), Some(WrongType)),
+        (0x1450, 0, Some(OutOfRange), Some(OutOfRange)),
+        (velocity, 0, Some(OutOfRange), Some(OutOfRange)),
+        (0x20A8, 0x1E11, Some(OutOfRange), Some(OutOfRange)),
+        (0x20A8, 0x1E10, None, None),
+        (0x20A8, 0, None, None),
     ] {
-        assert_eq!(bench.write(command, upid, value), refused(refusal), "{command} {upid:04X}h");
+        for (command, refusal) in [(C::WRITE_RAM, ram), (C::WRITE_ROM, rom), (C::WRITE_BOTH, ram.or(rom))] {
+            let expected = refusal.map_or(DONE, refused);
+            assert_eq!(bench.write(command, upid, value), expected, "{command} {upid:04X}h = {value:X}h");
+        }
     }
-    assert_eq!(bench.rtc(C::READ_ROM, [0x1D51, 0, 0]).0, refused(Refusal::AddressUsage));
+    for command in [C::READ_ROM, C::READ_DEFAULT] {
+        assert_eq!(bench.rtc(command, [0x1D51, 0, 0]).0, refused(AddressUsage), "{command}");
+    }
+    assert_eq!(bench.value(C::READ_MAXIMUM, 0x1D51), 0xFFFF);
+    assert_eq!(bench.value(C::READ_MINIMUM, 0x146E), i32::MIN as u32);
     // Nothing of that was written.
     assert_eq!((bench.value(C::READ_RAM, 0x13A2), bench.value(C::READ_ROM, velocity)), (150, 90_000));
 }
 
 #[test]
 fn the_drive_works_with_its_parameters() {
-    use RtcCommand as C;
-    // The range, live.
-    let mut bench = Bench::homed();
-    bench.write(C::WRITE_RAM, 0x146F, CM as u32);
-    bench.command(go_to(2 * CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode::MAX_POSITION);
-    // The lag limits: 10 um are less than what the motor needs to follow; standing has its own code.
-    let mut bench = Bench::homed();
-    bench.write(C::WRITE_RAM, 0x1473, 100);
-    bench.command(go_to(2 * CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode::POSITION_LAG);
-    let mut bench = Bench::homed();
-    bench.write(C::WRITE_RAM, 0x1475, 10);
-    bench.command(go_to(2 * CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode(0x000C));
-    // The profile.
-    let mut bench = Bench::homed();
-    for (upid, value) in [(0x14BE, 100_000), (0x14BF, 2_000_000), (0x14C0, 1_000_000)] {
+    // The range, live, and the lag limits: 10 um are less than what the motor needs to follow; standing has its own code.
+    for (upid, value, code) in [
+        (0x146F, CM as u32, ErrorCode::MAX_POSITION),
+        (0x1473, 100, ErrorCode::POSITION_LAG),
+        (0x1475, 10, ErrorCode(0x000C)),
+    ] {
+        let mut bench = Bench::homed();
         bench.write(C::WRITE_RAM, upid, value);
+        assert_eq!(bench.fails(go_to(2 * CM, VAD)), code, "{upid:04X}h");
     }
-    bench.command(MotionCommand::vai_predefined_go_to(Position(CM)));
-    let took = bench.until(|response| !response.status.unwrap().motion_active());
-    assert!((107..=109).contains(&took), "{took} ms");
-    assert_eq!(bench.value(C::READ_RAM, 0x1E0B), 100_000);
-    assert_eq!(bench.value(C::READ_RAM, 0x1E0A), CM as u32);
+    // The profile, which is a live parameter, too.
+    for live in [false, true] {
+        let mut bench = Bench::homed();
+        for (upid, value) in [(0x14BE, 100_000), (0x14BF, 2_000_000), (0x14C0, 1_000_000), (0x9999, 1)] {
+            if live {
+                bench.command(MotionCommand::live_parameter(Upid(upid), Raw(value)));
+            } else {
+                bench.write(C::WRITE_RAM, upid, value);
+            }
+        }
+        bench.command(MotionCommand::vai_predefined_go_to(Position(CM)));
+        // 10 mm with 0.1 m/s: 100 ms, + 0.1 / 20 / 2 + 0.1 / 10 / 2 s of ramps.
+        let took = bench.until_stopped();
+        assert!((107..=109).contains(&took), "{took} ms");
+        assert_eq!(bench.value(C::READ_RAM, 0x1E0B), 100_000);
+        assert_eq!(bench.value(C::READ_RAM, 0x1E0A), CM as u32);
+    }
     // The streaming period.
     let mut bench = Bench::homed();
     bench.write(C::WRITE_RAM, 0x14E6, 1_000);
-    bench.command(MotionCommand::stream_p_configured(Position(0)));
-    assert_eq!(bench.until_error(), ErrorCode::STREAM_TOO_FAST);
+    assert_eq!(bench.fails(MotionCommand::stream_p_configured(Position(0))), ErrorCode::STREAM_TOO_FAST);
     // Run modes without their inputs take no motion commands.
     let mut bench = Bench::homed();
     bench.write(C::WRITE_RAM, 0x1450, 4);
     bench.command(MotionCommand::no_operation());
     assert_eq!(bench.exchange(None).error, Some(ErrorCode::NONE));
-    bench.command(MotionCommand::vai_stop(Acceleration(1)));
-    assert_eq!(bench.until_error(), ErrorCode::WRONG_STATE);
+    assert_eq!(bench.fails(MotionCommand::vai_stop(Acceleration(1))), ErrorCode::WRONG_STATE);
 }
 
 #[test]
 fn the_home_position_takes_effect_when_the_software_starts() {
-    use RtcCommand as C;
     let mut bench = Bench::homed();
     bench.write(C::WRITE_RAM, 0x13C7, 3 * CM as u32);
     bench.home();
@@ -215,7 +204,6 @@ fn the_home_position_takes_effect_when_the_software_starts() {
 
 #[test]
 fn the_lists_go_through_all_upids_and_through_the_modified_ones() {
-    use RtcCommand as C;
     let mut bench = Bench::new(|_| {});
     bench.rtc(C::START_LIST, [0; 3]);
     let mut all = Vec::new();
@@ -259,41 +247,37 @@ fn the_lists_go_through_all_upids_and_through_the_modified_ones() {
 
 #[test]
 fn the_monitoring_channels_show_what_their_parameters_name() {
-    use RtcCommand as C;
     for extend_sign in [false, true] {
-        let mut bench = Bench::new(|plan| plan.extend_sign = extend_sign);
-        bench.enable();
-        bench.home();
+        let mut bench = Bench::homed_with(|plan| plan.extend_sign = extend_sign);
         bench.write(C::WRITE_RAM, 0x1E72, -5_i32 as u32);
+        bench.command(go_to(-10 * CM, VAD));
+        bench.now = bench.now + 20 * MS;
+        // As delivered: velocity, acceleration, temperature, status.
+        let response = bench.look();
+        let status = u32::from(response.status.unwrap().0);
+        assert_eq!(response.monitor, Some([-200_000_i32 as u32, -1_000_000_i32 as u32, 400, status]));
         for (channel, upid) in [0x1E72, 0x1E0E, 0, 0x1B93].into_iter().enumerate() {
             assert_eq!(bench.write(C::WRITE_RAM, 0x20A8 + channel as u16, upid), DONE);
         }
-        bench.command(go_to(-CM, VAD));
-        bench.now = bench.now + 20 * MS;
-        let response = bench.ask(&Request { response_def: ResponseDef(0xFF), ..Request::default() });
-        let monitor = response.monitor.unwrap();
+        let response = bench.look();
         // 16 bits with a sign: how they fill 32 is not documented.
         let current = response.current.unwrap();
         assert!(current < 0);
         let current = if extend_sign { i32::from(current) as u32 } else { u32::from(current as u16) };
-        assert_eq!(monitor, [-5_i32 as u32, response.demand.unwrap() as u32, 0, current]);
+        assert_eq!(response.monitor, Some([-5_i32 as u32, response.demand.unwrap() as u32, 0, current]));
         assert_eq!(bench.value(C::READ_RAM, 0x1B93), current);
         // In flash it outlives a restart; in RAM it does not.
         bench.write(C::WRITE_BOTH, 0x20A8, 0x1CAF);
         bench.restart();
         bench.now = bench.now + 7 * MS;
-        let response = bench.ask(&Request { response_def: ResponseDef(0xFF), ..Request::default() });
-        let monitor = response.monitor.unwrap();
-        assert_eq!(
-            monitor,
-            [(BOOT_NS + 7 * MS) as u32 / 1_000, 0, 400, u32::from(response.status.unwrap().0)]
-        );
+        let response = bench.look();
+        let status = u32::from(response.status.unwrap().0);
+        assert_eq!(response.monitor, Some([(BOOT_NS + 7 * MS) as u32 / 1_000, 0, 400, status]));
     }
 }
 
 #[test]
 fn the_error_log_outlives_a_restart() {
-    use RtcCommand as C;
     let mut bench = Bench::homed();
     let born = Time(5 * S) + MS;
     for code in [0x0003, 0x0005] {
@@ -301,10 +285,7 @@ fn the_error_log_outlives_a_restart() {
         bench.exchange(None);
         bench.sim.provoke(ErrorCode(code));
         bench.until_error();
-        bench.control = ControlWord::BASE;
-        bench.exchange(None);
-        bench.control = ControlWord::ACKNOWLEDGE;
-        bench.exchange(None);
+        bench.acknowledge();
         bench.enable();
     }
     bench.restart();
@@ -320,22 +301,23 @@ fn the_error_log_outlives_a_restart() {
     for entry in [2, 20, 21, u16::MAX] {
         assert_eq!(bench.rtc(C::ERROR_CODE, [entry, 0, 0]).0, refused(Refusal::OutOfRange));
     }
-    let text: Vec<u8> = (0..8)
-        .flat_map(|part| {
-            let (status, [code, low, high]) = bench.rtc(C::ERROR_TEXT, [0x0003, part, 0]);
-            assert_eq!((status, code), (DONE, 3));
-            [low.to_le_bytes(), high.to_le_bytes()].concat()
-        })
-        .collect();
-    assert_eq!(text, *b"motor supply voltage low\0\0\0\0\0\0\0\0");
-    for (code, part) in [(0x0003, 8), (0x00FF, 0)] {
+    // Four of 32 characters at a time.
+    for (code, text) in
+        [(0x0003, b"motor supply voltage low\0\0\0\0\0\0\0\0"), (0x0005, b"regeneration resistor not connec")]
+    {
+        for (part, four) in (0..).zip(text.as_chunks::<4>().0) {
+            let [a, b, c, d] = *four;
+            let words = [code, u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d])];
+            assert_eq!(bench.rtc(C::ERROR_TEXT, [code, part, 0]), (DONE, words));
+        }
+    }
+    for (code, part) in [(0x0003, 8), (0x0003, u16::MAX), (0x00FF, 0)] {
         assert_eq!(bench.rtc(C::ERROR_TEXT, [code, part, 0]).0, refused(Refusal::OutOfRange));
     }
 }
 
 #[test]
 fn stopped_software_shows_zeros_takes_nothing_and_forgets_home() {
-    use RtcCommand as C;
     let mut bench = Bench::homed();
     bench.command(go_to(CM, VAD));
     bench.now = bench.now + 50 * MS;
@@ -365,21 +347,7 @@ fn stopped_software_shows_zeros_takes_nothing_and_forgets_home() {
 }
 
 #[test]
-fn a_fatal_error_outlives_the_software_and_not_the_drive() {
-    use RtcCommand as C;
-    let mut bench = Bench::homed();
-    bench.sim.provoke(ErrorCode(0x0045));
-    bench.until_error();
-    bench.rtc(C::STOP_SOFTWARE, [0; 3]);
-    bench.rtc(C::START_SOFTWARE, [0; 3]);
-    assert_eq!(bench.exchange(None).state, Some(StateVar(0x0445)));
-    bench.restart();
-    bench.enable();
-}
-
-#[test]
 fn a_restart_is_answered_and_then_the_drive_is_silent_until_it_is_back() {
-    use RtcCommand as C;
     let mut bench = Bench::homed();
     bench.rtc(C::WRITE_RAM, [0x1E72, 5, 0]);
     let restart = RtcBlock::command(9, C::RESTART);
@@ -403,7 +371,6 @@ fn a_restart_is_answered_and_then_the_drive_is_silent_until_it_is_back() {
 
 #[test]
 fn defaults_need_stopped_software_and_a_restart() {
-    use RtcCommand as C;
     let mut bench = Bench::new(|_| {});
     assert_eq!(bench.value(C::READ_RAM, 0x14E6), 2_000);
     assert_eq!(bench.rtc(C::DEFAULT_MC, [0; 3]).0, refused(Refusal::SoftwareRuns));
@@ -422,7 +389,6 @@ fn defaults_need_stopped_software_and_a_restart() {
 
 #[test]
 fn a_write_into_rom_stalls_the_interface_shortly() {
-    use RtcCommand as C;
     for (flash, deaf) in [(FlashMode::Silent, 2), (FlashMode::Busy, 0)] {
         let mut bench = Bench::new(|plan| (plan.flash, plan.flash_time_ns) = (flash, S));
         let write = RtcBlock::call(1, C::WRITE_ROM, 0x14BE, 7);
@@ -441,14 +407,5 @@ fn a_write_into_rom_stalls_the_interface_shortly() {
         bench.rtc(C::WRITE_ROM, [0x14BE, 9, 0]);
         bench.restart();
         assert_eq!(bench.value(C::READ_ROM, 0x14BE), 7);
-    }
-}
-
-impl Bench {
-    /// Power off and on; until it is back.
-    pub(super) fn restart(&mut self) {
-        self.sim.restart(self.now);
-        self.now = self.now + BOOT_NS;
-        (self.count, self.config_count) = (0, 0);
     }
 }

@@ -4,8 +4,6 @@ use proptest::prelude::*;
 
 use super::memory::{curve, entry};
 use super::*;
-use crate::linudp::UnknownCommands;
-use RtcCommand as C;
 use fieldbeat_linudp::motion::{
     Bits, CATALOGUE, CommandInfo, ControllerSet, Current, CurrentLimit, EntryId, Kind, Long, Mark, Offset,
     Raw, ScaledAcceleration, ScaledPosition, ScaledVelocity, Short, SignedVelocity, Upid, WaitTime,
@@ -22,7 +20,7 @@ fn bench(commands: &[MotionCommand]) -> Bench {
     for (n, command) in commands.iter().enumerate() {
         let at = n as u16 + 1;
         let next = (n + 1 < commands.len()).then_some(at + 1);
-        assert_eq!(bench.put_entry(at, &entry(*command, next)), RtcStatus::Done);
+        assert_eq!(bench.put_entry(at, &entry(*command, next)), DONE);
     }
     bench
 }
@@ -67,27 +65,17 @@ fn a_loop_counts_and_moves_to_and_fro() {
 }
 
 #[test]
-fn a_wait_takes_its_time() {
+fn a_wait_takes_its_time_and_waits_and_branches_look_at_what_the_drive_does() {
+    // 0.25 s and 0.1 s; on the way to 100 mm: past 50 mm, below 1 m/s, and with the trigger bit of no input.
     let mut bench = bench(&[
         MotionCommand::wait_time(WaitTime(2_500)),
         MotionCommand::variable_1_set(Long(1_000)),
         MotionCommand::wait_time_in_variable_1(),
-        go_to(CM, VAD),
-    ]);
-    start(&mut bench);
-    let waited = bench.until(|response| response.status.unwrap().motion_active());
-    assert!((349..=352).contains(&waited), "{waited} ms");
-}
-
-#[test]
-fn waits_and_branches_look_at_what_the_drive_does() {
-    // On the way to 100 mm: past 50 mm, below 1 m/s, and with the trigger bit of no input.
-    let mut bench = bench(&[
         go_to(10 * CM, VAD),
         MotionCommand::wait_until_demand_position_greater(Position(5 * CM)),
         MotionCommand::upid_to_variable_1(Upid(0x1E0E)),
-        MotionCommand::if_x4_inputs_equal(Bits(0b11), Bits(0), id(5), id(7)),
-        MotionCommand::if_status_word_equal(Bits(StatusWord::HOMED), Bits(0xFFFF), id(6), id(7)),
+        MotionCommand::if_x4_inputs_equal(Bits(0b11), Bits(0), id(8), id(10)),
+        MotionCommand::if_status_word_equal(Bits(StatusWord::HOMED), Bits(0xFFFF), id(9), id(10)),
         MotionCommand::variable_2_set(Long(77)),
         MotionCommand::wait_until_actual_position_greater(Position(9 * CM)),
         MotionCommand::wait_until_demand_velocity_less(SignedVelocity(100_000)),
@@ -95,6 +83,8 @@ fn waits_and_branches_look_at_what_the_drive_does() {
         MotionCommand::upid_ram_to_rom(Upid(0x14BE)),
     ]);
     start(&mut bench);
+    let waited = bench.until(|response| response.status.unwrap().motion_active());
+    assert!((349..=352).contains(&waited), "{waited} ms");
     bench.until_standing();
     let passed = variable(&mut bench, 1);
     assert!((5 * CM..5 * CM + 5_000).contains(&passed), "{passed}");
@@ -168,27 +158,21 @@ fn the_table_ends_with_state_8_with_a_motion_from_the_bus_and_with_errors() {
 }
 
 #[test]
-fn missing_entries_are_error_008a() {
-    let mut bench = Bench::homed();
-    start(&mut bench);
-    assert_eq!(bench.until_error(), ErrorCode::ENTRY_MISSING);
-    // A link to nowhere, and a branch.
-    for command in [MotionCommand::no_operation(), MotionCommand::if_variable_1_less(Long(1), id(200), id(1))]
-    {
+fn missing_entries_are_error_008a_and_what_the_table_cannot_do_is_error_0081() {
+    assert_eq!(Bench::homed().fails(MotionCommand::table_start(id(1))), ErrorCode::ENTRY_MISSING);
+    assert_eq!(Bench::homed().fails(MotionCommand::new(0x200)), ErrorCode::ENTRY_MISSING);
+    // A link to nowhere, and a branch; an analog input, a condition without a meaning, a restart.
+    for (command, code) in [
+        (MotionCommand::no_operation(), ErrorCode::ENTRY_MISSING),
+        (MotionCommand::if_variable_1_less(Long(1), id(200), id(1)), ErrorCode::ENTRY_MISSING),
+        (MotionCommand::if_analog_input_less(Long(1), id(1), id(1)), ErrorCode::UNKNOWN_COMMAND),
+        (MotionCommand::if_266(Long(1), id(1), id(1)), ErrorCode::UNKNOWN_COMMAND),
+        (MotionCommand::reset_firmware(), ErrorCode::UNKNOWN_COMMAND),
+    ] {
         let mut bench = Bench::homed();
         bench.put_entry(1, &entry(command, Some(200)));
         start(&mut bench);
-        assert_eq!(bench.until_error(), ErrorCode::ENTRY_MISSING);
-    }
-    // What the table cannot do: an analog input, a condition without a meaning, a restart.
-    for command in [
-        MotionCommand::if_analog_input_less(Long(1), id(1), id(1)),
-        MotionCommand::if_266(Long(1), id(1), id(1)),
-        MotionCommand::reset_firmware(),
-    ] {
-        let mut bench = self::bench(&[command]);
-        start(&mut bench);
-        assert_eq!(bench.until_error(), ErrorCode::UNKNOWN_COMMAND);
+        assert_eq!(bench.until_error(), code, "{command:?}");
     }
 }
 
@@ -205,9 +189,7 @@ fn entries_are_modified_in_ram_by_motion_commands() {
         (MotionCommand::table_modify_long(id(1), Offset(62), Long(0)), ErrorCode::UNKNOWN_COMMAND),
         (MotionCommand::table_modify_short(id(1), Offset(0), Short(0)), ErrorCode::UNKNOWN_COMMAND),
     ] {
-        let mut bench = self::bench(&[go_to(CM, VAD), go_to(0, VAD)]);
-        bench.command(command);
-        assert_eq!(bench.until_error(), code);
+        assert_eq!(self::bench(&[go_to(CM, VAD), go_to(0, VAD)]).fails(command), code);
     }
 }
 
@@ -249,9 +231,7 @@ fn is_of_no_use(info: &CommandInfo) -> bool {
 fn every_command_of_the_catalogue_runs_or_is_refused_or_ignored() {
     for info in CATALOGUE {
         for unknown in [UnknownCommands::Refuse, UnknownCommands::Ignore] {
-            let mut bench = Bench::new(|plan| plan.unknown_commands = unknown);
-            bench.enable();
-            bench.home();
+            let mut bench = Bench::homed_with(|plan| plan.unknown_commands = unknown);
             bench.add_curve(&curve(1, &[0; 16]));
             bench.put_entry(1, &entry(MotionCommand::no_operation(), None));
             bench.command(go_to(CM, VAD));
@@ -269,9 +249,7 @@ fn every_command_of_the_catalogue_runs_or_is_refused_or_ignored() {
     }
     // What is in no catalogue.
     for id in [0x006, 0x036, 0x048, 0x0DA, 0x203, 0x256, 0x999, 0xFFF] {
-        let mut bench = Bench::homed();
-        bench.command(MotionCommand::new(id));
-        assert_eq!(bench.until_error(), ErrorCode::UNKNOWN_COMMAND, "{id:03X}");
+        assert_eq!(Bench::homed().fails(MotionCommand::new(id)), ErrorCode::UNKNOWN_COMMAND, "{id:03X}");
     }
 }
 
@@ -347,12 +325,8 @@ fn a_current_moves_the_motor_until_it_is_held_again() {
     // An error stops it, and so does leaving state 8.
     bench.command(MotionCommand::current_mode(Current(-500)));
     bench.now = bench.now + 100 * MS;
-    bench.command(MotionCommand::new(0x999));
-    assert_eq!(bench.until_error(), ErrorCode::UNKNOWN_COMMAND);
-    bench.control = ControlWord::BASE;
-    bench.exchange(None);
-    bench.control = ControlWord::ACKNOWLEDGE;
-    bench.exchange(None);
+    assert_eq!(bench.fails(MotionCommand::new(0x999)), ErrorCode::UNKNOWN_COMMAND);
+    bench.acknowledge();
     bench.now = bench.now + S;
     bench.enable();
     bench.command(MotionCommand::current_mode(Current(500)));
@@ -366,36 +340,26 @@ fn a_move_that_presses_stays_behind_without_an_error() {
     let mut bench = Bench::homed();
     // Beyond the range of the motor, which has to be a range of the parameters for that.
     bench.write(C::WRITE_RAM, 0x146F, 100 * CM as u32);
-    let [velocity, acceleration] = [100_000, 100_000];
-    let press = MotionCommand::vai_dec_acc_press(
-        Position(21 * CM),
-        Velocity(velocity),
-        Acceleration(acceleration),
-        CurrentLimit(300),
-    );
-    bench.command(press);
+    let (velocity, acceleration) = (Velocity(100_000), Acceleration(100_000));
+    let target = Position(21 * CM);
+    bench.command(MotionCommand::vai_dec_acc_press(target, velocity, acceleration, CurrentLimit(300)));
     bench.now = bench.now + 10 * S;
     let pressed = bench.exchange(None);
     assert_eq!((pressed.demand, pressed.actual), (Some(21 * CM), Some(20 * CM)));
     assert_eq!((pressed.current, pressed.error), (Some(300), Some(ErrorCode::NONE)));
     // Without the limit it is a lag.
-    bench.command(go_to(21 * CM, VAD));
-    assert_eq!(bench.until_error(), ErrorCode::POSITION_LAG);
+    assert_eq!(bench.fails(go_to(21 * CM, VAD)), ErrorCode::POSITION_LAG);
 }
 
 #[test]
 fn an_entry_with_an_unknown_command_is_an_error_or_skipped() {
     for (unknown, variable_1) in [(UnknownCommands::Refuse, 0), (UnknownCommands::Ignore, 5)] {
-        let mut bench = Bench::new(|plan| plan.unknown_commands = unknown);
-        bench.enable();
-        let raw = Entry { header: 0x9990, ..entry(MotionCommand::no_operation(), Some(2)) };
-        bench.put_entry(1, &raw);
+        let mut bench = Bench::homed_with(|plan| plan.unknown_commands = unknown);
+        bench.put_entry(1, &Entry { header: 0x9990, ..entry(MotionCommand::no_operation(), Some(2)) });
         bench.put_entry(2, &entry(MotionCommand::variable_1_set(Long(5)), None));
         start(&mut bench);
-        bench.now = bench.now + 10 * MS;
-        let response = bench.exchange(None);
-        assert_eq!(response.status.unwrap().error(), unknown == UnknownCommands::Refuse);
-        assert_eq!(variable(&mut bench, 1), variable_1);
+        let status = bench.exchange(None).status.unwrap();
+        assert_eq!((status.error(), variable(&mut bench, 1)), (variable_1 == 0, variable_1));
     }
 }
 
@@ -420,16 +384,13 @@ proptest! {
         commands in prop::collection::vec((0..6_usize, 0..300 * MS), 1..20),
         ignore in any::<bool>(),
     ) {
-        let mut bench = Bench::new(|plan| {
-            plan.unknown_commands = if ignore { UnknownCommands::Ignore } else { UnknownCommands::Refuse };
-        });
-        bench.enable();
-        bench.home();
+        let unknown = if ignore { UnknownCommands::Ignore } else { UnknownCommands::Refuse };
+        let mut bench = Bench::homed_with(|plan| plan.unknown_commands = unknown);
         for id in 1..4 {
             bench.add_curve(&curve(id, &[0, CM, -CM, 0]));
         }
         for (n, entry) in entries.iter().enumerate() {
-            prop_assert_eq!(bench.put_entry(n as u16 + 1, entry), RtcStatus::Done);
+            prop_assert_eq!(bench.put_entry(n as u16 + 1, entry), DONE);
         }
         start(&mut bench);
         for (which, wait_ns) in commands {

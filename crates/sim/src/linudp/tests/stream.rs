@@ -73,21 +73,22 @@ fn every_command_follows_its_rows_one_and_a_half_periods_late() {
 }
 
 #[test]
-fn leaving_the_stream_stands_still_at_once() {
-    let mut bench = Bench::homed();
-    stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-    let response = bench.command(MotionCommand::stream_end());
-    assert!(!response.status.unwrap().motion_active());
-    let stood = bench.until_standing();
-    assert_eq!((stood.demand, stood.error), (response.demand, Some(ErrorCode::NONE)));
-}
-
-#[test]
-fn a_profile_takes_over_from_a_stream() {
-    let mut bench = Bench::homed();
-    stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-    bench.command(MotionCommand::vai_stop(Acceleration(100_000)));
-    assert_eq!(bench.until_standing().error, Some(ErrorCode::NONE));
+fn a_stream_ends_with_its_command_with_a_profile_and_with_its_state() {
+    for way in 0..3 {
+        let mut bench = Bench::homed();
+        stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
+        let left = match way {
+            0 => bench.command(MotionCommand::stream_end()),
+            1 => bench.command(MotionCommand::vai_stop(Acceleration(100_000))),
+            _ => {
+                bench.control = ControlWord::ABORT;
+                bench.exchange(None)
+            }
+        };
+        assert_eq!(left.status.unwrap().motion_active(), way != 0, "at once only by its command");
+        let stood = bench.until_standing();
+        assert_eq!((stood.demand == left.demand, stood.error), (way == 0, Some(ErrorCode::NONE)), "{way}");
+    }
 }
 
 #[test]
@@ -102,96 +103,57 @@ fn the_first_interval_has_to_fit_the_command() {
         (C::Pva, 10 * MS, ErrorCode::NONE),
         (C::Pva, 13 * MS, ErrorCode::STREAM_TOO_SLOW),
     ] {
-        let mut bench = Bench::homed();
-        let (_, error) = stream_for(&mut bench, command, interval_ns, 100);
+        let (_, error) = stream_for(&mut Bench::homed(), command, interval_ns, 100);
         assert_eq!(error, code, "{command:?} every {interval_ns} ns");
     }
     // The configured period is checked as it is.
-    let mut bench = Bench::new(|plan| plan.stream_period_ns = MS);
-    bench.enable();
-    bench.home();
+    let mut bench = Bench::homed_with(|plan| plan.stream_period_ns = MS);
     assert_eq!(stream_for(&mut bench, C::PConfigured, MS, 100), (0, ErrorCode::STREAM_TOO_FAST));
-}
-
-#[test]
-fn a_single_setpoint_is_too_slow_a_stream() {
+    // A single setpoint is too slow a stream; a jump at its start is more than the motor can follow.
     let mut bench = Bench::homed();
-    bench.stream(StreamCommand::P, 2 * MS, (0, 0, 0));
+    bench.stream(C::P, 2 * MS, (0, 0, 0));
     assert_eq!(bench.until_error(), ErrorCode::STREAM_TOO_SLOW);
+    let mut bench = Bench::homed();
+    let jump = |bench: &mut Bench| bench.stream(C::P, 2 * MS, (19 * CM, 0, 0)).error.unwrap();
+    let error = (0..50).map(|_| jump(&mut bench)).find(|error| *error != ErrorCode::NONE);
+    assert_eq!(error, Some(ErrorCode::POSITION_LAG));
 }
 
 #[test]
-fn a_stream_runs_dry_two_and_a_half_periods_after_its_last_setpoint() {
-    for silence_ns in [5 * MS, 5 * MS + 500 * US, 3_600 * S] {
+fn a_stream_runs_dry_after_two_and_a_half_periods_and_one_faster_than_its_period_overflows() {
+    for (silence_ns, runs_dry) in [(5 * MS, false), (5 * MS + 500 * US, true), (3_600 * S, true)] {
         let mut bench = Bench::homed();
         stream_for(&mut bench, StreamCommand::PvConfigured, 2 * MS, 500);
         bench.now = bench.now + silence_ns - MS;
-        let response = bench.exchange(None);
-        if silence_ns == 5 * MS {
-            assert_eq!(response.error, Some(ErrorCode::NONE));
-        } else {
-            assert_eq!(bench.until_error(), ErrorCode::STREAM_UNDERFLOW);
-        }
+        assert_eq!(bench.exchange(None).status.unwrap().error(), runs_dry, "{silence_ns} ns");
+        assert!(!runs_dry || bench.until_error() == ErrorCode::STREAM_UNDERFLOW);
     }
-}
-
-#[test]
-fn a_stream_faster_than_its_period_overflows() {
-    let mut bench = Bench::homed();
     // One a millisecond, one in two used up: the buffer of 8 holds out for about 12.
-    let (held, error) = stream_for(&mut bench, StreamCommand::PvConfigured, MS, 100);
+    let (held, error) = stream_for(&mut Bench::homed(), StreamCommand::PvConfigured, MS, 100);
     assert_eq!(error, ErrorCode::STREAM_OVERFLOW);
     assert!((10..16).contains(&held), "{held}");
 }
 
 #[test]
-fn a_stream_survives_single_losses_and_jitter() {
-    for command in [StreamCommand::Pv, StreamCommand::PvConfigured] {
+fn a_stream_survives_losses_and_jitter_and_does_not_run_ahead_of_what_was_received() {
+    let period_ns = 2 * MS;
+    for (command, lost_of, jitters) in [
+        (StreamCommand::Pv, 100, true),
+        (StreamCommand::PvConfigured, 100, true),
+        (StreamCommand::PvConfigured, 10, false),
+    ] {
         let mut bench = Bench::homed();
-        let period_ns = 2 * MS;
         for n in 0..2_000_u64 {
-            // Early, late, and each hundredth one lost.
-            let jitter_ns = (n * 7_919 % 5) * 100 * US;
-            if n % 100 == 99 {
-                bench.now = bench.now + period_ns;
-                continue;
-            }
             let at = bench.now;
-            let response = bench.stream(command, period_ns + jitter_ns, row(n * period_ns));
-            assert_eq!(response.error, Some(ErrorCode::NONE), "{command:?} at {n}");
+            if n % lost_of != lost_of - 1 {
+                let jitter_ns = if jitters { n * 7_919 % 5 * 100 * US } else { 0 };
+                let (position, velocity, _) = row(n * period_ns);
+                let response = bench.stream(command, period_ns + jitter_ns, (position, velocity, 0));
+                assert_eq!(response.error, Some(ErrorCode::NONE), "{command:?} at {n}");
+                let ahead = response.demand.unwrap() - position;
+                assert!(jitters || ahead <= 0, "{command:?} at {n}: {ahead} ahead");
+            }
             bench.now = at + period_ns;
         }
     }
-}
-
-#[test]
-fn losses_do_not_let_the_output_run_ahead_of_the_rows() {
-    let mut bench = Bench::homed();
-    let period_ns = 2 * MS;
-    for n in 0..1_000_u64 {
-        if n % 10 == 9 {
-            bench.now = bench.now + period_ns;
-            continue;
-        }
-        let (position, velocity, _) = row(n * period_ns);
-        let response = bench.stream(StreamCommand::PvConfigured, period_ns, (position, velocity, 0));
-        let ahead = response.demand.unwrap() - position;
-        assert!(ahead <= 0, "at {n}: {ahead} ahead of what was received");
-    }
-}
-
-#[test]
-fn a_stream_ends_with_its_state() {
-    let mut bench = Bench::homed();
-    stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-    bench.state(ControlWord::ABORT);
-    assert_eq!(bench.until_standing().error, Some(ErrorCode::NONE));
-    // A jump at the start is more than the motor can follow.
-    bench.control = ControlWord::ON;
-    bench.exchange(None);
-    let (_, error) = (0..50).fold((0, ErrorCode::NONE), |(n, error), _| match error {
-        ErrorCode::NONE => (n, bench.stream(StreamCommand::P, 2 * MS, (19 * CM, 0, 0)).error.unwrap()),
-        _ => (n, error),
-    });
-    assert_eq!(error, ErrorCode::POSITION_LAG);
 }

@@ -2,7 +2,7 @@
 //! master sends are those of the fuzz target `drive`.
 
 use super::*;
-use fieldbeat_linudp::wire::{RequestDef, RtcBlock, RtcCommand, RtcStatus};
+use fieldbeat_linudp::wire::RequestDef;
 
 const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 2), MASTER_PORT);
 
@@ -24,37 +24,36 @@ fn a_status_request_is_answered_as_in_the_manual() {
 }
 
 #[test]
-fn what_is_no_telegram_is_not_answered() {
+fn what_is_no_telegram_is_not_answered_and_moves_nothing() {
     let mut bench = Bench::homed();
-    let go_to = go_to(CM, VAD).block(5);
-    assert_eq!(bench.raw(MASTER, &[]), None);
-    assert_eq!(bench.raw(MASTER, &STATUS[..7]), None);
-    // Control word announced and missing; motion command in front of a config block cut short.
-    assert_eq!(bench.raw(MASTER, &[1, 0, 0, 0, 0x7F, 0, 0, 0]), None);
     let whole = Request {
         response_def: ResponseDef::CYCLIC,
-        motion: Some(go_to),
+        motion: Some(go_to(CM, VAD).block(5)),
         config: Some(RtcBlock::default()),
         ..Request::default()
     };
     let mut bytes = [0; 64];
     let size = whole.emit(&mut bytes);
-    assert_eq!(bench.raw(MASTER, &bytes[..size - 7]), None);
+    // Control word announced and missing; motion command in front of a config block cut short.
+    for cut in [&[][..], &STATUS[..7], &[1, 0, 0, 0, 0x7F, 0, 0, 0], &bytes[..size - 7]] {
+        assert_eq!(bench.raw(MASTER, cut), None, "{cut:02X?}");
+    }
     assert_eq!(bench.sim.ignored(), Ignored { malformed: 4, ..Ignored::default() });
-    // None of them moved anything.
     let response = bench.exchange(None);
     assert_eq!(response.state.unwrap().count(), Some(0));
     assert!(!response.status.unwrap().motion_active());
 }
 
 #[test]
-fn a_cut_motion_command_and_a_cut_config_block_are_taken() {
+fn telegrams_may_be_longer_or_end_within_the_motion_command_or_the_config_block() {
     let mut bench = Bench::homed();
-    let go_to = Request {
-        response_def: ResponseDef::CYCLIC,
-        motion: Some(go_to(CM, VAD).block(5)),
-        ..Request::default()
-    };
+    let mut long = [0xA5; 300];
+    long[..8].copy_from_slice(&[0xF8, 0xFF, 0xFF, 0xFF, 0x7F, 0xFE, 0xFF, 0xFF]);
+    let reply = bench.raw(MASTER, &long).unwrap();
+    assert_eq!((reply.len(), &reply[..8]), (26, &long[..8]), "reserved bits do no harm");
+    assert_eq!(bench.exchange(None).state.unwrap().count(), Some(0));
+    let motion = Some(go_to(CM, VAD).block(5));
+    let go_to = Request { response_def: ResponseDef::CYCLIC, motion, ..Request::default() };
     let mut bytes = [0; 64];
     go_to.emit(&mut bytes);
     // Header and the 16 bytes that are not 0.
@@ -67,56 +66,24 @@ fn a_cut_motion_command_and_a_cut_config_block_are_taken() {
 }
 
 #[test]
-fn longer_telegrams_and_reserved_bits_do_no_harm() {
-    let mut bench = Bench::homed();
-    let mut long = [0xA5; 300];
-    long[..8].copy_from_slice(&[0xF8, 0xFF, 0xFF, 0xFF, 0x7F, 0xFE, 0xFF, 0xFF]);
-    let reply = bench.raw(MASTER, &long).unwrap();
-    assert_eq!((reply.len(), &reply[..8]), (26, &long[..8]));
-    assert_eq!(bench.exchange(None).state.unwrap().count(), Some(0));
-}
-
-#[test]
-fn a_duplicate_is_answered_and_not_run() {
-    let mut bench = Bench::homed();
-    let step = MotionCommand { id: 0x012, ..go_to(CM, VAD) }.block(5);
-    bench.exchange(Some(step));
-    bench.now = bench.now - MS;
-    let again = bench.exchange(Some(step));
-    assert_eq!(again.state.unwrap().count(), Some(5));
-    assert_eq!(bench.until_standing().actual, Some(CM));
-}
-
-#[test]
-fn only_requests_from_the_masters_port_are_answered() {
+fn a_master_has_the_masters_port_and_is_any_the_first_or_the_fixed_one() {
+    let mut bench = Bench::new(|_| {});
+    assert!(bench.raw(MASTER, &STATUS).is_some() && bench.raw(OTHER, &STATUS).is_some());
     let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
-    let stranger = SocketAddrV4::new(*OTHER.ip(), MASTER_PORT + 1);
-    assert_eq!(bench.raw(stranger, &STATUS), None);
-    assert_eq!(bench.sim.ignored().wrong_port, 1);
-    // It did not become the single master.
-    assert!(bench.raw(MASTER, &STATUS).is_some());
-}
-
-#[test]
-fn a_single_master_is_the_first_one_after_start() {
-    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
+    // Neither of these becomes the single master.
+    assert_eq!(bench.raw(SocketAddrV4::new(*OTHER.ip(), MASTER_PORT + 1), &STATUS), None);
     assert_eq!(bench.raw(OTHER, &STATUS[..5]), None);
     assert!(bench.raw(MASTER, &STATUS).is_some());
     assert_eq!(bench.raw(OTHER, &STATUS), None);
     assert!(bench.raw(MASTER, &STATUS).is_some());
-    assert_eq!(bench.sim.ignored(), Ignored { malformed: 1, filtered: 1, ..Ignored::default() });
+    let ignored = Ignored { wrong_port: 1, malformed: 1, filtered: 1, ..Ignored::default() };
+    assert_eq!(bench.sim.ignored(), ignored);
     bench.sim.restart(bench.now);
     assert!(bench.raw(OTHER, &STATUS).is_some());
     assert_eq!(bench.raw(MASTER, &STATUS), None);
-}
-
-#[test]
-fn a_fixed_master_is_the_only_one() {
     let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Fixed(*OTHER.ip()));
     assert_eq!(bench.raw(MASTER, &STATUS), None);
     assert!(bench.raw(OTHER, &STATUS).is_some());
-    let mut bench = Bench::new(|_| {});
-    assert!(bench.raw(MASTER, &STATUS).is_some() && bench.raw(OTHER, &STATUS).is_some());
 }
 
 #[test]
@@ -137,26 +104,12 @@ fn short_answers_are_padded_with_what_is_left_of_earlier_ones() {
 }
 
 #[test]
-fn monitoring_channels_show_velocity_acceleration_temperature_and_status() {
-    let mut bench = Bench::homed();
-    bench.command(go_to(-10 * CM, VAD));
-    bench.now = bench.now + 20 * MS;
-    let request = Request { response_def: ResponseDef(0xFF), ..Request::default() };
-    let response = bench.ask(&request);
-    let monitor = response.monitor.unwrap();
-    assert_eq!(monitor[0] as i32, -200_000);
-    assert_eq!(monitor[1] as i32, -1_000_000);
-    assert_eq!((monitor[2], monitor[3]), (400, u32::from(response.status.unwrap().0)));
-    assert!(response.current.unwrap() < 0);
-}
-
-#[test]
 fn the_config_block_is_there_if_the_request_had_one() {
     let mut bench = Bench::new(|_| {});
     // Not because of response bit 8.
     let without = Request { response_def: ResponseDef(0x1FF), ..Request::default() };
     assert_eq!(bench.ask(&without).config, None);
-    let nothing = RtcBlock::command(4, RtcCommand::NO_OPERATION);
+    let nothing = RtcBlock::command(4, C::NO_OPERATION);
     let with = Request { response_def: ResponseDef(1), config: Some(nothing), ..Request::default() };
     let response = bench.ask(&with);
     assert_eq!(response.request_def, RequestDef::CONFIG);
@@ -168,9 +121,9 @@ fn a_restart_forgets_all_but_where_the_motor_is() {
     let mut bench = Bench::homed();
     bench.command(go_to(10 * CM, VAD));
     bench.until_standing();
-    bench.configure(RtcBlock::call(3, RtcCommand::READ_RAM, 0x20A8, 0));
+    bench.configure(RtcBlock::call(3, C::READ_RAM, 0x20A8, 0));
     bench.sim.restart(bench.now);
-    assert_eq!(bench.configure(RtcBlock::command(0, RtcCommand::READ_RAM)), RtcBlock::default());
+    assert_eq!(bench.configure(RtcBlock::command(0, C::READ_RAM)), RtcBlock::default());
     // Booting: both words are 0 and nothing is taken.
     for _ in 0..99 {
         let response = bench.exchange(Some(go_to(0, VAD).block(7)));
@@ -217,15 +170,10 @@ fn a_drive_can_be_found_running() {
     bench.sim.restart(bench.now);
     bench.now = bench.now + S;
     assert!(!bench.exchange(None).status.unwrap().operation_enabled());
-}
-
-#[test]
-fn a_long_silence_costs_a_bounded_number_of_steps() {
+    // The longest silence costs a bounded number of steps; time that goes backwards is no time.
     let mut bench = Bench::new(|plan| plan.start_running = true);
-    bench.raw(MASTER, &STATUS).unwrap();
-    bench.now = Time(u64::MAX);
-    assert!(bench.raw(MASTER, &STATUS).is_some());
-    // Time that goes backwards is no time.
-    bench.now = Time(0);
-    assert!(bench.raw(MASTER, &STATUS).is_some());
+    for now in [bench.now, Time(u64::MAX), Time(0)] {
+        bench.now = now;
+        assert!(bench.raw(MASTER, &STATUS).is_some());
+    }
 }
