@@ -21,12 +21,6 @@ fn hex(text: &str) -> Vec<u8> {
     digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
 }
 
-fn words(values: &[u16]) -> RegistersBuffer {
-    let mut buffer = RegistersBuffer::new();
-    assert!(values.iter().all(|value| buffer.push_word(*value)));
-    buffer
-}
-
 /// What a well-formed message gets back, without its header.
 fn answer(bench: &mut Bench, pdu: &[u8]) -> Vec<u8> {
     let mut adu = vec![0, 7, 0, 0, 0, pdu.len() as u8 + 1, DRIVE_UNIT];
@@ -52,18 +46,6 @@ fn function_23_of_the_si_ethernet_guide_reads_three_other_parameters() {
 }
 
 #[test]
-fn function_23_writes_before_it_reads() {
-    let mut bench = Bench::new(|_| {});
-    let data = longs(&[77]);
-    let address = bench.address(APPLICATION, Width::Long);
-    let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
-    bench.ask(DRIVE_UNIT, &both, |response| {
-        let Response::ReadWritten { data } = response else { panic!("{response:?}") };
-        assert_eq!((data.len(), data.long(0)), (2, Some(77)));
-    });
-}
-
-#[test]
 fn other_functions_get_exception_01() {
     let mut bench = Bench::new(|_| {});
     assert_eq!(answer(&mut bench, &[4, 0x00, 0x78, 0, 1]), [0x84, 1]);
@@ -75,56 +57,49 @@ fn other_functions_get_exception_01() {
 }
 
 #[test]
-fn a_drive_without_function_23_says_exception_01() {
-    let mut bench = Bench::new(|settings| settings.interface.read_write = ReadWrite::Refused);
-    let data = longs(&[77]);
-    let address = bench.address(APPLICATION, Width::Long);
-    let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
-    assert_eq!(bench.exception(&both), FUNCTION);
-    assert_eq!(bench.read(APPLICATION), 0);
-}
-
-#[test]
-fn over_120_registers_are_exception_02_in_every_direction() {
+fn wrong_counts_and_reserved_addresses_are_exception_02_in_every_direction() {
     let mut bench = Bench::new(|settings| settings.interface.holes = Holes::Zero);
-    let most = Request::Read { address: 0x47E4, count: REGISTERS_MAX };
-    assert_eq!(bench.exception(&most), None);
-    for count in [121, 122, 125, u16::MAX] {
-        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), ADDRESS, "{count}");
+    for (address, counts, exception) in [
+        (0x47E4, &[REGISTERS_MAX][..], None),
+        // None, half a parameter, too many.
+        (0x47E4, &[0, 1, 3, 5, 121, 122, 125, u16::MAX], ADDRESS),
+        (0x8000, &[2], ADDRESS),
+        (0xC078, &[2], ADDRESS),
+        (0xFFFF, &[2], ADDRESS),
+        (0x3FFF, &[2], ADDRESS),
+        // The last menu, and what would run out of the addresses.
+        (0x7FAA, &[2], None),
+        (0x7FAA, &[4], ADDRESS),
+        (0x3FAA, &[2], ADDRESS),
+    ] {
+        for count in counts {
+            let read = Request::Read { address, count: *count };
+            assert_eq!(bench.exception(&read), exception, "{address:04X}h, {count}");
+        }
     }
     assert_eq!(answer(&mut bench, &[3, 0x47, 0xE4, 0, 121]), [0x83, 2]);
-    let bytes = [0; 242];
-    let data = Registers::new(&bytes).unwrap();
-    assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data }), ADDRESS);
-    let both = Request::ReadWrite { read: 0x47E4, count: 2, write: 0x47E4, data };
-    assert_eq!(bench.exception(&both), ADDRESS);
-    let data = Registers::new(&bytes[..4]).unwrap();
-    let both = Request::ReadWrite { read: 0x47E4, count: 121, write: 0x47E4, data };
-    assert_eq!(bench.exception(&both), ADDRESS);
-}
-
-#[test]
-fn no_registers_and_half_a_parameter_are_exception_02() {
-    let mut bench = Bench::new(|_| {});
-    for count in [0, 1, 3, 5] {
-        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), ADDRESS, "{count}");
+    let bytes = [1; 242];
+    let data = |length| Registers::new(&bytes[..length]).unwrap();
+    let write = 0x47E4;
+    for request in [
+        Request::Write { address: write, data: data(242) },
+        Request::Write { address: write, data: data(6) },
+        Request::Write { address: write, data: data(0) },
+        Request::ReadWrite { read: write, count: 2, write, data: data(242) },
+        // Nothing is written even if only the reading is wrong.
+        Request::ReadWrite { read: write, count: 0, write, data: data(4) },
+        Request::ReadWrite { read: write, count: 3, write, data: data(4) },
+        Request::ReadWrite { read: write, count: 121, write, data: data(4) },
+        Request::ReadWrite { read: 0x8000, count: 2, write, data: data(4) },
+    ] {
+        assert_eq!(bench.exception(&request), ADDRESS, "{request:?}");
     }
-    let data = words(&[1, 2, 3]);
-    assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data: data.registers() }), ADDRESS);
-    assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data: Registers::default() }), ADDRESS);
     assert_eq!(bench.read(APPLICATION), 0);
-}
-
-#[test]
-fn reserved_addresses_are_exception_02() {
-    let mut bench = Bench::new(|settings| settings.interface.holes = Holes::Zero);
-    for address in [0x8000, 0xC078, 0xFFFF, 0x3FFF] {
-        assert_eq!(bench.exception(&Request::Read { address, count: 2 }), ADDRESS, "{address:04X}h");
+    // A server may take fewer than the drive.
+    let mut bench = Bench::new(|settings| settings.interface.registers = 6);
+    for (count, exception) in [(6, None), (8, ADDRESS)] {
+        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), exception, "{count}");
     }
-    // The last menu, and what would run out of the addresses.
-    assert_eq!(bench.exception(&Request::Read { address: 0x7FAA, count: 2 }), None);
-    assert_eq!(bench.exception(&Request::Read { address: 0x7FAA, count: 4 }), ADDRESS);
-    assert_eq!(bench.exception(&Request::Read { address: 0x3FAA, count: 2 }), ADDRESS);
 }
 
 #[test]
@@ -141,11 +116,14 @@ fn a_hole_in_a_block_is_exception_02_or_reads_as_0() {
         let Response::Read { data } = response else { panic!("{response:?}") };
         assert!(data.words().eq([0, 0, 0, 0, 2]));
     });
-    // Written it is refused all the same, and nothing is written in front of it.
+    // Written it is refused all the same, and nothing is written in front of it; nor if it is in what is read.
     let data = longs(&[5; 2]);
     let last = bench.address(parameter("20.040"), Width::Long);
     assert_eq!(bench.exception(&Request::Write { address: last, data: data.registers() }), ADDRESS);
     assert_eq!(bench.read(parameter("20.040")), 0);
+    let both = Request::ReadWrite { read: 0x4405, count: 4, write: 0x47E4, data: data.registers() };
+    let mut bench = Bench::new(|_| {});
+    assert_eq!((bench.exception(&both), bench.read(APPLICATION)), (ADDRESS, 0));
 }
 
 #[test]
@@ -179,8 +157,8 @@ fn a_read_only_parameter_is_refused_as_a_value_out_of_range_is() {
     assert!(!bench.try_write(Parameter::STATUS_WORD, 0));
     assert!(!bench.try_write(Parameter::FIRMWARE, 1));
     // 16 bits count registers, one each: 06.041 does not exist, 06.042 and 06.043 do.
-    let data = words(&[0x0180, 2]);
-    let block = Request::Write { address: 0x0281, data: data.registers() };
+    let data = Registers::new(&[0x01, 0x80, 0, 2]).unwrap();
+    let block = Request::Write { address: 0x0281, data };
     bench.ask(DRIVE_UNIT, &block, |response| {
         assert_eq!(response, Response::Written { address: 0x0281, count: 1 })
     });
@@ -202,18 +180,6 @@ fn functions_6_and_23_say_nothing_of_what_they_did_not_write() {
         assert_eq!(response, Response::WriteOne { address: 0x0282, value: 2 })
     });
     assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 0);
-}
-
-#[test]
-fn a_refused_message_writes_nothing_even_if_only_its_reading_is_wrong() {
-    let mut bench = Bench::new(|_| {});
-    let data = longs(&[5]);
-    let write = bench.address(APPLICATION, Width::Long);
-    for (read, count) in [(0x8000, 2), (write, 3), (write, 0), (write, 200), (0x4405, 4)] {
-        let both = Request::ReadWrite { read, count, write, data: data.registers() };
-        assert_eq!(bench.exception(&both), ADDRESS);
-    }
-    assert_eq!(bench.read(APPLICATION), 0);
 }
 
 #[test]
@@ -267,15 +233,6 @@ fn a_foreign_unit_may_be_met_with_silence_and_unit_0_be_answered_by_255() {
         let reply = bench.raw(&request);
         assert_eq!(Header::parse(&reply), Some(Header { transaction: bench.transaction, unit: 255 }));
     }
-}
-
-#[test]
-fn an_interface_in_slot_1_answers_as_slot_1() {
-    let mut bench = Bench::new(|settings| settings.interface.slot = 1);
-    bench.write(TIMEOUT.in_slot(1), 250);
-    assert_eq!(bench.read(TIMEOUT.in_slot(1)), 250);
-    let there = Request::Read { address: 0x4000 + 15 * 100 + 8, count: 2 };
-    bench.ask(4, &there, |response| assert!(matches!(response, Response::Exception { .. })));
 }
 
 #[test]
@@ -341,15 +298,6 @@ fn wire_size(bytes: &[u8]) -> usize {
 }
 
 #[test]
-fn a_byte_in_each_segment_is_as_good_as_one_segment() {
-    let mut bench = Bench::new(|_| {});
-    let request = hex(SEED_WRITE);
-    let (last, front) = request.split_last().unwrap();
-    assert!(front.iter().all(|byte| bench.raw(&[*byte]).is_empty()));
-    assert_eq!(bench.raw(&[*last]), hex(SEED_WRITTEN));
-}
-
-#[test]
 fn two_requests_at_once_are_answered_in_order_or_the_second_one_never() {
     for pipelining in [true, false] {
         let mut bench = Bench::new(|settings| settings.interface.pipelining = pipelining);
@@ -375,7 +323,7 @@ fn a_wrong_identity_is_another_transaction_and_nothing_else() {
 }
 
 #[test]
-fn function_23_may_be_ignored_end_the_connection_or_take_a_few_registers_only() {
+fn function_23_may_be_refused_or_ignored_or_end_the_connection_or_take_a_few_registers_only() {
     let data = longs(&[77]);
     let address = APPLICATION.address(Addressing::Standard, Width::Long).unwrap();
     let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
@@ -388,16 +336,10 @@ fn function_23_may_be_ignored_end_the_connection_or_take_a_few_registers_only() 
         assert!(bench.sim.connect(bench.now, MASTER));
         assert_eq!(bench.read(APPLICATION), 0, "nothing was written");
     }
-    for (most, exception) in [(4, None), (3, ADDRESS)] {
-        let mut bench = Bench::new(|settings| settings.interface.read_write = ReadWrite::UpTo(most));
-        assert_eq!(bench.exception(&both), exception, "{most}");
-    }
-}
-
-#[test]
-fn a_server_may_take_fewer_registers_than_the_drive() {
-    let mut bench = Bench::new(|settings| settings.interface.registers = 6);
-    for (count, exception) in [(6, None), (8, ADDRESS)] {
-        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), exception, "{count}");
+    for (read_write, exception, written) in
+        [(ReadWrite::Refused, FUNCTION, 0), (ReadWrite::UpTo(3), ADDRESS, 0), (ReadWrite::UpTo(4), None, 77)]
+    {
+        let mut bench = Bench::new(|settings| settings.interface.read_write = read_write);
+        assert_eq!((bench.exception(&both), bench.read(APPLICATION)), (exception, written), "{read_write:?}");
     }
 }

@@ -175,6 +175,13 @@ impl Bench {
         self.now = self.now + ns;
     }
 
+    /// Power off and on; until it is back, and connected.
+    fn restart(&mut self) {
+        self.sim.restart(self.now);
+        self.wait(S);
+        assert!(self.sim.connect(self.now, MASTER));
+    }
+
     /// Waits until the drive is there, asking each millisecond; how many.
     fn until(&mut self, what: impl Fn(W) -> bool) -> u64 {
         for waited in 0..60_000 {

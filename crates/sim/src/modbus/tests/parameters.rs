@@ -39,36 +39,21 @@ fn one_function_23_carries_the_whole_process_image_by_menu_0() {
 }
 
 #[test]
-fn what_menu_0_shows_of_nothing_is_a_hole() {
-    let mut bench = Bench::new(|_| {});
-    for setup in [0, 7, 6_041, 1_999, 59_999] {
-        bench.write(SETUP, setup);
+fn what_menu_0_shows_of_nothing_is_a_hole_and_all_of_it_without_the_mapping() {
+    for (menu_zero, setups) in [(true, &[0, 7, 6_041, 1_999, 59_999][..]), (false, &[1_007, 6_042])] {
+        let mut bench = Bench::new(|settings| settings.interface.menu_zero = menu_zero);
         let address = bench.address(MENU_ZERO, Width::Long);
-        assert_eq!(
-            bench.exception(&Request::Read { address, count: 2 }),
-            Some(ExceptionCode::ADDRESS),
-            "{setup}"
-        );
+        for setup in setups {
+            bench.write(SETUP, *setup);
+            let read = bench.exception(&Request::Read { address, count: 2 });
+            assert_eq!(read, Some(ExceptionCode::ADDRESS), "{setup}");
+        }
+        assert!(!bench.try_write(SETUP, 60_000));
     }
-    assert!(!bench.try_write(SETUP, 60_000));
-}
-
-#[test]
-fn a_drive_without_the_mapping_has_no_menu_0() {
-    let mut bench = Bench::new(|settings| settings.interface.menu_zero = false);
-    let address = bench.address(MENU_ZERO, Width::Long);
-    assert_eq!(bench.exception(&Request::Read { address, count: 2 }), Some(ExceptionCode::ADDRESS));
-    bench.write(SETUP, 6_042);
-    assert_eq!(bench.exception(&Request::Read { address, count: 2 }), Some(ExceptionCode::ADDRESS));
 }
 
 #[test]
 fn a_restart_forgets_what_was_not_saved() {
-    let restarted = |bench: &mut Bench| {
-        bench.sim.restart(bench.now);
-        bench.wait(S);
-        assert!(bench.sim.connect(bench.now, MASTER));
-    };
     for (order, by_trip, survives) in
         [(None, true, false), (Some(1000), true, true), (Some(1001), false, true), (Some(999), true, false)]
     {
@@ -87,7 +72,7 @@ fn a_restart_forgets_what_was_not_saved() {
             }
             assert_eq!(bench.read(parameter("02.000")), 0);
         }
-        restarted(&mut bench);
+        bench.restart();
         let expected = if survives { (3_000, 6_042, 1) } else { (200, 1_007, 0) };
         let got = (bench.read(RAMP), bench.read(SETUP), bench.read(Parameter::CONTROL_WORD_ENABLE));
         assert_eq!(got, expected, "{order:?}");
@@ -97,23 +82,18 @@ fn a_restart_forgets_what_was_not_saved() {
 }
 
 #[test]
-fn saved_values_can_be_made_what_they_were_when_the_drive_was_delivered() {
-    let mut bench = Bench::new(|settings| settings.commissioned = vec![(RAMP, 3_000), (SETUP, 6_042)]);
-    assert_eq!((bench.read(RAMP), bench.read(SETUP)), (3_000, 6_042));
-    bench.write(parameter("01.000"), 1_233);
-    bench.write(RESET, 1);
-    assert_eq!((bench.read(RAMP), bench.read(SETUP), bench.read(MENU_ZERO)), (200, 1_007, 0));
-}
-
-#[test]
-fn a_commissioned_value_is_moved_into_its_range() {
+fn what_was_commissioned_is_in_range_and_can_be_made_what_it_was_when_the_drive_was_delivered() {
     let mut bench = Bench::new(|settings| {
-        settings.commissioned =
-            vec![(Parameter::REFERENCE, i32::MAX), (parameter("06.043"), 7), (parameter("99.001"), 1)];
+        settings.commissioned = vec![(RAMP, 3_000), (SETUP, 6_042), (Parameter::REFERENCE, i32::MAX)];
+        settings.commissioned.extend([(parameter("06.043"), 7), (parameter("99.001"), 1)]);
     });
+    assert_eq!((bench.read(RAMP), bench.read(SETUP)), (3_000, 6_042));
     let reference = Parameter::REFERENCE.known().unwrap();
     assert_eq!(i64::from(bench.read(Parameter::REFERENCE)), reference.max);
     assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 1);
+    bench.write(parameter("01.000"), 1_233);
+    bench.write(RESET, 1);
+    assert_eq!((bench.read(RAMP), bench.read(SETUP), bench.read(MENU_ZERO)), (200, 1_007, 0));
 }
 
 #[test]
@@ -123,9 +103,7 @@ fn a_new_addressing_mode_counts_from_the_next_start_on() {
     bench.write(parameter("01.000"), 1_000);
     bench.write(RESET, 1);
     assert_eq!(bench.read(Parameter::FIRMWARE), 1_220_010);
-    bench.sim.restart(bench.now);
-    bench.wait(S);
-    assert!(bench.sim.connect(bench.now, MASTER));
+    bench.restart();
     bench.addressing = Addressing::Modified;
     assert_eq!(bench.read(Parameter::FIRMWARE), 1_220_010);
 }

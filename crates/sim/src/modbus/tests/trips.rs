@@ -31,47 +31,33 @@ fn a_trip_coasts_and_stays_until_it_is_reset_by_an_edge() {
     reset(&mut bench);
     // The log keeps it.
     assert_eq!(bench.trip(), (6, false));
-}
-
-#[test]
-fn a_run_bit_that_stands_at_a_reset_runs_again() {
-    let mut bench = Bench::enabled(1_000);
-    bench.settled(C::FORWARD);
+    // A run bit that stands at a reset runs again.
     bench.sim.provoke(Trip::OVER_VOLTS);
-    bench.wait(5 * S);
-    assert_eq!(bench.speed(), 0.0);
     bench.control(C::FORWARD.with(C::RESET));
     bench.until(|status| status.at_speed());
 }
 
 #[test]
 fn every_way_of_reset_resets() {
-    for way in 0..3 {
+    // AUTO is not needed; 10.033 counts its edge only.
+    let by_word =
+        [(Parameter::CONTROL_WORD_ENABLE, 1, true), (Parameter::CONTROL_WORD, C::RESET.into(), false)];
+    let by_10_033 = [(RESET, 1, false)];
+    for way in [&by_word[..], &by_10_033, &[(USER_TRIP, 100, false)]] {
         let mut bench = Bench::new(|settings| settings.start = Start::Tripped(20));
         assert_eq!(bench.trip(), (20, true));
-        match way {
-            0 => {
-                bench.write(Parameter::CONTROL_WORD_ENABLE, 1);
-                // AUTO is not needed.
-                bench.write(Parameter::CONTROL_WORD, C::RESET.into());
-            }
-            1 => bench.write(RESET, 1),
-            _ => bench.write(USER_TRIP, 100),
+        for (parameter, value, trips) in way {
+            bench.write(*parameter, *value);
+            assert_eq!(bench.trip(), (20, *trips), "{parameter} = {value}");
         }
-        assert_eq!(bench.trip(), (20, false), "way {way}");
     }
-}
-
-#[test]
-fn drive_reset_10_033_counts_its_edge_only() {
     let mut bench = Bench::new(|_| {});
     bench.write(RESET, 1);
     bench.sim.provoke(Trip::OVER_VOLTS);
-    bench.write(RESET, 1);
-    assert!(bench.trip().1);
-    bench.write(RESET, 0);
-    bench.write(RESET, 1);
-    assert!(!bench.trip().1);
+    for (value, trips) in [(1, true), (0, true), (1, false)] {
+        bench.write(RESET, value);
+        assert_eq!(bench.trip().1, trips);
+    }
 }
 
 #[test]
@@ -97,9 +83,7 @@ fn a_trip_whose_cause_stays_comes_back_at_once() {
     // Each time it is a new one in the log.
     let log: [i32; 3] = bench.read_block(Parameter::TRIP);
     assert_eq!(log, [20, 20, 0]);
-    bench.sim.restart(bench.now);
-    bench.wait(S);
-    assert!(bench.sim.connect(bench.now, MASTER));
+    bench.restart();
     assert_eq!(bench.trip(), (20, true));
 }
 
@@ -125,9 +109,7 @@ fn the_log_keeps_the_last_ten_and_outlives_a_restart() {
     }
     let log: [i32; 10] = bench.read_block(Parameter::TRIP);
     assert!(log.into_iter().eq((45..55).rev()), "{log:?}");
-    bench.sim.restart(bench.now);
-    bench.wait(S);
-    assert!(bench.sim.connect(bench.now, MASTER));
+    bench.restart();
     assert_eq!(bench.trip(), (54, false));
     bench.write(USER_TRIP, 255);
     assert_eq!(bench.read_block(Parameter::TRIP), [0; 10]);
@@ -157,20 +139,16 @@ fn the_watchdog_of_the_control_word_trips_a_second_after_the_last_write() {
 }
 
 #[test]
-fn a_word_without_the_bit_disarms_the_watchdog_unless_it_is_held() {
+fn a_word_without_the_bit_disarms_the_watchdog_unless_it_is_held_and_one_of_edges_needs_edges() {
+    let armed = C::IDLE.with(C::KEYPAD_WATCHDOG);
     for held in [false, true] {
         let mut bench = Bench::idle_with(|settings| settings.watchdog.held = held);
-        bench.control(C::IDLE.with(C::KEYPAD_WATCHDOG));
+        bench.control(armed);
         bench.control(C::IDLE);
         bench.wait(2 * S);
         assert_eq!(bench.trip().1, held);
     }
-}
-
-#[test]
-fn a_watchdog_of_edges_is_not_served_by_a_level() {
     let mut bench = Bench::idle_with(|settings| settings.watchdog.edges_only = true);
-    let armed = C::IDLE.with(C::KEYPAD_WATCHDOG);
     for _ in 0..4 {
         bench.control(armed);
         bench.control(C::IDLE);
@@ -205,35 +183,18 @@ fn the_modbus_timeout_trips_when_nothing_is_received() {
 }
 
 #[test]
-fn the_trip_of_the_timeout_names_the_slot() {
+fn the_trip_of_the_timeout_names_the_slot_and_bytes_that_make_no_message_do_not_serve_it() {
     for (slot, trip) in [(1, 202), (2, 207), (3, 212), (4, 252)] {
         let mut bench = Bench::new(|settings| settings.interface.slot = slot);
-        bench.write(TIMEOUT.in_slot(slot), 50);
-        bench.wait(S);
+        bench.write(TIMEOUT.in_slot(slot), 100);
+        assert_eq!(bench.read(TIMEOUT.in_slot(slot)), 100);
+        for _ in 0..20 {
+            bench.wait(10 * MS);
+            assert!(bench.raw(&[]).is_empty());
+        }
         assert_eq!(bench.trip(), (trip, true));
+        let here = Request::Read { address: 0x4000 + 15 * 100 + 8, count: 2 };
+        let missing = |response: Response<'_>| matches!(response, Response::Exception { .. });
+        assert_eq!(bench.ask(4, &here, missing), slot != 4, "unit 4 is slot 4");
     }
-}
-
-#[test]
-fn a_connection_that_says_nothing_does_not_serve_the_timeout() {
-    let mut bench = Bench::new(|_| {});
-    bench.write(TIMEOUT, 100);
-    for _ in 0..20 {
-        bench.wait(10 * MS);
-        // Bytes that make no message, at first.
-        let _ = bench.raw(&[]);
-    }
-    assert_eq!(bench.trip(), (252, true));
-}
-
-#[test]
-fn a_restart_clears_a_trip_and_everything_that_ran() {
-    let mut bench = Bench::enabled(1_000);
-    bench.settled(C::FORWARD.with(C::KEYPAD_WATCHDOG));
-    bench.sim.provoke(Trip::OVER_CURRENT);
-    bench.sim.restart(bench.now);
-    bench.wait(S);
-    assert!(bench.sim.connect(bench.now, MASTER));
-    bench.wait(5 * S);
-    assert_eq!((bench.trip(), bench.status().active()), ((3, false), false));
 }
