@@ -354,4 +354,4 @@ fn address(by: usize) -> SocketAddrV4 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -18,7 +18,7 @@ mod datagrams;
 mod segments;
 mod streams;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod wires;
 
 use std::collections::VecDeque;

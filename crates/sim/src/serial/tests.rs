@@ -9,15 +9,21 @@ const BYTE: u64 = 22 * US;
 /// The time of the slaves before they answer.
 const TURN: u64 = 22 * US;
 
-fn wire(numbers: &[u8]) -> SerialWire {
+/// A wire without faults at this port, with these slaves.
+pub(crate) fn wire_at(port: &str, numbers: &[u8]) -> SerialWire {
+    let slave = |number: &u8| Box::new(Slave::new(*number)) as Box<dyn SimSerial>;
     SerialWire {
-        port: "/dev/ttyUSB0".into(),
+        port: port.into(),
         own_port: None,
         line: Slave::LINE,
         echo: false,
         faults: FaultPlan::default(),
-        drives: numbers.iter().map(|number| Box::new(Slave::new(*number)) as Box<dyn SimSerial>).collect(),
+        drives: numbers.iter().map(slave).collect(),
     }
+}
+
+fn wire(numbers: &[u8]) -> SerialWire {
+    wire_at("/dev/ttyUSB0", numbers)
 }
 
 /// Everything that is due by `now`.

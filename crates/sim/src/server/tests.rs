@@ -9,10 +9,9 @@ use nix::sys::socket::{setsockopt, sockopt};
 use super::sockets::{CONNECTIONS, Connection, UNREAD, prepare, token, unbound};
 use super::*;
 use crate::FaultPlan;
-use crate::testing::Peers;
+use crate::world::tests::{Echo, Line};
 use crate::{Carrier, SimDrive};
 use fieldbeat_core::time::MS;
-use fieldbeat_core::time::Time;
 use fieldbeat_testing::until;
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
@@ -25,40 +24,12 @@ fn address(x: u8, host: u8) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 72, x, host), 49360)
 }
 
-/// Answers with what it got and how many requests came since its start.
-struct Echo(SocketAddrV4, FaultPlan, u8);
-
-impl SimDrive for Echo {
-    fn address(&self) -> SocketAddrV4 {
-        self.0
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.1.clone()
-    }
-
-    fn receive(
-        &mut self,
-        _now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.2 = self.2.wrapping_add(1);
-        reply.extend_from_slice(bytes);
-        reply.push(self.2);
-        Some(from)
-    }
-
-    fn inhibit(&mut self, _until: Time) {}
-
-    fn restart(&mut self, _now: Time) {
-        self.2 = 0;
-    }
+fn echo(address: SocketAddrV4, faults: FaultPlan) -> Box<dyn SimDrive> {
+    Box::new(Echo { address, faults, answered: 0 })
 }
 
 fn start(x: u8, hosts: std::ops::Range<u8>, faults: &FaultPlan) -> io::Result<SimServer> {
-    let drives = hosts.map(|h| Box::new(Echo(address(x, h), faults.clone(), 0)) as Box<dyn SimDrive>);
+    let drives = hosts.map(|host| echo(address(x, host), faults.clone()));
     SimServer::start(drives.collect::<Vec<_>>(), ServerOptions::default())
 }
 
@@ -151,96 +122,20 @@ fn an_answer_takes_its_time() {
 }
 
 #[test]
-fn an_address_in_use_is_named_and_given_back() {
-    let first = start(4, 10..12, &FaultPlan::default()).unwrap();
-    let error = start(4, 11..13, &FaultPlan::default()).unwrap_err();
-    assert_eq!(error.kind(), io::ErrorKind::AddrInUse);
-    assert!(error.to_string().contains("127.72.4.11:49360"), "{error}");
-    drop(first);
-    drop(start(4, 10..13, &FaultPlan::default()).unwrap());
-}
-
-#[test]
 fn a_right_that_is_missing_is_reported_and_serves_all_the_same() {
     let options = ServerOptions { core: Some(usize::MAX), priority: Some(1) };
-    let drive = Box::new(Echo(address(5, 10), FaultPlan::default(), 0));
-    let server = SimServer::start(vec![drive as Box<dyn SimDrive>], options).unwrap();
+    let server = SimServer::start(vec![echo(address(5, 10), FaultPlan::default())], options).unwrap();
     assert!(!server.realtime());
     let client = client(5, LONG);
     client.send_to(&[1], address(5, 10)).unwrap();
     assert_eq!(client.recv(&mut [0; 8]).unwrap(), 2);
 }
 
-/// Answers each request of two bytes, a number and how long the answer is in KiB, with the number, how often it was
-/// requested since its start, and so many bytes.
-struct Counter {
-    address: SocketAddrV4,
-    faults: FaultPlan,
-    most: usize,
-    requested: u8,
-    peers: Peers,
+fn line(x: u8, faults: FaultPlan) -> Line {
+    Line { most: 4, ..Line::new(address(x, 10), faults) }
 }
 
-/// A number at which the drive hangs up behind its answer.
-const BYE: u8 = 255;
-
-impl SimDrive for Counter {
-    fn address(&self) -> SocketAddrV4 {
-        self.address
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.faults.clone()
-    }
-
-    fn carrier(&self) -> Carrier {
-        Carrier::Stream
-    }
-
-    fn receive(
-        &mut self,
-        _now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        for [number, length] in self.peers.requests(from, bytes) {
-            self.requested = self.requested.wrapping_add(1);
-            reply.extend([number, self.requested]);
-            reply.resize(reply.len() + usize::from(length) * 1_024, 0);
-        }
-        (!reply.is_empty()).then_some(from)
-    }
-
-    fn connect(&mut self, _now: Time, from: SocketAddrV4) -> bool {
-        self.peers.connect(from, self.most)
-    }
-
-    fn hangs_up(&mut self, _from: SocketAddrV4) -> bool {
-        self.requested == BYE
-    }
-
-    fn disconnected(&mut self, _now: Time, from: SocketAddrV4) {
-        self.peers.disconnected(from);
-    }
-
-    fn mislabel(&self, reply: &mut [u8]) {
-        reply[0] ^= 0x80;
-    }
-
-    fn inhibit(&mut self, _until: Time) {}
-
-    fn restart(&mut self, _now: Time) {
-        assert_eq!(self.peers.count(), 0, "a restart ends all connections");
-        self.requested = 0;
-    }
-}
-
-fn counter(x: u8, faults: FaultPlan) -> Counter {
-    Counter { address: address(x, 10), faults, most: 4, requested: 0, peers: Peers::default() }
-}
-
-fn serve(drive: Counter) -> SimServer {
+fn serve(drive: Line) -> SimServer {
     SimServer::start(vec![Box::new(drive) as Box<dyn SimDrive>], ServerOptions::default()).unwrap()
 }
 
@@ -253,14 +148,14 @@ fn connect(x: u8) -> TcpStream {
 
 /// Asks with a number; the number of the answer, and how many requests the drive received.
 fn ask(socket: &mut TcpStream, number: u8) -> io::Result<[u8; 2]> {
-    socket.write_all(&[number, 0])?;
+    socket.write_all(&[number, !number])?;
     let mut answer = [0; 2];
     socket.read_exact(&mut answer).map(|()| answer)
 }
 
 #[test]
 fn a_stream_is_answered_however_it_is_split() {
-    let server = serve(counter(6, FaultPlan::default()));
+    let server = serve(line(6, FaultPlan::default()));
     let mut sockets = [connect(6), connect(6), connect(6)];
     for round in 0..20 {
         for (n, socket) in sockets.iter_mut().enumerate() {
@@ -270,7 +165,7 @@ fn a_stream_is_answered_however_it_is_split() {
     let [first, ..] = &mut sockets;
     first.write_all(&[7]).unwrap();
     until("half a request", || server.stats()[0].received == 61);
-    first.write_all(&[0, 8, 0, 9, 0]).unwrap();
+    first.write_all(&[!7, 8, !8, 9, !9]).unwrap();
     let mut answers = [0; 6];
     first.read_exact(&mut answers).unwrap();
     assert_eq!(answers, [7, 61, 8, 62, 9, 63]);
@@ -283,46 +178,41 @@ fn a_stream_is_answered_however_it_is_split() {
 
 #[test]
 fn who_is_refused_is_reset_and_a_place_that_is_left_is_free() {
-    let server = serve(counter(7, FaultPlan::default()));
-    let mut sockets: Vec<_> = (0..4).map(|_| connect(7)).collect();
-    assert_eq!(ask(&mut sockets[3], 1).unwrap(), [1, 1]);
-    let mut fifth = connect(7);
-    assert_eq!(fifth.read(&mut [0; 8]).unwrap_err().kind(), io::ErrorKind::ConnectionReset);
-    sockets.pop();
-    until("the place is free", || server.stats()[0].connections.open == 3);
-    assert_eq!(ask(&mut connect(7), 2).unwrap(), [2, 2]);
-    assert_eq!(ask(&mut sockets[0], 3).unwrap(), [3, 3]);
-    drop(sockets);
-    let stats = server.stop()[0].connections;
-    assert_eq!((stats.accepted, stats.refused), (5, 1));
-}
-
-#[test]
-fn a_drive_that_never_refuses_has_a_bound_all_the_same() {
-    let server = serve(Counter { most: usize::MAX, ..counter(8, FaultPlan::default()) });
-    let mut sockets: Vec<_> = (0..CONNECTIONS).map(|_| connect(8)).collect();
-    let mut refused = connect(8);
-    assert_eq!(refused.read(&mut [0; 8]).unwrap_err().kind(), io::ErrorKind::ConnectionReset);
-    for (n, socket) in sockets.iter_mut().enumerate() {
-        assert_eq!(ask(socket, n as u8).unwrap(), [n as u8, n as u8 + 1]);
+    // A drive that never refuses has a bound all the same.
+    for (x, most, places) in [(7, 4, 4), (8, usize::MAX, CONNECTIONS)] {
+        let server = serve(Line { most, ..line(x, FaultPlan::default()) });
+        let mut sockets: Vec<_> = (0..places).map(|_| connect(x)).collect();
+        for (n, socket) in (0..).zip(&mut sockets) {
+            assert_eq!(ask(socket, n).unwrap(), [n, n + 1]);
+        }
+        let mut refused = connect(x);
+        assert_eq!(refused.read(&mut [0; 8]).unwrap_err().kind(), io::ErrorKind::ConnectionReset);
+        let open = places as u64;
+        let counted = ConnectionStats { accepted: open, refused: 1, open };
+        until("it is counted", || server.stats()[0].connections == counted);
+        sockets.pop();
+        until("the place is free", || server.stats()[0].connections.open == open - 1);
+        assert_eq!(ask(&mut connect(x), 2).unwrap(), [2, places as u8 + 1]);
+        assert_eq!(ask(&mut sockets[0], 3).unwrap(), [3, places as u8 + 2]);
     }
-    let open = CONNECTIONS as u64;
-    assert_eq!(server.stats()[0].connections, ConnectionStats { accepted: open, refused: 1, open });
 }
 
 #[test]
 fn a_drive_hangs_up_behind_its_answer() {
     let faults = FaultPlan { answer_ns: 20 * MS, split: 1.0, ..FaultPlan::default() };
-    let server = serve(Counter { requested: BYE - 1, ..counter(9, faults) });
+    let server = serve(line(9, faults));
     let mut socket = connect(9);
-    assert_eq!(ask(&mut socket, 5).unwrap(), [5, BYE]);
+    socket.write_all(&[5, 5]).unwrap();
+    let mut answer = [0; 2];
+    socket.read_exact(&mut answer).unwrap();
+    assert_eq!(answer, [5, 1]);
     assert_eq!(socket.read(&mut [0; 8]).unwrap(), 0);
     until("it knows", || server.stats()[0].connections.open == 0);
 }
 
 #[test]
 fn a_restart_resets_the_connections_and_the_drive_lets_new_ones_in() {
-    let server = serve(counter(10, FaultPlan { seed: 1, restart: 0.1, ..FaultPlan::default() }));
+    let server = serve(line(10, FaultPlan { seed: 1, restart: 0.1, ..FaultPlan::default() }));
     let mut bystander = connect(10);
     assert_eq!(ask(&mut bystander, 1).unwrap(), [1, 1]);
     let mut socket = connect(10);
@@ -337,10 +227,10 @@ fn a_restart_resets_the_connections_and_the_drive_lets_new_ones_in() {
 #[test]
 fn faults_on_a_stream_are_injected_counted_and_accounted_for() {
     let faults = FaultPlan { seed: 2, split: 0.3, cut: 0.1, wrong_id: 0.1, ..FaultPlan::default() };
-    let server = serve(counter(11, faults));
+    let server = serve(line(11, faults));
     let (mut socket, mut whole, mut cut, mut wrong) = (connect(11), 0, 0, 0);
     for _ in 0..250 {
-        socket.write_all(&[1, 0]).unwrap();
+        socket.write_all(&[1, !1]).unwrap();
         let mut answer = Vec::new();
         while answer.len() < 2 {
             let mut byte = [0];
@@ -370,11 +260,11 @@ fn faults_on_a_stream_are_injected_counted_and_accounted_for() {
 
 #[test]
 fn who_never_reads_loses_his_connection_and_nobody_else_does() {
-    let server = serve(counter(12, FaultPlan::default()));
+    let server = serve(Line { padding: 32 * 1_024, ..line(12, FaultPlan::default()) });
     let (mut idle, mut living) = (connect(12), connect(12));
     until("both are in", || server.stats()[0].connections.open == 2);
     // More than both socket buffers can ever hold; refused as soon as it is gone.
-    let _ = (0..1_000).try_for_each(|_| idle.write_all(&[1, 32]));
+    let _ = (0..1_000).try_for_each(|_| idle.write_all(&[1, !1]));
     until("it is gone", || server.stats()[0].connections.open == 1);
     assert_eq!(ask(&mut living, 2).unwrap()[0], 2);
     assert!(server.stop()[0].unsent > 0);
@@ -422,20 +312,27 @@ fn what_the_kernel_does_not_take_is_kept_in_order_up_to_a_bound() {
 }
 
 #[test]
-fn an_address_that_listens_already_is_named_with_the_remedy() {
-    let first = serve(counter(14, FaultPlan::default()));
-    let twin = || Box::new(counter(14, FaultPlan::default())) as Box<dyn SimDrive>;
+fn an_address_in_use_is_named_with_the_remedy_and_given_back() {
+    let named = |error: io::Error, address: &str, remedy: &str| {
+        assert_eq!(error.kind(), io::ErrorKind::AddrInUse);
+        assert!(error.to_string().contains(address) && error.to_string().contains(remedy), "{error}");
+    };
+    let first = start(4, 10..12, &FaultPlan::default()).unwrap();
+    named(start(4, 11..13, &FaultPlan::default()).unwrap_err(), "127.72.4.11:49360", "");
+    drop(first);
+    drop(start(4, 10..13, &FaultPlan::default()).unwrap());
+    // One that listens.
+    let first = serve(line(14, FaultPlan::default()));
+    let twin = || Box::new(line(14, FaultPlan::default())) as Box<dyn SimDrive>;
     for drives in [vec![twin()], vec![twin(), twin()]] {
         let error = SimServer::start(drives, ServerOptions::default()).unwrap_err();
-        assert_eq!(error.kind(), io::ErrorKind::AddrInUse);
-        let text = error.to_string();
-        assert!(text.contains("127.72.14.10:49360") && text.contains("ss -tlpn"), "{text}");
+        named(error, "127.72.14.10:49360", "ss -tlpn");
     }
     // Its connections linger in the kernel; the address is free all the same.
     let mut socket = connect(14);
     assert_eq!(ask(&mut socket, 1).unwrap(), [1, 1]);
     drop(first);
-    drop(serve(counter(14, FaultPlan::default())));
+    drop(serve(line(14, FaultPlan::default())));
 }
 
 #[test]

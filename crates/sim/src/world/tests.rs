@@ -1,5 +1,6 @@
 //! Time in a world, and datagrams.
 
+pub(crate) use super::streams::tests::Line;
 use super::*;
 use crate::SimDrive;
 use fieldbeat_core::time::{MS, S, US};
@@ -13,10 +14,10 @@ fn drive(n: u8) -> SocketAddrV4 {
 }
 
 /// Answers with what it got and how often it has answered since its start.
-struct Echo {
-    address: SocketAddrV4,
-    faults: FaultPlan,
-    answered: u8,
+pub(crate) struct Echo {
+    pub(crate) address: SocketAddrV4,
+    pub(crate) faults: FaultPlan,
+    pub(crate) answered: u8,
 }
 
 impl SimDrive for Echo {

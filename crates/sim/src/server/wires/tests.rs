@@ -6,9 +6,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::*;
+use crate::serial::tests::wire_at;
 use crate::server::{ServerOptions, SimServer};
 use crate::testing::Slave;
-use crate::{FaultPlan, SimSerial, Simulated};
+use crate::{FaultPlan, Simulated};
 use fieldbeat_core::net::{Broken, Carriers, Os, Serial};
 use fieldbeat_testing::Pty;
 use fieldbeat_testing::until;
@@ -18,14 +19,7 @@ fn name(what: &str) -> String {
 }
 
 fn wire(port: &str) -> SerialWire {
-    SerialWire {
-        port: port.into(),
-        own_port: None,
-        line: Slave::LINE,
-        echo: false,
-        faults: FaultPlan::default(),
-        drives: [7, 9].map(|number| Box::new(Slave::new(number)) as Box<dyn SimSerial>).into(),
-    }
+    wire_at(port, &[7, 9])
 }
 
 fn start(port: &str, own_port: Option<String>, faults: FaultPlan) -> io::Result<SimServer> {

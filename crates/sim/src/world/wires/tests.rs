@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::Simulated;
+use crate::serial::tests::wire_at;
 use crate::testing::Slave;
 use crate::world::WorldOptions;
 use fieldbeat_core::net::{Carriers, Parity, Rs485};
@@ -12,14 +13,7 @@ const PORT: &str = "/dev/ttyUSB0";
 const BYTE: u64 = 22 * US;
 
 fn wire(port: &str) -> SerialWire {
-    SerialWire {
-        port: port.into(),
-        own_port: None,
-        line: Slave::LINE,
-        echo: false,
-        faults: FaultPlan::default(),
-        drives: [7, 9].map(|number| Box::new(Slave::new(number)) as Box<dyn SimSerial>).into(),
-    }
+    wire_at(port, &[7, 9])
 }
 
 fn world(faults: &FaultPlan) -> World {
