@@ -164,12 +164,12 @@ mod tests {
     use serde_json::json;
 
     use super::super::Server;
+    use super::super::server::tests::socket;
     use super::*;
 
     #[test]
     fn no_answer_steers_a_terminal() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let answer = |question: &Value| match question["ask"].as_str() {
             Some(_) => Ok(json!({ "text": "a\x1b[2J\nb\u{9b}1m\r", "\x1bk": ["\x07", 1] })),
             None => Err("no\x1b[2J".to_owned()),
@@ -182,8 +182,7 @@ mod tests {
 
     #[test]
     fn what_is_no_object_is_foreign() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let listener = UnixListener::bind(&path).unwrap();
         let replies: [&[u8]; 4] = [b"[1]\n", b"7\n", b"hello\n", b""];
         let thread = std::thread::spawn(move || {
@@ -201,8 +200,7 @@ mod tests {
 
     #[test]
     fn a_late_answer_is_not_taken_for_that_to_another_question() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let hold = Arc::new(Mutex::new(()));
         let held = Arc::clone(&hold);
         let answer = move |question: &Value| {
@@ -227,8 +225,7 @@ mod tests {
     #[ignore = "needs root: listens as another user"]
     fn whoever_listens_in_the_directory_of_somebody_else_is_not_asked() {
         let nobody = 65534;
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (directory, path) = socket();
         fs::set_permissions(&directory, Permissions::from_mode(0o777)).unwrap();
         let place = path.clone();
         let thread = std::thread::spawn(move || {

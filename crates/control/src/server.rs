@@ -456,7 +456,7 @@ fn converse<A: Answering>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::io::{Read, Write};
     use std::iter;
 
@@ -465,6 +465,13 @@ mod tests {
 
     /// Nothing takes this long, however busy the host.
     const LONG: Duration = Duration::from_secs(60);
+
+    /// A directory, and a socket in it.
+    pub(crate) fn socket() -> (tempfile::TempDir, PathBuf) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        (directory, path)
+    }
 
     fn echo(question: &Value) -> Result<Value, String> {
         match question["ask"].as_str() {
@@ -475,14 +482,16 @@ mod tests {
 
     #[test]
     fn a_question_is_answered_and_a_wrong_one_refused() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let server = Server::start(&path, || {}, || echo).unwrap();
         assert_eq!(fs::metadata(server.path()).unwrap().permissions().mode() & 0o777, 0o600);
         let question = json!({ "ask": "echo", "x": 1 });
         assert_eq!(ask(&path, &question).unwrap(), question);
         let refused = ask(&path, &json!({ "ask": "life" })).unwrap_err();
         assert!(matches!(&refused, AskError::Refused(why) if why == "I only know echo"), "{refused}");
+        let endless = ask(&path, &json!({ "ask": "x".repeat(2 * LONGEST_QUESTION) })).unwrap_err();
+        let most = "at most 16384 bytes";
+        assert!(matches!(&endless, AskError::Refused(why) if why.contains(most)), "{endless}");
         assert!(matches!(Server::start(&path, || {}, || echo), Err(ServeError::Taken(_))));
         // Nonsense, half a line, nothing at all: the next one is answered all the same.
         for bytes in [&b"x\n"[..], b"{\"ask\"", b"", &[0xff; 4096]] {
@@ -496,19 +505,13 @@ mod tests {
     }
 
     #[test]
-    fn the_socket_of_a_dead_process_is_replaced() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+    fn the_socket_of_a_dead_process_is_replaced_and_what_is_no_socket_is_left_alone() {
+        let (_directory, path) = socket();
         drop(UnixListener::bind(&path).unwrap());
         assert!(path.exists() && matches!(ask(&path, &json!({})), Err(AskError::Dead(_))));
-        let _server = Server::start(&path, || {}, || echo).unwrap();
+        let server = Server::start(&path, || {}, || echo).unwrap();
         assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
-    }
-
-    #[test]
-    fn what_is_no_socket_is_left_alone() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        drop(server);
         fs::write(&path, "precious").unwrap();
         assert!(matches!(Server::start(&path, || {}, || echo), Err(ServeError::Io { .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
@@ -516,8 +519,7 @@ mod tests {
 
     #[test]
     fn whoever_asks_byte_by_byte_is_broken_off_and_holds_up_neither_the_next_one_nor_the_end() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let server = Server::start(&path, || {}, || echo).unwrap();
         let slow = || UnixStream::connect(&path).unwrap();
         // As often as it is let, up to two minutes: the server has patience for a second.
@@ -547,8 +549,7 @@ mod tests {
     /// Clients that say nothing, and conversations that were begun and are silent since, delay nobody.
     #[test]
     fn silent_clients_by_the_thousand_hold_up_no_question() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let server = Server::start(&path, || {}, || echo).unwrap();
         let question = json!({ "ask": "echo" });
         let limit = nix::sys::resource::getrlimit(nix::sys::resource::Resource::RLIMIT_NOFILE).unwrap().0;
@@ -627,8 +628,7 @@ mod tests {
     /// None of them ever gets its answer, and all others do.
     #[test]
     fn slow_requests_on_all_places_hold_up_neither_a_stop_nor_a_look() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let (_server, go, _) = busy(&path);
         let slow: Vec<UnixStream> =
             (0..2 * MOST_CONVERSATIONS).map(|_| post(&path, &json!({ "ask": "slow" }))).collect();
@@ -665,8 +665,7 @@ mod tests {
 
     #[test]
     fn a_stop_comes_before_all_that_waits_and_silent_clients_make_room_for_it() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let mut waiting = VecDeque::new();
         let mut clients = Clients::new(LONG, LONGEST_QUESTION);
         let listener = UnixListener::bind(&path).unwrap();
@@ -735,8 +734,7 @@ mod tests {
 
     #[test]
     fn a_question_that_came_before_its_conversation_has_to_make_room_is_answered() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let listener = UnixListener::bind(&path).unwrap();
         listener.set_nonblocking(true).unwrap();
         let question = json!({ "ask": "echo" });
@@ -761,8 +759,7 @@ mod tests {
     /// Its conversation would end at any of the requests that find no place, and its axes would stop.
     #[test]
     fn no_request_that_only_looks_or_is_slow_ends_an_operator() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let (_server, _go, _) = busy(&path);
         let operator = Conversation::open(&path).unwrap();
         let beat = |what: &str| assert_eq!(operator.ask(&json!({ "ask": what }), LONG).unwrap(), what);
@@ -788,8 +785,7 @@ mod tests {
 
     #[test]
     fn a_client_that_has_left_has_no_place_although_its_request_is_still_under_way() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let (_server, go, ending) = busy(&path);
         let leave = json!({ "ask": "leave", "ends_slowly": true });
         for _ in 0..MOST_ENDING {
@@ -810,8 +806,7 @@ mod tests {
 
     #[test]
     fn a_panic_in_an_answer_ends_its_conversation_and_no_other() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let panics = |question: &Value| match question["ask"].as_str() {
             Some("panic") => std::panic::resume_unwind(Box::new("on purpose")),
             _ => echo(question),
@@ -828,8 +823,7 @@ mod tests {
     fn an_answer_that_is_taken_slowly_is_broken_off() {
         /// At the pace below 13 s of it; the server has patience for one.
         const LENGTH: usize = 4 << 20;
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
+        let (_directory, path) = socket();
         let long = |question: &Value| match question["ask"] {
             Value::Null => Ok(Value::String("x".repeat(LENGTH))),
             _ => echo(question),
@@ -844,17 +838,5 @@ mod tests {
         }
         assert!(taken < LENGTH, "all of it was kept for whoever takes it slowly");
         assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
-    }
-
-    #[test]
-    fn a_question_without_end_is_refused() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("a.sock");
-        let _server = Server::start(&path, || {}, || echo).unwrap();
-        let refused = ask(&path, &json!({ "ask": "x".repeat(2 * LONGEST_QUESTION) })).unwrap_err();
-        assert!(
-            matches!(&refused, AskError::Refused(why) if why.contains("at most 16384 bytes")),
-            "{refused}"
-        );
     }
 }

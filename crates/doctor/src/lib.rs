@@ -115,10 +115,21 @@ fn judge(facts: &facts::Facts, subject: &Subject) -> Vec<Finding> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::facts::testing::{Host, subject};
     use super::*;
     use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
+
+    /// What a finding always has.
+    pub(crate) fn assert_whole(finding: &Finding) {
+        assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
+        // What is not as it should be says what to do.
+        let wrong = matches!(finding.verdict, Verdict::Poor | Verdict::Bad);
+        assert_eq!(wrong, finding.fix.is_some(), "{finding:?}");
+        // Behind its label it fits into 100 columns.
+        let mut commands = [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
+        assert!(commands.all(|line| line.chars().count() <= 84), "{finding:?}");
+    }
 
     #[test]
     fn every_finding_of_a_host_that_reports_nothing_is_honest() {
@@ -127,14 +138,8 @@ mod tests {
         let findings = judge(&host.0, &plan);
         assert!(findings.len() > 25, "{}", findings.len());
         for finding in &findings {
-            assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
+            assert_whole(finding);
             assert_ne!(finding.verdict, Verdict::Bad, "{finding:?}");
-            // What is not as it should be says what to do.
-            assert_eq!(finding.verdict == Verdict::Poor, finding.fix.is_some(), "{finding:?}");
-            // Behind its label it fits into 100 columns.
-            let mut commands =
-                [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
-            assert!(commands.all(|line| line.chars().count() <= 84), "{finding:?}");
         }
         let unknown = findings.iter().filter(|finding| finding.verdict == Verdict::Unknown).count();
         assert!(unknown > 12, "{unknown}");

@@ -217,8 +217,8 @@ mod tests {
     }
 
     #[test]
-    fn what_ended_a_hold_has_to_be_let_go() {
-        for has_releases in [false, true] {
+    fn what_ended_a_hold_has_to_be_let_go_and_the_other_key_ends_it_too() {
+        for (has_releases, by_other_key) in [(false, false), (false, true), (true, false), (true, true)] {
             let mut hold = shown(has_releases);
             let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
             hold.stroke(ms(0), Way::Back, Stroke::Down);
@@ -226,30 +226,19 @@ mod tests {
             for at in [500, 530, 560] {
                 hold.stroke(ms(at), Way::Back, repeat);
             }
-            assert_eq!(hold.held(ms(600)), Some(Way::Back));
-            hold.end(ms(600));
+            assert_eq!(hold.held(ms(560)), Some(Way::Back));
+            if by_other_key {
+                hold.stroke(ms(570), Way::Forward, Stroke::Down);
+                assert_eq!(hold.held(ms(570)), None);
+            } else {
+                hold.end(ms(600));
+            }
             for at in (610..3_000).step_by(30) {
+                if by_other_key {
+                    hold.stroke(ms(at - 10), Way::Forward, repeat);
+                }
                 hold.stroke(ms(at), Way::Back, repeat);
-                assert_eq!(hold.held(ms(at)), None, "{has_releases} {at}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_other_key_ends_a_hold_and_so_do_both() {
-        for has_releases in [false, true] {
-            let mut hold = shown(has_releases);
-            let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };
-            hold.stroke(ms(0), Way::Back, Stroke::Down);
-            for at in [500, 530, 560] {
-                hold.stroke(ms(at), Way::Back, repeat);
-            }
-            hold.stroke(ms(570), Way::Forward, Stroke::Down);
-            assert_eq!(hold.held(ms(570)), None);
-            for at in (600..1_000).step_by(30) {
-                hold.stroke(ms(at), Way::Forward, repeat);
-                hold.stroke(ms(at + 10), Way::Back, repeat);
-                assert_eq!(hold.held(ms(at + 10)), None, "{has_releases} {at}");
+                assert_eq!(hold.held(ms(at)), None, "{has_releases} {by_other_key} {at}");
             }
         }
     }
@@ -324,14 +313,10 @@ mod tests {
             hold.stroke(ms(at), Way::Forward, Stroke::Down);
             assert_eq!(hold.held(ms(at)), None, "{at}");
         }
-    }
-
-    #[test]
-    fn repeats_of_a_key_that_has_ended_its_run_begin_none() {
+        // Nor do they where releases are reported: a pause as long as that before a first repeat, and the repeats.
         let mut hold = Hold::new(true);
         hold.stroke(ms(0), Way::Forward, Stroke::Down);
         hold.end(ms(100));
-        // A pause as long as that before a first repeat, and the repeats.
         for at in [600, 1_100, 1_133, 1_166, 1_199] {
             hold.stroke(ms(at), Way::Forward, Stroke::Repeat);
             assert_eq!(hold.held(ms(at)), None, "{at}");

@@ -100,13 +100,9 @@ mod tests {
     }
 
     #[test]
-    fn a_quiet_host_carries_the_shortest_period() {
+    fn the_period_grows_until_few_cycles_are_disturbed() {
         let quiet = waiting([40 * US; 1_000]);
         assert_eq!((quiet.shortest(&PERIODS), quiet.disturbed(MS), quiet.longest_ns()), (MS, 0.0, 40 * US));
-    }
-
-    #[test]
-    fn the_period_grows_until_few_cycles_are_disturbed() {
         // A third of the time waits of 1.5 ms, a tenth of it waits of 20 ms.
         let waits = (0..1_000_u64).map(|n| match n % 30 {
             0..10 => 1_500 * US,
@@ -115,14 +111,9 @@ mod tests {
         });
         let busy = waiting(waits);
         assert!((0.42..0.45).contains(&busy.disturbed(2 * MS)), "{}", busy.disturbed(2 * MS));
-        assert_eq!(busy.shortest(&PERIODS), 4 * MS);
-        assert_eq!(busy.longest_ns(), 20 * MS);
-    }
-
-    #[test]
-    fn a_host_that_carries_nothing_is_given_the_longest_period() {
-        let stopped = waiting([100 * MS; 10]);
-        assert_eq!(stopped.shortest(&PERIODS), 8 * MS);
+        assert_eq!((busy.shortest(&PERIODS), busy.longest_ns()), (4 * MS, 20 * MS));
+        // One that carries nothing is given the longest one.
+        assert_eq!(waiting([100 * MS; 10]).shortest(&PERIODS), 8 * MS);
     }
 
     #[test]

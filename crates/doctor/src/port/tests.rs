@@ -73,13 +73,7 @@ fn ftdi() -> Host {
 
 fn found(host: &Host, port: &Port, subject: &Subject) -> Vec<Finding> {
     let findings = of_port(&host.0, port, subject);
-    for finding in &findings {
-        assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
-        assert_eq!(matches!(finding.verdict, Poor | Bad), finding.fix.is_some(), "{finding:?}");
-        // Behind its label it fits into 100 columns.
-        let mut commands = [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
-        assert!(commands.all(|line| line.chars().count() <= 84), "{finding:?}");
-    }
+    findings.iter().for_each(crate::tests::assert_whole);
     findings
 }
 
