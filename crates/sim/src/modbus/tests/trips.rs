@@ -198,3 +198,15 @@ fn the_trip_of_the_timeout_names_the_slot_and_bytes_that_make_no_message_do_not_
         assert_eq!(bench.ask(4, &here, missing), slot != 4, "unit 4 is slot 4");
     }
 }
+
+#[test]
+fn a_restart_clears_a_trip_and_everything_that_ran() {
+    let mut bench = Bench::enabled(1_000);
+    bench.settled(C::FORWARD.with(C::KEYPAD_WATCHDOG));
+    bench.sim.provoke(Trip::OVER_CURRENT);
+    bench.sim.restart(bench.now);
+    bench.wait(S);
+    assert!(bench.sim.connect(bench.now, MASTER));
+    bench.wait(5 * S);
+    assert_eq!((bench.trip(), bench.status().active()), ((3, false), false));
+}
