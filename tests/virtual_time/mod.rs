@@ -18,7 +18,6 @@ mod grid;
 mod groups;
 mod groups_random;
 mod kollmorgen;
-mod kollmorgen_found;
 mod latches;
 mod lenze;
 mod limits;

@@ -9,12 +9,12 @@ use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::telemetry::Condition;
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::net::frames::MAC;
-use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, position};
-use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX};
+use fieldbeat_ethercat::wire::registers::{AlState, address as register};
 use fieldbeat_linudp::wire::Request;
 
 use super::faults::inject;
-use super::kollmorgen::drives::take_over;
+use super::kollmorgen::left::take_over;
 use super::kollmorgen::{self, LINE, Machine, drive, jog};
 use super::support::*;
 
@@ -76,21 +76,6 @@ fn frames_of_another_master_stop_all_axes_of_the_segment_and_no_slave_is_brought
 }
 
 #[test]
-fn a_slave_that_another_master_takes_out_of_op_is_named_and_one_that_falls_by_itself_is_not() {
-    let mut machine = Machine::enabled(kollmorgen::plan(1));
-    machine.post(0, jog(5.0));
-    machine.run(300);
-    // Its frame does not come here.
-    let request = AlStatus::request(AlState::SafeOp).0.to_le_bytes();
-    let mut frame = frame([0x30; 6], Command::Apwr(position(0), register::AL_CONTROL), &request);
-    let world = machine.sim.world();
-    world.look(LINE, |line: &mut EthercatSim, now: Time| line.pass(now, &mut frame)).unwrap();
-    machine.until("a stop", 20, |machine| machine.feedback(0).stopped.is_some());
-    let first = machine.feedback(0).stopped;
-    assert_eq!(first, Some(StopCause::OtherMaster), "{:?}", machine.feedback(0));
-}
-
-#[test]
 fn slaves_of_a_living_master_are_left_as_they_run() {
     // Watched by its own master, which is of another kind: it cannot be joined, and would be stopped.
     let mut plan = kollmorgen::plan(1);
@@ -115,18 +100,6 @@ fn slaves_of_a_living_master_are_left_as_they_run() {
 fn go_to(position: i32) -> MotionCommand {
     let (velocity, acceleration) = (Velocity(10_000), Acceleration(100_000));
     MotionCommand::vai_go_to(Position(position), velocity, acceleration, acceleration)
-}
-
-#[test]
-fn a_motion_command_of_another_master_stops_a_linmot_by_its_third_reply() {
-    let mut b = Rig::new(2).ready();
-    b.run(300);
-    inject(&b, Request { motion: Some(go_to(500_000).block(9)), ..Request::default() });
-    assert_eq!(b.stopped(0, 5), StopCause::OtherMaster);
-    assert_eq!(b.feedback(1).stopped, None, "its neighbour is alone");
-    b.until("power off", 1_000, |b| !b.feedback(0).status.state.is_powered());
-    b.recover(0);
-    b.done(0, to(5.0));
 }
 
 #[test]

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use fieldbeat::axis::{Command, EventKind, Failure, Group, Outcome, StopCause};
+use fieldbeat::axis::{Command, Failure, State, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{CyclePlan, Master, Plan};
 
 use super::kollmorgen::drives::{press, torque};
-use super::kollmorgen::{LINE, Machine, jog, plan};
+use super::kollmorgen::{LINE, Machine, STOP, jog, plan};
 use super::support::assert_near;
 
 /// Per cent of the rated torque a second.
@@ -20,22 +20,10 @@ const TORQUE: Command = Command::Torque { slope: SLOPE };
 /// As good as at once.
 const STEEP: Command = Command::Torque { slope: 10_000.0 };
 
-fn line(count: u16, change: impl Fn(&mut KollmorgenDrive)) -> EthercatPlan {
-    let mut drives: Vec<_> = (0..count).map(torque).collect();
-    drives.iter_mut().for_each(|drive| {
-        drive.axis.stop.group = Some(0);
-        change(drive);
-    });
-    EthercatPlan::new(LINE, drives)
-}
-
 fn machine(change: impl Fn(&mut KollmorgenDrive)) -> Machine {
-    Machine::enabled(line(1, change))
-}
-
-/// Why it was refused on submission, in words.
-fn refused(machine: &mut Machine, command: Command) -> String {
-    machine.sim.axis(0).post(command).expect_err("refused").to_string()
+    let mut drive = torque(0);
+    change(&mut drive);
+    Machine::enabled(EthercatPlan::new(LINE, vec![drive]))
 }
 
 fn speed(machine: &Machine) -> f64 {
@@ -67,6 +55,12 @@ fn torques_are_followed_along_their_slope_in_both_directions() {
         before = wanted;
     }
     assert_eq!((machine.sim.run_command(0, id, 1), machine.feedback(0).stopped), (None, None));
+    // A stop takes the torque away, and keeps the power.
+    press(&mut machine, 0, 6.0, 300);
+    machine.done(0, STOP);
+    let status = machine.feedback(0).status;
+    assert!(!status.moving && status.velocity.abs() < 0.05, "{status:?}");
+    assert_eq!((status.state, machine.feedback(0).stopped), (State::OperationEnabled, None));
 }
 
 #[test]
@@ -99,21 +93,6 @@ fn a_jog_does_not_take_torques() {
 }
 
 #[test]
-fn torques_beyond_their_limit_are_refused_on_submission() {
-    let mut machine = machine(|_| ());
-    for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 150.1, -150.1] {
-        let why = machine.sim.axis(0).set_torque(value).unwrap_err().to_string();
-        assert!(why.contains("torque refused"), "{why}");
-    }
-    for (slope, why) in [(0.0, "above 0"), (-5.0, "above 0"), (f64::NAN, "finite")] {
-        assert!(refused(&mut machine, Command::Torque { slope }).contains(why), "{slope}");
-    }
-    machine.sim.axis(0).set_torque(-150.0).unwrap();
-    // The newest always has its place.
-    assert!((0..1_000).all(|_| machine.sim.axis(0).set_torque(1.0).is_ok()));
-}
-
-#[test]
 fn under_torque_an_axis_stops_inside_its_position_limits() {
     for torque in [40.0, -40.0, 3.0] {
         let mut machine = machine(|drive| drive.axis.limits.position = Some((-5.0, 5.0)));
@@ -137,7 +116,7 @@ fn under_torque_an_axis_stops_inside_its_position_limits() {
 fn the_task_may_set_torques_and_is_watched_like_anybody() {
     let sets = Arc::new(AtomicBool::new(true));
     let task_sets = sets.clone();
-    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(line(1, |_| ()))];
+    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(EthercatPlan::new(LINE, vec![torque(0)]))];
     let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
     let setup = Master::from_plan(plan).with_task(move |cycle, axes| {
         if task_sets.load(Ordering::Relaxed) {
@@ -161,28 +140,4 @@ fn the_task_may_set_torques_and_is_watched_like_anybody() {
     sets.store(false, Ordering::Relaxed);
     machine.run(20);
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::StaleSetpoint));
-}
-
-#[test]
-fn torques_of_all_members_are_set_together_and_refused_together() {
-    let mut machine = Machine::enabled(line(2, |_| ()));
-    let mut group = Group::new(vec![machine.sim.take_axis(0), machine.sim.take_axis(1)]).unwrap();
-    let command = group.post_all(TORQUE).unwrap();
-    for _ in 0..400 {
-        group.set_torques(&[4.0, -6.0]).unwrap();
-        machine.run(1);
-    }
-    let [a, b] = [0, 1].map(|index| machine.feedback(index).status.velocity);
-    assert!(a > 1.0 && b < -2.0, "{a} {b}");
-    assert!(group.set_torques(&[1.0, 151.0]).is_err());
-    assert!(group.set_torques(&[1.0]).is_err());
-    machine.run(15);
-    assert!((0..2).all(|index| machine.feedback(index).stopped.is_some()), "nobody sets them any more");
-    let ended = std::iter::from_fn(|| group.event(0)).find_map(|event| match event.kind {
-        EventKind::Ended { id, outcome, command: name } => {
-            (id == command.ids()[0]).then_some((name, outcome))
-        }
-        _ => None,
-    });
-    assert!(matches!(ended, Some(("torque", Outcome::Aborted(_)))), "{ended:?}");
 }

@@ -1,13 +1,11 @@
 //! The clocks of a segment: while the host of its master is busy, behind another master, and of several kinds.
 
-use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan};
-use fieldbeat::sim::ethercat::{ClockKind, EthercatSegment, EthercatSim, SlaveSettings};
+use fieldbeat::sim::ethercat::{ClockKind, EthercatSegment, SlaveSettings};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, S, US};
 
-use super::drives::left;
 use super::{LINE, Machine, jog, plan};
 
 /// One of four cycles of a busy host is stolen, in bursts of two to five: they are late, or their frames are, after
@@ -77,23 +75,6 @@ fn a_segment_that_was_switched_off_and_on_locks_again_on_a_busy_host() {
     }
 }
 
-#[test]
-fn a_segment_that_runs_on_the_time_of_another_master_is_up_as_soon_as_a_fresh_one() {
-    let mut segment = EthercatSegment::from(plan(3));
-    segment.settings.settling = 1_024;
-    segment.settings.drift_ppm = vec![30.0, -30.0, 10.0];
-    let online = |machine: &Machine| (0..3).all(|n| machine.feedback(n).link == Link::Online);
-    let mut first = Machine::new(segment.clone());
-    let fresh = first.until("online", 20_000, online);
-    // Its watchdogs have stopped them, their clocks run on, and the next master's time is another one.
-    let line = first.look(|line| std::mem::replace(line, EthercatSim::new(&segment)));
-    let start = first.sim.world().now() + 3 * S + 456_789;
-    let options = WorldOptions { start, ..WorldOptions::default() };
-    let mut machine = Machine::on(Box::new(segment.plan), left(line), CyclePlan::default(), options);
-    let took = machine.until("online", 20_000, online);
-    assert!(took < fresh + 500, "{took} cycles, {fresh} of a fresh one");
-}
-
 /// 2024-01-01, when the clock of each world is 0, ns since 2000-01-01.
 const BEGUN_NS: u64 = 757_382_400 * S;
 
@@ -106,14 +87,13 @@ fn clocks_of_64_and_32_bits_and_none_have_one_time_and_it_is_the_date() {
     let mut segment = EthercatSegment::from(segment.plan);
     segment.settings.drift_ppm = vec![40.0, -30.0, 10.0, 0.0, 20.0];
     let kinds = [ClockKind::Short, ClockKind::Long, ClockKind::Short, ClockKind::Long, ClockKind::None];
-    for kinds in
-        [kinds, [ClockKind::Long, ClockKind::Short, ClockKind::Long, ClockKind::Long, ClockKind::None]]
-    {
+    let others = [ClockKind::Long, ClockKind::Short, ClockKind::Long, ClockKind::Long, ClockKind::None];
+    for (kinds, leads) in [(kinds, false), (others, false), (kinds, true)] {
         for (place, kind) in (0..).zip(kinds) {
             let slave = SlaveSettings { clock: Some(kind), ..SlaveSettings::default() };
             segment.settings.slaves.insert(place, slave);
         }
-        let mut machine = Machine::new(segment.clone());
+        let mut machine = Machine::with(segment.clone(), leads, WorldOptions::default());
         machine.online();
         // Clocks of 32 bits go round meanwhile.
         machine.run(9_000);

@@ -1,25 +1,21 @@
 //! Slaves that are no drives, and slaves that are refused: what is reported of them, and what they do not do by
 //! themselves.
 
-use std::any::Any;
-use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use fieldbeat::axis::{Acyclic, Call, CallError, Emergency, FoundRunning, Link, Series};
+use fieldbeat::axis::{CallError, Emergency, FoundRunning, Link};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
-use fieldbeat::config::{Configuration, parse};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
-use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::{CyclePlan, MasterError, Plan};
-use fieldbeat_core::axis::acyclic::{Carrier, Condition, Notation};
-use fieldbeat_core::net::frames::MAC;
+use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_ethercat::faults::Fault;
 use fieldbeat_ethercat::object::{Objects, Target};
-use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, position};
+use fieldbeat_ethercat::wire::frame::{Command as Datagram, position};
 use fieldbeat_ethercat::wire::registers::address;
 
 use super::drives::{answer, left};
@@ -174,11 +170,7 @@ fn what_a_device_does_wrong_is_counted_by_name() {
     machine.online();
     machine.until("operational", 3_000, |_| io.inputs().operational);
     let write = |machine: &Machine, register: u16, data: &[u8]| {
-        let mut frame = vec![0; 64];
-        let mut builder = Builder::new(&mut frame, BROADCAST, MAC).unwrap();
-        builder.push_with(Datagram::Apwr(position(1), register), 0, data).unwrap();
-        builder.finish();
-        machine.sim.world().look(LINE, |line: &mut EthercatSim, now| line.pass(now, &mut frame)).unwrap();
+        machine.pass(Datagram::Apwr(position(1), register), data);
     };
     machine.sim.world().deafen(LINE, 1, true);
     machine.run(2);
@@ -198,59 +190,6 @@ fn what_a_device_does_wrong_is_counted_by_name() {
     assert_eq!(counted["passed_by"], 4, "{counted:?}");
     assert!(counted["wrong_count"] >= 9 && counted["al_errors"] >= 1, "{counted:?}");
     assert!(counted["not_operational"] > 0 && counted["brought_up"] == 2, "{counted:?}");
-}
-
-/// Of a string of 120 bytes a message of its mailbox has room for 112: it goes in segments.
-#[test]
-fn a_string_of_a_configuration_is_written_at_start_up() {
-    for text in ["left axis".to_owned(), "pressure ".repeat(13)] {
-        let config = format!(
-            "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{LINE}\"\n[[bus.device]]\nname = \"io\"\n\
-             mailbox = {{ out = [0x1000, 128], in = [0x1080, 128] }}\ninputs = {{ start = 0x1180, length = 8 }}\n\
-             start_up = [{{ object = \"0x8005:0.text\", value = \"{text}\" }}]\nsimulate.type = \"EL3102\"\n"
-        );
-        let Configuration { mut plan, simulation, .. } = parse(&config, "text.toml").unwrap();
-        let (bus, options) = (plan.buses.remove(0), WorldOptions::default());
-        let mut machine = Machine::on(bus, simulation.build(), plan.cycle, options);
-        let io = machine.sim.device::<Terminals>("io").unwrap();
-        machine.until("operational", 5_000, |_| io.inputs().operational);
-        let acyclic = machine.sim.acyclics()[0].clone();
-        let turning = Turns { acyclic, machine: RefCell::new(&mut machine) };
-        let notation: &dyn Notation = &Objects;
-        assert_eq!(notation.read_long(&turning, "0x8005:0.text").unwrap().unwrap().1, text);
-        assert_eq!(counted(machine)["aborts"], 0);
-    }
-}
-
-/// The objects of a device, while its machine turns.
-struct Turns<'a> {
-    acyclic: Acyclic,
-    machine: RefCell<&'a mut Machine>,
-}
-
-impl Carrier for Turns<'_> {
-    fn run(&self, calls: &[Call], limit: Duration) -> Series {
-        self.acyclic.run_while(calls, limit, || {
-            self.machine.borrow_mut().run(1);
-            true
-        })
-    }
-
-    fn condition(&self) -> Result<Condition, CallError> {
-        self.acyclic.condition()
-    }
-
-    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
-        self.acyclic.claim()
-    }
-
-    fn capacity(&self) -> usize {
-        self.acyclic.capacity()
-    }
-
-    fn pause(&self, time: Duration) {
-        self.machine.borrow_mut().run(time.as_millis() as u64);
-    }
 }
 
 #[test]

@@ -1,29 +1,16 @@
 //! Segments that another master left behind, taken over by the whole loop.
 
 use fieldbeat::CyclePlan;
-use fieldbeat::axis::{self, FoundRunning, Link, StopCause};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
+use fieldbeat::axis::{self, FoundRunning, Link, Outcome, StopCause};
+use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object, Watchdog};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::{MS, S, Time, US};
-use fieldbeat_ethercat::wire::frame::{Builder, Command, position};
-use fieldbeat_ethercat::wire::registers::{AlState, Fmmu, address};
+use fieldbeat_ethercat::wire::frame::{Command, position};
+use fieldbeat_ethercat::wire::registers::{AlState, address};
 
 use super::drives::left;
-use super::{LINE, Machine, UP, drive, jog};
-
-/// Three drives that go on without a master, or fall back by their watchdogs.
-fn plan(watched: bool) -> EthercatPlan {
-    let drives = (0..3).map(|place| {
-        let mut drive = drive(place, Family::S700);
-        if !watched {
-            drive.slave.watchdog = Watchdog::Off;
-            drive.accept_no_watchdog = true;
-        }
-        drive
-    });
-    EthercatPlan::new(LINE, drives.collect())
-}
+use super::{LINE, Machine, UP, drive, jog, pass};
 
 impl Machine {
     /// Its master is gone for so long, and another one comes.
@@ -49,6 +36,13 @@ impl Machine {
     }
 }
 
+/// Another master for a segment that the first one has just left.
+pub fn take_over(first: Machine, plan: &EthercatPlan, found: FoundRunning) -> Machine {
+    let mut plan = plan.clone();
+    plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = found);
+    first.left_for(&plan, 0, |_| ())
+}
+
 /// A segment without a master.
 struct Left {
     segment: EthercatSim,
@@ -57,11 +51,7 @@ struct Left {
 
 impl Left {
     fn write(&mut self, place: u16, register: u16, data: &[u8]) {
-        let mut frame = vec![0; 64];
-        let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
-        builder.push_with(Command::Apwr(position(place), register), 0, data).unwrap();
-        builder.finish();
-        self.segment.pass(self.now, &mut frame);
+        pass(&mut self.segment, self.now, Command::Apwr(position(place), register), data);
     }
 
     /// As a master leaves it that numbers stations from 1000h on, and gives the SII to the processor.
@@ -71,55 +61,6 @@ impl Left {
             self.write(place, address::SII_OWNER, &[1]);
         }
     }
-
-    /// The slave there has another time, SYNC0 of another period, and an FMMU more.
-    fn set_otherwise(&mut self, place: u16, offset: u64, period_ns: u64) {
-        self.write(place, address::DC_ACTIVATION, &[0]);
-        self.write(place, address::DC_OFFSET, &offset.to_le_bytes());
-        self.write(place, address::DC_CYCLE, &period_ns.to_le_bytes());
-        let start = self.segment.slave(place.into()).unwrap().system_time(self.now) + 10 * period_ns;
-        self.write(place, address::DC_START, &start.to_le_bytes());
-        self.write(place, address::DC_ACTIVATION, &[3]);
-        self.write(place, address::fmmu(5), &Fmmu::bytes(0, 64, 0x1100, false).to_bytes());
-    }
-}
-
-#[test]
-fn a_segment_whose_master_was_killed_in_op_is_online_in_the_time_of_a_fresh_one() {
-    let plan = plan(true);
-    let fresh = Machine::new(plan.clone()).cycles_to_online();
-    for silent in [50 * MS, 500 * MS, 3_000 * MS] {
-        let mut first = Machine::enabled(plan.clone());
-        first.post(0, jog(1.0));
-        first.run(300);
-        let mut machine = first.left_for(&plan, silent, Left::numbered_otherwise);
-        let cycles = machine.cycles_to_online();
-        if silent > 100 * MS {
-            assert!(cycles <= fresh + fresh / 10, "{silent}: {cycles} cycles, and {fresh} of a fresh one");
-        }
-        machine.run(1_000);
-        machine.recover(0);
-        machine.post(0, jog(1.0));
-        machine.run(300);
-        machine.assert_turns(0, 1.0);
-    }
-}
-
-#[test]
-fn a_drive_that_still_turns_is_joined_by_its_place_whatever_its_address_and_the_owner_of_its_sii() {
-    let plan = plan(false);
-    let mut first = Machine::enabled(plan.clone());
-    first.post(1, jog(1.0));
-    first.run(500);
-    let mut refusing = plan.clone();
-    refusing.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
-    let mut machine = first.left_for(&refusing, MS, Left::numbered_otherwise);
-    for _ in 0..1_000 {
-        machine.run(1);
-        let al = machine.look(|line| line.slave(1).unwrap().state());
-        assert_eq!(al, AlState::Op, "it never leaves OP: {:?}", machine.feedback(1));
-    }
-    machine.online();
 }
 
 /// Slots that a drive found in OP takes more than a fresh one: SyncManagers, the station address, the status word; with
@@ -131,12 +72,12 @@ const SETTLE_LOOK: u64 = 100;
 
 /// Three drives; clocks take so many comparisons to settle, and drift by this at most.
 fn segment(watchdog: Watchdog, settling: u16, drift_ppm: f64) -> EthercatSegment {
-    let mut plan = plan(false);
-    for drive in &mut plan.drives {
+    let drives = (0..3).map(|place| {
+        let mut drive = unwatched(drive(place, Family::S700));
         drive.slave.watchdog = watchdog;
-        (drive.axis.stop.deceleration, drive.axis.profile.velocity) = (2.0, 2.0);
-    }
-    let mut segment = EthercatSegment::from(plan);
+        drive
+    });
+    let mut segment = EthercatSegment::from(EthercatPlan::new(LINE, drives.collect()));
     segment.settings.settling = settling;
     segment.settings.drift_ppm = vec![drift_ppm, -drift_ppm, drift_ppm / 3.0];
     segment
@@ -166,18 +107,6 @@ impl Machine {
         machine
     }
 
-    fn read(&self, place: usize, register: u16, length: usize) -> Vec<u8> {
-        let now = self.sim.world().now();
-        self.look(|line| {
-            let mut frame = vec![0; 64];
-            let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
-            let at = builder.push(Command::Aprd(position(place as u16), register), 0, length).unwrap();
-            builder.finish();
-            line.pass(now, &mut frame);
-            frame[at.data()].to_vec()
-        })
-    }
-
     fn seen(&self, place: usize) -> Turning {
         let now = self.sim.world().now();
         let to_sync0 = self.look(|line| line.slave(place).unwrap().sync0_in_ns(now)).expect("it has SYNC0");
@@ -185,7 +114,7 @@ impl Machine {
             place,
             rpm: self.drive(place, |drive| drive.rpm()),
             sync0_ns: (now.0 + to_sync0) % MS,
-            watchdog: self.read(place, address::WATCHDOG_DIVIDER, 0x22),
+            watchdog: self.pass(Command::Aprd(position(place as u16), address::WATCHDOG_DIVIDER), &[0; 0x22]),
         }
     }
 
@@ -247,22 +176,6 @@ fn drives_left_in_op_are_online_in_the_time_of_a_fresh_segment_wherever_their_sy
     }
 }
 
-#[test]
-fn clocks_of_any_time_and_period_that_are_left_hold_up_nobody() {
-    let segment = segment(Watchdog::Off, 1_024, 30.0);
-    let fresh = Machine::new(segment.clone()).cycles_to_online();
-    for (offset, period_ns) in [(7, 250 * US), (1 << 62, 2 * MS), (u64::MAX / 3, 777_777)] {
-        let first = Machine::turning(&segment, &[]);
-        let mut machine = first.left_for(&segment.plan, S, |left| {
-            left.numbered_otherwise();
-            (0..3)
-                .for_each(|place| left.set_otherwise(place, offset * (1 + u64::from(place) % 2), period_ns));
-        });
-        let cycles = machine.cycles_undisturbed(&[]);
-        assert!(cycles <= fresh + UNPOWERED, "{offset}: {cycles} cycles, and {fresh} of a fresh segment");
-    }
-}
-
 /// A second without a time from anybody, and clocks so bad that theirs are half a period apart.
 #[test]
 fn of_drives_that_turn_on_two_times_none_is_disturbed_and_all_are_set_up_in_the_end() {
@@ -280,4 +193,85 @@ fn of_drives_that_turn_on_two_times_none_is_disturbed_and_all_are_set_up_in_the_
         machine.run(600);
         machine.assert_turns(index, 1.0);
     }
+}
+
+/// A drive that goes on by itself when its master is gone.
+fn unwatched(mut drive: KollmorgenDrive) -> KollmorgenDrive {
+    drive.slave.watchdog = Watchdog::Off;
+    drive.accept_no_watchdog = true;
+    (drive.axis.stop.deceleration, drive.axis.profile.velocity) = (2.0, 2.0);
+    drive
+}
+
+fn line(drive: KollmorgenDrive) -> EthercatPlan {
+    EthercatPlan::new(LINE, vec![drive])
+}
+
+/// Left as it turns by the master of one plan, and found by that of another.
+fn left_turning(left: &EthercatPlan, found: &EthercatPlan, how: FoundRunning) -> Machine {
+    let mut first = Machine::enabled(left.clone());
+    first.post(0, jog(1.0));
+    first.run(500);
+    take_over(first, found, how)
+}
+
+fn rpm(machine: &Machine) -> f64 {
+    machine.drive(0, |drive| drive.rpm())
+}
+
+fn free(outputs: &[u16], inputs: &[u16]) -> KollmorgenDrive {
+    let objects = |indices: &[u16]| indices.iter().map(|index| Object::new(*index, 0)).collect::<Vec<_>>();
+    let mut free = unwatched(drive(0, Family::S700));
+    free.outputs = Layout::of_known(0x1600, &objects(outputs)).unwrap();
+    free.inputs = Layout::of_known(0x1A00, &objects(inputs)).unwrap();
+    free.mapping = Mapping::Free;
+    free.fit();
+    free
+}
+
+#[test]
+fn a_drive_that_runs_with_other_objects_is_not_joined() {
+    let plain = unwatched(drive(0, Family::S700));
+    // As many bytes, in another order.
+    let one = free(&[0x606B, 0x6040], &[0x6041, 0x6064, 0x606C]);
+    let two = free(&[0x606B, 0x6040], &[0x6041, 0x606C, 0x6064]);
+    let three = free(&[0x6040, 0x606B], &[0x6041, 0x6064, 0x606C]);
+    for (left, found, joined) in
+        [(&plain, &plain, true), (&one, &one, true), (&one, &two, false), (&one, &three, false)]
+    {
+        let mut machine = left_turning(&line(left.clone()), &line(found.clone()), FoundRunning::Refuse);
+        machine.run(3_000);
+        let feedback = machine.feedback(0);
+        assert!((rpm(&machine) - 60.0).abs() < 3.0, "it is left alone: {} {feedback:?}", rpm(&machine));
+        assert_eq!(feedback.link == Link::Online, joined, "{feedback:?}");
+        let al = machine.look(|line| line.slave(0).unwrap().state());
+        assert_eq!(al, AlState::Op);
+        if joined {
+            assert_eq!(feedback.stopped, Some(StopCause::FoundRunning));
+            continue;
+        }
+        // By its own reaction to the end of OP, if it is to be stopped.
+        let mut machine = left_turning(&line(left.clone()), &line(found.clone()), FoundRunning::Stop);
+        machine.online();
+        assert!(rpm(&machine).abs() < 3.0, "{}", rpm(&machine));
+        machine.recover(0);
+    }
+}
+
+#[test]
+fn a_drive_found_without_power_is_set_up_before_its_axis_hears_of_it() {
+    let plan = line(unwatched(drive(0, Family::S700)));
+    let mut first = Machine::new(plan.clone());
+    first.online();
+    let mut machine = take_over(first, &plan, FoundRunning::Stop);
+    machine.online();
+    let id = machine.sim.axis(0).post(axis::Command::Enable).unwrap();
+    let mut lowest = AlState::Op;
+    for _ in 0..3_000 {
+        machine.run(1);
+        lowest = lowest.min(machine.look(|line| line.slave(0).unwrap().state()));
+        assert_eq!((machine.feedback(0).link, machine.feedback(0).stopped), (Link::Online, None));
+    }
+    assert_eq!(lowest, AlState::Op, "all of that was over");
+    assert_eq!(machine.sim.run_command(0, id, 1), Some(Outcome::Done));
 }

@@ -4,28 +4,24 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the machine: a line and its master |
-//! | `drives` | what drives do: motion, homing, faults, power, the end |
+//! | `drives` | free PDOs, emergencies, lost links and masters |
 //! | `devices` | slaves that are no drives; who is refused, and what is told of it |
 //! | `left` | segments that another master left behind |
-//! | `foreign` | the same as configurations, terminals included |
 //! | `long` | lines of many drives |
 //! | `outputs` | who writes what is in the outputs of a drive |
 //! | `returns` | drives that were deaf, and segments that a tool has run over |
 //! | `shifted` | drives that change their places while the master runs |
 //! | `clocks` | clocks under a busy host, and of several kinds |
-//! | `slaves` | slaves that are not like the usual ones |
 //! | `terminals` | terminals: where their process data are |
 
 mod clocks;
 mod devices;
 pub mod drives;
-mod foreign;
-mod left;
+pub mod left;
 mod long;
 mod outputs;
 mod returns;
 mod shifted;
-mod slaves;
 mod terminals;
 
 use std::time::Duration;
@@ -33,12 +29,14 @@ use std::time::Duration;
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
+use fieldbeat::config::{Configuration, parse};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Misuse};
-use fieldbeat::sim::{SimPlan, Simulated, WorldOptions};
+use fieldbeat::sim::{SimPlan, SimSegment, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
-use fieldbeat::time::MS;
+use fieldbeat::time::{MS, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 use fieldbeat_ethercat::object::pdo;
+use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, FRAME_MAX};
 use fieldbeat_sim::ethercat::Drive;
 
 /// The interface of the line.
@@ -80,6 +78,25 @@ pub fn jog(velocity: f64) -> Command {
     Command::Jog(Jog { velocity, acceleration: 100.0 })
 }
 
+/// The machine of a bus with these tables in it, as a user writes them.
+fn machine_of(tables: &str) -> Machine {
+    let text = format!("[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{LINE}\"\n{tables}");
+    let Configuration { mut plan, simulation, .. } = parse(&text, "line.toml").unwrap_or_else(|errors| {
+        panic!("{text}: {:?}", errors.iter().map(ToString::to_string).collect::<Vec<_>>())
+    });
+    Machine::on(plan.buses.remove(0), simulation.build(), plan.cycle, WorldOptions::default())
+}
+
+/// A datagram of somebody else passes the slaves, and does not come to their master: what it brings back.
+pub fn pass(line: &mut EthercatSim, now: Time, command: Datagram, data: &[u8]) -> Vec<u8> {
+    let mut room = [0; FRAME_MAX];
+    let mut frame = Builder::new(&mut room, BROADCAST, [0x30; 6]).unwrap();
+    let place = frame.push_with(command, 7, data).unwrap();
+    let length = frame.finish();
+    line.pass(now, &mut room[..length]);
+    room[place.data()].to_vec()
+}
+
 /// A line and its master.
 pub struct Machine {
     pub sim: Simulation,
@@ -118,6 +135,11 @@ impl Machine {
 
     pub fn look<R>(&self, look: impl FnOnce(&mut EthercatSim) -> R) -> R {
         self.sim.world().look(LINE, |line: &mut EthercatSim, _| look(line)).expect("there is a line")
+    }
+
+    pub fn pass(&self, command: Datagram, data: &[u8]) -> Vec<u8> {
+        let now = self.sim.world().now();
+        self.look(|line| pass(line, now, command, data))
     }
 
     /// Looks at the drive at a place of the line.

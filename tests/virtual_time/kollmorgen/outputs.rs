@@ -1,15 +1,12 @@
 //! Who writes what is in the outputs of a drive: targets that its mode does not follow, its mode, its limits.
 
-use fieldbeat::axis::{Command, Move, NativeOwner, Outcome, Profile, State, Target};
+use fieldbeat::axis::{Command, Move, NativeOwner, Profile, State, Target};
 use fieldbeat::bus::ethercat::{Native, Object};
-use fieldbeat_ethercat::mode::Mode;
 
-use super::foreign::machine_of;
-use super::{Machine, jog};
+use super::{Machine, machine_of};
 
 const ACTUAL: Object = Object::new(0x6064, 0);
 const TARGET: Object = Object::new(0x607A, 0);
-const INTERPOLATION: Object = Object::new(0x60C1, 1);
 
 /// A drive with these outputs and keys that stands at 3 turns.
 fn machine(outputs: &str, keys: &str) -> Machine {
@@ -57,83 +54,6 @@ fn a_drive_stays_where_it_is_when_it_is_enabled_and_moves_by_the_target_of_its_m
         assert!((turns(&machine) - 3.5).abs() < 1e-3, "{outputs} {mode}: {}", turns(&machine));
         machine.end_well();
     }
-}
-
-/// Before it is enabled, while it turns by another target, and after a stop.
-#[test]
-fn a_target_that_the_mode_does_not_follow_is_the_actual_position() {
-    let mut machine = machine(
-        "\"0x6040:0\", \"0x60FF:0\", \"0x607A:0\", \"0x60C1:1\"",
-        "mode = 3\nno_drive_watchdog = \"accept\"",
-    );
-    // A cycle or two old.
-    let follows = |machine: &Machine, most: i64, when: &str| {
-        for target in [TARGET, INTERPOLATION] {
-            let behind = value(machine, ACTUAL) - value(machine, target);
-            assert!(behind.abs() <= most, "{when}: {target} is {behind} counts behind");
-        }
-    };
-    machine.run(20);
-    follows(&machine, 50, "before it is enabled");
-    machine.done(0, Command::Enable);
-    machine.post(0, jog(2.0));
-    machine.run(500);
-    // 2 turns/s are 2097 counts a cycle.
-    follows(&machine, 4 * 2_200, "while it turns");
-    machine.assert_turns(0, 2.0);
-    machine.done(0, super::STOP);
-    machine.run(500);
-    follows(&machine, 50, "after a stop");
-    machine.done(0, Command::Disable);
-    machine.run(100);
-    follows(&machine, 50, "disabled");
-}
-
-#[test]
-fn mapped_limits_are_those_of_the_drive_or_configured_ones() {
-    let limits = [(0x6072, 3_000), (0x60E0, 3_000), (0x60E1, 3_000), (0x607F, 6_000_000), (0x6080, 6_000)];
-    let outputs: Vec<String> = [0x6040, 0x607A]
-        .into_iter()
-        .chain(limits.map(|(index, _)| index))
-        .map(|index| format!("\"{index:#06x}:0\""))
-        .collect();
-    let outputs = outputs.join(", ");
-    let moves = |machine: &mut Machine| {
-        machine.done(0, Command::Enable);
-        machine.ended(0, go_to(3.5))
-    };
-    let mut own = machine(&outputs, "");
-    assert_eq!(moves(&mut own), Outcome::Done);
-    for (index, delivered) in limits {
-        assert_eq!(value(&own, Object::new(index, 0)), delivered, "{index:#06x}");
-    }
-    let mut configured = machine(&outputs, "start_up = [{ object = \"0x60E0:0\", value = 700 }]");
-    assert_eq!(moves(&mut configured), Outcome::Done);
-    assert_eq!(value(&configured, Object::new(0x60E0, 0)), 700);
-    assert_eq!(value(&configured, Object::new(0x60E1, 0)), 3_000);
-    // The simulated drive obeys them: with one of 0 it does not move.
-    for index in [0x6072, 0x60E1, 0x607F, 0x6080] {
-        let zero = format!("start_up = [{{ object = \"{index:#06x}:0\", value = 0 }}]");
-        let mut still = machine(&outputs, &zero);
-        let _ = moves(&mut still);
-        assert!((turns(&still) - 3.0).abs() < 0.01, "{index:#06x}: {}", turns(&still));
-    }
-}
-
-#[test]
-fn a_mode_in_the_outputs_is_that_of_homing_for_a_homing_only() {
-    let mut machine = machine("\"0x6040:0\", \"0x607A:0\", \"0x6060:0\"", "home_method = 35");
-    let mode = |machine: &Machine| machine.drive(0, |drive| drive.mode());
-    machine.done(0, Command::Enable);
-    assert_eq!(mode(&machine), Mode::CYCLIC_POSITION);
-    machine.post(0, Command::Home);
-    machine.until("the mode of homing", 1_000, |machine| mode(machine) == Mode::HOMING);
-    machine.until("home", 2_000, |machine| machine.feedback(0).status.homed);
-    machine.until("its own mode", 1_000, |machine| mode(machine) == Mode::CYCLIC_POSITION);
-    machine.done(0, go_to(0.25));
-    machine.run(200);
-    assert!((turns(&machine) - 0.25).abs() < 1e-3, "{}", turns(&machine));
-    machine.end_well();
 }
 
 /// The targets are the application's: nothing moves until it writes one, and then the drive follows that.

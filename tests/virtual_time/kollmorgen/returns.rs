@@ -1,85 +1,35 @@
 //! Drives that come back: after a while without frames, and after a tool has run over their segment.
 
-use fieldbeat::axis::{Command, EventKind, Jog, Link, Outcome, StopCause};
-use fieldbeat::config::{Configuration, parse};
-use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::sim::{SimSegment, WorldOptions};
-use fieldbeat::time::Time;
-use fieldbeat::{Master, Simulation};
-use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, FRAME_MAX};
+use fieldbeat::axis::{Command, Link, StopCause};
+use fieldbeat_ethercat::wire::frame::Command as Frame;
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address};
 
-use super::{LINE, Machine, UP, plan};
-
-/// Two drives of one stop group that turn by velocities.
-fn group() -> Simulation {
-    let text = format!(
-        "[cycle]\nperiod = \"1ms\"\n[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{LINE}\"\n[bus.defaults]\n\
-         pdo.outputs = \"0x1702\"\nwatchdog = \"500ms\"\nlimits = {{ velocity = 50, acceleration = 5000 }}\n\
-         profile = {{ velocity = 20, acceleration = 400 }}\n\
-         stop = {{ how = \"ramp\", deceleration = 400, then = \"disable\", group = \"g\" }}\n\
-         [[bus.drive]]\nname = \"k\"\n[[bus.drive]]\nname = \"l\"\n"
-    );
-    let Configuration { plan, simulation, .. } = parse(&text, "group.toml")
-        .unwrap_or_else(|errors| panic!("{:?}", errors.iter().map(ToString::to_string).collect::<Vec<_>>()));
-    Master::from_plan(plan).simulate_with(simulation.build(), WorldOptions::default()).expect("it is sound")
-}
-
-fn jog() -> Command {
-    Command::Jog(Jog { velocity: 10.0, acceleration: 400.0 })
-}
+use super::{LINE, Machine, jog, plan};
 
 #[test]
 fn a_drive_that_was_deaf_is_online_only_when_the_master_takes_it_down_no_more() {
+    let mut plan = plan(2);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.stop.group = Some(0));
     for delay in (0..40).chain([60, 100, 200, 400]) {
-        let mut sim = group();
-        let is_up = |sim: &Simulation| (0..2).all(|axis| sim.feedback(axis).link == Link::Online);
-        assert!(sim.run_until(UP, is_up));
+        let mut machine = Machine::enabled(plan.clone());
+        (0..2).for_each(|axis| machine.post(axis, jog(10.0)));
+        machine.run(100);
+        machine.sim.world().deafen(LINE, 0, true);
+        machine.run(10);
+        machine.sim.world().deafen(LINE, 0, false);
+        machine.until("it is back", 20_000, |machine| machine.feedback(0).link == Link::Online);
+        machine.run(delay);
         for axis in 0..2 {
-            sim.execute(axis, Command::Enable, 5_000).unwrap();
-            sim.axis(axis).post(jog()).unwrap();
+            let _ = machine.ended(axis, Command::Reset);
         }
-        sim.run(100);
-        sim.world().deafen(LINE, 0, true);
-        sim.run(10);
-        sim.world().deafen(LINE, 0, false);
-        assert!(sim.run_until(20_000, |sim| sim.feedback(0).link == Link::Online));
-        sim.run(delay);
-        for axis in 0..2 {
-            let _ = sim.execute(axis, Command::Reset, 9_000).unwrap();
-        }
-        let ids = [0, 1].map(|axis| sim.axis(axis).post(Command::Enable).unwrap());
-        let mut ends = [None; 2];
+        (0..2).for_each(|axis| machine.post(axis, Command::Enable));
         // What the master does to a slave by itself begins within the next 500 cycles.
-        let mut left = 500;
-        while left > 0 {
-            sim.step();
-            left -= u32::from(ends.iter().all(Option::is_some));
-            for (axis, end) in ends.iter_mut().enumerate() {
-                while let Some(event) = sim.axis(axis).event() {
-                    if let EventKind::Ended { id, outcome, .. } = event.kind
-                        && id == ids[axis]
-                    {
-                        *end = Some(outcome);
-                    }
-                }
-            }
+        machine.run(1_000);
+        for axis in 0..2 {
+            let feedback = machine.feedback(axis);
+            let holds = feedback.is_operational() && feedback.stopped.is_none();
+            assert!(holds, "{delay} ms after it was online: {feedback:?}");
         }
-        assert_eq!(ends, [Some(Outcome::Done); 2], "{delay} ms after it was online: {:?}", sim.feedback(0));
-        assert_eq!([0, 1].map(|axis| sim.feedback(axis).stopped), [None; 2], "{delay} ms");
-    }
-}
-
-/// Frames of a tool, one in a cycle; they do not come to this master.
-fn run_over(machine: &mut Machine, frames: &[(Frame, Vec<u8>)]) {
-    for (command, data) in frames {
-        let mut room = [0; FRAME_MAX];
-        let mut frame = Builder::new(&mut room, BROADCAST, [0x30; 6]).unwrap();
-        frame.push_with(*command, 7, data).unwrap();
-        let length = frame.finish();
-        let world = machine.sim.world();
-        world.look(LINE, |line: &mut EthercatSim, now: Time| line.pass(now, &mut room[..length])).unwrap();
-        machine.run(1);
     }
 }
 
@@ -98,6 +48,7 @@ fn a_segment_that_a_tool_has_run_over_is_set_up_again_and_the_tool_is_named() {
     let [first, second] = addresses;
     for (what, frames) in [
         ("a scan", vec![state(AlState::Init)]),
+        ("to SAFEOP", vec![state(AlState::SafeOp)]),
         ("a scan to PREOP", vec![state(AlState::Init), state(AlState::PreOp)]),
         ("FMMUs cleared", vec![no_fmmus.clone()]),
         ("to SAFEOP with FMMUs of its own", vec![state(AlState::SafeOp), fmmus.clone()]),
@@ -108,9 +59,13 @@ fn a_segment_that_a_tool_has_run_over_is_set_up_again_and_the_tool_is_named() {
         ("addresses of its own", vec![state(AlState::Init), first, second, no_fmmus]),
     ] {
         let mut machine = Machine::enabled(plan(2));
-        machine.post(0, super::jog(5.0));
+        machine.post(0, jog(5.0));
         machine.run(300);
-        run_over(&mut machine, &frames);
+        // One in a cycle; they do not come to this master.
+        for (command, data) in &frames {
+            machine.pass(*command, data);
+            machine.run(1);
+        }
         machine.until(what, 3_000, |machine| (0..2).all(|axis| machine.feedback(axis).stopped.is_some()));
         machine.until("standstill", 3_000, |machine| machine.drive(0, |drive| drive.rpm().abs() < 1.0));
         // One in SAFEOP is online until its settings were read back.
@@ -130,7 +85,7 @@ fn a_segment_that_a_tool_has_run_over_is_set_up_again_and_the_tool_is_named() {
         for axis in 0..2 {
             machine.recover(axis);
         }
-        machine.post(0, super::jog(5.0));
+        machine.post(0, jog(5.0));
         machine.run(300);
         machine.assert_turns(0, 5.0);
     }

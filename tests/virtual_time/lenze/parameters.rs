@@ -1,23 +1,14 @@
 //! Codes and records of a drive that exchanges data meanwhile, by each path, against the strict drive.
 
-use std::time::Duration;
-
-use fieldbeat::axis::{
-    Call, CallError, CallTicket, Command, Link, ParameterError, ParameterTicket, Parameters, Scalar,
-};
+use fieldbeat::axis::{CallError, Link, ParameterError, ParameterTicket, Parameters, Scalar};
 use fieldbeat::bus::profibus::{Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::profibus::Channel;
 use fieldbeat::{CyclePlan, Simulation};
 
-use super::turns::{STOP, jog};
 use super::{Lenze, PORT, wire};
 use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet, refuses_while_on};
 
 const MSAC1: ParameterPath = ParameterPath::Msac1 { slot: 0, index: 47, axis: 0, numbers: Numbers::FromTop };
-
-/// The status of a drive that refuses to change a parameter.
-const READ_ONLY: u32 = 1;
 
 /// A path, and what a drive at its other end does.
 #[derive(Clone, Copy, Debug)]
@@ -83,16 +74,6 @@ impl Lenze {
         self.ended(ticket)
     }
 
-    fn call_ended(&mut self, ticket: &mut CallTicket) -> Result<u64, CallError> {
-        for _ in 0..10_000 {
-            if let Some(end) = ticket.poll() {
-                return end.map(|answer| answer.value);
-            }
-            self.sim.step();
-        }
-        panic!("a call without an end")
-    }
-
     fn kept_to_the_rules(&self) {
         for index in 0..self.count {
             assert_eq!(self.misuse(index).total(), 0, "{:?}", self.misuse(index));
@@ -131,86 +112,6 @@ fn codes_are_read_and_written_by_each_path() {
 }
 
 #[test]
-fn a_motor_turns_on_while_codes_are_read() {
-    for way in WAYS {
-        let mut m = machine(way, 2);
-        m.ready();
-        m.post(0, jog(8.0));
-        m.turns(0, 8.0);
-        for _ in 0..20 {
-            assert_eq!(m.get(0, "C0061").unwrap(), 430_000, "{way:?}");
-            assert!((m.speed(0) - 8.0).abs() < 0.1, "{way:?}");
-        }
-        // A stop does not wait for the calls.
-        let _ticket = m.parameters(0).post_read::<i32>("C0061").unwrap();
-        m.done(0, STOP);
-        // Done is what the drive calls standstill; what is left decays.
-        assert!(m.speed(0).abs() < 0.1);
-        m.sim.run(20);
-        assert!(m.speed(0).abs() < 0.01, "{way:?}");
-        m.kept_to_the_rules();
-        for counters in m.finish() {
-            assert_eq!((counters.missed, counters.malformed), (0, 0), "{way:?}");
-        }
-    }
-}
-
-#[test]
-fn calls_that_are_posted_together_end_each_with_its_own() {
-    for way in WAYS {
-        let mut m = machine(way, 1);
-        m.online();
-        let parameters = m.parameters(0);
-        let mut tickets: Vec<_> = (0..30)
-            .map(|turn| parameters.post_read::<i32>(["C0061", "C0003", "C0039/3"][turn % 3]).unwrap())
-            .collect();
-        for (turn, ticket) in tickets.drain(..).enumerate() {
-            let value = m.ended(Ok(ticket)).unwrap();
-            assert_eq!(value, [430_000, 10_000, 0][turn % 3], "{way:?}");
-        }
-        m.kept_to_the_rules();
-    }
-}
-
-#[test]
-fn telegrams_that_are_lost_change_no_value_and_write_nothing_twice() {
-    for way in WAYS {
-        let mut m = machine(way, 2);
-        m.online();
-        let (mut done, mut uncertain) = (0, 0);
-        for seed in 0..4 {
-            // So many that now and then all repetitions are lost, too.
-            m.sim.world().set_wire_faults(PORT, FaultPlan { seed, drop: 0.1, ..FaultPlan::default() });
-            for round in 0..10 {
-                let value = 100 * seed as i32 + round;
-                match m.put(0, "C0039/2", value) {
-                    Ok(()) => {
-                        done += 1;
-                        assert_eq!(m.look(0, |drive, _| drive.parameter(39, 2)), value, "{way:?}");
-                    }
-                    Err(ParameterError::Failed { why: CallError::TimedOut, .. }) => uncertain += 1,
-                    Err(ParameterError::Failed { why: CallError::NotOnline, .. }) => {}
-                    Err(other) => panic!("{way:?}: {other}"),
-                }
-                match m.get(0, "C0061") {
-                    Ok(value) => assert_eq!(value, 430_000, "{way:?}"),
-                    Err(ParameterError::Failed { .. }) => {}
-                    Err(other) => panic!("{way:?}: {other}"),
-                }
-            }
-            m.sim.world().set_wire_faults(PORT, FaultPlan::default());
-            m.online();
-        }
-        let written = m.look(0, |drive, _| drive.eeprom_writes());
-        assert!(done > 10, "{way:?}: {done} done, {uncertain} uncertain");
-        assert!((done..=done + uncertain).contains(&written), "{way:?}: {written} of {done} and {uncertain}");
-        assert_eq!(m.look(1, |drive, _| drive.eeprom_writes()), 0);
-        let misuse = m.misuse(0);
-        assert_eq!((misuse.job, misuse.handshake, misuse.changed_retry), (0, 0, 0), "{way:?}: {misuse:?}");
-    }
-}
-
-#[test]
 fn a_drive_that_restarts_in_a_write_leaves_it_uncertain_and_has_it_once() {
     for way in WAYS {
         for after in [0, 1, 2, 3, 4, 6, 9, 13] {
@@ -237,42 +138,6 @@ fn a_drive_that_restarts_in_a_write_leaves_it_uncertain_and_has_it_once() {
             m.kept_to_the_rules();
         }
     }
-}
-
-#[test]
-fn a_text_comes_in_parts_and_a_record_as_bytes() {
-    let mut m = machine(WAYS[4], 1);
-    m.online();
-    let acyclic = m.sim.axis(0).acyclic().clone();
-    let limit = Duration::from_secs(5);
-    // As `param get` reads it: the beginning, the size, the parts.
-    let long = |m: &mut Lenze, address: &str| {
-        let Call { address, .. } = acyclic.notation().read(address).unwrap();
-        let parts = (1..7).map(|part| (4, 8 * part));
-        let calls = [(1, 0), (3, 0)].into_iter().chain(parts);
-        let calls: Vec<_> = calls.map(|(service, value)| Call { service, address, value }).collect();
-        let mut tickets = acyclic.post_series(&calls, limit).unwrap();
-        tickets.iter_mut().map(|ticket| m.call_ended(ticket)).collect::<Vec<_>>()
-    };
-    let ends = long(&mut m, "C0200.text");
-    let whole = "82S8212V_31000 simulated, with EMF2133IB PROFIBUS-DP";
-    assert_eq!(ends[1], Ok(whole.len() as u64));
-    let values: Vec<u64> =
-        ends.into_iter().enumerate().filter(|(place, _)| *place != 1).map(|(_, end)| end.unwrap()).collect();
-    let bytes: Vec<u8> = values.into_iter().flat_map(u64::to_le_bytes).collect();
-    assert_eq!(bytes[..whole.len()], *whole.as_bytes());
-    // It cannot be changed.
-    let calls = acyclic.notation().write_long("C0200.text", "axis 1").unwrap();
-    let mut tickets = acyclic.post_series(&calls, limit).unwrap();
-    let ends: Vec<_> = tickets.iter_mut().map(|ticket| m.call_ended(ticket)).collect();
-    assert_eq!(ends[ends.len() - 1], Err(CallError::Refused(READ_ONLY)));
-    // The record 47 itself has no response now: that is "again later", and never comes.
-    let Call { address, .. } = acyclic.notation().read("0/47").unwrap();
-    let mut ticket = acyclic.post(Call { service: 1, address, value: 0 }, Duration::from_millis(50)).unwrap();
-    assert_eq!(m.call_ended(&mut ticket), Err(CallError::TimedOut));
-    let refused = m.get(0, "0/48").unwrap_err().to_string();
-    assert!(refused.contains("no such index (80 B0 00)"), "{refused}");
-    m.kept_to_the_rules();
 }
 
 /// A drive and the codes that command it.
@@ -314,17 +179,5 @@ fn a_lenze_drive_is_not_commanded_by_parameters_while_its_power_is_on() {
         refuses_while_on(guarded(way));
         never_meet(guarded(way));
         never_in_any_sequence(guarded(way), 1, 60);
-    }
-}
-
-#[test]
-fn enabling_goes_on_when_a_write_that_commands_has_ended() {
-    for way in WAYS {
-        let mut m = machine(way, 1);
-        m.online();
-        let mut ticket = m.parameters(0).post_write("C0039/2", 5).unwrap();
-        m.done(0, Command::Enable);
-        assert!(ticket.poll().is_some(), "{way:?}");
-        m.kept_to_the_rules();
     }
 }

@@ -1,7 +1,7 @@
 //! From the first telegram to a motor that turns.
 
 use fieldbeat::axis::{Command, Jog, State};
-use fieldbeat::bus::profibus::{DriveProfile, RATES};
+use fieldbeat::bus::profibus::RATES;
 use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
 use fieldbeat_profibus::counters::Own;
@@ -20,7 +20,7 @@ pub fn jog(velocity: f64) -> Command {
 }
 
 #[test]
-fn two_drives_come_into_data_exchange_turn_and_stop() {
+fn two_drives_come_into_data_exchange_turn_stop_and_are_left_cleared_unlocked_and_off() {
     let mut m = Lenze::new(wire(1_500_000, 2), cycle());
     m.online();
     assert_eq!(m.feedback(0).status.state, State::SwitchOnDisabled);
@@ -37,12 +37,23 @@ fn two_drives_come_into_data_exchange_turn_and_stop() {
         // What is left of the speed behind the ramp goes down to a 14th in 10 ms: the motor's controller has 30 Hz.
         m.sim.run(20);
         assert!(m.speed(index).abs() < COUNT, "{}", m.speed(index));
-        m.done(index, Command::Disable);
-        assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));
+        m.post(index, jog(8.0));
+        m.turns(index, 8.0);
     }
-    for counters in m.finish() {
-        assert!(counters.missed == 0 && counters.malformed == 0 && counters.late == 0, "{counters:?}");
-        assert!(own(&counters, Own::SlotTimes) == 0 && own(&counters, Own::WireUs) > 0, "{counters:?}");
+    for c in m.sim.numbers().drives.iter().map(|drive| drive.counters) {
+        assert!(c.missed == 0 && c.malformed == 0 && c.late == 0, "{c:?}");
+        assert!(own(&c, Own::SlotTimes) == 0 && own(&c, Own::WireUs) > 0, "{c:?}");
+    }
+    // The end of the master while they turn.
+    m.sim.stop();
+    for _ in 0..5_000 {
+        m.sim.step();
+    }
+    for index in [0, 1] {
+        assert_eq!(m.speed(index), 0.0);
+        assert_eq!(m.look(index, |drive, _| drive.dp_state()), (DpState::WaitPrm, None));
+        assert_eq!(m.look(index, |drive, _| drive.axis_state()), State::SwitchOnDisabled);
+        assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));
     }
 }
 
@@ -61,49 +72,5 @@ fn each_rate_carries_a_drive_that_turns() {
         assert_eq!(m.misuse(0).total(), 0, "{rate}: {:?}", m.misuse(0));
         let [counters] = m.finish()[..] else { panic!("one drive") };
         assert!(counters.missed == 0 && counters.answered > 20, "{rate}: {counters:?}");
-    }
-}
-
-#[test]
-fn profidrive_turns_by_its_own_words() {
-    let mut bus = wire(1_500_000, 1);
-    bus.drives[0].profile = DriveProfile::Profidrive;
-    bus.drives[0].enable_bit = DriveProfile::Profidrive.usual_enable_bit();
-    let mut m = Lenze::new(bus, cycle());
-    m.ready();
-    m.post(0, jog(-8.0));
-    m.turns(0, -8.0);
-    m.done(0, STOP);
-    m.done(0, Command::Disable);
-    assert_eq!(m.misuse(0).total(), 0, "{:?}", m.misuse(0));
-}
-
-#[test]
-fn twelve_megabit_carry_four_drives_in_every_cycle() {
-    let mut m = Lenze::new(wire(12_000_000, 4), cycle());
-    m.ready();
-    (0..4).for_each(|index| m.post(index, jog(8.0)));
-    (0..4).for_each(|index| m.turns(index, 8.0));
-    m.sim.run(1_000);
-    for counters in m.finish() {
-        assert!(counters.missed == 0 && counters.answered > 1_000, "{counters:?}");
-    }
-}
-
-#[test]
-fn the_end_leaves_the_drives_cleared_unlocked_and_off() {
-    let mut m = Lenze::new(wire(1_500_000, 2), cycle());
-    m.ready();
-    m.post(0, jog(8.0));
-    m.turns(0, 8.0);
-    m.sim.stop();
-    for _ in 0..5_000 {
-        m.sim.step();
-    }
-    for index in [0, 1] {
-        assert_eq!(m.speed(index), 0.0);
-        assert_eq!(m.look(index, |drive, _| drive.dp_state()), (DpState::WaitPrm, None));
-        assert_eq!(m.look(index, |drive, _| drive.axis_state()), State::SwitchOnDisabled);
-        assert_eq!(m.misuse(index).total(), 0, "{:?}", m.misuse(index));
     }
 }

@@ -1,7 +1,7 @@
 //! What the command word does, packet by packet.
 
-use fieldbeat::axis::{Command, Failure, Jog, NativeOwner, Outcome};
-use fieldbeat::bus::ethernet_ip::{Letters, Native, NativeOutput, NativeProfile, Outputs, command};
+use fieldbeat::axis::{Command, Jog};
+use fieldbeat::bus::ethernet_ip::command;
 use fieldbeat::sim::ethernet_ip::Edges;
 
 use super::*;
@@ -47,25 +47,6 @@ fn velocities_come_no_faster_than_commands_can() {
     assert!(begins.len() > 200, "{} velocities", begins.len());
     assert!(begins.windows(2).all(|pair| pair[1] - pair[0] >= every_ms), "{begins:?}");
     assert!(m.feedback(0).stopped.is_none());
-}
-
-#[test]
-fn a_stop_whose_idle_packet_is_lost_is_sent_anew_at_once() {
-    // A drive that takes no change between two commands for an edge.
-    let mut m = Moons::with(vec![drive(0)], |settings| settings.firmware.edges = Edges::Strict);
-    m.ready();
-    m.post(0, jog(2.0));
-    m.run(300);
-    m.post(0, jog(3.0));
-    let held = |m: &Moons| m.came(0, 0).last().is_some_and(|came| came.word == command::JOG_SPEED);
-    while !held(&m) {
-        m.run(1);
-    }
-    // All idle packets before the stop.
-    m.taps[0].lock().lose = Some((0, 1));
-    m.post(0, Command::Stop { deceleration: None });
-    m.run(20);
-    m.until("standstill", 100, |sim| !sim.feedback(0).status.moving);
 }
 
 /// A motion behind a command of which the drive has seen no end: the one is no edge behind the other.
@@ -149,94 +130,4 @@ fn a_stop_is_never_flatter_than_it_shall_be() {
         m.run(130);
         assert!(m.truth(0).velocity.abs() < 100.0, "{motion:?}: {:?}", m.truth(0));
     }
-}
-
-#[test]
-fn a_jog_that_follows_a_stop_at_once_is_not_lost() {
-    let mut m = Moons::new(vec![drive(0)]);
-    m.ready();
-    for after in 0..30 {
-        m.post(0, jog(4.0));
-        m.until("its velocity", 1_000, |sim| sim.feedback(0).status.velocity > 3.9);
-        m.post(0, Command::Stop { deceleration: None });
-        m.run(after);
-        m.post(0, jog(1.0));
-        m.until("the other velocity", 2_000, |sim| (sim.feedback(0).status.velocity - 1.0).abs() < 0.05);
-    }
-}
-
-#[test]
-fn a_homing_whose_time_is_over_is_stopped() {
-    let mut plan = drive(0);
-    plan.axis.home_timeout = std::time::Duration::from_millis(300);
-    plan.homing = plan.homing.map(|homing| Homing { distance: -200.0, ..homing });
-    let mut m = Moons::new(vec![plan]);
-    m.online();
-    m.done(0, Command::Enable);
-    assert!(matches!(m.end(0, Command::Home), Some(Outcome::Failed(Failure::TimedOut(_)))));
-    m.run(100);
-    assert!(m.truth(0).velocity.abs() < 1.0, "{:?}", m.truth(0));
-    assert!(m.feedback(0).stopped.is_none() && !m.feedback(0).status.homed, "{:?}", m.feedback(0));
-}
-
-#[test]
-fn native_commands_leave_once_each() {
-    let mut m = Moons::new(vec![drive(0)]);
-    m.ready();
-    let mut native = m.sim.axis(0).native::<Native>().expect("it has native process data");
-    m.post(0, Command::Native(NativeOwner::Master));
-    m.run(50);
-    let before = m.count(0);
-    let segment = Outputs { command: command::EXECUTE_SEGMENT, register_1: 1, ..Outputs::default() };
-    let host = Outputs {
-        command: command::HOST,
-        letters: Letters::new("SO").unwrap(),
-        register_1: 0x4CB1,
-        ..Outputs::default()
-    };
-    native.write(NativeOutput { outputs: host }).unwrap();
-    native.write(NativeOutput { outputs: host }).unwrap();
-    m.run(200);
-    native.write(NativeOutput { outputs: segment }).unwrap();
-    m.run(1_500);
-    let words = edges(&m.came(0, before));
-    assert_eq!(words, [0, command::HOST, 0, command::HOST, 0, command::EXECUTE_SEGMENT, 0], "{words:x?}");
-    m.done(0, Command::Stop { deceleration: None });
-    m.done(0, go(0.3));
-}
-
-#[test]
-fn the_end_of_native_mode_begins_with_idle_and_the_stop_behind_it_is_an_edge() {
-    let mut m = Moons::with(vec![drive(0)], |settings| settings.firmware.edges = Edges::Strict);
-    m.ready();
-    let mut native = m.sim.axis(0).native::<Native>().expect("it has native process data");
-    m.post(0, Command::Native(NativeOwner::Application));
-    m.run(50);
-    assert!(native.inputs().running, "{:?}", m.sim.axis(0).event());
-    let profile = NativeProfile { velocity: 480, acceleration: 300, deceleration: 300, distance: 2_000_000 };
-    let outputs = Outputs {
-        command: command::MOVE_RELATIVE,
-        velocity: profile.velocity,
-        acceleration: profile.acceleration,
-        deceleration: profile.deceleration,
-        distance: profile.distance,
-        ..Outputs::default()
-    };
-    native.write(NativeOutput { outputs }).unwrap();
-    m.run(300);
-    assert!(
-        m.truth(0).velocity > 10_000.0,
-        "{:?}, {:x?}, {:?}",
-        m.truth(0),
-        edges(&m.came(0, 0)),
-        m.feedback(0)
-    );
-    let before = m.count(0);
-    let id = m.sim.axis(0).post(Command::Stop { deceleration: None }).unwrap();
-    let end = m.sim.run_command(0, id, 2_000);
-    assert_eq!(end, Some(Outcome::Done), "{:?}", m.feedback(0));
-    let words = edges(&m.came(0, before));
-    let stop = words.iter().position(|word| word & (command::STOP | command::STOP_FAST) != 0);
-    assert!(stop.is_some_and(|at| words[at - 1] == 0), "{words:x?}");
-    assert!(m.truth(0).velocity.abs() < 1.0);
 }

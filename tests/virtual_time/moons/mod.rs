@@ -3,8 +3,8 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | a machine of drives that the test shares with the world, and what came to them |
-//! | `lost` | connections that are lost, and opened anew; masters that die; sessions that end |
-//! | `drives` | what a drive is and has: versions, encoders, inputs, counts that go round |
+//! | `lost` | masters that die, and come back; drives that take no stop at the end |
+//! | `drives` | what a drive is and has: versions, encoders, inputs |
 //! | `edges` | what the command word does, packet by packet |
 //! | `long` | an hour of packets by two clocks |
 
@@ -17,7 +17,6 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Move, Outcome, Profile, Target};
-use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Homing, HomingMethod, MoonsDrive, Originator};
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
@@ -32,8 +31,7 @@ pub const BIND: Ipv4Addr = Ipv4Addr::new(10, 0, 5, 1);
 pub const IO_PORT: u16 = 2_222;
 /// The number of the socket of packets, of a simulated drive.
 const PACKETS: usize = 1;
-/// Where a packet to a drive has run/idle, and the command word behind it.
-const RUN: usize = 20;
+/// Where a packet to a drive has the command word.
 const WORD: usize = 24;
 
 pub const PROFILE: Profile = Profile { velocity: 5.0, acceleration: 50.0, deceleration: 50.0 };
@@ -60,11 +58,10 @@ pub fn drive(index: usize) -> MoonsDrive {
 }
 
 /// A packet as it came to a drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Came {
     pub at: Time,
     pub word: u32,
-    pub run: bool,
 }
 
 /// A drive, and what came to it.
@@ -156,8 +153,7 @@ impl SimDrive for Tap {
                 shared.lose = Some((lost, left - 1));
                 return None;
             }
-            let run = bytes.get(RUN).is_some_and(|byte| byte & 1 != 0);
-            shared.came.push(Came { at: now, word, run });
+            shared.came.push(Came { at: now, word });
         }
         shared.drive.receive_at(socket, now, from, bytes, reply)
     }
@@ -346,13 +342,6 @@ impl Moons {
     /// The stop bound that `check` states.
     pub fn bound(&self, index: usize) -> u64 {
         bound::stop_bound(&self.plan, index)
-    }
-
-    /// The counter of this key.
-    pub fn counter(self, index: usize, key: &str) -> u64 {
-        let bus: &dyn BusPlan = &*self.plan.buses[0];
-        let place = bus.own_counters().iter().position(|counter| counter.key == key).expect("it has one");
-        self.sim.finish().drives[index].counters.own[place]
     }
 
     pub fn io(&self, index: usize) -> SocketAddrV4 {

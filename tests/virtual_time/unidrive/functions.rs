@@ -1,5 +1,7 @@
 //! Servers with FC23 and without: which functions the master uses, and what the drive carries out by them.
 
+use fieldbeat::axis::NativeOwner;
+use fieldbeat::bus::modbus::{Native, NativeOutput};
 use fieldbeat::sim::modbus::ReadWrite;
 
 use super::*;
@@ -83,6 +85,29 @@ fn a_server_without_function_23_is_commanded_as_one_that_has_it() {
     }
 }
 
+#[test]
+fn a_drive_that_is_said_to_have_no_function_23_is_never_asked_by_it_and_read_as_ever() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, drive| drive.functions = Functions::Apart);
+        b.online();
+        // Watched for long.
+        b.run(30_000);
+        b.sim.axis(0).post(Command::Enable).unwrap();
+        for _ in 0..200 {
+            b.run(1);
+            assert!(b.feedback(0).age < 20, "{via:?}: {:?}", b.feedback(0));
+        }
+        for velocity in [4.0, -6.0] {
+            b.turning(0, velocity);
+            let rpm = b.tap(0).read(b.now(), Parameter::SPEED) as i16;
+            assert!((f64::from(rpm) / 600.0 - velocity).abs() < 0.1, "{via:?}: {rpm} tenths of rpm");
+        }
+        assert_eq!(both(&b), 0, "{via:?}");
+        let counters = b.finish().drives[0].counters;
+        assert_eq!((own(&counters), counters.missed, counters.late), (vec![], 0, 0), "{via:?}");
+    }
+}
+
 /// Its answers to FC23 are lost, so that nobody knows whether they were carried out.
 #[test]
 fn what_was_carried_out_without_an_answer_is_not_commanded_twice() {
@@ -105,22 +130,25 @@ fn what_was_carried_out_without_an_answer_is_not_commanded_twice() {
     }
 }
 
-/// The reference that a request writes, unless the drive does not know its function.
-pub(super) fn reference(request: &[u8]) -> Option<i32> {
-    let addresses = [Parameter::REFERENCE, Parameter::new(0, 11)]
-        .map(|parameter| parameter.address(Addressing::Standard, Width::Long).unwrap());
-    match Request::parse(request).ok()?.1 {
-        Request::Write { address, data } | Request::ReadWrite { write: address, data, .. } => {
-            data.long(addresses.iter().position(|one| *one == address)?)
-        }
-        _ => None,
+/// No drive has it, so that it says what it says to a function that it does not have; but not of which.
+const NO_FUNCTION: u8 = 43;
+
+/// From now on the drive does not have FC23.
+fn without_function_23(request: &mut [u8]) {
+    if request[7] == function::READ_WRITE {
+        request[7] = NO_FUNCTION;
+    }
+}
+
+/// Its refusals name FC23.
+fn as_function_23(reply: &mut [u8]) {
+    if reply.get(7) == Some(&(NO_FUNCTION | function::EXCEPTION)) {
+        reply[7] = function::READ_WRITE | function::EXCEPTION;
     }
 }
 
 #[test]
-fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
-    use fieldbeat::axis::NativeOwner;
-    use fieldbeat::bus::modbus::{Native, NativeOutput};
+fn each_native_output_goes_out_though_the_wire_takes_one_at_a_time_and_its_function_is_refused() {
     for via in VIAS {
         let mut b = bench(via, ReadWrite::Served);
         b.ready();
@@ -137,7 +165,7 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
             }
         }));
         b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
-        for reference in 1..=3 {
+        for reference in 1..=10 {
             native.write(NativeOutput { control: ControlWord::FORWARD, reference }).unwrap();
         }
         b.run(100);
@@ -145,6 +173,6 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
             b.tap(0).received.iter().filter_map(|request| reference(request)).collect();
         written.dedup();
         written.retain(|reference| *reference > 0);
-        assert_eq!(written, [1, 2, 3], "{via:?}");
+        assert_eq!(written, Vec::from_iter(1..=10), "{via:?}");
     }
 }

@@ -1,6 +1,5 @@
 //! Lost TCP segments: what the usual settings make of them, and what `check` says of it.
 
-use super::functions::reference;
 use super::*;
 
 /// A drive with an exchange every 8 ms whose replies count for so long, in the usual settings otherwise.

@@ -14,7 +14,6 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Unit, Units};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::modbus::{
     Addressing, ControlWord, Functions, ModbusPlan, Parameter, StatusWord, Trip, UnidriveDrive, Via,
     Watchdog, Width,
@@ -23,9 +22,8 @@ use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, WorldOptions};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::{Counters, Numbers};
-use fieldbeat::time::{MS, S, Time, US};
+use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
-use fieldbeat_core::net::SendMode;
 use fieldbeat_modbus::counters::OWN;
 use fieldbeat_modbus::counters::Own;
 use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
@@ -72,6 +70,14 @@ impl Shared {
     fn write(&mut self, now: Time, parameter: Parameter, value: u16) {
         let address = parameter.address(Addressing::Standard, Width::Word).unwrap();
         self.ask(now, Request::WriteOne { address, value });
+    }
+
+    /// The reference, as another master or a keypad writes it.
+    fn refer(&mut self, now: Time, reference: i32) {
+        let mut data = RegistersBuffer::new();
+        data.push_long(reference);
+        let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
+        self.ask(now, Request::Write { address, data: data.registers() });
     }
 
     fn status(&mut self, now: Time) -> StatusWord {
@@ -274,6 +280,18 @@ impl Bench {
     }
 }
 
+/// The reference that a request writes, unless the drive does not know its function.
+fn reference(request: &[u8]) -> Option<i32> {
+    let addresses = [Parameter::REFERENCE, Parameter::new(0, 11)]
+        .map(|parameter| parameter.address(Addressing::Standard, Width::Long).unwrap());
+    match Request::parse(request).ok()?.1 {
+        Request::Write { address, data } | Request::ReadWrite { write: address, data, .. } => {
+            data.long(addresses.iter().position(|one| *one == address)?)
+        }
+        _ => None,
+    }
+}
+
 /// What is not zero of what only Modbus counts.
 fn own(counters: &Counters) -> Vec<(&'static str, u64)> {
     let all = OWN.iter().zip(counters.own).map(|(own, count)| (own.key, count));
@@ -285,98 +303,19 @@ fn key(own: Own) -> &'static str {
 }
 
 #[test]
-fn both_mappings_turn_a_motor_with_function_23_and_without() {
-    for via in VIAS {
-        for functions in [Functions::ReadWrite, Functions::Apart] {
-            let what = format!("{via:?}, {functions:?}");
-            let mut b = Bench::new(1, via, |_, drive| drive.functions = functions);
-            b.online();
-            b.tap(0).received.clear();
-            b.ready();
-            for velocity in [4.0, -6.0] {
-                b.turning(0, velocity);
-                let rpm = b.tap(0).read(b.now(), Parameter::SPEED) as i16;
-                assert!((f64::from(rpm) / 600.0 - velocity).abs() < 0.1, "{what}: {rpm} tenths of rpm");
-            }
-            b.done(0, STOP);
-            b.done(0, Command::Disable);
-            assert!(!b.tap(0).status(b.now()).active(), "{what}");
-            // Those of the control word, or of menu 0 from its place on; settings are written alone.
-            let places = [Parameter::CONTROL_WORD, Parameter::new(0, 11)];
-            let is_cyclic = |address: u16| {
-                let parameter = Parameter::from_address(address, Addressing::Standard).unwrap().0;
-                places.contains(&parameter)
-            };
-            let (mut both, mut alone) = (0, 0);
-            for request in &b.tap(0).received {
-                match Request::parse(request) {
-                    Ok((_, Request::ReadWrite { write, .. })) if is_cyclic(write) => both += 1,
-                    Ok((_, Request::Write { address, .. })) if is_cyclic(address) => alone += 1,
-                    _ => {}
-                }
-            }
-            let read_write = functions == Functions::ReadWrite;
-            assert_eq!((both > 0, alone > 0), (read_write, !read_write), "{what}");
-            let counters = b.finish().drives[0].counters;
-            assert_eq!(own(&counters), [], "{what}");
-            assert_eq!((counters.missed, counters.late), (0, 0), "{what}");
-        }
-    }
-}
-
-/// Puts a reference that no drive takes into every request that has one.
-fn spoil_reference(request: &mut Vec<u8>) {
-    let mut out = vec![0; 260];
-    let Ok((header, parsed)) = Request::parse(request) else { return };
-    let mut data = RegistersBuffer::new();
-    let spoilt = |from: fieldbeat_modbus::wire::Registers<'_>, data: &mut RegistersBuffer, place: usize| {
-        for index in 0..from.len() / 2 {
-            data.push_long(if index == place { i32::MAX } else { from.long(index).unwrap() });
-        }
-    };
-    let preset = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
-    let shown = Parameter::new(0, 11).address(Addressing::Standard, Width::Long).unwrap();
-    let changed = match parsed {
-        Request::Write { address, data: values } if address == preset || address == shown => {
-            spoilt(values, &mut data, usize::from(address == shown));
-            Request::Write { address, data: data.registers() }
-        }
-        Request::ReadWrite { read, count, write, data: values } if write == preset || write == shown => {
-            spoilt(values, &mut data, usize::from(write == shown));
-            Request::ReadWrite { read, count, write, data: data.registers() }
-        }
-        _ => return,
-    };
-    let size = changed.emit(header, &mut out);
-    request.clear();
-    request.extend_from_slice(&out[..size]);
-}
-
-/// No drive has it, so that it says what it says to a function that it does not have; but not of which.
-const NO_FUNCTION: u8 = 43;
-
-/// From now on the drive does not have FC23.
-fn without_function_23(request: &mut [u8]) {
-    if request[7] == function::READ_WRITE {
-        request[7] = NO_FUNCTION;
-    }
-}
-
-/// Its refusals name FC23.
-fn as_function_23(reply: &mut [u8]) {
-    if reply.get(7) == Some(&(NO_FUNCTION | function::EXCEPTION)) {
-        reply[7] = function::READ_WRITE | function::EXCEPTION;
-    }
-}
-
-#[test]
 fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
     for via in VIAS {
         for read_write in [true, false] {
             let what = format!("{via:?}, function 23: {read_write}");
             let functions = if read_write { Functions::ReadWrite } else { Functions::Apart };
             let mut b = Bench::enabled(1, via, |_, drive| drive.functions = functions);
-            b.tap(0).request = Some(Box::new(spoil_reference));
+            // A reference that no drive takes, in every request that has one, as its last value.
+            b.tap(0).request = Some(Box::new(|request| {
+                if reference(request).is_some() {
+                    let at = request.len() - 4;
+                    request[at..].copy_from_slice(&i32::MAX.to_be_bytes());
+                }
+            }));
             let jog = Command::Jog(Jog { velocity: 4.0, acceleration: 80.0 });
             assert_eq!(b.failed(0, jog), Failure::NotTaken, "{what}");
             b.tap(0).request = None;
@@ -434,10 +373,7 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
 /// Runs by its terminals, at 300 rpm, for two seconds.
 fn by_terminals(shared: &mut Shared, now: Time) {
     shared.write(now, Parameter::REFERENCE_SELECTOR, 3);
-    let mut data = RegistersBuffer::new();
-    data.push_long(3_000);
-    let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
-    shared.ask(now, Request::Write { address, data: data.registers() });
+    shared.refer(now, 3_000);
     shared.write(now, Parameter::new(6, 30), 1);
     let status = shared.status(now + 2 * S);
     assert!(status.active() && !status.zero_speed(), "{status:?}");
@@ -474,154 +410,70 @@ fn a_restart_between_two_connections_is_noticed_though_nothing_was_acknowledged_
         b.recover(0);
     }
 }
+/// One thing that befalls one reply: what the protocol counts of it, and whether the connection is lost.
+type Mischief = (&'static str, fn(&mut Vec<u8>), &'static [Own], bool);
 
-/// One thing that befalls one reply, or the wire for a moment.
-struct Mischief {
-    name: &'static str,
-    reply: fn(&mut Vec<u8>),
-    wire: Option<FaultPlan>,
-    /// What the protocol counts, beside connections that are opened again.
-    own: &'static [Own],
-    malformed: u64,
-    duplicate: u64,
-    foreign: u64,
-    /// How often a connection is lost by it.
-    lost: u64,
+const MISCHIEF: [Mischief; 9] = [
+    ("answers twice", |reply| reply.extend_from_within(..), &[], false),
+    ("garbage", |reply| *reply = vec![0xA5; 40], &[Own::Garbage], true),
+    ("another unit", |reply| reply[6] = 7, &[Own::WrongUnit, Own::GivenUp], true),
+    ("another function", |reply| reply[7] = function::READ, &[Own::WrongFunction, Own::GivenUp], true),
+    ("fewer registers than were asked for", shortened, &[Own::WrongLength, Own::GivenUp], true),
+    ("a count that lies", |reply| reply[8] ^= 2, &[Own::WrongLength, Own::GivenUp], true),
+    ("another transaction", |reply| reply[0] ^= 0x40, &[Own::GivenUp], true),
+    ("busy", |reply| refuse(reply, 6), &[Own::Exceptions], false),
+    ("cut off in mid-frame", |_| {}, &[Own::CutOff], true),
+];
+
+fn shortened(reply: &mut Vec<u8>) {
+    reply.truncate(reply.len() - 2);
+    (reply[5], reply[8]) = (reply[5] - 2, reply[8] - 2);
 }
 
-const NONE: fn(&mut Vec<u8>) = |_| {};
-const PLAIN: Mischief = Mischief {
-    name: "nothing",
-    reply: NONE,
-    wire: None,
-    own: &[],
-    malformed: 0,
-    duplicate: 0,
-    foreign: 0,
-    lost: 0,
-};
-
-const MALFORMED: Mischief = Mischief { malformed: 1, lost: 1, ..PLAIN };
-
-fn mischief() -> Vec<Mischief> {
-    vec![
-        PLAIN,
-        Mischief {
-            name: "answers twice",
-            reply: |reply| reply.extend_from_within(..),
-            duplicate: 1,
-            ..PLAIN
-        },
-        Mischief {
-            name: "a byte at a time",
-            wire: Some(FaultPlan { split: 1.0, ..FaultPlan::default() }),
-            ..PLAIN
-        },
-        Mischief {
-            name: "cut off in mid-frame",
-            wire: Some(FaultPlan { cut: 1.0, ..FaultPlan::default() }),
-            own: &[Own::CutOff],
-            lost: 1,
-            ..PLAIN
-        },
-        Mischief {
-            name: "garbage",
-            reply: |reply| *reply = vec![0xA5; 40],
-            own: &[Own::Garbage],
-            ..MALFORMED
-        },
-        Mischief {
-            name: "another unit",
-            reply: |reply| reply[6] = 7,
-            own: &[Own::WrongUnit, Own::GivenUp],
-            ..MALFORMED
-        },
-        Mischief {
-            name: "another function",
-            reply: |reply| reply[7] = function::READ,
-            own: &[Own::WrongFunction, Own::GivenUp],
-            ..MALFORMED
-        },
-        Mischief {
-            name: "fewer registers than were asked for",
-            reply: |reply| {
-                reply.truncate(reply.len() - 2);
-                (reply[5], reply[8]) = (reply[5] - 2, reply[8] - 2);
-            },
-            own: &[Own::WrongLength, Own::GivenUp],
-            ..MALFORMED
-        },
-        Mischief {
-            name: "a count that lies",
-            reply: |reply| reply[8] ^= 2,
-            own: &[Own::WrongLength, Own::GivenUp],
-            ..MALFORMED
-        },
-        Mischief {
-            name: "another transaction",
-            reply: |reply| reply[0] ^= 0x40,
-            own: &[Own::GivenUp],
-            foreign: 1,
-            lost: 1,
-            ..PLAIN
-        },
-        Mischief {
-            name: "busy",
-            reply: |reply| *reply = [&reply[..5], &[3, reply[6], reply[7] | 0x80, 6]].concat(),
-            own: &[Own::Exceptions],
-            ..PLAIN
-        },
-    ]
+/// The drive refuses what it was asked, by this exception.
+fn refuse(reply: &mut Vec<u8>, exception: u8) {
+    *reply = [&reply[..5], &[3, reply[6], reply[7] | function::EXCEPTION, exception]].concat();
 }
 
+/// How each reply counts stands in the conformance suite.
 #[test]
 fn each_mischief_of_a_peer_has_its_own_counter_and_moves_no_other() {
-    for via in VIAS {
-        for case in mischief() {
-            let what = format!("{via:?}, {}", case.name);
-            let mut b = Bench::enabled(2, via, |_, drive| drive.axis.health.bucket = 20);
-            for index in 0..2 {
-                b.turning(index, 4.0);
+    for (via, (what, tamper, counted, lost)) in
+        VIAS.into_iter().flat_map(|via| MISCHIEF.map(|one| (via, one)))
+    {
+        let what = format!("{via:?}, {what}");
+        let mut b = Bench::enabled(2, via, |_, drive| drive.axis.health.bucket = 20);
+        (0..2).for_each(|index| b.turning(index, 4.0));
+        let mut once = true;
+        b.tap(0).reply = Some(Box::new(move |reply| {
+            if std::mem::take(&mut once) {
+                tamper(reply);
             }
-            if let Some(wire) = &case.wire {
-                assert!(b.sim.world().set_faults(address(0), wire.clone()));
-                b.run(1);
-                b.sim.world().set_faults(address(0), FaultPlan::default());
-            } else {
-                let (tamper, mut once) = (case.reply, true);
-                b.tap(0).reply = Some(Box::new(move |reply| {
-                    if std::mem::take(&mut once) {
-                        tamper(reply);
-                    }
-                }));
-                b.run(1);
-                b.tap(0).reply = None;
-            }
-            b.run(1_000);
-            b.online();
-            b.run(50);
-            let end = b.finish();
-            let c = end.drives[0].counters;
-            let mut expected: Vec<_> = case.own.iter().map(|own| (key(*own), 1)).collect();
-            expected.extend((case.lost > 0).then_some((key(Own::Reopened), case.lost)));
-            expected.sort_unstable();
-            let mut counted = own(&c);
-            counted.sort_unstable();
-            assert_eq!(counted, expected, "{what}");
-            let counted = (c.malformed, c.duplicate, c.foreign, c.late, c.suspect);
-            assert_eq!(counted, (case.malformed, case.duplicate, case.foreign, 0, 0), "{what}");
-            assert_eq!(c.missed, case.lost, "{what}: the one exchange that it hit");
-            assert_eq!(own(&end.drives[1].counters), [], "{what}: its neighbour");
-            assert_eq!(end.drives[1].counters.missed, 0, "{what}: its neighbour");
-        }
+        }));
+        let cut = if matches!(counted, [Own::CutOff]) { 1.0 } else { 0.0 };
+        assert!(b.sim.world().set_faults(address(0), FaultPlan { cut, ..FaultPlan::default() }));
+        b.run(1);
+        b.sim.world().set_faults(address(0), FaultPlan::default());
+        b.run(1_000);
+        b.online();
+        b.run(50);
+        let end = b.finish();
+        let mut expected: Vec<_> = counted.iter().map(|own| (key(*own), 1)).collect();
+        expected.extend(lost.then_some((key(Own::Reopened), 1)));
+        let [first, second] = [0, 1].map(|index| end.drives[index].counters);
+        let mut counted = own(&first);
+        expected.sort_unstable();
+        counted.sort_unstable();
+        assert_eq!(counted, expected, "{what}");
+        assert_eq!(first.missed, u64::from(lost), "{what}: the one exchange that it hit");
+        assert_eq!((own(&second), second.missed), (vec![], 0), "{what}: its neighbour");
     }
 }
 
 #[test]
 fn a_drive_that_refuses_its_cyclic_parameters_again_and_again_gets_a_new_handshake() {
     let mut b = Bench::enabled(1, Via::Menu0 { first: 11 }, |_, _| {});
-    b.tap(0).reply =
-        Some(Box::new(|reply| *reply = [&reply[..5], &[3, reply[6], reply[7] | 0x80, 2]].concat()));
+    b.tap(0).reply = Some(Box::new(|reply| refuse(reply, 2)));
     b.run(20);
     b.tap(0).reply = None;
     b.until("a link that is down", 1_000, |b| b.feedback(0).link != Link::Online);
@@ -629,27 +481,6 @@ fn a_drive_that_refuses_its_cyclic_parameters_again_and_again_gets_a_new_handsha
     let c = b.finish().drives[0].counters;
     let exceptions = c.own[Own::Exceptions as usize];
     assert_eq!((exceptions, c.own[Own::GivenUp as usize], c.malformed), (3, 1, 0));
-}
-
-#[test]
-fn the_drives_own_watchdog_is_set_before_it_is_enabled() {
-    let b = Bench::enabled(1, Via::Direct, |_, _| {});
-    let timeout = Parameter::new(15, 9).address(Addressing::Standard, Width::Word);
-    let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
-    let received = b.tap(0).received.clone();
-    let set = received.iter().position(|request| match Request::parse(request) {
-        Ok((header, Request::Write { address, data })) => {
-            header.unit == 4 && Some(address) == timeout && data.word(0) == Some(500)
-        }
-        _ => false,
-    });
-    let enabled = received.iter().position(|request| match Request::parse(request) {
-        Ok((_, Request::ReadWrite { write, data, .. })) if Some(write) == control => {
-            ControlWord(data.word(0).unwrap()).has(ControlWord::ENABLE)
-        }
-        _ => false,
-    });
-    assert!(set.is_some() && set < enabled, "set by request {set:?}, enabled by {enabled:?}");
 }
 
 #[test]
@@ -672,45 +503,6 @@ fn a_drive_whose_master_dies_trips_and_leaves_its_motor_without_power() {
             assert!(now > last && !status.healthy() && !status.active(), "{via:?}, {watchdog:?}: {status:?}");
             assert_eq!(tap.read(now, Parameter::TRIP), trip, "{via:?}");
         }
-    }
-}
-
-/// 32 of them with a divisor of 8, phases spread, beside 32 LinMots.
-#[test]
-fn unidrives_at_every_eighth_cycle_beside_linmots_in_every_one_lose_nothing() {
-    let linmots = (0..32).map(crate::virtual_time::support::drive).collect();
-    let linudp = LinUdpPlan {
-        name: "linudp".into(),
-        bind: crate::virtual_time::support::MASTER,
-        send: SendMode::Batch,
-        drives: linmots,
-    };
-    let change = |index: usize, drive: &mut Unidrive| {
-        (drive.axis.divisor, drive.axis.phase) = (8, index as u32 % 8);
-        drive.simulate.faults = FaultPlan { answer_ns: 50 * US, ..FaultPlan::default() };
-    };
-    let mut b = Bench::beside(32, VIAS[1], change, |_, _| {}, vec![Box::new(linudp)]);
-    b.ready();
-    for index in 0..32 {
-        let velocity = 1.0 + index as f64 / 8.0;
-        b.sim.axis(index).post(Command::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
-    }
-    b.run(2_000);
-    for index in 0..32 {
-        let turns = 1.0 + index as f64 / 8.0;
-        assert!((b.feedback(index).status.velocity - turns).abs() < 0.1, "{index}: {:?}", b.feedback(index));
-    }
-    b.sim.world().delay_next_wake(3 * MS + 100 * US);
-    b.run(1_000);
-    let end = b.finish();
-    let status = end.status;
-    assert_eq!(status.planned, status.executed + status.skipped);
-    assert!(status.skipped >= 3, "{status:?}");
-    for (index, drive) in end.drives.iter().enumerate() {
-        let c = drive.counters;
-        assert_eq!((c.missed, c.late, c.malformed), (0, 0, 0), "drive {index}: {c:?}");
-        // The end may fall between a request and its reply.
-        assert!(c.sent > 300 && c.sent - c.answered <= 1, "drive {index}: {c:?}");
     }
 }
 

@@ -2,14 +2,6 @@
 
 use super::*;
 
-/// Writes the reference, as another master or a keypad does.
-fn refer(shared: &mut Shared, now: Time, reference: i32) {
-    let mut data = RegistersBuffer::new();
-    data.push_long(reference);
-    let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
-    shared.ask(now, Request::Write { address, data: data.registers() });
-}
-
 /// An exchange that only reads comes after 16 others, and three of those, with a write between two, are proof; in the
 /// direct mapping the values of a report come in turns.
 const BOUND: u64 = 60;
@@ -37,21 +29,6 @@ fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is
 }
 
 #[test]
-fn another_master_that_writes_the_reference_only_is_named_too() {
-    for via in VIAS {
-        let mut b = Bench::enabled(1, via, |_, _| {});
-        b.turning(0, 4.0);
-        b.until("a stop", 4 * BOUND, |b| {
-            let now = b.now();
-            refer(&mut b.tap(0), now, 100);
-            b.feedback(0).stopped.is_some()
-        });
-        assert_eq!(b.feedback(0).stopped, Some(StopCause::OtherMaster), "{via:?}");
-        b.until("standstill", 5_000, |b| b.tap(0).status(b.now()).zero_speed());
-    }
-}
-
-#[test]
 fn a_keypad_and_a_short_loss_of_the_hardware_enable_are_no_other_master() {
     for via in VIAS {
         let mut b = Bench::enabled(1, via, |_, _| {});
@@ -59,7 +36,7 @@ fn a_keypad_and_a_short_loss_of_the_hardware_enable_are_no_other_master() {
         // A key that is held, ten times a second, and once in a while the control word.
         for n in 0..60 {
             let now = b.now();
-            refer(&mut b.tap(0), now, 2_000 + n);
+            b.tap(0).refer(now, 2_000 + n);
             if n % 30 == 7 {
                 b.tap(0).write(now, Parameter::CONTROL_WORD, ControlWord::FORWARD.0 | ControlWord::NOT_STOP);
             }
@@ -77,19 +54,13 @@ fn a_drive_that_a_living_master_commands_is_not_taken_over() {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.start = Start::Running(300.0));
         for reference in 0..2_000 {
             let now = b.now();
-            refer(&mut b.tap(0), now, 3_000 + reference % 100);
+            b.tap(0).refer(now, 3_000 + reference % 100);
             b.run(1);
         }
         assert_eq!(b.feedback(0).link, Link::Online);
         assert_eq!(b.feedback(0).stopped, Some(StopCause::OtherMaster), "{via:?}");
         assert!(b.tap(0).status(b.now()).active(), "{via:?}: it runs on");
-        let writes = |request: &Vec<u8>| matches!(request[7], function::READ_WRITE);
-        let wrote = b
-            .tap(0)
-            .received
-            .iter()
-            .filter(|request| writes(request))
-            .any(|request| request[10..12] != [0, 0]);
-        assert!(!wrote, "{via:?}: nothing was written");
+        let writes = |request: &Vec<u8>| request[7] == function::READ_WRITE && request[10..12] != [0, 0];
+        assert!(!b.tap(0).received.iter().any(writes), "{via:?}: nothing was written");
     }
 }
