@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use fieldbeat::axis::{Call, CallError, CallTicket, Command, EventKind, Health, Link, NativeOwner};
-use fieldbeat::bus::linudp::{MonitorPlan, Native, NativeOutput, ReplyTag};
+use fieldbeat::bus::linudp::{MonitorPlan, Native, NativeOutput};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::MS;
 use fieldbeat_linudp::upid::{Upid, call};
@@ -149,32 +149,6 @@ fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
 }
 
 #[test]
-fn a_tag_in_each_request_and_calls_share_the_channel() {
-    let weather = FaultPlan { seed: 3, drop: 0.05, delay: 0.05, delay_ns: MS, ..FaultPlan::default() };
-    let mut b =
-        patient(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Count).faults(weather)).online();
-    b.write(0, "variable-1", 5).unwrap();
-    let mut good = 0;
-    keep_busy(
-        &mut b,
-        1_000,
-        |_| read(0x1E72),
-        |_, _, end| {
-            assert_eq!(end, Ok(5));
-            good += 1;
-        },
-    );
-    assert!(good > 500, "{good}");
-    // Between calls each request is tagged again.
-    b.run(5);
-    let tape = b.tape(0);
-    let last: Vec<RtcBlock> =
-        tape.received.iter().rev().take(3).filter_map(|received| received.request.config).collect();
-    assert_eq!(last.len(), 3);
-    assert!(last.iter().all(|block| block.code == RtcCommand::NO_OPERATION.0));
-}
-
-#[test]
 fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
     let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 50 * MS).ready();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
@@ -189,14 +163,12 @@ fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
 }
 
 #[test]
-fn monitored_variables_are_in_the_feedback_in_their_units() {
+fn monitored_variables_are_in_the_feedback_in_their_units_or_raw_and_a_refused_one_is_told_of_once() {
     let sources = [Some(Upid(0x1E0E)), None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F))];
+    // One that the drive does not have, one of unknown meaning, and the temperature of the motor.
+    let others = [Some(Upid(0x9999)), Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None];
     let mut b = Rig::new(2)
-        .each(move |index, drive| {
-            if index == 0 {
-                drive.monitor = MonitorPlan::Sources(sources);
-            }
-        })
+        .each(move |index, drive| drive.monitor = MonitorPlan::Sources([sources, others][index]))
         .ready();
     b.done(0, to(10.0));
     b.post(0, slowly_to(190.0));
@@ -208,43 +180,20 @@ fn monitored_variables_are_in_the_feedback_in_their_units() {
         assert_eq!((position, none), (Some(feedback.status.demand), None));
         assert_eq!(temperature, Some(40.0));
         assert_near(velocity.unwrap(), feedback.status.velocity, 0.2);
-        assert_eq!(b.feedback(1).status.monitor, [None; 4]);
+        let shown = [None, Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None];
+        assert_eq!(b.feedback(1).status.monitor, shown);
     }
+    let refused = |kind: &EventKind| match kind {
+        EventKind::MonitorRefused { channel, status } => Some((*channel, *status)),
+        _ => None,
+    };
+    let reported: Vec<_> = b.kinds(1).iter().filter_map(refused).collect();
+    assert_eq!(reported, [(0, Refusal::OutOfRange.code().into())], "once");
     // A drive that was restarted has forgotten, and is told again.
     b.world().restart(address(0));
     b.until("it has forgotten", 200, |b| b.feedback(0).status.monitor == [None; 4]);
     b.until("it is told again", 2_000, |b| b.feedback(0).status.monitor[2] == Some(40.0));
     assert_eq!(b.feedback(0).link, Link::Online);
-}
-
-#[test]
-fn a_variable_of_unknown_meaning_is_shown_raw_and_the_motor_temperature_in_degrees() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.monitor = MonitorPlan::Sources([Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None, None]);
-        })
-        .online();
-    b.until("both are shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
-    b.run(2);
-    assert_eq!(b.feedback(0).status.monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
-}
-
-#[test]
-fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.monitor = MonitorPlan::Sources([Some(Upid(0x9999)), Some(Upid(0x1BCD)), None, None]);
-        })
-        .online();
-    b.until("the other is shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
-    b.run(200);
-    assert_eq!(b.feedback(0).status.monitor[0], None);
-    let refused = |kind: &EventKind| match kind {
-        EventKind::MonitorRefused { channel, status } => Some((*channel, *status)),
-        _ => None,
-    };
-    let reported: Vec<_> = b.kinds(0).iter().filter_map(refused).collect();
-    assert_eq!(reported, [(0, Refusal::OutOfRange.code().into())]);
 }
 
 #[test]

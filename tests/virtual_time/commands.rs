@@ -47,30 +47,6 @@ fn enable_goes_low_then_high_and_home_holds_its_bit() {
 }
 
 #[test]
-fn positions_that_get_another_origin_are_no_motion() {
-    let mut b = Rig::new(1).ready();
-    b.done(0, to(60.0));
-    let slow = |b: &mut Bench, turns: u64| {
-        for _ in 0..turns {
-            b.step();
-            // The drive homes with 100 mm/s.
-            assert!(b.feedback(0).status.velocity.abs() < 110.0, "{:?}", b.feedback(0));
-        }
-    };
-    slow(&mut b, 20);
-    // It restarts, believes that it is at 10 mm, and finds out at its home switch.
-    b.world().restart(address(0));
-    slow(&mut b, 300);
-    assert_near(b.feedback(0).status.position, 10.0, 0.1);
-    for command in [Command::Reset, Command::Enable, Command::Home] {
-        let id = b.post(0, command);
-        slow(&mut b, 1_200);
-        assert_eq!(b.outcome(0, id), Some(Outcome::Done), "{command:?}");
-    }
-    assert_near(b.feedback(0).status.position, 0.0, 0.1);
-}
-
-#[test]
 fn motions_need_operation_and_an_enable() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).online();
     for command in [to(10.0), jog(10.0), Command::Follow, Command::Home] {
@@ -320,12 +296,4 @@ fn an_echo_that_hides_the_stored_count_costs_a_few_cycles_and_no_motion() {
     assert_eq!(b.tape(0).last().demand, Some(70_000));
     let first = b.tape(0).received.iter().find_map(|received| received.request.motion).unwrap();
     assert_eq!(first.header & 0xF, 1, "the count that the drive had stored already");
-}
-
-#[test]
-fn ids_grow_by_one_and_refused_commands_get_none() {
-    let mut b = Rig::new(1).online();
-    let first = b.post(0, Command::Reset).0;
-    assert!(b.sim.axis(0).post(to(f64::NAN)).is_err());
-    assert_eq!(b.post(0, Command::Reset).0, first + 1);
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, State, StopCause, StopThen};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::time::Time;
-use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
+use fieldbeat_linudp::wire::{Request, ResponseDef};
 
 use crate::virtual_time::support::*;
 
@@ -28,71 +28,6 @@ fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
     let state = |received: &Delivery| received.reply.unwrap().state.unwrap().main();
     assert!(state(&tape.received[off - 1]) == MainState::OPERATION_ENABLED, "it was switched on again");
     assert_eq!(state(tape.received.last().unwrap()), MainState::READY_TO_SWITCH_ON);
-}
-
-#[test]
-fn positions_begin_anew_after_a_restart() {
-    // A count that wraps: an axis that turns on and on, one turn of which is a hundred times the range of the counts.
-    let turn = 100.0 * f64::from(u32::MAX) / PER_MM;
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.axis.units.modulo = Some(turn);
-            drive.axis.limits.position = None;
-        })
-        .online();
-    let demand = Arc::new(AtomicU64::new(0));
-    let reported = Arc::clone(&demand);
-    b.tape(0).tamper = Some(Box::new(move |reply| {
-        let mut response = Response::parse(reply).unwrap();
-        if response.status != Some(StatusWord::default()) {
-            response.demand = Some(reported.load(Ordering::Relaxed) as i32);
-        }
-        response.emit(reply);
-    }));
-    for count in (0..=6_u64).map(|n| n << 30) {
-        demand.store(count, Ordering::Relaxed);
-        b.run(2);
-        assert_eq!(b.feedback(0).status.demand, count as f64 / PER_MM);
-    }
-    b.world().restart(address(0));
-    demand.store(3 << 30, Ordering::Relaxed);
-    b.until("the restart", 10, |b| b.kinds(0).contains(&EventKind::Restarted));
-    for _ in 0..1_000 {
-        b.step();
-        assert_eq!(b.feedback(0).status.velocity, 0.0);
-    }
-    let alone = f64::from((3_u64 << 30) as i32) / PER_MM;
-    assert_near(b.feedback(0).status.demand, alone.rem_euclid(turn), 1e-4);
-}
-
-#[test]
-fn a_broken_position_does_not_shift_those_that_follow() {
-    // The top bit of one reply: half of the count's range away, from where the nearest way back may be the wrong one.
-    let mut b = Rig::new(1).ready();
-    b.done(0, to(20.0));
-    for _ in 0..3 {
-        b.tape(0).tamper = Some(Box::new(|reply| reply[19] ^= 0x80));
-        b.step();
-        b.tape(0).tamper = None;
-        b.run(3);
-        assert_eq!(b.feedback(0).status.demand, 20.0);
-    }
-    b.done(0, by(1.0));
-}
-
-#[test]
-fn a_restart_takes_the_control_word_back_even_if_the_axis_was_not_enabled() {
-    // Held after a stop, and reset: in operation, but not enabled by the application.
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).ready();
-    b.tape(0).mute = true;
-    b.stopped(0, 10);
-    b.tape(0).mute = false;
-    b.online().run(50);
-    b.done(0, Command::Reset);
-    b.world().restart(address(0));
-    b.run(200);
-    assert_eq!((b.feedback(0).stopped, b.feedback(0).status.state), (None, State::ReadyToSwitchOn));
-    b.done(0, Command::Enable);
 }
 
 #[test]

@@ -2,8 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::{Command, Outcome, Row, StopCause};
-use fieldbeat::bus::linudp::StreamCommand;
+use fieldbeat::axis::{Command, StopCause};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{Cycle, Guard, Overrun, Wait};
 
@@ -152,20 +151,6 @@ fn hold_ups_in_a_row_add_up_until_a_cycle_is_executed() {
 }
 
 #[test]
-fn the_stop_policy_stops_at_the_first_slot() {
-    let mut b = Rig::new(2).cycle(|cycle| cycle.overrun = Overrun::Stop).ready();
-    b.world().delay_next_wake(200 * US);
-    b.run(10);
-    assert_eq!(b.feedback(0).stopped, None, "late, but not too late to begin");
-    b.world().delay_next_wake(600 * US);
-    b.run(2);
-    assert_eq!(b.status().skipped, 1);
-    for index in 0..2 {
-        assert_eq!(b.feedback(index).stopped, Some(StopCause::Overrun));
-    }
-}
-
-#[test]
 fn there_are_no_bursts_to_catch_up() {
     for seed in 0..4 {
         let mut random = fastrand::Rng::with_seed(seed);
@@ -186,66 +171,6 @@ fn there_are_no_bursts_to_catch_up() {
         assert!(least >= MS / 2 - US, "seed {seed}: {least} ns between two requests");
         // The loop was held up: some came late in their slots, or the bound above proves nothing.
         assert!(least < MS * 9 / 10, "seed {seed}");
-    }
-}
-
-/// The positions of the streamed rows that the drive received, in order.
-fn rows_received(b: &Bench, index: usize) -> Vec<i32> {
-    let mut rows: Vec<(u16, i32)> = Vec::new();
-    for received in &b.tape(index).received {
-        let Some(motion) = received.request.motion else { continue };
-        if StreamCommand::from_id(motion.header >> 4).is_none() {
-            continue;
-        }
-        // The same count is the same row, sent again because its slot had nothing new.
-        if rows.last().is_none_or(|(header, _)| *header != motion.header) {
-            let bytes = motion.parameters[..4].try_into().unwrap();
-            rows.push((motion.header, i32::from_le_bytes(bytes)));
-        }
-    }
-    rows.into_iter().map(|(_, position)| position).collect()
-}
-
-#[test]
-fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
-    for (divisor, seed) in [(1, 1), (1, 2), (4, 1), (4, 2)] {
-        let mut random = fastrand::Rng::with_seed(seed);
-        let mut b = Rig::new(4)
-            .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 1_000 }, 1.0))
-            .each(|index, drive| {
-                (drive.axis.divisor, drive.axis.phase) = (divisor, index as u32 % divisor);
-                drive.simulate.stream_period_ns = u64::from(divisor) * MS;
-                drive.simulate.stream_patience = 100.0;
-            })
-            .ready();
-        const ROWS: i32 = 300;
-        let mut follows = Vec::new();
-        for index in 0..4 {
-            b.done(index, to(50.0));
-            for n in 0..=ROWS {
-                let position = 50.0 + f64::from(n) * 0.01;
-                b.sim.axis(index).push_row(Row { last: n == ROWS, ..row(position) }).unwrap();
-            }
-            b.tape(index).received.clear();
-            follows.push(b.post(index, Command::Follow));
-        }
-        for _ in 0..ROWS * divisor as i32 * 2 {
-            if random.u8(..8) == 0 {
-                b.world().delay_next_wake(random.u64(0..5 * MS));
-            }
-            b.step();
-        }
-        assert!(b.status().skipped > 50);
-        b.assert_grid();
-        for (index, follow) in follows.into_iter().enumerate() {
-            assert_eq!(b.ended(index, follow), Outcome::Done, "divisor {divisor} seed {seed} axis {index}");
-            let expected: Vec<i32> = (0..=ROWS).map(|n| 500_000 + n * 100).collect();
-            let rows = rows_received(&b, index);
-            let (streamed, standing) = rows.split_at(expected.len());
-            assert_eq!(streamed, expected, "divisor {divisor} seed {seed} axis {index}");
-            // Behind the last one some that stand still, so that the drive's delay runs out.
-            assert!(standing.len() >= 3 && standing.iter().all(|row| *row == expected[ROWS as usize]));
-        }
     }
 }
 

@@ -2,14 +2,14 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use fieldbeat::Master;
 use fieldbeat::axis::{
     Abort, Command, CommandId, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause,
     Underrun,
 };
-use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MotionBlock};
-use fieldbeat::sim::{FaultPlan, WorldOptions};
+use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::Time;
-use fieldbeat::{Master, Overrun};
 
 use crate::virtual_time::support::*;
 
@@ -188,36 +188,6 @@ fn a_group_of_the_plan_has_the_full_room_of_a_stream_and_any_other_shares_it() {
     }
 }
 
-#[test]
-fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
-    type Begin = fn(&mut Bench);
-    let stops: [(StopCause, Begin); 2] = [
-        (StopCause::LinkLost, |b| {
-            b.tape(1).mute = true;
-            b.run(2);
-            assert_eq!(b.feedback(1).stopped, None);
-        }),
-        (StopCause::Overrun, |b| b.world().delay_next_wake(2_000_000)),
-    ];
-    for (cause, begin) in stops {
-        let mut b = rig(2)
-            .each(|_, drive| drive.axis.health.bucket = 3)
-            .cycle(|cycle| cycle.overrun = Overrun::Stop)
-            .ready();
-        b.join(&[1, 0]);
-        begin(&mut b);
-        let again = [Command::Reset, Command::Enable].map(|command| b.group().post_all(command).unwrap());
-        b.run(2);
-        assert_eq!(b.feedback(1).stopped, Some(cause));
-        for command in &again {
-            let ended = [1, 0].map(|index| b.outcome(index, command.ids()[1 - index]));
-            let other = if cause == StopCause::LinkLost { StopCause::Group } else { cause };
-            let aborted = [cause, other].map(|cause| Some(Outcome::Aborted(Abort::Stopped(cause))));
-            assert_eq!(ended, aborted);
-        }
-    }
-}
-
 /// An arc around 100 mm, in both axes at once; no position of either comes twice.
 fn circle(step: u32) -> [Row; 2] {
     let angle = 0.3 + f64::from(step) * 0.001;
@@ -345,24 +315,6 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
     b.run(20);
     assert!(rows(&b, 0, from[0]).is_empty() && rows(&b, 1, from[1]).is_empty());
     assert_eq!(b.feedback(1).stopped, Some(StopCause::Limit));
-}
-
-#[test]
-fn an_urgent_command_overtakes_what_waits_for_other_members() {
-    let mut b = joined(2, &[0, 1]);
-    let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
-    let homing = b.group().post_all(Command::Home).unwrap();
-    b.run(100);
-    let from = received(&b, 2);
-    let stop = b.group().post_all(Command::Stop { deceleration: None }).unwrap();
-    assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
-    for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
-        let outcome = b.outcome(index, command.ids()[index]);
-        assert_eq!(outcome, Some(Outcome::Aborted(Abort::Replaced(stop.ids()[index]))));
-    }
-    let sent =
-        [0, 1].map(|index| motions(&b, index, from[index]).iter().find(|(_, id)| *id == 0x0170).unwrap().0);
-    assert_eq!(sent[0], sent[1]);
 }
 
 #[test]
@@ -515,39 +467,6 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
 }
 
 #[test]
-fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
-    for seed in 0..10 {
-        let weather = FaultPlan { drop: 0.05, duplicate: 0.05, ..FaultPlan::default() };
-        let mut b = patient().ready();
-        b.join(&[0, 1]);
-        streaming(&mut b, 900);
-        for index in 0..2 {
-            b.world()
-                .set_faults(address(index), FaultPlan { seed: seed * 2 + index as u64, ..weather.clone() });
-        }
-        b.run(600);
-        // What both drives heard of one step was sent in one slot, whatever the others have lost.
-        let slot_of = |rows: Vec<(Time, i32)>, axis: usize| {
-            let mut slots = std::collections::BTreeMap::new();
-            for (at, position) in rows {
-                slots.entry(step_of(position, axis, 900)).or_insert(at);
-            }
-            slots
-        };
-        let (x, y) = (slot_of(rows(&b, 0, 0), 0), slot_of(rows(&b, 1, 0), 1));
-        let mut compared = 0;
-        for (step, slot) in &x {
-            if let Some(other) = y.get(step) {
-                assert_eq!(slot, other, "seed {seed}, step {step}");
-                compared += 1;
-            }
-        }
-        assert!(compared > 400, "seed {seed}: {compared}");
-        assert!(b.feedback(0).stopped.is_none(), "seed {seed}");
-    }
-}
-
-#[test]
 fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
     let mut b = rig(2)
         .task(|cycle, axes| match cycle.index {
@@ -632,26 +551,6 @@ fn members_never_have_velocities_of_two_sets_however_the_application_and_the_loo
 }
 
 #[test]
-fn a_member_without_a_part_in_the_velocities_keeps_them_from_no_other() {
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[to(50.0), to(50.0)]);
-    let velocity = Command::Velocity { acceleration: 2_000.0 };
-    b.group().post_all(velocity).unwrap();
-    b.group().set_velocities(&[5.0, 5.0]).unwrap();
-    b.run(5);
-    // One of them gets something else.
-    b.group().post(&[Command::Stop { deceleration: None }, velocity]).unwrap();
-    for _ in 0..200 {
-        b.group().set_velocities(&[20.0, 20.0]).unwrap();
-        b.step();
-    }
-    let [x, y] = [0, 1].map(|index| b.feedback(index));
-    assert_eq!((x.stopped, y.stopped), (None, None));
-    assert_near(x.status.velocity, 0.0, 0.1);
-    assert_near(y.status.velocity, 20.0, 1.0);
-}
-
-#[test]
 fn a_stop_is_given_although_the_other_parts_of_its_call_are_refused() {
     let stop = Command::Stop { deceleration: None };
     // Refused by its numbers, and as no command for one member alone.
@@ -719,51 +618,4 @@ fn nothing_is_given_once_the_master_has_ended() {
     drop(b.finish());
     let gone = group.post(&[Command::QuickStop, Command::Home]).unwrap_err();
     assert!(matches!(gone, GroupError::Axis(fieldbeat::axis::AxisError::Gone { .. })), "{gone}");
-}
-
-/// Off, in a group of two.
-fn off() -> Bench {
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[Command::Disable, Command::Disable]);
-    b
-}
-
-#[test]
-fn an_enable_that_fails_at_one_member_leaves_no_other_in_operation() {
-    type Fail = fn(&mut Bench);
-    let ways: [(&str, Fail); 4] = [
-        ("fault", |b| b.tape(1).provoke = Some(ErrorCode(0x0B))),
-        ("link", |b| b.tape(1).mute = true),
-        ("hardware enable", |b| assert!(b.world().inhibit(address(1), 300_000_000))),
-        ("restart", |b| assert!(b.world().restart(address(1)))),
-    ];
-    let mut taken_along = 0;
-    for (way, fail) in ways {
-        for delay in (0..18).step_by(3) {
-            let mut b = off();
-            let enable = b.group().post_all(Command::Enable).unwrap();
-            b.run(delay);
-            fail(&mut b);
-            let ended = b.group_ended(&enable);
-            b.run(60);
-            if ended == [Outcome::Done; 2] && b.feedback(1).stopped.is_none() {
-                assert_eq!(b.feedback(0).stopped, None);
-                continue;
-            }
-            let stopped = [0, 1].map(|index| b.feedback(index).stopped);
-            let none_began = ended.iter().all(|outcome| matches!(outcome, Outcome::Failed(_)));
-            assert!(
-                stopped.iter().all(Option::is_some) || none_began && stopped == [None; 2],
-                "{way} after {delay} cycles: {ended:?} {stopped:?}"
-            );
-            taken_along += u32::from(stopped[0] == Some(StopCause::Group));
-            // Nor is the group movable.
-            let moved = b.group().post_all(jog(20.0)).unwrap();
-            let moved = b.group_ended(&moved);
-            assert!(moved.iter().all(|outcome| matches!(outcome, Outcome::Failed(_))), "{way}: {moved:?}");
-            b.run(300);
-            assert!(!b.feedback(0).status.state.is_powered(), "{way} after {delay} cycles");
-        }
-    }
-    assert!(taken_along > 4, "{taken_along}");
 }

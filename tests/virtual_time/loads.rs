@@ -60,16 +60,6 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
 }
 
 #[test]
-fn a_load_with_a_brake_is_powered_off_at_standstill() {
-    let mut b = vertical(HeldBy::Brake).ready();
-    b.post(0, slowly_to(150.0));
-    b.run(200);
-    b.shut_down(10_000);
-    assert!(!b.feedback(0).status.state.is_powered());
-    assert_never_dropped(&b);
-}
-
-#[test]
 fn the_application_cannot_drop_a_load_in_motion() {
     for held_by in [HeldBy::Brake, HeldBy::Drive] {
         let mut b = vertical(held_by).ready();

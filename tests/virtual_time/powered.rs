@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-use fieldbeat::Overrun;
 use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::{ControlWord, StateVar};
 use fieldbeat::time::MS;
@@ -59,31 +58,6 @@ fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_m
     assert_eq!(stops(&b)[1..], [StopCause::Uncommanded; 3]);
 }
 
-#[test]
-fn what_was_commanded_is_no_motion_without_a_command() {
-    for command in [
-        Command::Stop { deceleration: None },
-        Command::QuickStop,
-        Command::Stop { deceleration: Some(3_000.0) },
-    ] {
-        let mut b = Rig::new(1).ready();
-        // Fast, and with all that an end can leave behind.
-        for target in [150.0, 20.0, 110.0] {
-            b.done(0, to(target));
-        }
-        b.post(0, to(190.0));
-        b.run(50);
-        b.done(0, command);
-        b.run(1_000);
-        b.post(0, jog(50.0));
-        b.run(100);
-        b.done(0, command);
-        b.done(0, Command::Home);
-        b.run(1_000);
-        assert_eq!(stops(&b), [], "{command:?}");
-    }
-}
-
 /// The drive answers, and goes on as if it had not received the stop.
 #[test]
 fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off() {
@@ -115,25 +89,6 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
         b.run(400);
         assert_eq!(b.feedback(0).status.state.is_powered(), powered);
     }
-}
-
-/// The link carries good replies now and then, and the loop executes a slot now and then: nothing is certain any more.
-#[test]
-fn a_link_is_lost_by_time_however_few_slots_were_executed() {
-    let mut b = Rig::new(1)
-        .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 10 }, 1.0))
-        .ready();
-    b.post(0, slowly_to(100.0));
-    b.run(100);
-    b.tape(0).mute = true;
-    // Three misses do not fill the bucket of five.
-    for _ in 0..3 {
-        b.world().delay_next_wake(8 * MS + MS / 2);
-        b.step();
-        assert_eq!(b.feedback(0).stopped, None);
-        b.step();
-    }
-    assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
 }
 
 #[test]

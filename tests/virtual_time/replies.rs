@@ -1,14 +1,12 @@
 //! Which reply answers which request: late, doubled, foreign and broken ones are counted and never matched. What holds
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
-use fastrand::Rng;
 use fieldbeat::axis::Target;
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
-use fieldbeat::sim::{FaultPlan, WorldOptions};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
 use fieldbeat::time::{MS, US};
-use fieldbeat_linudp::upid::call;
-use fieldbeat_linudp::wire::{Request, Response, ResponseDef, RtcCommand};
+use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 
 use crate::virtual_time::support::*;
 
@@ -94,85 +92,6 @@ fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
         }
         let c = counters(b);
         assert_eq!((c.missed, c.late, c.duplicate), (late, late, 0), "{late}: {c:?}");
-    }
-}
-
-#[test]
-fn a_loss_of_long_ago_makes_no_duplicate_late() {
-    let mut b = moving(Rig::new(1));
-    b.tape(0).mute = true;
-    b.run(2);
-    b.tape(0).mute = false;
-    b.run(30);
-    b.world().set_faults(address(0), FaultPlan { duplicate: 1.0, ..FaultPlan::default() });
-    b.run(10);
-    b.world().set_faults(address(0), FaultPlan::default());
-    b.run(10);
-    let c = counters(b);
-    assert_eq!((c.missed, c.late, c.duplicate), (2, 0, 30));
-}
-
-#[test]
-fn with_a_tag_feedback_is_exact_in_any_weather() {
-    for (seed, tag) in (0..4).flat_map(|seed| [(seed, ReplyTag::Count), (seed, ReplyTag::Definition)]) {
-        let weather = FaultPlan {
-            seed,
-            drop: 0.05,
-            duplicate: 0.1,
-            delay: 0.2,
-            delay_ns: 900 * US,
-            // A reply that is held back may come eight exchanges late, and only a count distinguishes that one.
-            reorder: if tag == ReplyTag::Count { 0.05 } else { 0.0 },
-            ..FaultPlan::default()
-        };
-        let rig = Rig::new(1).each(|_, drive| {
-            drive.reply_tag = tag;
-            drive.axis.health.bucket = 10_000;
-        });
-        let mut b = moving(rig);
-        b.world().set_faults(address(0), weather);
-        for _ in 0..2_000 {
-            b.step();
-            b.assert_honest(0);
-        }
-        b.world().set_faults(address(0), FaultPlan::default());
-        b.run(20);
-        let c = counters(b);
-        assert!(c.missed > 100 && c.late > 50 && c.duplicate > 50, "seed {seed}: {c:?}");
-        // In such weather four exchanges in a row are missed now and then.
-        assert!(c.suspect <= if tag == ReplyTag::Count { 0 } else { 200 }, "seed {seed}: {c:?}");
-    }
-}
-
-#[test]
-fn a_copy_that_comes_between_two_windows_is_never_the_newest_reply() {
-    use ReplyTag::{Count, Definition, Off};
-    let modes = [(Definition, MonitorPlan::Off), (Definition, MonitorPlan::AsSet)];
-    let modes = modes.into_iter().chain([(Count, MonitorPlan::Off), (Off, MonitorPlan::Off)]);
-    for (seed, (reply_tag, monitor)) in (0..).zip(modes.cycle().take(12)) {
-        let mut random = Rng::with_seed(seed);
-        let mut b =
-            moving(Rig::new(1).each(|_, drive| (drive.reply_tag, drive.monitor) = (reply_tag, monitor)));
-        let mut copies = 0;
-        for turn in 0..1_000 {
-            // A request of the parameter channel has no count by which its reply is known.
-            if turn % 20 == 0 {
-                drop(b.call(0, call(RtcCommand::READ_RAM, 0x1E72, 0)));
-            }
-            // A network without a fault most of the time: nothing warns of what comes.
-            for _ in 0..if random.u8(..20) == 0 { random.usize(1..6) } else { 0 } {
-                let before = random.usize(1..40);
-                let copied = b.tape(0).received.iter().rev().nth(before).and_then(|received| received.reply);
-                let (mut bytes, at) = ([0; 64], b.grid() + random.u64(600..990) * US);
-                let size = copied.expect("it has answered each request").emit(&mut bytes);
-                b.world().inject(MASTER, address(0), &bytes[..size], at);
-                copies += 1;
-            }
-            b.step();
-            b.assert_honest(0);
-        }
-        let c = counters(b);
-        assert_eq!((c.missed, c.suspect, c.duplicate), (0, 0, copies), "seed {seed}: {c:?}");
     }
 }
 

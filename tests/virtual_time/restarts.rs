@@ -48,7 +48,7 @@ const CALM: Case = Case { ends: None, stopped: None, ..MOVING };
 /// Stopped already, since another axis of the group was.
 const STOPPED: Case = Case { ends: None, stopped: Some(StopCause::Group), ..MOVING };
 
-const CASES: [Case; 23] = [
+const CASES: [Case; 24] = [
     Case {
         name: "unseen",
         lead: |b| {
@@ -172,6 +172,18 @@ const CASES: [Case; 23] = [
             None
         },
         ..STOPPED
+    },
+    Case {
+        // In operation, but not enabled by the application.
+        name: "reset while it holds",
+        plan: |drive| drive.axis.stop.then = StopThen::Hold,
+        lead: |b| {
+            stop(b, 100.0);
+            b.run(100);
+            b.done(0, Command::Reset);
+            None
+        },
+        ..CALM
     },
     Case {
         name: "resetting, before the axis is down",

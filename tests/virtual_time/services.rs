@@ -6,7 +6,6 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use fieldbeat::axis::{Answer, Call, CallError, Command, Health, Link, Series, State, StopCause};
-use fieldbeat::bus::linudp::ErrorCode;
 use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
 use fieldbeat::bus::linudp::service::{CurvePut, Progress, Saved, ServiceError, Services};
@@ -98,21 +97,6 @@ fn the_lists_name_all_parameters_and_those_that_were_changed() {
     let after = self::services(&turning).modified_upids(Upid(0), &mut go_on).unwrap();
     assert_eq!(after.len(), before.len() + 1);
     assert!(after.contains(&(Upid(0x14BE), 123_456)));
-}
-
-#[test]
-fn the_error_log_comes_with_times_and_texts() {
-    let mut b = Rig::new(1).ready();
-    b.tape(0).provoke = Some(ErrorCode::MIN_POSITION);
-    b.until("it is in fault", 2_000, |b| b.feedback(0).status.state == State::Fault);
-    let turning = Turning::new(&mut b, 0);
-    let log = services(&turning).error_log().unwrap();
-    assert_eq!((log.logged, log.occurred, log.entries.len()), (1, 1, 1));
-    let entry = &log.entries[0];
-    assert_eq!((entry.code, entry.hours), (ErrorCode::MIN_POSITION.0, 0));
-    assert!(entry.ms > 0 && entry.text.to_lowercase().contains("min"), "{entry:?}");
-    let unknown = services(&turning).error_text(0x7777).unwrap_err();
-    assert_eq!(unknown.refusal(), Some(Refusal::OutOfRange), "{unknown}");
 }
 
 #[test]
@@ -286,43 +270,6 @@ fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
     b.done(0, Command::Reset);
     b.world().unplug(address(0));
     b.stopped(1, 100);
-}
-
-#[test]
-fn transfers_run_on_several_drives_at_once_beside_parameters() {
-    let mut b = kept(Rig::new(2).faults(FaultPlan { seed: 5, drop: 0.02, ..FaultPlan::default() })).online();
-    // The other drive and this one are asked for parameters all the while.
-    let mut tickets = Vec::new();
-    let turning = Turning::with(&mut b, 0, |b, turn| {
-        if turn % 7 == 0 {
-            let address = b.sim.axis(0).parameter();
-            tickets.push((0, address.post_read::<u32>("0x20A8").unwrap()));
-            let address = b.sim.axis(1).parameter();
-            tickets.push((1, address.post_read::<u32>("0x20A9").unwrap()));
-        }
-        tickets.retain_mut(|(drive, ticket)| match ticket.poll() {
-            Some(value) => {
-                assert_eq!(value, Ok(0x1E0F + *drive), "drive {drive}");
-                false
-            }
-            None => true,
-        });
-    });
-    services(&turning).put_curve(&curve(8, 300), &mut go_on).unwrap();
-    assert_eq!(services(&turning).curve(8, &mut go_on), Ok(Some(curve(8, 300))));
-}
-
-#[test]
-fn an_axis_moves_on_while_a_transfer_runs() {
-    let mut b = Rig::new(1).ready();
-    b.done(0, to(10.0));
-    let motion = b.post(0, slowly_to(190.0));
-    let turning = Turning::new(&mut b, 0);
-    services(&turning).put_curve(&curve(8, 300), &mut go_on).unwrap();
-    drop(turning);
-    assert!(b.feedback(0).status.moving && b.feedback(0).stopped.is_none());
-    assert_eq!(b.outcome(0, motion), None);
-    b.done(0, Command::Stop { deceleration: None });
 }
 
 /// A carrier some of whose calls fail: never sent, or done and their answers lost.

@@ -123,28 +123,6 @@ fn records_that_nobody_takes_cost_detail_and_no_truth() {
 }
 
 #[test]
-fn a_cycle_is_late_by_its_own_threshold_and_an_in_loop_task_by_its_stage() {
-    let mut rig = Rig::new(1).cycle(|cycle| cycle.late_ns = Some(100 * US));
-    rig.options.wake_ns = 0;
-    let world = std::sync::Arc::new(std::sync::Mutex::new(None::<World>));
-    let inside = std::sync::Arc::clone(&world);
-    let rig = rig.task(move |cycle, _| {
-        let ns = match cycle.index {
-            200 => 90 * US,
-            300 => 110 * US,
-            _ => return,
-        };
-        inside.lock().unwrap().as_ref().unwrap().advance(ns);
-    });
-    let mut b = rig.start();
-    *world.lock().unwrap() = Some(b.world());
-    b.run(400);
-    assert_eq!(b.status().late, 1);
-    let peak = b.status().stage_max[Stage::Commands as usize];
-    assert!(peak.index == 300 && peak.ns >= 110 * US, "{peak:?}");
-}
-
-#[test]
 fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     let bus = LinUdpPlan::new([127, 0, 0, 1].into(), (0..3).map(drive).collect());
     let plan = Plan {
@@ -289,26 +267,4 @@ fn commands_and_their_ends_reach_the_telemetry_in_their_order() {
     );
     let expected = ["taken", "begun", "done"].map(|step| format!("1: move {other} {step}"));
     assert_eq!(of("1: "), expected);
-}
-
-#[test]
-fn notes_of_more_commands_than_the_ring_holds_are_counted() {
-    let plan = plan();
-    let world = World::new(drives(), WorldOptions::default()).unwrap();
-    let Assembly { mut engine, mut axes, .. } =
-        assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
-    engine.begin();
-    let mut before = 0;
-    while before == 0 {
-        engine.step();
-        before = engine.status().lost_records;
-    }
-    engine.step();
-    // Nobody takes the records: those of the three drives and of the cycle, and no other.
-    let usual = engine.status().lost_records - before;
-    before += usual;
-    axes[0].post(Command::ResetFault).unwrap();
-    engine.step();
-    // It was taken, and has ended at once: its drive is not online.
-    assert!(engine.status().lost_records >= before + usual + 2, "{usual}");
 }

@@ -1,9 +1,6 @@
-//! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive
-//! does behind everybody's back.
+//! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat.
 
-use fieldbeat::axis::{Abort, Axis, Command, Failure, NativeOwner, Outcome, StopCause};
-use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::{Native, NativeOutput};
+use fieldbeat::axis::{Abort, Command, Failure, Outcome, StopCause};
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;
@@ -115,54 +112,6 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     assert!(!b.feedback(0).status.state.is_powered());
 }
 
-fn native(b: &mut Bench) -> Box<Native> {
-    let axis: &mut Axis = b.sim.axis(0);
-    axis.native::<Native>().expect("a LinUDP drive has its own process data")
-}
-
-fn go(native: &mut Native, position_mm: f64, velocity_mm_s: f64) {
-    let velocity = Velocity::from_mm_per_s(velocity_mm_s).unwrap();
-    let ramp = Acceleration(2_000_000);
-    let motion = MotionCommand::vai_go_to(Position::from_mm(position_mm).unwrap(), velocity, ramp, ramp);
-    native.write(NativeOutput { motion: Some(motion), ..NativeOutput::default() }).unwrap();
-}
-
-#[test]
-fn limits_hold_for_native_process_data_too() {
-    // Too fast; beyond the range, with room to brake; within the limits, up to the very end where it brakes early.
-    for (target, velocity, cause) in [
-        (190.0, 1_500.0, Some(StopCause::Limit)),
-        (204.0, 400.0, Some(StopCause::Limit)),
-        (150.0, 400.0, None),
-    ] {
-        let mut b = Rig::new(1).ready();
-        let mut raw = native(&mut b);
-        b.post(0, Command::Native(NativeOwner::Master));
-        b.run(10);
-        go(&mut raw, target, velocity);
-        b.run(2_000);
-        assert_eq!(b.feedback(0).stopped, cause, "{target} at {velocity}");
-        let (_, high) = b.tape(0).demand.unwrap();
-        assert!(high <= RANGE.1 && (target > 200.0 || high <= target), "it braked at {high}");
-        assert!(velocity > 1_000.0 || high >= target.min(185.0), "it braked at {high}");
-    }
-}
-
-#[test]
-fn room_for_a_stop_is_kept_in_a_full_queue() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.command_queue = 4).ready();
-    let moving = b.post(0, slowly_to(150.0));
-    b.run(50);
-    let queued: Vec<_> = (0..4).map(|_| b.post(0, Command::Home)).collect();
-    let full = b.sim.axis(0).post(Command::Home).unwrap_err().to_string();
-    assert!(full.contains("its queue of 4 is full"), "{full}");
-    let stop = b.post(0, Command::Stop { deceleration: None });
-    assert_eq!(b.ended(0, stop), Outcome::Done);
-    for id in queued.into_iter().chain([moving]) {
-        assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(stop))));
-    }
-}
-
 #[test]
 fn a_velocity_that_is_newer_than_its_jog_counts() {
     let mut b = Rig::new(1).ready();
@@ -195,22 +144,4 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
     assert!(b.tape(0).received.iter().all(|received| {
         received.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
     }));
-}
-
-#[test]
-fn a_command_of_the_task_that_waits_holds_up_no_stop() {
-    let mut b = Rig::new(1)
-        .task(|cycle, axes| {
-            if cycle.index == 3_000 {
-                axes.command(0, to(1.0)).unwrap();
-            }
-        })
-        .ready();
-    b.until("cycle 2990", 3_000, |b| b.status().planned >= 2_990);
-    // Far away, so that homing takes its time; the move of the task waits for it.
-    let homing = b.post(0, Command::Home);
-    b.run(12);
-    let stop = b.post(0, Command::QuickStop);
-    assert_eq!(b.ended(0, stop), Outcome::Done);
-    assert!(matches!(b.outcome(0, homing), Some(Outcome::Aborted(_)) | Some(Outcome::Done)));
 }

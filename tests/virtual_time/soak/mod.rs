@@ -257,42 +257,6 @@ fn axes_that_are_stopped_before_they_move_are_left_as_they_are() {
     }
 }
 
-/// Its end may be an interruption: the test goes on later.
-#[test]
-fn an_axis_that_is_stopped_while_the_test_ends_stays_as_it_is_when_the_test_goes_on() {
-    let text = machine(4, ALONE);
-    let mut test = Test::new(&text, 60 * S);
-    test.run(10 * S);
-    let address = test.machine.plan().buses[0].addresses()[1];
-    assert!(test.machine.world().unplug(address));
-    test.soak.end();
-    assert_eq!(test.run(10 * S), ["axis y: moves no longer: stopped: link lost"]);
-    let ended = test.checkpoint();
-    let mut test = Test::begin(&text, ended);
-    let stays = "axis y: moves no longer, as before the pause: stopped: link lost";
-    assert_eq!(test.run(10 * S), [stays]);
-    let moved: Vec<bool> = test.soak.movers().iter().map(|mover| mover.cycles() > 0).collect();
-    assert_eq!(moved, [true, false, true]);
-}
-
-/// A test may be killed before the others of the group were seen to be stopped.
-#[test]
-fn a_group_of_which_an_axis_was_stopped_before_the_pause_is_not_moved_again() {
-    let grouped = machine(4, ALONE).replace("limits =", "stop.group = \"all\"\nlimits =");
-    let mut before = Progress::new(grouped.clone(), 60 * S);
-    before.begin();
-    before.axes = vec![AxisProgress { moves: true, ..AxisProgress::default() }; 3];
-    before.axes[1].given_up = Some("stopped: link lost".to_owned());
-    let mut test = Test::started(&grouped, before, Some(Start::Running(60.0)));
-    let stopped = |name: &str| format!("axis {name}: moves no longer: its stop group is stopped");
-    let stays = "axis y: moves no longer, as before the pause: stopped: link lost".to_owned();
-    assert_eq!(test.run(20 * S), [stopped("x"), stays, stopped("u")]);
-    assert!(test.soak.movers().iter().all(|mover| mover.cycles() == 0));
-    let (_, judged) = test.finish();
-    let given_up = failed(&judged).into_iter().find(|line| line.starts_with("given_up: 2")).unwrap();
-    assert!(given_up.ends_with("x: its stop group is stopped; u: its stop group is stopped"), "{given_up}");
-}
-
 #[test]
 fn a_lost_drive_is_an_event_that_fails_by_name_and_the_others_go_on() {
     let mut test = Test::new(&machine(4, ALONE), 60 * S);
