@@ -30,10 +30,12 @@ fn a_segment_without_a_drive_is_told_by_its_devices() {
     for line in [
         "bus ethercat: ethercat, 4 devices",
         "  device coupler: eth1, place 0; vendor 0x2, product 0x44C2C52, any revision; 0 bytes out, 0 in",
-        "  device switches: eth1, place 1; vendor 0x2, product 0x3F03052, any revision; 0 bytes out, 1 in (0x1000)",
-        "  device valves: eth1, place 2; vendor 0x2, product 0x7D83052, any revision; 1 byte out (0x0F00), 0 in; its \
-         watchdog is as its SII has it (of most digital terminals 100 ms)",
-        "  device pressure: eth1, place 3; vendor 0x2, product 0xC1E3052, any revision; 0 bytes out, 8 in (0x1180)",
+        "  device switches: eth1, place 1; vendor 0x2, product 0x3F03052, any revision; 0 bytes out, 1 in \
+         (0x1000)",
+        "  device valves: eth1, place 2; vendor 0x2, product 0x7D83052, any revision; 1 byte out (0x0F00), 0 \
+         in; its watchdog is as its SII has it (of most digital terminals 100 ms)",
+        "  device pressure: eth1, place 3; vendor 0x2, product 0xC1E3052, any revision; 0 bytes out, 8 in \
+         (0x1180)",
     ] {
         assert!(reported.iter().any(|other| other == line), "{line}\n{reported:#?}");
     }

@@ -104,8 +104,8 @@ fn mistakes(text: &str) -> Vec<String> {
     }
 }
 
-/// The rows of a table: section and fragment (`;;` is a line end, and goes on with the fragment where it begins a line),
-/// then what is expected, two columns in, its own indentation behind `|`; what is four columns in goes on where the
+/// The rows of a table: section and fragment (`;;` is a line end, and goes on with the fragment where it begins a
+/// line), then what is expected, two columns in, its own indentation behind `|`; what is four columns in goes on where the
 /// line before it ends.
 fn rows(table: &str) -> Vec<(&str, String, Vec<String>)> {
     let mut rows: Vec<(&str, String, Vec<String>)> = Vec::new();
@@ -246,8 +246,8 @@ fn a_plan_as_json_has_every_key() {
     assert_eq!(drives.len(), axes.len());
     let words = describe(&plan).join("\n");
     for (index, (drive, axis)) in drives.iter().zip(&axes).enumerate() {
-        let expected = "address bus divisor drive_watchdog_ns held_by if_master_dies limits load name period_ns phase \
-                        protocol reply_within_ns stop stop_bound_cycles stop_bound_ns stops_with unit";
+        let expected = "address bus divisor drive_watchdog_ns held_by if_master_dies limits load name \
+             period_ns phase protocol reply_within_ns stop stop_bound_cycles stop_bound_ns stops_with unit";
         assert_eq!(keys(drive).join(" "), expected);
         assert_eq!(keys(&drive["stop"]), ["deceleration", "how", "on_timeout", "then", "timeout_ns"]);
         assert_eq!(keys(&drive["limits"]), ["acceleration", "position", "step", "torque", "velocity"]);
@@ -595,7 +595,8 @@ proptest! {
                 prop::sample::select(vec![
                     "", "0", "-1", "1e308", "-1e308", "5e-324", "9223372036854775807", "0xffff_ffff", "nan", "inf",
                     "true",
-                    "[]", "[[]]", "[0, 1]", "[-1e300, 1e300]", "{}", "{ extrapolate = 1 }", "{ velocity = 1e300 }",
+                    "[]", "[[]]", "[0, 1]", "[-1e300, 1e300]", "{}", "{ extrapolate = 1 }", "{ velocity = \
+                         1e300 }",
                     "\"\"", "\"x\"", "\"1ms\"", "\"18446744073s\"", "\"0.0.0.0\"", "\"127.77.0.1:41136\"", "\"off\"",
                     "1979-05-27", "\"\"\"\n\u{1b}[2J\"\"\"", "\"\u{202e}\"",
                 ]),

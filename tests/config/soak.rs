@@ -67,7 +67,8 @@ fn velocities_need_a_dead_man_time_that_outlasts_their_renewals() {
         let key = format!("address = \"127.0.0.20\"\njog_deadman = \"{dead_man}\"");
         machine(soak).replacen("address = \"127.0.0.20\"", &key, 1)
     };
-    let why = "its jog_deadman of 299 ms is too short, since a velocity is renewed each 100 ms: make it 300 ms or more";
+    let why = "its jog_deadman of 299 ms is too short, since a velocity is renewed each 100 ms: make it 300 \
+         ms or more";
     let usual = read_all(&machine("299ms", "")).soak;
     assert_eq!(usual.axes[2].pattern, Pattern::Still(why.into()));
     let given = "[[soak.axis]]\ndrive = \"u\"\nvelocities = [1]";

@@ -122,8 +122,8 @@ fn prometheus_answers_every_query_of_the_dashboard() {
     let config = machine.write(
         "prometheus.yml",
         format!(
-            "global: {{ scrape_interval: 1s }}\nrule_files: [{}]\nscrape_configs:\n  - job_name: fieldbeat\n    \
-             static_configs: [{{ targets: [\"{metrics}\"] }}]\n",
+            "global: {{ scrape_interval: 1s }}\nrule_files: [{}]\nscrape_configs:\n  - job_name: \
+             fieldbeat\n    static_configs: [{{ targets: [\"{metrics}\"] }}]\n",
             checkout("rt-config/grafana/alerts.yml").display()
         ),
     );

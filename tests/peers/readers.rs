@@ -44,10 +44,10 @@ fn distributions(digits: u8, quantity: impl Fn(&Histograms) -> &Quantity) -> (St
     }
     let ours = distribution(quantity(&histograms), Peak { ns: *samples.last().unwrap(), index: 10_006 });
     let script = format!(
-        "const h = require('hdr-histogram-js').build({{ lowestDiscernibleValue: 1, \
-         highestTrackableValue: 60000000, numberOfSignificantValueDigits: {digits}, bitBucketSize: 64 }}); \
-         require('fs').readFileSync(0, 'utf8').trim().split('\\n').forEach((ns) => h.recordValue(Number(ns))); \
-         process.stdout.write(h.outputPercentileDistribution(5, 1000));"
+        "const h = require('hdr-histogram-js').build({{ lowestDiscernibleValue: 1, highestTrackableValue: \
+         60000000, numberOfSignificantValueDigits: {digits}, bitBucketSize: 64 }}); \
+         require('fs').readFileSync(0, 'utf8').trim().split('\\n').forEach((ns) => \
+         h.recordValue(Number(ns))); process.stdout.write(h.outputPercentileDistribution(5, 1000));"
     );
     let lines: String = samples.iter().map(|ns| format!("{ns}\n")).collect();
     let mut node = Command::new("node");
@@ -105,14 +105,12 @@ fn the_parsers_of_prometheus_read_the_metrics() {
     program.end().expect(0);
     let (_, page) = answer.split_once("\r\n\r\n").unwrap();
     // The strict one of OpenMetrics, and that of the older format, which many agents still speak.
-    let script = "import sys\n\
-        from prometheus_client.openmetrics import parser as strict\n\
-        from prometheus_client import parser as old\n\
-        page = sys.stdin.read()\n\
-        for family in strict.text_string_to_metric_families(page):\n\
-        \x20   for sample in family.samples: print(sample.name, sample.labels.get('drive', '-'), family.type)\n\
-        for family in old.text_string_to_metric_families(page):\n\
-        \x20   for sample in family.samples: print('old', sample.name)\n";
+    let script = "import sys\nfrom prometheus_client.openmetrics import parser as strict\nfrom \
+         prometheus_client import parser as old\npage = sys.stdin.read()\nfor family in \
+         strict.text_string_to_metric_families(page):\n\x20   for sample in family.samples: \
+         print(sample.name, sample.labels.get('drive', '-'), family.type)\nfor family in \
+         old.text_string_to_metric_families(page):\n\x20   for sample in family.samples: print('old', \
+         sample.name)\n";
     let python = checkout("target/peers/python/bin/python3");
     let reported = tell(Command::new(python).args(["-c", script]), page);
     for line in [

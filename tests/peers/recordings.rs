@@ -277,7 +277,8 @@ fn compare(found: &Value, expected: &Value) {
 }
 
 #[test]
-#[ignore = "needs node with @mcap/core, @mcap/nodejs and @mcap/support, and python3 with mcap-protobuf-support"]
+#[ignore = "needs node with @mcap/core, @mcap/nodejs and @mcap/support, and python3 with \
+     mcap-protobuf-support"]
 fn the_readers_of_others_find_every_value_of_an_hour() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("hour.mcap");
@@ -406,7 +407,8 @@ fn record_everything(path: &Path) {
 }
 
 #[test]
-#[ignore = "needs node with @mcap/core, @mcap/nodejs and @mcap/support, and python3 with mcap-protobuf-support"]
+#[ignore = "needs node with @mcap/core, @mcap/nodejs and @mcap/support, and python3 with \
+     mcap-protobuf-support"]
 fn the_readers_of_others_find_every_value_of_every_topic() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("all.mcap");

@@ -116,20 +116,19 @@ fn a_user_without_rights_is_told_and_measures_all_the_same_by_keys_that_are_stab
     let mut have: Vec<String> = keys(&report, "").into_iter().map(short).collect();
     have.sort();
     have.dedup();
-    let want = "\
-        counts.bad counts.good counts.poor counts.unknown findings.area findings.fix findings.found findings.name \
-        findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel measured.factors.fix \
-        measured.factors.name measured.factors.p50_ratio measured.factors.p99_ratio measured.factors.with.count \
-        measured.factors.with.max_ns measured.factors.with.p50_ns measured.factors.with.p99_ns \
-        measured.factors.without.count measured.factors.without.max_ns measured.factors.without.p50_ns \
-        measured.factors.without.p99_ns measured.fifo measured.miss_rate measured.noise.gap_ns measured.noise.gaps \
-        measured.noise.longest_ns measured.noise.looked_ns measured.noise.taken_ns measured.period_ns \
-        measured.periods.at_most measured.periods.cycles measured.periods.late measured.periods.late_ns \
-        measured.periods.period_ns measured.periods.share measured.plan.at_most measured.plan.cycles \
-        measured.plan.late measured.plan.late_ns measured.plan.period_ns measured.plan.share \
-        measured.shortest_period_ns measured.steal_ms measured.untried ready subject.config subject.core \
-        subject.late_ns \
-        subject.period_ns subject.priority";
+    let want = "counts.bad counts.good counts.poor counts.unknown findings.area findings.fix findings.found \
+         findings.name findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel \
+         measured.factors.fix measured.factors.name measured.factors.p50_ratio measured.factors.p99_ratio \
+         measured.factors.with.count measured.factors.with.max_ns measured.factors.with.p50_ns \
+         measured.factors.with.p99_ns measured.factors.without.count measured.factors.without.max_ns \
+         measured.factors.without.p50_ns measured.factors.without.p99_ns measured.fifo measured.miss_rate \
+         measured.noise.gap_ns measured.noise.gaps measured.noise.longest_ns measured.noise.looked_ns \
+         measured.noise.taken_ns measured.period_ns measured.periods.at_most measured.periods.cycles \
+         measured.periods.late measured.periods.late_ns measured.periods.period_ns measured.periods.share \
+         measured.plan.at_most measured.plan.cycles measured.plan.late measured.plan.late_ns \
+         measured.plan.period_ns measured.plan.share measured.shortest_period_ns measured.steal_ms \
+         measured.untried ready subject.config subject.core subject.late_ns subject.period_ns \
+         subject.priority";
     let want: Vec<&str> = want.split_whitespace().collect();
     assert_eq!(have, want, "keys are stable: programs read them");
 }

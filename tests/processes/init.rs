@@ -107,8 +107,9 @@ fn several_drives_with_odd_names_pass_check_for_every_protocol() {
 fn a_wrong_answer_is_explained_by_the_reader_and_asked_for_again() {
     let machine = Machine::new(245);
     let file = machine.path("machine.toml");
-    let answers = "7\nlinudp-v2\n300.1.1.1\n127.0.0.1\nmaybe\nno\n1\nx\n192.168.1.10\n127.0.0.10\nrev\n\n4096\n\
-                   -2\n2\n\n3\n1.5\n\nslow\nquick\n\nvertical\n\nbrake\n[9, 1]\n[-3, 12]\naccept\n\n0.5\n";
+    let answers = "7\nlinudp-v2\n300.1.1.1\n127.0.0.1\nmaybe\nno\n1\nx\n192.168.1.10\n\
+         127.0.0.10\nrev\n\n4096\n-2\n2\n\n3\n1.5\n\nslow\nquick\n\nvertical\n\nbrake\n[9, \
+         1]\n[-3, 12]\naccept\n\n0.5\n";
     let ended = init(&file, &[], answers);
     ended.expect(0);
     for part in [
@@ -361,9 +362,9 @@ fn a_terminal_is_listed_and_left_out() {
     let machine = Machine::new(239);
     let interface = format!("local:init-io-{}", std::process::id());
     let segment = format!(
-        "[cycle]\nperiod = \"16ms\"\nrealtime = \"off\"\n[[bus]]\nprotocol = \"ethercat\"\n\
-         interface = \"{interface}\"\n[[bus.device]]\nname = \"io\"\noutputs = {{ start = 0x1000, length = 1 }}\n\
-         [[bus.drive]]\nname = \"x\"\n"
+        "[cycle]\nperiod = \"16ms\"\nrealtime = \"off\"\n[[bus]]\nprotocol = \"ethercat\"\ninterface = \
+         \"{interface}\"\n[[bus.device]]\nname = \"io\"\noutputs = {{ start = 0x1000, length = 1 \
+         }}\n[[bus.drive]]\nname = \"x\"\n"
     );
     let simulated = simulation(&machine.write("segment.toml", segment));
     let file = machine.path("machine.toml");

@@ -195,7 +195,8 @@ fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile(
     for (number, bucket, beside) in [(96, "700ms", false), (97, "10s", true)] {
         let machine = Machine::new(number);
         let defaults = format!(
-            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \"2s\" }}"
+            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \
+             \"2s\" }}"
         );
         let config = machine.config("m.toml", 1, "", &defaults);
         let _sim = simulation(&config);

@@ -106,28 +106,26 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     let quantiles = |of: &str| {
         ["count", "p50", "p90", "p99", "p99_9", "p99_99", "max", "max_cycle"].map(|key| format!("{of}.{key}"))
     };
-    let mut want: Vec<String> = [
-        "cycle cycle.period_ns cycle.planned cycle.executed cycle.skipped cycle.overruns cycle.reference \
-        cycle.reference.bus \
-         cycle.reference.locked cycle.reference.losses cycle.reference.samples cycle.reference.silent \
-         cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns stages_ns \
-         stages_ns.send stages_ns.receive stages_ns.evaluate stages_ns.commands stages_ns.prepare stages_ns.publish \
-         late late.threshold_ns late.count late.causes late.newest black_boxes recordings failures drives drives.name \
-         drives.protocol drives.link drives.not_connected drives.state \
-         drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate drives.rejected \
-         drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns drives.age_cycles \
-         drives.protocol_counters drives.position drives.inhibited drives.stopped drives.fault drives.fault_name \
-         drives.monitor drives.implausible drives.at_end drives.at_end.condition drives.at_end.requested \
-         devices devices.name devices.not_operational devices.protocol_counters buses \
-         buses.name buses.unmatched buses.dropped buses.receive_errors buses.load_percent buses.clock realtime \
-         realtime.policy realtime.priority realtime.core \
+    let mut want: Vec<String> =
+        ["cycle cycle.period_ns cycle.planned cycle.executed cycle.skipped cycle.overruns cycle.reference \
+         cycle.reference.bus cycle.reference.locked cycle.reference.losses cycle.reference.samples \
+         cycle.reference.silent cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns \
+         stages_ns stages_ns.send stages_ns.receive stages_ns.evaluate stages_ns.commands stages_ns.prepare \
+         stages_ns.publish late late.threshold_ns late.count late.causes late.newest black_boxes recordings \
+         failures drives drives.name drives.protocol drives.link drives.not_connected drives.state \
+         drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate \
+         drives.rejected drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns \
+         drives.age_cycles drives.protocol_counters drives.position drives.inhibited drives.stopped \
+         drives.fault drives.fault_name drives.monitor drives.implausible drives.at_end \
+         drives.at_end.condition drives.at_end.requested devices devices.name devices.not_operational \
+         devices.protocol_counters buses buses.name buses.unmatched buses.dropped buses.receive_errors \
+         buses.load_percent buses.clock realtime realtime.policy realtime.priority realtime.core \
          realtime.memory_locked realtime.page_faults realtime.involuntary_switches realtime.telemetry_lost \
-         realtime.events_lost realtime.missing host host.name host.kernel host.preemption host.cpu host.steal_ms \
-         host.taken_ms",
-    ]
-    .iter()
-    .flat_map(|keys| keys.split_whitespace().map(str::to_owned))
-    .collect();
+         realtime.events_lost realtime.missing host host.name host.kernel host.preemption host.cpu \
+         host.steal_ms host.taken_ms"]
+        .iter()
+        .flat_map(|keys| keys.split_whitespace().map(str::to_owned))
+        .collect();
     for of in [
         "wake_ns",
         "jitter_ns",

@@ -31,7 +31,8 @@ fn a_recording_has_every_executed_cycle_and_what_is_native_of_chosen_drives_and_
     // Before anything is sent, and without a file that would be in the way of the next start.
     let wrong = master(&config, &["--record", file, "--record-native", "d0,q"]).end();
     wrong.refused(&[
-        "there is no drive \"q\" whose native process data could be recorded; name all, or some of: d0, d1, d2",
+        "there is no drive \"q\" whose native process data could be recorded; name all, or some of: d0, d1, \
+         d2",
     ]);
     assert!(!path.exists());
     master(&config, &["--record-native", "d0"]).end().refused(&["--record <FILE>"]);

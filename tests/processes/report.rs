@@ -81,7 +81,7 @@ fn a_report_holds_summary_histograms_and_a_page_and_is_compared_with_an_earlier_
     let texts = texts(&read(&place, "index.html"));
     let has = |label: &str| texts.iter().any(|text| text.contains(label));
     let (late, period) = (format!("late limit {}", Ns(carried() / 10)), format!("period {}", Ns(carried())));
-    let (in_cycle, cycles) = (format!("in cycle {max}"), format!("a cycle of {}", Ns(carried())));
+    let (in_cycle, cycles) = (format!("(cycle {max})"), format!("a cycle of {}", Ns(carried())));
     for label in [
         "plain.toml",
         "passed",

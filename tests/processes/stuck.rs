@@ -30,8 +30,8 @@ const UNDER_WAY: &str = "under way";
 /// A machine whose loop is soon stuck, and whose drives go off two seconds after a stop at the latest.
 fn config(machine: &Machine, defaults: &str) -> PathBuf {
     let defaults = format!(
-        "limits = {{ position = [0, 2000] }}\nno_drive_watchdog = \"accept\"\nleash = 20\njog_deadman = \"30s\"\n\
-         stop.timeout = \"2s\"\n{defaults}"
+        "limits = {{ position = [0, 2000] }}\nno_drive_watchdog = \"accept\"\nleash = 20\njog_deadman = \
+         \"30s\"\nstop.timeout = \"2s\"\n{defaults}"
     );
     machine.config("m.toml", 2, "watch_after = \"300ms\"", &defaults)
 }

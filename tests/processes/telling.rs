@@ -392,9 +392,9 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
     let config = machine.write(
         "m.toml",
         format!(
-            "{}[[bus]]\nprotocol = \"modbus-tcp\"\n\
-             [[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\n\
-             watchdog.timeout = \"10s\"\nreply_within = \"5s\"\n",
+            "{}[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u1\"\naddress = \
+             \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\nwatchdog.timeout = \
+             \"10s\"\nreply_within = \"5s\"\n",
             patient_cycle()
         ),
     );

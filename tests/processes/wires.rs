@@ -217,15 +217,14 @@ pub fn moons(machine: &Machine) -> PathBuf {
     machine.write(
         "moons.toml",
         format!(
-            "{}[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{bind}\"\n\
-             [bus.defaults]\nunits = \"mm\"\nscale = 0.01\ndivisor = 4\n\
-             fresh_within = \"400ms\"\nfirst_within = \"20s\"\n{}\n\
-             effect_within = \"5s\"\nlimits = {{ position = [-100, 2000], velocity = 500, acceleration = 5000 }}\n\
-             stop.deceleration = 500\njog_deadman = \"off\"\nsetpoint_age = 4000\n\
-             homing = {{ method = \"seek\", input = \"2L\", velocity = 100, acceleration = 1000, distance = -50 }}\n\
-             [[bus.drive]]\nname = \"feeder\"\naddress = \"{feeder}\"\nsimulate = {{ zs = \"5s\" }}\n\
-             [[bus.drive]]\nname = \"turret\"\naddress = \"{turret}\"\nencoder = true\nphase = 2\n\
-             explicit = \"connected\"\nsimulate = {{ model = \"SSDC\", zs = \"5s\" }}\n",
+            "{}[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{bind}\"\n[bus.defaults]\nunits = \"mm\"\nscale \
+             = 0.01\ndivisor = 4\nfresh_within = \"400ms\"\nfirst_within = \"20s\"\n{}\neffect_within = \
+             \"5s\"\nlimits = {{ position = [-100, 2000], velocity = 500, acceleration = 5000 \
+             }}\nstop.deceleration = 500\njog_deadman = \"off\"\nsetpoint_age = 4000\nhoming = {{ method = \
+             \"seek\", input = \"2L\", velocity = 100, acceleration = 1000, distance = -50 \
+             }}\n[[bus.drive]]\nname = \"feeder\"\naddress = \"{feeder}\"\nsimulate = {{ zs = \"5s\" \
+             }}\n[[bus.drive]]\nname = \"turret\"\naddress = \"{turret}\"\nencoder = true\nphase = \
+             2\nexplicit = \"connected\"\nsimulate = {{ model = \"SSDC\", zs = \"5s\" }}\n",
             patient_cycle(),
             Machine::LOST_SOON
         ),

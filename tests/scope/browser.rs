@@ -112,14 +112,15 @@ fn the_page_draws_triggers_measures_and_attaches_again() {
     assert_eq!(browser.ask("eval document.querySelectorAll('#axes tbody tr').length"), 3);
     browser.wait("document.querySelector('#axes td.state').textContent.length > 3");
     // Each cycle once, in its order; what is left out is what the loop skipped.
-    let disorder = "(() => { let disorder = 0; for (let i = scope.store.oldest + 1; i < scope.store.written; i++) \
-                    disorder += scope.store.cycle(i) <= scope.store.cycle(i - 1); return disorder; })()";
+    let disorder = "(() => { let disorder = 0; for (let i = scope.store.oldest + 1; i < scope.store.written; \
+         i++) disorder += scope.store.cycle(i) <= scope.store.cycle(i - 1); return disorder; })()";
     assert_eq!(browser.number(disorder), 0.0);
 
     // It triggers on an edge of the loop's wake-up latency, with a quarter of the window before it.
     let level = browser.number(
-        "(() => { const id = 0; const of = []; for (let i = scope.store.oldest; i < scope.store.written; i++) \
-         of.push(scope.store.max(id, i)); return of.sort((a, b) => a - b)[Math.floor(of.length / 2)]; })()",
+        "(() => { const id = 0; const of = []; for (let i = scope.store.oldest; i < scope.store.written; \
+         i++) of.push(scope.store.max(id, i)); return of.sort((a, b) => a - b)[Math.floor(of.length / 2)]; \
+         })()",
     );
     for step in ["set #window 0.2", "set #source 0", "set #edge rising", "set #pre 0.25", "set #mode normal"]
     {
@@ -280,9 +281,9 @@ fn lost_frames_and_late_cycles_are_shown() {
     assert_eq!(browser.ask("eval document.querySelector('#lost').hidden"), true);
     // All signals, and nobody who reads them.
     browser.ask(
-        "eval (scope.machine.signals.forEach((_, id) => id % 8 || scope.addPlot( \
-             [0, 1, 2, 3, 4, 5, 6, 7].map((more) => id + more).filter((id) => scope.machine.signals[id]?.name))), \
-             scope.changed(), true)",
+        "eval (scope.machine.signals.forEach((_, id) => id % 8 || scope.addPlot( [0, 1, 2, 3, 4, 5, 6, \
+         7].map((more) => id + more).filter((id) => scope.machine.signals[id]?.name))), scope.changed(), \
+         true)",
     );
     let lost = "document.querySelector('#lost')";
     let is_lost = [5, 10, 20, 40].into_iter().any(|seconds| {

@@ -20,13 +20,12 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::Health;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::config::Configuration;
 use fieldbeat::doctor::glance;
 use fieldbeat::sim::Simulated;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::time::{MS, S};
+use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Overrun, Plan, Realtime};
 
 /// Nothing takes this long, however busy the machine; whatever does is killed, and its test fails.
@@ -49,13 +48,8 @@ pub fn period() -> String {
     format!("{}ms", carried() / MS)
 }
 
-/// Link health of a drive that no busy host loses, in cycles of [`carried`] and with an exchange in each: ten seconds
-/// in which more replies are missed than come.
-pub fn patient() -> Health {
-    Health { bucket: (10 * S / carried()) as u32, leak: 1, ..Health::default() }
-}
-
-/// A machine of this bus whose loop skips whatever a busy host takes from it; of the cycle it takes what is not said here.
+/// A machine of this bus whose loop skips whatever a busy host takes from it; of the cycle it takes what is not said
+/// here.
 pub fn skipping(bus: impl BusPlan + 'static, cycle: CyclePlan) -> Plan {
     let cycle = CyclePlan { overrun: Overrun::Skip { max_skip: u64::MAX }, max_skip_rate: 1.0, ..cycle };
     Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() }

@@ -223,8 +223,8 @@ fn tshark_finds_nothing_wrong_with_ethernet_ip() {
         &file,
         &format!(
             // What a busy host answers late is sent again.
-            "(tcp.len > 0 && !enip && !tcp.analysis.retransmission) || (udp.port == {IO} && !cipio) || _ws.malformed \
-             || (enip && _ws.expert.severity >= \"Warning\")"
+            "(tcp.len > 0 && !enip && !tcp.analysis.retransmission) || (udp.port == {IO} && !cipio) || \
+             _ws.malformed || (enip && _ws.expert.severity >= \"Warning\")"
         ),
         &[],
         &["frame.number", "_ws.col.Protocol", "_ws.col.Info", "_ws.expert.message"],

@@ -7,7 +7,7 @@ use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat_ethercat::wire::frame::{Command, position};
-use fieldbeat_ethercat::wire::registers::{AlState, address};
+use fieldbeat_ethercat::wire::registers::{AlState, Fmmu, address};
 
 use super::drives::left;
 use super::{LINE, Machine, UP, drive, jog, pass};
@@ -60,6 +60,17 @@ impl Left {
             self.write(place, address::STATION, &(0x1000 + place).to_le_bytes());
             self.write(place, address::SII_OWNER, &[1]);
         }
+    }
+
+    /// The slave there has another time, SYNC0 of another period, and an FMMU more.
+    fn set_otherwise(&mut self, place: u16, offset: u64, period_ns: u64) {
+        self.write(place, address::DC_ACTIVATION, &[0]);
+        self.write(place, address::DC_OFFSET, &offset.to_le_bytes());
+        self.write(place, address::DC_CYCLE, &period_ns.to_le_bytes());
+        let start = self.segment.slave(place.into()).unwrap().system_time(self.now) + 10 * period_ns;
+        self.write(place, address::DC_START, &start.to_le_bytes());
+        self.write(place, address::DC_ACTIVATION, &[3]);
+        self.write(place, address::fmmu(5), &Fmmu::bytes(0, 64, 0x1100, false).to_bytes());
     }
 }
 
@@ -173,6 +184,22 @@ fn drives_left_in_op_are_online_in_the_time_of_a_fresh_segment_wherever_their_sy
                 );
             }
         }
+    }
+}
+
+#[test]
+fn clocks_of_any_time_and_period_that_are_left_hold_up_nobody() {
+    let segment = segment(Watchdog::Off, 1_024, 30.0);
+    let fresh = Machine::new(segment.clone()).cycles_to_online();
+    for (offset, period_ns) in [(7, 250 * US), (1 << 62, 2 * MS), (u64::MAX / 3, 777_777)] {
+        let first = Machine::turning(&segment, &[]);
+        let mut machine = first.left_for(&segment.plan, S, |left| {
+            left.numbered_otherwise();
+            (0..3)
+                .for_each(|place| left.set_otherwise(place, offset * (1 + u64::from(place) % 2), period_ns));
+        });
+        let cycles = machine.cycles_undisturbed(&[]);
+        assert!(cycles <= fresh + UNPOWERED, "{offset}: {cycles} cycles, and {fresh} of a fresh segment");
     }
 }
 

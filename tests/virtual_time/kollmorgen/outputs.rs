@@ -11,10 +11,10 @@ const TARGET: Object = Object::new(0x607A, 0);
 /// A drive with these outputs and keys that stands at 3 turns.
 fn machine(outputs: &str, keys: &str) -> Machine {
     let mut machine = machine_of(&format!(
-        "[[bus.drive]]\nname = \"k\"\ntype = \"akd\"\nwatchdog = \"100ms\"\npdo.outputs = [{outputs}]\n\
-         pdo.inputs = [\"0x6041:0\", \"0x6064:0\"]\nlimits = {{ velocity = 50, acceleration = 500 }}\n\
-         profile = {{ velocity = 2, acceleration = 20, deceleration = 20 }}\n\
-         stop = {{ how = \"ramp\", deceleration = 100 }}\njog_deadman = \"off\"\nsimulate.start = 3.0\n{keys}\n"
+        "[[bus.drive]]\nname = \"k\"\ntype = \"akd\"\nwatchdog = \"100ms\"\npdo.outputs = \
+         [{outputs}]\npdo.inputs = [\"0x6041:0\", \"0x6064:0\"]\nlimits = {{ velocity = 50, acceleration = \
+         500 }}\nprofile = {{ velocity = 2, acceleration = 20, deceleration = 20 }}\nstop = {{ how = \
+         \"ramp\", deceleration = 100 }}\njog_deadman = \"off\"\nsimulate.start = 3.0\n{keys}\n"
     ));
     machine.online();
     machine

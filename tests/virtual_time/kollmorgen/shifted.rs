@@ -2,10 +2,12 @@
 //! at any time. Whatever comes of it, an axis moves its own drive, or none.
 
 use fieldbeat::CyclePlan;
-use fieldbeat::axis::{Command, Link};
+use fieldbeat::axis::{Command, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
+use fieldbeat_ethercat::wire::frame::{Command as Frame, position};
+use fieldbeat_ethercat::wire::registers::address;
 
 use super::{LINE, Machine, drive, jog, plan};
 
@@ -126,4 +128,29 @@ fn a_drive_that_is_absent_for_one_frame_while_it_is_set_up_gives_its_axis_no_oth
             machine.done(axis, Command::Disable);
         }
     }
+}
+
+/// A slave behind the configured ones, with the address that an earlier master has left, moves up to the place of one
+/// that is taken out.
+#[test]
+fn a_drive_that_is_taken_out_is_no_sign_of_another_master_whoever_stands_in_its_place() {
+    let mut whole = plan(DRIVES as u16);
+    let segment = SimPlan::from(EthercatSegment::from(&whole)).build();
+    whole.drives.truncate(AXES);
+    let mut machine = Machine::on(Box::new(whole), segment, CyclePlan::default(), WorldOptions::default());
+    machine.pass(Frame::Apwr(position(AXES as u16), address::STATION), &[0x34, 0x12]);
+    machine.online();
+    machine.each(Command::Enable);
+    machine.post(0, jog(1.0));
+    machine.run(300);
+    machine.look(|line| line.deafen(AXES - 1, true));
+    machine.run(1_000);
+    assert_eq!([0, 1].map(|axis| machine.feedback(axis).stopped), [None; 2]);
+    assert_eq!(machine.feedback(AXES - 1).stopped, Some(StopCause::LinkLost));
+    machine.assert_turns(0, 1.0);
+    machine.look(|line| line.deafen(AXES - 1, false));
+    machine.online();
+    let remarks = machine.sim.remarks();
+    assert!(!remarks.iter().any(|remark| remark.contains("another master")), "{remarks:?}");
+    machine.recover(AXES - 1);
 }

@@ -120,8 +120,8 @@ fn process_data_that_the_sii_has_otherwise_are_named_with_both_values() {
     for (plan, why) in [
         (
             with(vec![area(0x0F00, 2)], inputs()),
-            "its SII has 1 bytes of outputs at 0x0f00, and the configuration 2: correct the configuration, or use \
-             check_sii = false",
+            "its SII has 1 bytes of outputs at 0x0f00, and the configuration 2: correct the configuration, \
+             or use check_sii = false",
         ),
         (
             with(vec![area(0x0F00, 1)], inputs()),
@@ -129,7 +129,8 @@ fn process_data_that_the_sii_has_otherwise_are_named_with_both_values() {
         ),
         (
             with(vec![area(0x0F00, 1), area(0x0F04, 1)], inputs()),
-            "its SII has outputs at 0x0f01, 1 bytes, and the configuration at 0x0f04: correct the configuration",
+            "its SII has outputs at 0x0f01, 1 bytes, and the configuration at 0x0f04: correct the \
+             configuration",
         ),
         (
             with(vec![area(0x0F00, 1), area(0x0F01, 1)], vec![area(0x1000, 2), area(0x1100, 1)]),

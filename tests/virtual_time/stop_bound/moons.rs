@@ -64,8 +64,8 @@ fn a_stop_leaves_within_its_bound_in_every_phase_of_a_held_command() {
             for (index, cycles) in stops.into_iter().enumerate() {
                 assert!(
                     cycles <= bound,
-                    "{divisors:?}, bucket {bucket}, {after} cycles after the command: drive {index} was told after \
-                     {cycles} cycles, not {bound}"
+                    "{divisors:?}, bucket {bucket}, {after} cycles after the command: drive {index} was told \
+                     after {cycles} cycles, not {bound}"
                 );
                 longest = longest.max(cycles);
             }

@@ -425,8 +425,8 @@ fn nothing_runs_longer_than_a_run_key_is_held() {
 #[test]
 fn a_long_answer_has_two_lines() {
     let mut panel = panel(&["x"], false);
-    let why = "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a \
-               leash";
+    let why = "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" \
+         and a leash";
     panel.facts[0].lacks.jog = Some(why.to_owned());
     assert!(!runs(&mut panel, KeyCode::Right, true));
     let words = |text: &str| text.split_whitespace().collect::<String>();

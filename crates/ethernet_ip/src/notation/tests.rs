@@ -26,8 +26,8 @@ fn addresses_are_what_they_say_and_the_list_has_all_of_them() {
     ] {
         assert_eq!(target(text), Some(expected), "{text}");
     }
-    let none = " ac XX IV SC.flash R: R:Z R:33 SCL: SCL:XX SCL:VE/1 SCL:RX SCL:MO/13 output:0 output:129 output:+1 \
-                0x01/1 0x01/1/7/1 0x01/1/7.u17 0x800/1/1 1/0x400/1 +1/1/1 0x/1/1";
+    let none = " ac XX IV SC.flash R: R:Z R:33 SCL: SCL:XX SCL:VE/1 SCL:RX SCL:MO/13 output:0 output:129 \
+         output:+1 0x01/1 0x01/1/7/1 0x01/1/7.u17 0x800/1/1 1/0x400/1 +1/1/1 0x/1/1";
     for text in none.split(' ') {
         assert_eq!(target(text), None, "{text}");
         assert!(matches!(Addresses.read(text), Err(NotationError::Address { .. })), "{text}");

@@ -110,8 +110,8 @@ fn a_time_out_is_long_enough_for_a_stop_and_at_least_100_ms_or_a_fault_that_name
     }
     let mut drive = drive();
     drive.multiplier = Some(1);
-    let why = "ends the connection after 80 ms, before the stop request that follows a loss within 90 ms; use 16 or \
-        more";
+    let why = "ends the connection after 80 ms, before the stop request that follows a loss within 90 ms; \
+         use 16 or more";
     assert_eq!(drive.faults(10 * MS), [PlanFault::new("timeout_multiplier", why)]);
     drive.multiplier = Some(2);
     assert_eq!(keys(&drive), [""; 0]);
@@ -187,12 +187,12 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
     let lines: Vec<&str> = says.lines().collect();
     assert_eq!(lines[0], "192.168.1.1:2222 -> 192.168.1.40:44818");
     for part in [
-        "a packet to it every 10 ms, times out after 160 ms; one from it every 10 ms (to this master only), times \
-         out after 160 ms (timeout_multiplier = 16); the first one within 1 s",
+        "a packet to it every 10 ms, times out after 160 ms; one from it every 10 ms (to this master only), \
+         times out after 160 ms (timeout_multiplier = 16); the first one within 1 s",
         "two commands, and two velocities, are 40 ms apart at least",
         "if the master dies: the drive begins to stop within 500 ms by its own watchdog (ZS, ZA), taken on \
-         trust: no message of the manual reads them; ZA must leave it enabled, 13 or 14, since only the drive holds \
-         its load",
+         trust: no message of the manual reads them; ZA must leave it enabled, 13 or 14, since only the \
+         drive holds its load",
     ] {
         assert!(says.contains(part), "{part}\n{says}");
     }

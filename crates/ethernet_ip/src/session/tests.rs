@@ -65,8 +65,8 @@ const SECOND: &str = "8E 00 00 00 00 FB 00 00 41 B0 00 01 03 4A";
 const FIRST: &str = "8E 00 00 00 00 75 00 07 41 5F 00 01 03 4A";
 /// The golden opening of the sheet, which tshark decodes without complaint.
 /// Serial 1, T->O id 0x00010001, 10 ms, 16 intervals.
-const OPEN: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 01 00 01 00 01 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 46 \
-                    48 10 27 00 00 3A 48 01 04 20 04 24 66 2C 70 2C 65";
+const OPEN: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 01 00 01 00 01 00 34 12 EE FF C0 00 02 00 00 00 10 \
+     27 00 00 46 48 10 27 00 00 3A 48 01 04 20 04 24 66 2C 70 2C 65";
 const OPENED: &str =
     "D4 00 00 00 13 00 01 5A 01 00 01 00 01 00 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00";
 const CLOSE: &str = "4E 02 20 06 24 01 0A 0E 01 00 34 12 EE FF C0 00 04 00 20 04 24 66 2C 70 2C 65";

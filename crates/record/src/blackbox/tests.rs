@@ -162,8 +162,8 @@ fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
     ];
     let [frozen, panicked] = &black_box.write(true)[..] else { panic!() };
     assert!(frozen.fails_run && panicked.fails_run);
-    let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, cycle \
-                1)";
+    let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, \
+         cycle 1)";
     assert_eq!(frozen.to_string(), line);
     assert!(panicked.to_string().contains("its writer panicked"), "{panicked}");
     drop(release);

@@ -590,8 +590,8 @@ fn a_recording_that_was_too_slow_fails_the_run_in_one_line() {
     let [recorded] = &measured.recordings[..] else { panic!("{:?}", measured.recordings) };
     assert_eq!((recorded.messages, recorded.lost), (3, records.len() as u64 - 3));
     let what = format!(
-        "recording {} is not complete: records are missing, since its disk or this host was too slow; record to \
-         another disk, or with a longer period",
+        "recording {} is not complete: records are missing, since its disk or this host was too slow; record \
+         to another disk, or with a longer period",
         path.display()
     );
     assert_eq!(measured.failures, [Failure::of_run(what)]);

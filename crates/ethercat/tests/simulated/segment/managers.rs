@@ -86,8 +86,9 @@ fn a_refusal_names_the_watchdog_where_it_changes_the_control_byte() {
     }
     assert_eq!(
         refused(0x64, Watchdog::Off, 0x1D).text(0).unwrap(),
-        "place 0: it refuses SAFEOP: AL status code 0x001d (invalid output configuration); probably for watchdog, \
-         which makes the control byte of its outputs 0x24 where its SII has 0x64: leave watchdog out"
+        "place 0: it refuses SAFEOP: AL status code 0x001d (invalid output configuration); probably for \
+         watchdog, which makes the control byte of its outputs 0x24 where its SII has 0x64: leave watchdog \
+         out"
     );
     let other = AlCode(0x1E);
     assert_eq!(refused(0x24, Watchdog::After(100 * MS), other.0), Note::State { to, code: other });

@@ -10,8 +10,8 @@ const READ: &str = "3C 03 20 64 24 01 30 01 00 02 84 1E 00 00 00 00";
 const READ_REPLY: &str = "BC 00 00 00 00 02 84 1E 02 58 00 00";
 const WRITE: &str = "3C 03 20 64 24 01 30 01 00 02 83 1E 02 58 00 00";
 /// Of class 3, with serial number 2: as tshark decodes it without complaint, like READ on it.
-const CONNECT: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 \
-                       F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
+const CONNECT: &str = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 \
+     40 42 0F 00 F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
 const CONNECTED: &str =
     "D4 00 00 00 14 00 01 5A 02 00 01 00 02 00 34 12 EE FF C0 00 40 42 0F 00 40 42 0F 00 00 00";
 const DISCONNECT: &str = "4E 02 20 06 24 01 0A 0E 02 00 34 12 EE FF C0 00 02 00 20 02 24 01";

@@ -153,8 +153,8 @@ fn the_form_that_a_drive_takes_is_kept() {
     // The large form, where there is no small one.
     let mut bench = Bench::opening();
     bench.answer(&refused(1, "08 00"));
-    let large = "5B 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 46 00 \
-                 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
+    let large = "5B 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 02 00 00 00 10 27 \
+         00 00 46 00 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
     bench.trade(large, &opened(2).replace("D4 00", "DB 00"));
     assert!(matches!(bench.news()[..], [_, News::Opened(_)]));
 }

@@ -6,9 +6,9 @@ use super::*;
 use crate::Layout;
 
 /// tshark: enabled and in position, 24.2 V, 1.501 A, 30.5 °C, -838, 404167, error 12, 2 rev/s, inputs 1 ... 8 open.
-const INCOMING: &str = "02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 3A 00 01 00 | 09 00 00 00 00 00 00 00 F2 00 00 \
-    00 DD 05 00 00 31 01 00 00 BA FC FF FF C7 2A 06 00 0C 00 00 00 E0 01 00 00 00 00 00 00 FF 00 00 00 00 00 00 00 00 \
-    00 00 00 00 00 00 00";
+const INCOMING: &str = "02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 3A 00 01 00 | 09 00 00 00 00 00 00 \
+     00 F2 00 00 00 DD 05 00 00 31 01 00 00 BA FC FF FF C7 2A 06 00 0C 00 00 00 E0 01 00 00 00 00 00 00 FF \
+     00 00 00 00 00 00 00 00 00 00 00 00 00 00 00";
 
 #[test]
 fn tshark_first_packet_of_an_owner_enables_and_heartbeats_show_no_outputs() {
@@ -60,8 +60,8 @@ fn outputs_are_where_the_manual_has_them() {
         register_2: 7,
     };
     let golden = hex(
-        "00 00 04 00 FF FF FF FF 02 00 00 00 03 00 00 00 B0 04 00 00 58 02 00 00 59 02 00 00 C0 63 FF FF 30 F8 FF FF \
-         4F 53 00 00 B2 4C 00 00 07 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
+        "00 00 04 00 FF FF FF FF 02 00 00 00 03 00 00 00 B0 04 00 00 58 02 00 00 59 02 00 00 C0 63 FF FF 30 \
+         F8 FF FF 4F 53 00 00 B2 4C 00 00 07 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00 00",
     );
     assert_eq!(outputs.bytes()[..], golden);
     let mut packet = Outgoing::owner(1);

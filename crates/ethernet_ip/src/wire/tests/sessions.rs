@@ -162,8 +162,8 @@ fn opener_list_identity() {
     let request = with(|out| encapsulation::list_identity(out, 500));
     assert_eq!(request, hex("63 00 00 00 00 00 00 00 00 00 00 00 F4 01 00 00 00 00 00 00 00 00 00 00"));
     let mut golden = hex(
-        "01 00 0C 00 2B 00 01 00 | 00 02 AF 12 AC 1C 01 03 00 00 00 00 00 00 00 00 | 01 00 0C 00 E9 FD 02 03 60 00 \
-         15 CD 5B 07 09",
+        "01 00 0C 00 2B 00 01 00 | 00 02 AF 12 AC 1C 01 03 00 00 00 00 00 00 00 00 | 01 00 0C 00 E9 FD 02 03 \
+         60 00 15 CD 5B 07 09",
     );
     golden.extend(b"OpENer PC\0");
     let identity = Identity {

@@ -37,8 +37,8 @@ fn the_sheets_owner_opens_enables_and_closes() {
     assert_eq!(bench.message(&hex(close)), hex("CE 00 00 00 01 00 34 12 EE FF C0 00 00 00"));
     assert_eq!(bench.sim.connections(), (1, 0));
     // The large form.
-    let open = "5B 02 20 06 24 01 0A 0E 00 00 00 00 03 00 01 00 09 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 00 \
-                46 00 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
+    let open = "5B 02 20 06 24 01 0A 0E 00 00 00 00 03 00 01 00 09 00 34 12 EE FF C0 00 02 00 00 00 10 27 00 \
+         00 46 00 00 48 10 27 00 00 3A 00 00 48 01 04 20 04 24 66 2C 70 2C 65";
     let opened = "DB 00 00 00 13 00 01 5A 03 00 01 00 09 00 34 12 EE FF C0 00 10 27 00 00 10 27 00 00 00 00";
     assert_eq!(Bench::new(|_| {}).message(&hex(open)), hex(opened));
 }
@@ -61,9 +61,8 @@ fn the_inputs_are_those_of_the_sheet_and_of_the_manuals_example() {
     produce::header(0x0001_0001, 1, 1, 58, &mut packet);
     report.append(INPUT_V2, *DRIVE.ip(), &FirmwareSettings::default(), &mut packet);
     let mut expected = hex(
-        "02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 3A 00 01 00 | 09 00 00 00 00 00 00 00 \
-                            F2 00 00 00 DD 05 00 00 31 01 00 00 BA FC FF FF C7 2A 06 00 0C 00 00 00 E0 01 00 00 \
-                            00 00 00 00 FF 00 00 00",
+        "02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 3A 00 01 00 | 09 00 00 00 00 00 00 00 F2 00 00 00 \
+         DD 05 00 00 31 01 00 00 BA FC FF FF C7 2A 06 00 0C 00 00 00 E0 01 00 00 00 00 00 00 FF 00 00 00",
     );
     expected.resize(expected.len() + 12, 0);
     assert_eq!(packet, expected);
@@ -88,8 +87,8 @@ fn the_inputs_are_those_of_the_sheet_and_of_the_manuals_example() {
 fn a_position_is_read_on_a_class_3_connection() {
     let mut bench = Bench::new(|_| {});
     bench.raw(MASTER, &hex(OPEN));
-    let open = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F 00 F4 43 \
-                40 42 0F 00 F4 43 A3 02 20 02 24 01";
+    let open = "54 02 20 06 24 01 0A 0E 00 00 00 00 02 00 01 00 02 00 34 12 EE FF C0 00 03 00 00 00 40 42 0F \
+         00 F4 43 40 42 0F 00 F4 43 A3 02 20 02 24 01";
     let reply = bench.message(&hex(open));
     let opened = "D4 00 00 00 14 00 01 5A 02 00 01 00 02 00 34 12 EE FF C0 00 40 42 0F 00 40 42 0F 00 00 00";
     assert_eq!(reply, hex(opened));
@@ -124,8 +123,8 @@ fn the_commands_of_the_manual_are_taken_and_do_what_they_say() {
     // The example of the profile code.
     let reply = bench.message(&hex("0E 03 20 64 24 00 30 01"));
     assert_eq!(reply, hex("8E 00 00 00 00 75 00 07 41 5F 00 01 03 4A"));
-    let examples = "00 01 00 1E 00 00 02 58|00 01 00 1F 00 00 02 58|00 01 00 1D 00 00 04 B0|00 01 00 B6 00 01 86 A0|\
-                    00 01 00 9F 00 00 00 00|00 01 00 66 00 00 00 00";
+    let examples = "00 01 00 1E 00 00 02 58|00 01 00 1F 00 00 02 58|00 01 00 1D 00 00 04 B0|00 01 00 B6 00 \
+         01 86 A0|00 01 00 9F 00 00 00 00|00 01 00 66 00 00 00 00";
     for example in examples.split('|') {
         let (status, data) = bench.vendor(example);
         assert_eq!((status, &data[..4]), (0, &hex(example)[..4]), "{example}");

@@ -165,8 +165,8 @@ fn a_wrong_vendor_message_is_refused() {
     let mut bench = Bench::new(|_| {});
     assert_eq!(bench.vendor("00 02 88 01 00 00 00"), (0x13, vec![]));
     assert_eq!(bench.vendor("00 02 88 01 00 00 00 00 00"), (0x15, vec![]));
-    let unknown = "00 03 88 01|01 02 88 01|00 01 00 FF|00 02 11 00|00 02 88 02|00 02 9F 5A|00 02 9E 73|00 02 8B 04|\
-                   00 02 A2 0D";
+    let unknown = "00 03 88 01|01 02 88 01|00 01 00 FF|00 02 11 00|00 02 88 02|00 02 9F 5A|00 02 9E 73|00 02 \
+         8B 04|00 02 A2 0D";
     let unknown = unknown.split('|').map(|begin| format!("{begin} 00 00 00 00"));
     for message in unknown.chain(["00 01 00 6B 00 00 58 B2", "00 01 00 78 00 00 00 0D"].map(str::to_owned)) {
         assert_eq!(bench.vendor(&message), (0x20, vec![]), "{message}");

@@ -130,8 +130,8 @@ fn a_silent_connection_ends_after_a_time_that_can_be_set_and_the_packets_go_on()
 #[test]
 fn the_drive_is_found_by_datagrams() {
     let mut bench = Bench::new(|settings| settings.identity.serial = Some(0x0102_0304));
-    let expected = "01 00 0C 00 2A 00 01 00 00 02 AF 12 0A 00 00 02 00 00 00 00 00 00 00 00 3C 00 2B 00 01 00 01 01 \
-                    00 00 04 03 02 01 08 53 54 46 31 30 2D 49 50 03";
+    let expected = "01 00 0C 00 2A 00 01 00 00 02 AF 12 0A 00 00 02 00 00 00 00 00 00 00 00 3C 00 2B 00 01 \
+         00 01 01 00 00 04 03 02 01 08 53 54 46 31 30 2D 49 50 03";
     let list = frame(0x63, 0, &[]);
     assert_eq!(bench.at(DISCOVERY, MASTER, &list)[24..], hex(expected));
     assert_eq!(bench.raw(MASTER, &list)[24..], hex(expected), "the same by TCP");

@@ -143,7 +143,8 @@ fn parameters_are_read_and_written_in_ram_and_rom() {
 
 #[test]
 fn the_drive_works_with_its_parameters() {
-    // The range, live, and the lag limits: 10 um are less than what the motor needs to follow; standing has its own code.
+    // The range, live, and the lag limits: 10 um are less than what the motor needs to follow; standing has a code of
+    // its own.
     for (upid, value, code) in [
         (0x146F, CM as u32, ErrorCode::MAX_POSITION),
         (0x1473, 100, ErrorCode::POSITION_LAG),
