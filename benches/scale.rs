@@ -27,7 +27,10 @@
 //!   same. Held to their budget are those that the loop makes whenever replies come.
 //! - With `--count`, in place of all that: **instructions a drive and cycle** of the loop without a socket, and its
 //!   system calls and allocations, each with its budget in `benches/budgets.csv`; and those a slave and cycle of a
-//!   segment of 8 drives and 56 couplers and terminals, whose outputs change in each cycle.
+//!   segment of 8 drives and 56 couplers and terminals, whose outputs change in each cycle. Counted once more: drives
+//!   that stand, drives whose status changes in each exchange, the default mapping of a Unidrive, the threads of
+//!   telemetry and of a recording; and the worst cycle of a hundred in which all drives are lost, have a fault, or get
+//!   a command at once, alone and in stop groups of two.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -44,9 +47,10 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::telemetry::{DriveEnd, Numbers};
+use fieldbeat::telemetry::recording::Recorder;
+use fieldbeat::telemetry::{DriveEnd, Measured, Numbers};
 use fieldbeat::time::{MS, Ns, S, US};
-use fieldbeat::{Granted, Wait};
+use fieldbeat::{Granted, Plan, Wait};
 use fieldbeat_core::cycle::record::{DriveRecord, Record};
 use fieldbeat_core::net::{
     Carriers, Datagrams, Frames, Os, Outbox, Serial, SerialLine, StreamPeer, Streams, UdpOptions,
@@ -70,11 +74,11 @@ use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
 use support::lenze::{self, NullSerial, NullWires};
 use support::null::{NullCarrier, NullNet, NullPackets, NullStreams};
-use support::rig::{self, Calls, Count, Metered, Pace, Rig};
+use support::rig::{self, Calls, Count, Metered, Pace, Rig, Scene};
 use support::segment::{self, NullSegment, NullSegments, Settled};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
 use support::whole::Whole;
-use support::{Args, Report, Steal, in_turns, packets, shown, unidrive};
+use support::{Args, Report, Steal, callgrind, in_turns, packets, shown, unidrive};
 
 /// Drives of the segments on sockets: alone, and against the bare loop.
 const SEGMENT_ALONE: usize = 16;
@@ -210,16 +214,40 @@ fn scenarios() -> Vec<Scenario> {
         .into_iter()
         .flat_map(of)
         .chain([Scenario::of(profibus::PROTOCOL, lenze::SEGMENT), with_terminals])
-        .chain([WITH_LOG, WITH_NATIVE].into_iter().flat_map(|part| {
-            AGAIN.map(|(protocol, drives)| Scenario { part: Some(part), ..Scenario::of(protocol, drives) })
-        }))
+        .chain(STEADY.into_iter().flat_map(|part| again(part, false)))
+        // A Unidrive in memory turns as soon as it may.
+        .filter(|scenario| (scenario.protocol, scenario.part) != (modbus::PROTOCOL, Some(IDLE)))
+        .chain(WORST.into_iter().flat_map(|part| again(part, true)))
+        .chain([Scenario { part: Some(DEFAULT), ..Scenario::of(modbus::PROTOCOL, 64) }])
         .collect()
 }
 
-/// What is counted once more with all inputs of the loop in a log, and with the native process data of all drives among
-/// its records.
+fn again(part: &'static str, worst: bool) -> [Scenario; 5] {
+    AGAIN.map(|(protocol, drives)| Scenario { part: Some(part), worst, ..Scenario::of(protocol, drives) })
+}
+
+/// What is counted once more: with all inputs of the loop in a log; with the native process data of all drives
+/// among its records; with drives that stand; with drives whose status changes in each exchange; and, of the same
+/// cycles, what the telemetry's thread and that of a recording make of their records.
 const WITH_LOG: &str = "recorded";
 const WITH_NATIVE: &str = "native";
+const IDLE: &str = "idle";
+const UNSTEADY: &str = "unsteady";
+const TELEMETRY: &str = "telemetry";
+const RECORDING: &str = "recording";
+const STEADY: [&str; 6] = [WITH_LOG, WITH_NATIVE, IDLE, UNSTEADY, TELEMETRY, RECORDING];
+/// The worst cycle: all drives are lost at once, all have a fault at once, each has a command, and the first two
+/// in stop groups of two.
+const LOST: &str = "lost";
+const FAULTS: &str = "faults";
+const COMMANDS: &str = "commands";
+const LOST_IN_PAIRS: &str = "lost in pairs";
+const FAULTS_IN_PAIRS: &str = "faults in pairs";
+const WORST: [&str; 5] = [LOST, FAULTS, COMMANDS, LOST_IN_PAIRS, FAULTS_IN_PAIRS];
+/// Cycles in which all of that has happened.
+const WORST_CYCLES: u64 = 100;
+/// The mapping that a Unidrive has unless its plan says otherwise.
+const DEFAULT: &str = "default mapping";
 const AGAIN: [(&str, usize); 5] = [
     (linudp::PROTOCOL, 64),
     (modbus::PROTOCOL, 64),
@@ -229,8 +257,18 @@ const AGAIN: [(&str, usize); 5] = [
 ];
 
 /// The child: the loop over drives in memory, all in operation.
-fn counted(Scenario { protocol, part, drives, terminals, .. }: Scenario) -> Ran {
+fn counted(scenario: Scenario) -> Ran {
+    let Scenario { protocol, part, drives, terminals, worst, .. } = scenario;
     rig::be_virtual();
+    if worst {
+        rig::be_strict();
+    }
+    if part.is_some_and(|part| part.ends_with("in pairs")) {
+        rig::be_in_pairs();
+    }
+    if part == Some(DEFAULT) {
+        unidrive::be_direct();
+    }
     let segment = |first| segment_of(first, (drives - first).min(SEGMENT_MOST), terminals);
     let segments = if protocol == ethercat::PROTOCOL { drives } else { 0 };
     let wires = if protocol == profibus::PROTOCOL { drives } else { 0 };
@@ -238,7 +276,7 @@ fn counted(Scenario { protocol, part, drives, terminals, .. }: Scenario) -> Ran 
         (0..segments).step_by(SEGMENT_MOST).map(segment).collect(),
         NullWires(lenze::wires("local:count", wires), rig::now),
     );
-    let buses = match protocol {
+    let buses = || match protocol {
         linudp::PROTOCOL => Fleet::linmots(drives).buses(Side::Ours),
         modbus::PROTOCOL => Fleet::unidrives(drives).buses(Side::Ours),
         ethernet_ip::PROTOCOL => Fleet::moons(drives).buses(Side::Ours),
@@ -248,26 +286,90 @@ fn counted(Scenario { protocol, part, drives, terminals, .. }: Scenario) -> Ran 
         _ => memory.0.iter().map(|segment| Box::new(segment.0.clone()) as Box<dyn BusPlan>).collect(),
     };
     let calls = Calls::default();
-    let carriers = CountedNet::over(&memory, &calls);
     let mut cycle = rig::exchange_cycle(MS, Wait::Poll);
+    let carriers = CountedNet::over(&memory, &calls);
     if part == Some(WITH_NATIVE) {
         cycle.record_native.push("all".to_owned());
     }
     if part == Some(WITH_LOG) {
-        let rig = Rig::logged(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls));
-        return counted_of(rig, &memory, &calls);
+        let rig = Rig::logged(cycle, buses(), Pace::BackToBack, &carriers, Arc::clone(&calls));
+        return counted_of(rig, part, &memory, &calls);
     }
-    counted_of(Rig::new(cycle, buses, Pace::BackToBack, &carriers, Arc::clone(&calls)), &memory, &calls)
+    let plan = Plan { source: None, cycle: cycle.clone(), buses: buses(), groups: Vec::new() };
+    let rig = Rig::new(cycle, buses(), Pace::BackToBack, &carriers, Arc::clone(&calls));
+    match part {
+        Some(TELEMETRY | RECORDING) => records_of(rig, part, &memory, &plan),
+        _ if worst => worst_of(rig, part, &memory),
+        _ => counted_of(rig, part, &memory, &calls),
+    }
 }
 
-/// The same of the loop of `rig`.
-fn counted_of<C: Metered>(mut rig: Rig<C>, memory: &InMemory, calls: &Calls) -> Ran {
+/// Until all drives are in operation, and move.
+fn bring_up<C: Metered>(rig: &mut Rig<C>, part: Option<&str>, memory: &InMemory) {
+    if part == Some(IDLE) {
+        rig::set_scene(Scene::Standing);
+    }
     rig.enable();
     while !memory.0.iter().all(|segment| segment.2.get().is_some()) {
         rig.turn(|_| {});
     }
-    rig.jog();
+    if part != Some(IDLE) {
+        rig.jog();
+    }
+    if part == Some(UNSTEADY) {
+        rig::set_scene(Scene::Unsteady);
+    }
     count::instrument();
+}
+
+/// Each of the cycles from what happens on.
+fn worst_of<C: Metered>(mut rig: Rig<C>, part: Option<&str>, memory: &InMemory) -> Ran {
+    bring_up(&mut rig, part, memory);
+    match part {
+        Some(LOST | LOST_IN_PAIRS) => rig::set_scene(Scene::Silent),
+        Some(FAULTS | FAULTS_IN_PAIRS) => rig::set_scene(Scene::Faulted),
+        _ => rig.command(2.0),
+    }
+    let mut turn = || {
+        rig.counted_turn();
+        count::part();
+    };
+    let ran = count::run(WORST_CYCLES, &mut turn);
+    assert_eq!(rig.stopped().is_some(), part != Some(COMMANDS), "what was to happen has happened");
+    Ran { cycles: 1, ..ran }
+}
+
+/// What a thread behind the loop makes of the records of the counted cycles.
+fn records_of<C: Metered>(mut rig: Rig<C>, part: Option<&str>, memory: &InMemory, plan: &Plan) -> Ran {
+    bring_up(&mut rig, part, memory);
+    let units: Vec<_> = plan.buses.iter().flat_map(|bus| bus.axes()).map(|axis| axis.units).collect();
+    let mut measured = Measured::new(&units, &plan.cycle, false);
+    let directory = tempfile::tempdir().unwrap_or_else(|error| rig::give_up(error));
+    let recorder = Recorder::create(directory.path().join("counted.mcap"));
+    let mut sink = recorder.unwrap_or_else(|error| rig::give_up(error)).sink(plan, None);
+    sink.begin(0);
+    let mut enter = |records: &[Record]| match part {
+        Some(TELEMETRY) => records.iter().for_each(|record| measured.enter(record)),
+        _ => {
+            records.iter().for_each(|record| sink.enter(record));
+            sink.look(0);
+        }
+    };
+    let mut records = Vec::new();
+    for cycle in 0..2 * COUNTED_CYCLES {
+        records.clear();
+        rig.turn(|record| records.push(record));
+        match cycle < COUNTED_CYCLES {
+            true => enter(&records),
+            false => callgrind::counted(|| enter(&records)),
+        }
+    }
+    Ran { cycles: COUNTED_CYCLES, allocations: 0, calls: None }
+}
+
+/// The loop of `rig`.
+fn counted_of<C: Metered>(mut rig: Rig<C>, part: Option<&str>, memory: &InMemory, calls: &Calls) -> Ran {
+    bring_up(&mut rig, part, memory);
     // The simulated caches are warmed up.
     for _ in 0..COUNTED_CYCLES {
         rig.turn(|_| {});
@@ -275,7 +377,7 @@ fn counted_of<C: Metered>(mut rig: Rig<C>, memory: &InMemory, calls: &Calls) -> 
     let (before, executed) = (calls.now(), rig.status().executed);
     let ran = count::run(COUNTED_CYCLES, || rig.counted_turn());
     assert_eq!(rig.status().executed, executed + COUNTED_CYCLES, "no slot is passed over in virtual time");
-    assert!(!rig.is_any_stopped(), "all of them move as commanded");
+    assert_eq!(rig.stopped(), None, "all of them do as commanded");
     Ran { calls: Some(calls.now().since(before).made), ..ran }
 }
 
@@ -565,7 +667,8 @@ fn with_reads(granted: &Granted, quick: bool, report: &mut Report) -> serde_json
     let a_cycle = reads as f64 / (executed * READING as u64) as f64;
     let on_sockets = reads_on_sockets(granted, if quick { 300 } else { 3_000 });
     println!(
-        "\n{READING} drives, each reading a parameter back to back, ns a drive and cycle without a socket; steal {} ms",
+        "\n{READING} drives, each reading a parameter back to back, ns a drive and cycle without a socket; \
+         steal {} ms",
         shown(steal.ms())
     );
     println!("  without reads {idle}, with them {reading}; {a_cycle:.3} reads a cycle and drive");
@@ -901,8 +1004,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     let p50 = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value);
     let Fleet { linmots: of_linmots, unidrives: of_unidrives, every, .. } = TOGETHER;
     println!(
-        "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at 1 kHz; \
-         steal {} ms",
+        "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at \
+         1 kHz; steal {} ms",
         shown(steal.ms())
     );
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
@@ -1125,7 +1228,8 @@ fn alone_on_sockets(
 fn whole_process(granted: &Granted, quick: bool) -> Vec<Value> {
     let (rounds, cycles) = if quick { (3, 1_000) } else { (11, 2_000) };
     println!(
-        "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} rounds"
+        "\nall threads of a master at 1 kHz against the bare loop, processor time in ns a cycle, {rounds} \
+         rounds"
     );
     let fleets = [
         ("3 drives on one segment", Fleet::segment(3)),

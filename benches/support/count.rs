@@ -35,8 +35,8 @@ pub const BENCHES: [&str; 2] = ["scale", "wire"];
 /// This variable of the environment makes the program the child that callgrind looks at, for this scenario.
 const COUNTED: &str = "FIELDBEAT_BENCH_COUNTED";
 /// glibc without what a processor may have or not: its string functions are chosen when it is loaded.
-const PLAIN_GLIBC: &str = "glibc.cpu.hwcaps=-AVX,-AVX2,-AVX2_Usable,-AVX_Fast_Unaligned_Load,-AVX512F,-AVX512VL,\
-    -AVX512BW,-BMI1,-BMI2,-LZCNT,-MOVBE,-ERMS,-FSRM,-FMA,-FMA4,-SSSE3,-SSE4_1,-SSE4_2";
+const PLAIN_GLIBC: &str = "glibc.cpu.hwcaps=-AVX,-AVX2,-AVX2_Usable,-AVX_Fast_Unaligned_Load,-AVX512F,\
+    -AVX512VL,-AVX512BW,-BMI1,-BMI2,-LZCNT,-MOVBE,-ERMS,-FSRM,-FMA,-FMA4,-SSSE3,-SSE4_1,-SSE4_2";
 /// Caches that callgrind simulates, in bytes, ways and bytes of a line: first level for data, and second level, which
 /// it calls the last one.
 const CACHES: [&str; 3] = ["--cache-sim=yes", "--D1=32768,8,64", "--LL=524288,8,64"];
@@ -54,6 +54,8 @@ pub struct Scenario {
     pub terminals: usize,
     /// Whether misses of the caches are counted too, which takes three times as long.
     pub caches: bool,
+    /// Of its cycles the one with most instructions, in place of the mean.
+    pub worst: bool,
 }
 
 /// What the child has run.
@@ -90,12 +92,17 @@ pub fn is_child(scenarios: &[Scenario], run: impl FnOnce(Scenario) -> Ran) -> bo
     true
 }
 
-/// From here on callgrind looks at each instruction; until then the child is ten times as fast. Elsewhere than under it
-/// this does nothing (valgrind.h and callgrind.h: client request `CALLGRIND_START_INSTRUMENTATION`).
+/// From here on callgrind looks at each instruction; until then the child is ten times as fast
+/// (`CALLGRIND_START_INSTRUMENTATION`).
 #[cfg(target_arch = "x86_64")]
 pub fn instrument() {
-    const START_INSTRUMENTATION: u64 = (b'C' as u64) << 24 | (b'T' as u64) << 16 | 4;
-    let request = [START_INSTRUMENTATION, 0, 0, 0, 0, 0];
+    request(4);
+}
+
+/// A client request of callgrind's; elsewhere than under it this does nothing (valgrind.h, callgrind.h).
+#[cfg(target_arch = "x86_64")]
+fn request(what: u64) {
+    let request = [(b'C' as u64) << 24 | (b'T' as u64) << 16 | what, 0, 0, 0, 0, 0];
     // SAFETY: the rotations add up to two full turns, and the exchange is of a register with itself. Valgrind reads the
     // six words and writes its answer into rdx.
     unsafe {
@@ -109,6 +116,12 @@ pub fn instrument() {
 /// Callgrind looks at each instruction from the start.
 #[cfg(not(target_arch = "x86_64"))]
 pub fn instrument() {}
+
+/// What was counted since the last time is a part of its own (`CALLGRIND_DUMP_STATS`).
+pub fn part() {
+    #[cfg(target_arch = "x86_64")]
+    request(0);
+}
 
 /// Runs `cycle` as often as `cycles` says and counts what it allocates and frees. What callgrind shall count
 /// is inside of [`counted`].
@@ -137,7 +150,8 @@ fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Re
     let [_, first, second] = CACHES;
     println!("misses of simulated caches ({first} {second}) have no budget");
     println!(
-        "  scenario         instructions   budget  of budget  1st level  2nd level  calls a cycle  allocations"
+        "  scenario         instructions   budget  of budget  1st level  2nd level  calls a cycle  \
+         allocations"
     );
     for (scenario, counts) in scenarios.iter().zip(all) {
         let budget = budgets.of(&scenario.row(bench, INSTRUCTIONS));
@@ -232,7 +246,11 @@ fn under_callgrind(scenario: Scenario) -> Result<Counts, String> {
         let errors = String::from_utf8_lossy(&output.stderr);
         return Err(of(&format!("it ended ({}): {said}{}", output.status, errors.trim())));
     };
-    let events = events(&path).map_err(|error| of(&error))?;
+    let events = match scenario.worst {
+        false => events(&path),
+        true => worst(&path),
+    };
+    let events = events.map_err(|error| of(&error))?;
     let each = |names: &[&str]| {
         let all: Option<u64> = names.iter().map(|name| events.get(*name).copied()).sum();
         all.map(|all| all as f64 / (cycles * (scenario.drives + scenario.terminals) as u64) as f64)
@@ -260,6 +278,15 @@ fn events(path: &Path) -> Result<BTreeMap<String, u64>, String> {
     Ok(names.split_whitespace().map(str::to_owned).zip(totals).collect())
 }
 
+/// The part with most instructions: `PATH.1`, `PATH.2` ...
+fn worst(path: &Path) -> Result<BTreeMap<String, u64>, String> {
+    let part = |number: u32| path.with_extension(number.to_string());
+    let parts = (1..).map(part).take_while(|part| part.exists());
+    let all: Vec<_> = parts.map(|part| events(&part)).collect::<Result<_, _>>()?;
+    let instructions = |part: &BTreeMap<String, u64>| part.get("Ir").copied();
+    all.into_iter().max_by_key(instructions).ok_or_else(|| "callgrind has written no parts".to_owned())
+}
+
 fn valgrind() -> Result<(), String> {
     match Command::new("valgrind").arg("--version").stdout(Stdio::null()).status() {
         Ok(status) if status.success() => Ok(()),
@@ -274,7 +301,7 @@ fn valgrind() -> Result<(), String> {
 impl Scenario {
     /// Drives only; the caches are not simulated.
     pub const fn of(protocol: &'static str, drives: usize) -> Scenario {
-        Scenario { protocol, part: None, drives, terminals: 0, caches: false }
+        Scenario { protocol, part: None, drives, terminals: 0, caches: false, worst: false }
     }
 
     /// As the environment of the child and the table have it.

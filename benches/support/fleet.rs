@@ -19,7 +19,7 @@ use fieldbeat::sim::modbus::Unidrives;
 use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{SimBus, Simulated};
 
-use super::{lenze, moons, segment, unidrive};
+use super::{lenze, moons, rig, segment, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
@@ -61,7 +61,8 @@ pub fn linmot(address: Ipv4Addr) -> LinUdpDrive {
     drive.axis.limits =
         Limits { position: Some((-200.0, 200.0)), velocity: Some(2_000.0), ..Limits::default() };
     drive.leash = Some(20.0);
-    drive.axis.health.bucket = 1_000_000;
+    drive.axis.health.bucket = rig::bucket();
+    drive.axis.stop.group = rig::group();
     drive.axis.enable_timeout = Duration::from_secs(60);
     drive
 }

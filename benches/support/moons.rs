@@ -10,13 +10,14 @@ use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat_core::net::{HandshakeState, StreamPeer};
 
-use super::rig;
+use super::rig::{self, Scene};
 
 /// A drive as a machine might have it. A miss is counted, it does not end the measurement.
 pub fn drive(address: Ipv4Addr) -> MoonsDrive {
     let mut drive = MoonsDrive::new(address.to_string(), address);
     drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
-    drive.axis.health.bucket = 1_000_000;
+    drive.axis.health.bucket = rig::bucket();
+    drive.axis.stop.group = rig::group();
     drive.axis.enable_timeout = Duration::from_secs(60);
     drive
 }
@@ -116,7 +117,14 @@ impl Canned {
         self.position = self.position.wrapping_add(speed / Self::SPEED * Self::STEPS);
         self.packet[Self::SEQUENCE].copy_from_slice(&self.sequence.to_le_bytes());
         self.packet[Self::COUNT].copy_from_slice(&(self.sequence as u16).to_le_bytes());
-        self.packet[Self::STATUS].copy_from_slice(&self.status.to_le_bytes());
+        let status = match () {
+            () if rig::is_scene(Scene::Faulted) => status::FAULT | status::ALARM,
+            () if rig::is_scene(Scene::Unsteady) && self.sequence & 1 == 1 => {
+                self.status | status::IN_POSITION
+            }
+            () => self.status,
+        };
+        self.packet[Self::STATUS].copy_from_slice(&status.to_le_bytes());
         self.packet[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
         self.packet[Self::VELOCITY].copy_from_slice(&speed.to_le_bytes());
         &self.packet

@@ -18,8 +18,9 @@ use fieldbeat_core::rt::{MonotonicClock, Regions};
 use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock};
 
 use super::callgrind::resumed;
-use super::unidrive::{self, Canned};
-use super::{moons, rig};
+use super::moons;
+use super::rig::{self, Scene};
+use super::unidrive::{self, Canned, Direct};
 
 /// Carriers of a network in memory where every drive answers at once.
 pub struct NullNet;
@@ -110,7 +111,9 @@ impl Datagrams for NullPackets {
             if outbox.sent(index) == Sent::Posted {
                 outbox.note(index, Sent::At(at));
                 self.drives[index].1.hear(outbox.bytes(index));
-                self.sending.push(index);
+                if !rig::is_scene(Scene::Silent) {
+                    self.sending.push(index);
+                }
             }
         }
     }
@@ -135,9 +138,31 @@ impl Datagrams for NullPackets {
     fn memory(&self, _: &mut Regions) {}
 }
 
+/// How a Unidrive in memory shows its parameters.
+enum Shows {
+    Menu0(Canned),
+    Direct(Box<Direct>),
+}
+
+impl Shows {
+    fn hear(&mut self, request: &[u8]) -> bool {
+        match self {
+            Shows::Menu0(drive) => drive.hear(request),
+            Shows::Direct(drive) => drive.hear(request),
+        }
+    }
+
+    fn answer(&mut self, room: &mut [u8]) -> usize {
+        match self {
+            Shows::Menu0(drive) => drive.answer(room),
+            Shows::Direct(drive) => drive.answer(room),
+        }
+    }
+}
+
 /// Connections whose drives answer at once, from memory.
 pub struct NullStreams {
-    drives: Vec<Canned>,
+    drives: Vec<Shows>,
     opened: usize,
     /// Those that have an answer to be taken, and the next one of them.
     requested: Vec<usize>,
@@ -146,8 +171,12 @@ pub struct NullStreams {
 
 impl NullStreams {
     pub fn new(peers: usize) -> NullStreams {
+        let drive = || match unidrive::is_direct() {
+            true => Shows::Direct(Box::new(Direct::new())),
+            false => Shows::Menu0(Canned::new()),
+        };
         NullStreams {
-            drives: vec![Canned::new(); peers],
+            drives: (0..peers).map(|_| drive()).collect(),
             opened: 0,
             requested: Vec::with_capacity(peers),
             next: 0,
@@ -186,14 +215,16 @@ impl Streams for NullStreams {
 
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
         let at = rig::now();
-        if self.drives[index].hear(bytes) {
+        if self.drives[index].hear(bytes) && !rig::is_scene(Scene::Silent) {
             self.requested.push(index);
         }
         Ok((at, bytes.len()))
     }
 
     fn abandon(&mut self, _: usize, why: &'static str) {
-        rig::give_up(format!("a drive in memory was given up: {why}"));
+        if !rig::is_scene(Scene::Silent) {
+            rig::give_up(format!("a drive in memory was given up: {why}"));
+        }
     }
 
     fn notes(&self) -> LinkNotes {
@@ -211,8 +242,8 @@ pub struct NullCarrier {
     counts: Vec<u8>,
     next: usize,
     batch: usize,
-    /// Ready and in operation, each with and without the blocks that come in turn; and their lengths.
-    replies: [[([u8; RESPONSE_MAX], usize); 1 << IN_TURN.len()]; 2],
+    /// Ready, in motion, faulted and at rest, each with and without the blocks that come in turn; and their lengths.
+    replies: [[([u8; RESPONSE_MAX], usize); 1 << IN_TURN.len()]; 4],
     position: i32,
 }
 
@@ -240,6 +271,8 @@ fn variant(requested: ResponseDef) -> usize {
 impl NullCarrier {
     /// Where the actual position is in a cyclic reply: behind definitions, status and state.
     const POSITION: std::ops::Range<usize> = 12..16;
+    /// The high byte of the status.
+    const STATUS: usize = 9;
     /// And the low byte of the state, with the count of the motion command.
     const COUNT: usize = 10;
 
@@ -269,7 +302,9 @@ impl NullCarrier {
         let ready = reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0));
         let on = homed | StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE;
         let moving = StateVar::new(MainState::OPERATION_ENABLED, StateVar::MOTION_ACTIVE | StateVar::HOMED);
-        let replies = [ready, reply(on | StatusWord::MOTION_ACTIVE, moving)];
+        let faulted = reply(homed | StatusWord::ERROR, StateVar::new(MainState::ERROR, 0));
+        let standing = reply(on, StateVar::new(MainState::OPERATION_ENABLED, StateVar::HOMED));
+        let replies = [ready, reply(on | StatusWord::MOTION_ACTIVE, moving), faulted, standing];
         // As real ones have it, so that as many calls of `receive` are made.
         let batch = (peers * 2).clamp(8, 128);
         let (requested, counts) = (Vec::with_capacity(peers), vec![0; peers]);
@@ -289,6 +324,9 @@ impl Datagrams for NullCarrier {
         for index in 0..outbox.len() {
             if outbox.sent(index) == Sent::Posted {
                 outbox.note(index, Sent::At(at));
+                if rig::is_scene(Scene::Silent) {
+                    continue;
+                }
                 let bytes = outbox.bytes(index);
                 if let Some((definitions, blocks)) = bytes.split_first_chunk() {
                     let on = blocks.first().is_some_and(|low| u16::from(*low) & ControlWord::SWITCH_ON != 0);
@@ -306,7 +344,9 @@ impl Datagrams for NullCarrier {
                 }
             }
         }
-        self.position = self.position.wrapping_add(100);
+        if !rig::is_scene(Scene::Standing) {
+            self.position = self.position.wrapping_add(100);
+        }
     }
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
@@ -316,9 +356,17 @@ impl Datagrams for NullCarrier {
         for Requested { from, definitions, on, count, read } in &self.requested[self.next..end] {
             let [.., low, middle, high, highest] = *definitions;
             let requested = ResponseDef(u32::from_le_bytes([low, middle, high, highest]));
-            let (reply, length) = &mut self.replies[usize::from(*on)][variant(requested)];
+            let state = match () {
+                () if rig::is_scene(Scene::Faulted) => 2,
+                () if rig::is_scene(Scene::Standing) && *on => 3,
+                () => usize::from(*on),
+            };
+            let (reply, length) = &mut self.replies[state][variant(requested)];
             reply[..8].copy_from_slice(definitions);
             reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
+            if rig::is_scene(Scene::Unsteady) {
+                reply[Self::STATUS] ^= (StatusWord::IN_TARGET >> 8) as u8;
+            }
             reply[Self::COUNT] = reply[Self::COUNT] & 0xF0 | if *on { *count } else { 0 };
             let mut length = *length;
             if let Some(read) = read {

@@ -4,13 +4,13 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use fieldbeat::axis::{Acyclic, Command, Jog};
+use fieldbeat::axis::{Acyclic, Command, Jog, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{TERMINAL_MAX, Terminals};
 use fieldbeat::sim::Simulated;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Numbers, Status};
-use fieldbeat::time::{S, Time};
+use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Granted, Guard, Memory, Overrun, Plan, Realtime, RealtimeError, Wait};
 use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::record::{Record, Reply};
@@ -189,6 +189,21 @@ impl Count {
     }
 }
 
+static IN_PAIRS: AtomicBool = AtomicBool::new(false);
+/// Drives that got a group so far.
+static GROUPED: AtomicU64 = AtomicU64::new(0);
+
+/// From now on every two drives of a plan are a stop group.
+pub fn be_in_pairs() {
+    IN_PAIRS.store(true, Ordering::Relaxed);
+}
+
+/// The stop group of the next drive.
+pub fn group() -> Option<u16> {
+    let in_pairs = IN_PAIRS.load(Ordering::Relaxed);
+    in_pairs.then(|| (GROUPED.fetch_add(1, Ordering::Relaxed) / 2) as u16)
+}
+
 /// How a loop by hand goes from cycle to cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
@@ -214,6 +229,51 @@ static VIRTUAL: AtomicBool = AtomicBool::new(false);
 static SERIAL: AtomicU64 = AtomicU64::new(0);
 /// So many of them have a reply that waits to be taken.
 static REPLIES: AtomicU64 = AtomicU64::new(0);
+
+/// What the drives in memory do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scene {
+    /// They obey, and are elsewhere in each exchange.
+    Usual,
+    /// Their status is another one in each exchange, too.
+    Unsteady,
+    /// All of them have a fault.
+    Faulted,
+    /// None of them answers.
+    Silent,
+    /// They stand where they are.
+    Standing,
+}
+
+static SCENE: AtomicU64 = AtomicU64::new(Scene::Usual as u64);
+
+/// From now on.
+pub fn set_scene(scene: Scene) {
+    SCENE.store(scene as u64, Ordering::Relaxed);
+}
+
+/// Whether it is this one.
+pub fn is_scene(scene: Scene) -> bool {
+    SCENE.load(Ordering::Relaxed) == scene as u64
+}
+
+/// So many misses a drive has for nothing; see [`be_strict`].
+static BUCKET: AtomicU64 = AtomicU64::new(1_000_000);
+
+/// From now on a drive of a plan is lost as usual. Until then a miss is counted, and does not end the measurement.
+pub fn be_strict() {
+    BUCKET.store(u64::from(fieldbeat::axis::Health::default().bucket), Ordering::Relaxed);
+}
+
+/// The bucket of a drive's misses.
+pub fn bucket() -> u32 {
+    BUCKET.load(Ordering::Relaxed) as u32
+}
+
+/// How long a reply of a connection may take, ns.
+pub fn reply_within_ns() -> u64 {
+    if bucket() == 1_000_000 { 500 * MS } else { 20 * MS }
+}
 
 /// A serial wire in memory was opened.
 pub fn serial_opened() {
@@ -323,7 +383,7 @@ impl Clock for Meter {
             return is_ready;
         }
         // What answers from memory has answered; on a serial wire a while later, and the next one is requested then.
-        let is_idle = on_wires && !is_reply_waiting();
+        let is_idle = if on_wires { !is_reply_waiting() } else { is_scene(Scene::Silent) };
         if is_idle {
             let left = until.since(now());
             leap(left);
@@ -557,19 +617,24 @@ impl<C: Metered> Rig<C> {
 
     /// Has all drives turn, slowly, until they are told otherwise: an axis that moves by itself would be stopped.
     pub fn jog(&mut self) {
-        for axis in &mut self.assembly.axes {
-            if let Err(error) = axis.post(Command::Jog(Jog { velocity: 1.0, acceleration: 100.0 })) {
-                give_up(error)
-            }
-        }
+        self.command(1.0);
         for _ in 0..50 {
             self.turn(|_| {});
         }
     }
 
-    /// Whether an axis was stopped.
-    pub fn is_any_stopped(&self) -> bool {
-        self.assembly.axes.iter().any(|axis| axis.feedback().stopped.is_some())
+    /// A command for each drive: to turn with this velocity.
+    pub fn command(&mut self, velocity: f64) {
+        for axis in &mut self.assembly.axes {
+            if let Err(error) = axis.post(Command::Jog(Jog { velocity, acceleration: 100.0 })) {
+                give_up(error)
+            }
+        }
+    }
+
+    /// Why the first axis was stopped that was.
+    pub fn stopped(&self) -> Option<StopCause> {
+        self.assembly.axes.iter().find_map(|axis| axis.feedback().stopped)
     }
 
     /// Turns until nothing is owed: all that was sent is judged.

@@ -21,7 +21,7 @@ use fieldbeat_core::rt::{MonotonicClock, Regions};
 use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
 use fieldbeat_ethercat::wire::sii::Identity;
 
-use super::rig;
+use super::rig::{self, Scene};
 
 /// AL status, in front of the inputs of each slave.
 const AL: usize = 2;
@@ -29,6 +29,9 @@ const OPERATIONAL: u8 = 8;
 /// In both, of a drive with 1B03h: actual position and status word.
 const POSITION: usize = 2;
 const STATUS: usize = 8;
+/// In the status word (CiA 402): target reached, in its high byte; fault, in its low byte.
+const TARGET_REACHED: u8 = 0x04;
+const FAULT: u8 = 0x18;
 /// So many frames in a row all slaves have to be in operation: until the last one of a long segment has read its mode
 /// and its reference by the mailbox.
 const SETTLED: u32 = 1_000;
@@ -61,7 +64,8 @@ pub fn plan(interface: &str, drives: usize, terminals: usize) -> EthercatPlan {
         drive.slave.watchdog = Watchdog::After(100 * MS);
         drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
         drive.axis.stop.deceleration = 100.0;
-        drive.axis.health.bucket = 1_000_000;
+        drive.axis.health.bucket = rig::bucket();
+        drive.axis.stop.group = rig::group();
         drive.axis.enable_timeout = Duration::from_secs(60);
         drive
     };
@@ -188,6 +192,9 @@ impl Frames for NullSegment {
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
         let at = (self.now)();
+        if rig::is_scene(Scene::Silent) {
+            return Ok(at);
+        }
         self.length = frame.len();
         self.frame[..frame.len()].copy_from_slice(frame);
         match &mut self.canned {
@@ -319,11 +326,20 @@ impl Canned {
             let time = time.wrapping_add(at.since(then) as u32);
             frame[place..place + 4].copy_from_slice(&time.to_le_bytes());
         }
-        self.position = self.position.wrapping_add(100);
+        let step = if rig::is_scene(Scene::Standing) { 0 } else { 100 };
+        self.position = self.position.wrapping_add(step);
         let inputs = &mut frame[self.inputs_at..self.inputs_at + self.inputs.len()];
         inputs.copy_from_slice(&self.inputs);
+        let (unsteady, faulted) = (rig::is_scene(Scene::Unsteady), rig::is_scene(Scene::Faulted));
         for at in &self.positions {
             inputs[*at..at + 4].copy_from_slice(&self.position.to_le_bytes());
+            let status = &mut inputs[at - POSITION + STATUS..][..2];
+            if unsteady && self.position / 100 % 2 == 1 {
+                status[1] ^= TARGET_REACHED;
+            }
+            if faulted {
+                status[0] = FAULT;
+            }
         }
         if frame.len() > self.slot.max(60) {
             self.answer_slot(frame);

@@ -1,11 +1,12 @@
 //! A Unidrive as the benches have it, and what it answers when it is a few bytes in memory.
 
 use std::net::Ipv4Addr;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::modbus::{
-    ControlWord, Mapping, Parameter, Role, StatusWord, UnidriveDrive, Via, Watchdog,
+    Block, ControlWord, Mapping, Parameter, Role, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
 use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
@@ -13,7 +14,7 @@ use fieldbeat_modbus::parameter::DRIVE_UNIT;
 pub use fieldbeat_modbus::wire::ADU_MAX;
 use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 
-use super::rig;
+use super::rig::{self, Scene};
 
 /// Where a message has its id, its unit id and its function.
 const TRANSACTION_HIGH: usize = 0;
@@ -27,16 +28,29 @@ const PORT: u16 = 1502;
 /// A machine that stands still for a while trips no drive and loses no reply.
 const WATCHDOG_NS: u64 = 5 * S;
 
+static DIRECT: AtomicBool = AtomicBool::new(false);
+
+/// From now on drives have the default mapping: their parameters stay where they are.
+pub fn be_direct() {
+    DIRECT.store(true, Ordering::Relaxed);
+}
+
+/// Whether they have it.
+pub fn is_direct() -> bool {
+    DIRECT.load(Ordering::Relaxed)
+}
+
 /// A drive as a machine might have it: all cyclic parameters side by side in menu 0, so that each exchange is one
 /// request with function 23. A miss is counted, it does not end the measurement.
 pub fn drive(address: Ipv4Addr) -> UnidriveDrive {
     let mut drive = UnidriveDrive::new(address.to_string(), address);
     drive.address.set_port(PORT);
-    drive.via = Via::Menu0 { first: 1 };
+    drive.via = if is_direct() { Via::Direct } else { Via::Menu0 { first: 1 } };
     drive.watchdog = Watchdog { timeout_ns: Some(WATCHDOG_NS), ..Watchdog::default() };
-    drive.reply_within_ns = 500 * MS;
+    drive.reply_within_ns = rig::reply_within_ns();
     drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
-    drive.axis.health.bucket = 1_000_000;
+    drive.axis.health.bucket = rig::bucket();
+    drive.axis.stop.group = rig::group();
     drive.axis.enable_timeout = Duration::from_secs(60);
     drive
 }
@@ -130,8 +144,13 @@ impl Canned {
                     *value = request[place].iter().fold(0, |value, byte| value << 8 | u32::from(*byte));
                 }
                 let runs = self.written[0] & u32::from(ControlWord::ANY_RUN) != 0;
-                let state = if runs { StatusWord::ACTIVE } else { StatusWord::ZERO_SPEED };
-                self.status = u32::from(StatusWord::HEALTHY | state);
+                let at_rest = !runs || rig::is_scene(Scene::Standing);
+                let state =
+                    StatusWord::ACTIVE * u16::from(runs) | StatusWord::ZERO_SPEED * u16::from(at_rest);
+                self.status = match rig::is_scene(Scene::Faulted) {
+                    true => 0,
+                    false => u32::from(StatusWord::HEALTHY | state),
+                };
             }
             // Nothing is written before the first order.
             Some(&function::READ) => {}
@@ -148,7 +167,10 @@ impl Canned {
     /// Answers over the last answer, which stands in `room` still: by far the most of it is the same.
     #[inline]
     pub fn answer_again(&mut self, room: &mut [u8]) -> usize {
-        self.speed = self.speed.wrapping_add(1);
+        self.speed = self.speed.wrapping_add(u32::from(!rig::is_scene(Scene::Standing)));
+        if rig::is_scene(Scene::Unsteady) {
+            self.status ^= u32::from(StatusWord::AT_SPEED) * (self.speed & 1);
+        }
         room[..8].copy_from_slice(&self.header.to_be_bytes());
         room[Self::READ_BACK].copy_from_slice(&pair(self.written));
         room[Self::SAID].copy_from_slice(&pair([self.status, self.speed]));
@@ -160,6 +182,79 @@ impl Canned {
     pub fn answer(&mut self, room: &mut [u8]) -> usize {
         room[..self.length].copy_from_slice(&self.reply[..self.length]);
         self.answer_again(room)
+    }
+}
+
+/// A drive with the default mapping that answers from memory, as [`Canned`] does: its registers, wherever they are.
+#[derive(Clone, Debug)]
+pub struct Direct {
+    registers: Vec<u16>,
+    control: usize,
+    status: usize,
+    speed: usize,
+    reply: [u8; ADU_MAX],
+    length: usize,
+}
+
+impl Direct {
+    /// Its parameters are 0.
+    pub fn new() -> Direct {
+        let mapping = mappings(&drive(Ipv4Addr::LOCALHOST)).0;
+        let blocks = || mapping.writes().iter().chain(mapping.reads());
+        let at = |role: Role| {
+            let place = |block: &Block| {
+                let before = block.roles.iter().position(|one| *one == role)?;
+                // Of two registers the second one has the lower half.
+                let place = if block.width == Width::Long { 2 * before + 1 } else { before };
+                Some(usize::from(block.address) + place)
+            };
+            blocks().find_map(place).expect("it is cyclic")
+        };
+        let (control, status, speed) = (at(Role::Control), at(Role::Status), at(Role::Speed));
+        let registers = vec![0; usize::from(u16::MAX) + 1];
+        Direct { registers, control, status, speed, reply: [0; ADU_MAX], length: 0 }
+    }
+
+    /// Hears a request; false if it is none that a master makes.
+    pub fn hear(&mut self, request: &[u8]) -> bool {
+        let word = |at: usize| usize::from(u16::from_be_bytes([request[at], request[at + 1]]));
+        let (read, write) = match request.get(FUNCTION) {
+            Some(&function::READ) => (Some((word(8), word(10))), None),
+            Some(&function::READ_WRITE) => (Some((word(8), word(10))), Some((word(12), word(14), 17))),
+            Some(&function::WRITE) => (None, Some((word(8), word(10), 13))),
+            _ => return false,
+        };
+        if let Some((address, count, at)) = write {
+            for (place, register) in self.registers[address..address + count].iter_mut().enumerate() {
+                *register = word(at + 2 * place) as u16;
+            }
+        }
+        let runs = self.registers[self.control] & ControlWord::ANY_RUN != 0;
+        let state = if runs { StatusWord::ACTIVE } else { StatusWord::ZERO_SPEED };
+        self.registers[self.status] = StatusWord::HEALTHY | state;
+        self.registers[self.speed] = self.registers[self.speed].wrapping_add(1);
+        self.reply[..=FUNCTION].copy_from_slice(&request[..=FUNCTION]);
+        self.length = match (read, write) {
+            (Some((address, count)), _) => {
+                self.reply[8] = 2 * count as u8;
+                for (place, register) in self.registers[address..address + count].iter().enumerate() {
+                    self.reply[9 + 2 * place..][..2].copy_from_slice(&register.to_be_bytes());
+                }
+                9 + 2 * count
+            }
+            _ => {
+                self.reply[8..12].copy_from_slice(&request[8..12]);
+                12
+            }
+        };
+        self.reply[4..6].copy_from_slice(&(self.length as u16 - 6).to_be_bytes());
+        true
+    }
+
+    /// Writes the answer to what was heard into `room`, and gives its length.
+    pub fn answer(&self, room: &mut [u8]) -> usize {
+        room[..self.length].copy_from_slice(&self.reply[..self.length]);
+        self.length
     }
 }
 
