@@ -105,8 +105,8 @@ fn mistakes(text: &str) -> Vec<String> {
 }
 
 /// The rows of a table: section and fragment (`;;` is a line end, and goes on with the fragment where it begins a
-/// line), then what is expected, two columns in, its own indentation behind `|`; what is four columns in goes on where the
-/// line before it ends.
+/// line), then what is expected, two columns in, its own indentation behind `|`; what is four columns in goes on where
+/// the line before it ends.
 fn rows(table: &str) -> Vec<(&str, String, Vec<String>)> {
     let mut rows: Vec<(&str, String, Vec<String>)> = Vec::new();
     for line in table.lines().filter(|line| !line.is_empty()) {
