@@ -140,7 +140,7 @@ impl Datagrams for NullPackets {
 
 /// How a Unidrive in memory shows its parameters.
 enum Shows {
-    Menu0(Canned),
+    Menu0(Box<Canned>),
     Direct(Box<Direct>),
 }
 
@@ -173,7 +173,7 @@ impl NullStreams {
     pub fn new(peers: usize) -> NullStreams {
         let drive = || match unidrive::is_direct() {
             true => Shows::Direct(Box::new(Direct::new())),
-            false => Shows::Menu0(Canned::new()),
+            false => Shows::Menu0(Box::new(Canned::new())),
         };
         NullStreams {
             drives: (0..peers).map(|_| drive()).collect(),

@@ -144,9 +144,7 @@ impl Canned {
                     *value = request[place].iter().fold(0, |value, byte| value << 8 | u32::from(*byte));
                 }
                 let runs = self.written[0] & u32::from(ControlWord::ANY_RUN) != 0;
-                let at_rest = !runs || rig::is_scene(Scene::Standing);
-                let state =
-                    StatusWord::ACTIVE * u16::from(runs) | StatusWord::ZERO_SPEED * u16::from(at_rest);
+                let state = if runs { StatusWord::ACTIVE } else { StatusWord::ZERO_SPEED };
                 self.status = match rig::is_scene(Scene::Faulted) {
                     true => 0,
                     false => u32::from(StatusWord::HEALTHY | state),
@@ -167,7 +165,7 @@ impl Canned {
     /// Answers over the last answer, which stands in `room` still: by far the most of it is the same.
     #[inline]
     pub fn answer_again(&mut self, room: &mut [u8]) -> usize {
-        self.speed = self.speed.wrapping_add(u32::from(!rig::is_scene(Scene::Standing)));
+        self.speed = self.speed.wrapping_add(1);
         if rig::is_scene(Scene::Unsteady) {
             self.status ^= u32::from(StatusWord::AT_SPEED) * (self.speed & 1);
         }

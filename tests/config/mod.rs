@@ -63,8 +63,10 @@ fn any_machine(section: &str, fragment: &str) -> String {
     machine(section, fragment)
 }
 
+type Written = fn(&str, &str) -> String;
+
 /// How the sections of the other protocols begin.
-const WIRES: [(&str, fn(&str, &str) -> String); 4] =
+const WIRES: [(&str, Written); 4] =
     [("unidrive", unidrive), ("moons", moons), ("lenze", profibus::wire), ("ethercat", ethercat::line)];
 
 /// One Unidrive with a fragment in the section of its bus or in its own. The fragment begins in line 4 or 8.

@@ -144,7 +144,7 @@ pub(crate) mod tests {
         };
         let passed = |n: u64| {
             let mut frame = good();
-            frame[6] = if n % 2 == 0 { 0x10 } else { 0x12 };
+            frame[6] = if n.is_multiple_of(2) { 0x10 } else { 0x12 };
             (n * 5, frame)
         };
         for (what, sent, expected) in [

@@ -43,7 +43,8 @@ fn stations_are_found_with_their_ident_numbers_and_keep_waiting_for_their_master
 #[test]
 fn what_a_wire_is_like_changes_no_station_or_is_named() {
     type Change = fn(&mut ProfibusSegment);
-    let wires: [(&str, Change, Result<Vec<u8>, ScanError>); 3] = [
+    type Found = Result<Vec<u8>, ScanError>;
+    let wires: [(&str, Change, Found); 3] = [
         ("lost telegrams cost a round", |segment| segment.faults.drop = 0.05, Ok(vec![3, 9])),
         ("nobody is there", |segment| segment.drives.clear(), Err(ScanError::Silent)),
         (

@@ -274,7 +274,7 @@ fn an_eeprom_may_take_its_time_or_be_of_no_use() {
     // Zeros: categories without an end. Nothing at all: erased.
     for (sii, vendor) in [(vec![0; 0x400], 0), (Vec::new(), u32::MAX)] {
         let settings = Settings { sii, ..Settings::default() };
-        let sii = answer(settings, Box::new(Coupler::default())).unwrap();
+        let sii = answer(settings, Box::<Coupler>::default()).unwrap();
         assert_eq!((sii.sound, sii.identity.vendor, sii.name.as_str()), (false, vendor, ""));
         assert_eq!((sii.mailbox, sii.managers.len()), (None, 0));
     }

@@ -41,7 +41,7 @@ const NUMBER: Number = Number(u16::from_le_bytes([0xD1, 0xD2]));
 /// Commands with the same parameters: the bytes of these, and each command with its id.
 macro_rules! family {
     ($all:ident, $bytes:literal, $parameters:tt, $($id:literal $command:ident),+) => {
-        $($all.push(($id, M::$command $parameters, $bytes));)+
+        $all.extend([$(($id, M::$command $parameters, $bytes)),+]);
     };
 }
 

@@ -63,8 +63,9 @@ fn a_command_that_takes_its_time_is_busy_and_no_other_is_taken() {
 #[test]
 fn every_command_of_the_manual_is_known_and_no_other_is() {
     use Refusal as R;
+    type Answer = Result<[u16; 3], Refusal>;
     let [p, ly] = [b"pp", b"ly"].map(|two| u16::from_le_bytes(*two));
-    let answers: [(Result<[u16; 3], Refusal>, &[C]); 15] = [
+    let answers: [(Answer, &[C]); 15] = [
         (Ok([0; 3]), &[C::NO_OPERATION, C::START_LIST, C::START_MODIFIED_LIST, C::RESTART, C::STOP_SOFTWARE]),
         (Ok([0; 3]), &[C::START_SOFTWARE, C::DELETE_CURVES, C::DELETE_TABLE, C::ERROR_COUNTERS]),
         (Ok([1, 0, 0]), &[C::DELETE_ENTRY]),
