@@ -1,4 +1,4 @@
-//! When somebody dies in mid-motion: a controller that is told to end or killed, and the master that comes after.
+//! When a process dies in mid-motion: a controller that is told to end or killed, and the master that comes after.
 //! What became of the axes is asked of the drives themselves.
 
 use std::path::Path;

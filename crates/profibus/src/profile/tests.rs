@@ -93,7 +93,7 @@ fn a_newer_output_is_proved_anew_and_the_other_stays_proved() {
         assert_eq!((evidence.accepted.power, evidence.accepted.motion), (1, proved));
         assert_eq!(rig.profile.is_steady(), steady);
     }
-    // What was sent before a start-up is proved anew.
+    // What was sent before a start-up is proved again.
     rig.profile.dropped();
     for proved in [(0, 0), (1, 2)] {
         rig.sends();
